@@ -1,0 +1,149 @@
+"""A capture's arrays, checked, and the bytes they are stored as."""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from safetensors.numpy import load, save
+
+from models.keypoints import check_confidence, check_keypoints
+from store.errors import CaptureError
+
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Capture:
+    """What the cameras saw, and for evaluation only what was really there.
+
+    Attributes
+    ----------
+    keypoints
+        (N frames, K views, P keypoints, 2) pixels; x right, y down; NaN where not observed.
+    confidence
+        (N, K, P) in [0, 1], or None.
+    points3d
+        (N, P, 3) ground truth in the unit the user chose, NaN where unknown, or None.
+    """
+
+    keypoints: Float32
+    confidence: Float32 | None = None
+    points3d: Float32 | None = None
+
+    @classmethod
+    def checked(
+        cls,
+        keypoints: ArrayLike,
+        confidence: ArrayLike | None = None,
+        points3d: ArrayLike | None = None,
+    ) -> "Capture":
+        """Return the capture these arrays make.
+
+        Raises
+        ------
+        CaptureError
+            Naming the array, what was expected of it, what came and how to mend it.
+        """
+        pixels = _checked("keypoints", lambda: check_keypoints(keypoints))
+        n, _, p, _ = pixels.shape
+        if n == 0:
+            raise CaptureError("keypoints", "expected at least one frame, got none")
+        pixels = np.where(np.isnan(pixels).any(-1, keepdims=True), np.float32(np.nan), pixels)
+        weights = None
+        if confidence is not None:
+            weights = _checked(
+                "confidence", lambda: check_confidence(confidence, expected=pixels.shape[:3])
+            )
+        truth = None
+        if points3d is not None:
+            truth = _checked("points3d", lambda: np.asarray(points3d, dtype=np.float32))
+            if truth.shape != (n, p, 3):
+                raise CaptureError(
+                    "points3d",
+                    f"expected shape (frames, keypoints, 3) = {(n, p, 3)}, got {truth.shape}",
+                )
+            if np.isinf(truth).any():
+                raise CaptureError(
+                    "points3d", "expected finite coordinates, got infinity; write NaN for unknown"
+                )
+            truth = np.where(np.isnan(truth).any(-1, keepdims=True), np.float32(np.nan), truth)
+        return cls(pixels, weights, truth)
+
+    @property
+    def frames(self) -> int:
+        """N, the number of frames."""
+        return len(self.keypoints)
+
+    def observed(self) -> list[int]:
+        """Return how many keypoints each view saw, over all frames."""
+        seen = ~np.isnan(self.keypoints[..., 0])
+        if self.confidence is not None:
+            seen &= self.confidence > 0
+        return [int(count) for count in seen.sum((0, 2))]
+
+    def to_bytes(self) -> bytes:
+        """Return the arrays as safetensors."""
+        arrays = {"keypoints": self.keypoints}
+        if self.confidence is not None:
+            arrays["confidence"] = self.confidence
+        if self.points3d is not None:
+            arrays["points3d"] = self.points3d
+        return save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> "Capture":
+        """Read back what :meth:`to_bytes` wrote."""
+        arrays = load(data)
+        return cls(arrays["keypoints"], arrays.get("confidence"), arrays.get("points3d"))
+
+
+def concatenate(captures: list[Capture]) -> Capture:
+    """Join captures of the same views and keypoints, frame after frame.
+
+    Where only some have confidence, the others' keypoints count fully; where only some have a
+    ground truth, the others' is unknown (NaN).
+    """
+    confidence = points3d = None
+    if any(capture.confidence is not None for capture in captures):
+        confidence = np.concatenate(
+            [
+                np.ones(c.keypoints.shape[:3], np.float32) if c.confidence is None else c.confidence
+                for c in captures
+            ]
+        )
+    if any(capture.points3d is not None for capture in captures):
+        points3d = np.concatenate(
+            [
+                np.full((c.frames, c.keypoints.shape[2], 3), np.nan, np.float32)
+                if c.points3d is None
+                else c.points3d
+                for c in captures
+            ]
+        )
+    return Capture(np.concatenate([c.keypoints for c in captures]), confidence, points3d)
+
+
+def extend_checksum(checksum: str, capture: Capture) -> str:
+    """Return the SHA-256 chain over all frames so far, extended by those of ``capture``.
+
+    Each link hashes the one before it and one frame's little-endian arrays, so a capture has the
+    same checksum however it was cut into uploads. The chain of no frames is the empty string.
+    """
+    frames = [
+        array.astype("<f4").reshape(capture.frames, -1)
+        for array in (capture.keypoints, capture.confidence, capture.points3d)
+        if array is not None
+    ]
+    link = bytes.fromhex(checksum)
+    for rows in zip(*frames, strict=True):
+        link = hashlib.sha256(link + b"".join(row.tobytes() for row in rows)).digest()
+    return link.hex()
+
+
+def _checked(field: str, check: Callable[[], Float32]) -> Float32:
+    try:
+        return check()
+    except (TypeError, ValueError) as error:
+        raise CaptureError(field, str(error)) from error

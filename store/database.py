@@ -1,0 +1,85 @@
+"""Opening the store: one handle for records and objects."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Connection, Engine, create_engine, event, make_url, text
+from sqlalchemy.orm import Session
+from sqlalchemy.pool import NullPool
+
+from store.objects import Objects
+from store.records import Record
+from store.settings import StoreSettings
+
+_BUSY_TIMEOUT_MS = 20_000
+
+
+class Store:
+    """Records and objects of one deployment. Safe to share between threads, never across a fork."""
+
+    def __init__(self, settings: StoreSettings, *, pooled: bool = True) -> None:
+        """Open records and objects, making folders and tables that are missing.
+
+        Parameters
+        ----------
+        pooled
+            Keep connections open between uses. A process that forks must not: SQLite drops the
+            locks of a file when any inherited descriptor of it is closed.
+        """
+        self.engine = _open_records(settings.resolved_database_url, pooled=pooled)
+        self.objects = Objects(settings.resolved_store_url)
+
+    @contextmanager
+    def reading(self) -> Iterator[Session]:
+        """Give a session for reading."""
+        with Session(self.engine) as session:
+            yield session
+
+    @contextmanager
+    def writing(self) -> Iterator[Session]:
+        """Give a session whose writes are committed together on leaving, or not at all."""
+        engine = self.engine.execution_options(writing=True)
+        with Session(engine, expire_on_commit=False) as session, session.begin():
+            yield session
+
+    def check_records(self) -> None:
+        """Raise if the records cannot be read."""
+        with self.engine.connect() as connection:
+            connection.execute(text("SELECT 1 FROM fits LIMIT 1"))
+
+    def close(self) -> None:
+        """Close the connections to the records."""
+        self.engine.dispose()
+
+
+def _open_records(url: str, *, pooled: bool) -> Engine:
+    parsed = make_url(url)
+    is_sqlite = parsed.get_backend_name() == "sqlite"
+    if is_sqlite and parsed.database:
+        Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
+    engine = create_engine(url) if pooled else create_engine(url, poolclass=NullPool)
+    if is_sqlite:
+        event.listen(engine, "connect", _configure_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+    with engine.execution_options(writing=True).begin() as connection:
+        Record.metadata.create_all(connection)
+    return engine
+
+
+def _configure_sqlite(connection: Any, _record: object) -> None:
+    connection.isolation_level = None  # transactions begin where _begin_sqlite says, not by guess
+    cursor = connection.cursor()
+    cursor.execute(f"PRAGMA busy_timeout={_BUSY_TIMEOUT_MS}")
+    cursor.execute("PRAGMA journal_mode=WAL")
+    cursor.execute("PRAGMA synchronous=FULL")
+    cursor.execute("PRAGMA foreign_keys=ON")
+    cursor.close()
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    # A transaction that reads first and writes later fails at once if another wrote in between,
+    # whatever the busy timeout: writers take the write lock when they begin.
+    writing = connection.get_execution_options().get("writing", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")

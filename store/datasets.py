@@ -1,0 +1,204 @@
+"""Datasets: stored captures, taken whole or streamed in chunks."""
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from sqlalchemy import delete as sql_delete
+from sqlalchemy import select, update
+
+from store.capture import Capture, concatenate, extend_checksum
+from store.database import Store
+from store.errors import CaptureError, ConflictError, NotFoundError
+from store.idempotency import Idempotency, remember, replayed
+from store.ids import new_id
+from store.records import Chunk, Dataset, Fit
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a user says of a dataset besides its arrays."""
+
+    name: str
+    skeleton: dict[str, Any] | None = None
+    image_sizes: list[Any] | None = None
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+
+def create(
+    store: Store,
+    capture: Capture,
+    description: Description,
+    *,
+    idempotency: Idempotency | None = None,
+) -> Dataset:
+    """Store a capture as a new dataset, or return the one this request made before."""
+    dataset_id = new_id("ds")
+    key = _put_chunk(store, dataset_id, capture)
+    with store.writing() as session:
+        earlier = replayed(session, idempotency)
+        if earlier is None:
+            dataset = Dataset(
+                id=dataset_id,
+                name=description.name,
+                created_at=time.time(),
+                frames=capture.frames,
+                views=capture.keypoints.shape[1],
+                keypoints=capture.keypoints.shape[2],
+                observed=capture.observed(),
+                ground_truth=capture.points3d is not None,
+                checksum=extend_checksum("", capture),
+                skeleton=description.skeleton,
+                image_sizes=description.image_sizes,
+                user_metadata=description.metadata,
+            )
+            session.add(dataset)
+            session.flush()
+            session.add(Chunk(dataset_id=dataset_id, first_frame=0, frames=capture.frames, key=key))
+            remember(session, idempotency, dataset_id)
+    if earlier is not None:
+        store.objects.delete(key)
+        return get(store, earlier)
+    return dataset
+
+
+def append(
+    store: Store,
+    dataset_id: str,
+    capture: Capture,
+    *,
+    max_frames: int,
+    idempotency: Idempotency | None = None,
+) -> Dataset:
+    """Add frames at the end of a dataset.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such dataset.
+    CaptureError
+        If views or keypoints are not the dataset's, or it would grow beyond ``max_frames``.
+    """
+    dataset = get(store, dataset_id)
+    expected = (dataset.views, dataset.keypoints)
+    if capture.keypoints.shape[1:3] != expected:
+        raise CaptureError(
+            "keypoints",
+            f"expected {expected[0]} views of {expected[1]} keypoints as in the dataset, "
+            f"got {capture.keypoints.shape[1]} of {capture.keypoints.shape[2]}",
+        )
+    key = _put_chunk(store, dataset_id, capture)
+    appended = False
+    try:
+        while not appended:
+            dataset = get(store, dataset_id)
+            if dataset.frames + capture.frames > max_frames:
+                raise CaptureError(
+                    "keypoints",
+                    f"expected at most {max_frames} frames in a dataset, it has {dataset.frames} "
+                    f"and {capture.frames} more came; start a new dataset",
+                )
+            checksum = extend_checksum(dataset.checksum, capture)  # too slow for a transaction
+            with store.writing() as session:
+                if replayed(session, idempotency) is not None:
+                    break
+                appended = bool(
+                    session.execute(
+                        update(Dataset)
+                        .where(Dataset.id == dataset_id, Dataset.checksum == dataset.checksum)
+                        .values(
+                            frames=dataset.frames + capture.frames,
+                            observed=[
+                                sum(counts)
+                                for counts in zip(dataset.observed, capture.observed(), strict=True)
+                            ],
+                            ground_truth=dataset.ground_truth or capture.points3d is not None,
+                            checksum=checksum,
+                        )
+                        .returning(Dataset.id)
+                    ).first()
+                )
+                if appended:
+                    session.add(
+                        Chunk(
+                            dataset_id=dataset_id,
+                            first_frame=dataset.frames,
+                            frames=capture.frames,
+                            key=key,
+                        )
+                    )
+                    remember(session, idempotency, dataset_id)
+    finally:
+        if not appended:
+            store.objects.delete(key)
+    return get(store, dataset_id)
+
+
+def get(store: Store, dataset_id: str) -> Dataset:
+    """Return the record of a dataset; raise ``NotFoundError`` if there is none."""
+    with store.reading() as session:
+        dataset = session.get(Dataset, dataset_id)
+    if dataset is None:
+        raise NotFoundError("dataset", dataset_id)
+    return dataset
+
+
+def page(store: Store, *, limit: int, after: str | None) -> list[Dataset]:
+    """Return up to ``limit`` datasets, newest first, older than ``after`` if it is given."""
+    query = select(Dataset).order_by(Dataset.id.desc()).limit(limit)
+    if after is not None:
+        query = query.where(Dataset.id < after)
+    with store.reading() as session:
+        return list(session.scalars(query))
+
+
+def load(store: Store, dataset_id: str, *, frames: int | None = None) -> Capture:
+    """Read a dataset's arrays, all of them or the first ``frames``."""
+    query = select(Chunk).where(Chunk.dataset_id == dataset_id).order_by(Chunk.first_frame)
+    if frames is not None:
+        query = query.where(Chunk.first_frame < frames)
+    with store.reading() as session:
+        keys = [chunk.key for chunk in session.scalars(query)]
+    if not keys:
+        raise NotFoundError("dataset", dataset_id)
+    try:
+        capture = concatenate([Capture.from_bytes(store.objects.get(key)) for key in keys])
+    except FileNotFoundError as error:  # deleted since its chunks were read
+        raise NotFoundError("dataset", dataset_id) from error
+    return capture
+
+
+def delete(store: Store, dataset_id: str) -> None:
+    """Delete a dataset and its arrays.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such dataset.
+    ConflictError
+        If a fit of it is queued or running.
+    """
+    with store.writing() as session:
+        busy = session.scalars(
+            select(Fit.id).where(
+                Fit.dataset_id == dataset_id, Fit.status.in_(("queued", "running"))
+            )
+        ).all()
+        if busy:
+            raise ConflictError(
+                f"Dataset {dataset_id!r} is in use by {', '.join(busy)}: "
+                "cancel these fits or wait for them to end."
+            )
+        keys = session.scalars(select(Chunk.key).where(Chunk.dataset_id == dataset_id)).all()
+        gone = session.execute(
+            sql_delete(Dataset).where(Dataset.id == dataset_id).returning(Dataset.id)
+        ).first()
+        if gone is None:
+            raise NotFoundError("dataset", dataset_id)
+    store.objects.delete(*keys)
+
+
+def _put_chunk(store: Store, dataset_id: str, capture: Capture) -> str:
+    key = f"datasets/{dataset_id}/{new_id('chunk')}.safetensors"
+    store.objects.put(key, capture.to_bytes())
+    return key

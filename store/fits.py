@@ -1,0 +1,377 @@
+"""Fits: the state machine of a fit job.
+
+    queued ──claim──▶ running ──▶ succeeded | failed | cancelled
+      ▲  │               │
+      │  └──cancel───────┼──────▶ cancelled
+      └──released, or its lease expired
+
+Only the attempt that holds the lease may write; terminal states are never left. The queue carries
+work to workers and nothing more: what it says of a job is never asked.
+"""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Update, select, update
+from sqlalchemy.orm import Session
+
+from store import datasets, models
+from store.database import Store
+from store.errors import ConflictError, LeaseLostError, NotFoundError
+from store.idempotency import Idempotency, remember, replayed
+from store.ids import new_id
+from store.records import Fit, Model
+
+TERMINAL = ("succeeded", "failed", "cancelled")
+MAX_CRASHES = 5
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """The right to write to a running fit until the lease expires.
+
+    Attributes
+    ----------
+    number
+        The fencing token.
+    lease_seconds
+        How long the right lasts after each beat.
+    """
+
+    fit_id: str
+    number: int
+    lease_seconds: float
+
+
+def create(
+    store: Store,
+    *,
+    dataset_id: str,
+    name: str,
+    config: dict[str, Any],
+    job_id: str | None = None,
+    idempotency: Idempotency | None = None,
+) -> Fit:
+    """Record a queued fit of the dataset as it is now.
+
+    A ``job_id`` that already has a fit gives that fit back; without one, the fit's own identifier
+    is its job's.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such dataset.
+    """
+    dataset = datasets.get(store, dataset_id)
+    fit_id = new_id("fit")
+    with store.writing() as session:
+        earlier = replayed(session, idempotency)
+        if earlier is None and job_id is not None:
+            earlier = session.scalar(select(Fit.id).where(Fit.job_id == job_id))
+        if earlier is None:
+            fit = _new(
+                id=fit_id,
+                name=name,
+                dataset_id=dataset_id,
+                frames=dataset.frames,
+                config=config,
+                job_id=job_id or fit_id,
+            )
+            session.add(fit)
+            remember(session, idempotency, fit_id)
+    return fit if earlier is None else get(store, earlier)
+
+
+def refuse(
+    store: Store,
+    *,
+    dataset_id: str,
+    name: str,
+    config: dict[str, Any],
+    job_id: str,
+    error: dict[str, Any],
+) -> None:
+    """Record a job that can never run, so that whoever queued it can read why."""
+    with store.writing() as session:
+        if session.scalar(select(Fit.id).where(Fit.job_id == job_id)) is None:
+            fit = _new(
+                id=new_id("fit"),
+                name=name,
+                dataset_id=dataset_id,
+                frames=0,
+                config=config,
+                job_id=job_id,
+            )
+            fit.status, fit.error, fit.finished_at = "failed", error, fit.created_at
+            session.add(fit)
+
+
+def _new(**columns: Any) -> Fit:
+    return Fit(created_at=time.time(), status="queued", revision=1, attempt=0, crashes=0, **columns)
+
+
+def get(store: Store, fit_id: str) -> Fit:
+    """Return the record of a fit; raise ``NotFoundError`` if there is none."""
+    with store.reading() as session:
+        fit = session.get(Fit, fit_id)
+    if fit is None:
+        raise NotFoundError("fit", fit_id)
+    return fit
+
+
+def by_job(store: Store, job_id: str) -> Fit | None:
+    """Return the fit that a queue job carries, or None."""
+    with store.reading() as session:
+        return session.scalar(select(Fit).where(Fit.job_id == job_id))
+
+
+def page(
+    store: Store,
+    *,
+    limit: int,
+    after: str | None,
+    status: str | None = None,
+    dataset_id: str | None = None,
+    job_id: str | None = None,
+) -> list[Fit]:
+    """Return up to ``limit`` fits, newest first, older than ``after`` if it is given."""
+    query = select(Fit).order_by(Fit.id.desc()).limit(limit)
+    if after is not None:
+        query = query.where(Fit.id < after)
+    for column, value in (
+        (Fit.status, status),
+        (Fit.dataset_id, dataset_id),
+        (Fit.job_id, job_id),
+    ):
+        if value is not None:
+            query = query.where(column == value)
+    with store.reading() as session:
+        return list(session.scalars(query))
+
+
+def claim(store: Store, fit_id: str, *, lease_seconds: float) -> Attempt | None:
+    """Take a queued fit, or one whose holder's lease has run out; None if neither is so."""
+    now = time.time()
+    with store.writing() as session:
+        number = session.scalar(
+            update(Fit)
+            .where(
+                Fit.id == fit_id,
+                (Fit.status == "queued")
+                | ((Fit.status == "running") & (Fit.lease_expires_at < now)),
+                Fit.cancel_requested_at.is_(None),
+            )
+            .values(
+                status="running",
+                attempt=Fit.attempt + 1,
+                revision=Fit.revision + 1,
+                lease_expires_at=now + lease_seconds,
+                started_at=now,
+            )
+            .returning(Fit.attempt)
+        )
+    return None if number is None else Attempt(fit_id, number, lease_seconds)
+
+
+def beat(store: Store, attempt: Attempt, progress: dict[str, Any] | None) -> bool:
+    """Keep the lease and publish progress; return whether the user asked to cancel.
+
+    Raises
+    ------
+    LeaseLostError
+        If another attempt or a terminal state has taken this one's place.
+    """
+    values: dict[str, Any] = {"lease_expires_at": time.time() + attempt.lease_seconds}
+    if progress is not None:
+        values |= {"progress": progress, "revision": Fit.revision + 1}
+    with store.writing() as session:
+        asked = _write(session, attempt, values)
+    return asked is not None
+
+
+def save_checkpoint(store: Store, attempt: Attempt, data: bytes) -> None:
+    """Replace the fit's checkpoint; raise ``LeaseLostError`` if this attempt is stale."""
+    key = f"fits/{attempt.fit_id}/{new_id('checkpoint')}.safetensors"
+    store.objects.put(key, data)
+    try:
+        with store.writing() as session:
+            old = session.scalar(select(Fit.checkpoint_key).where(Fit.id == attempt.fit_id))
+            _write(session, attempt, {"checkpoint_key": key})
+    except LeaseLostError:
+        store.objects.delete(key)
+        raise
+    store.objects.delete(old)
+
+
+def load_checkpoint(store: Store, fit_id: str) -> bytes | None:
+    """Return the last checkpoint of a fit, or None if it has none."""
+    key = get(store, fit_id).checkpoint_key
+    return None if key is None else store.objects.get(key)
+
+
+def succeed(
+    store: Store,
+    attempt: Attempt,
+    *,
+    weights: bytes,
+    reconstruction: bytes,
+    describe: dict[str, Any],
+) -> str:
+    """Store the model and the reconstruction and end the fit, all in one transaction.
+
+    Parameters
+    ----------
+    describe
+        The remaining columns of the model's record.
+
+    Returns
+    -------
+    str
+        The model's identifier.
+    """
+    fit = get(store, attempt.fit_id)
+    model = models.new_record(store, weights, name=fit.name, fit_id=fit.id, **describe)
+    reconstruction_key = f"fits/{fit.id}/{new_id('reconstruction')}.safetensors"
+    store.objects.put(reconstruction_key, reconstruction)
+    try:
+        with store.writing() as session:
+            session.add(model)
+            _write(
+                session,
+                attempt,
+                _ended("succeeded")
+                | {
+                    "model_id": model.id,
+                    "reconstruction_key": reconstruction_key,
+                    "checkpoint_key": None,
+                },
+            )
+    except LeaseLostError:
+        store.objects.delete(model.weights_key, reconstruction_key)
+        raise
+    store.objects.delete(fit.checkpoint_key)
+    return model.id
+
+
+def end(
+    store: Store, attempt: Attempt, status: str, *, error: dict[str, Any] | None = None
+) -> None:
+    """End the attempt's fit as ``failed`` or ``cancelled``."""
+    with store.writing() as session:
+        key = session.scalar(select(Fit.checkpoint_key).where(Fit.id == attempt.fit_id))
+        _write(session, attempt, _ended(status) | {"error": error, "checkpoint_key": None})
+    store.objects.delete(key)
+
+
+def release(store: Store, attempt: Attempt) -> None:
+    """Put the attempt's fit back to queued, to be resumed from its last checkpoint."""
+    with store.writing() as session:
+        _write(session, attempt, {"status": "queued", "lease_expires_at": None})
+
+
+def request_cancel(store: Store, fit_id: str) -> Fit:
+    """Cancel a queued fit at once, or ask the attempt that runs it to stop.
+
+    Cancelling a cancelled fit is no error.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such fit.
+    ConflictError
+        If it has ended otherwise.
+    """
+    now = time.time()
+    with store.writing() as session:
+        fit = session.get(Fit, fit_id, with_for_update=True)
+        if fit is None:
+            raise NotFoundError("fit", fit_id)
+        if fit.status in ("succeeded", "failed"):
+            raise ConflictError(f"Fit {fit_id!r} has already {fit.status}; it cannot be cancelled.")
+        if fit.status != "cancelled" and fit.cancel_requested_at is None:
+            fit.cancel_requested_at = now
+            fit.revision += 1
+        if fit.status == "queued":
+            _cancel_now(fit, now)
+    return fit
+
+
+def recover(store: Store) -> list[Fit]:
+    """Deal with fits whose attempt died; return all queued fits, oldest first.
+
+    A fit whose lease ran out is queued again, or cancelled if that was asked, or failed if it has
+    taken down too many workers.
+    """
+    now = time.time()
+    with store.writing() as session:
+        lost = session.scalars(
+            select(Fit)
+            .where(Fit.status == "running", Fit.lease_expires_at < now)
+            .with_for_update(skip_locked=True)
+        )
+        for fit in lost:
+            fit.crashes += 1
+            fit.revision += 1
+            fit.lease_expires_at = None
+            fit.attempt += 1  # whoever still runs it is stale from here on
+            if fit.cancel_requested_at is not None:
+                _cancel_now(fit, now)
+            elif fit.crashes >= MAX_CRASHES:
+                fit.status, fit.finished_at = "failed", now
+                fit.error = {
+                    "code": "worker_lost",
+                    "message": f"The worker died {fit.crashes} times while fitting; it may have "
+                    "run out of memory. Try fewer frames or smaller dictionaries.",
+                }
+            else:
+                fit.status = "queued"
+    with store.reading() as session:
+        return list(session.scalars(select(Fit).where(Fit.status == "queued").order_by(Fit.id)))
+
+
+def delete(store: Store, fit_id: str) -> None:
+    """Delete a fit that has ended, and its reconstruction; its model stays.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such fit.
+    ConflictError
+        If it is queued or running.
+    """
+    with store.writing() as session:
+        fit = session.get(Fit, fit_id, with_for_update=True)
+        if fit is None:
+            raise NotFoundError("fit", fit_id)
+        if fit.status not in TERMINAL:
+            raise ConflictError(f"Fit {fit_id!r} is {fit.status}: cancel it first.")
+        session.execute(update(Model).where(Model.fit_id == fit_id).values(fit_id=None))
+        session.delete(fit)
+    store.objects.delete(fit.reconstruction_key, fit.checkpoint_key)
+
+
+def _write(session: Session, attempt: Attempt, values: dict[str, Any]) -> float | None:
+    """Write as ``attempt``; return when cancellation was asked for, if it was."""
+    statement: Update = (
+        update(Fit)
+        .where(Fit.id == attempt.fit_id, Fit.attempt == attempt.number, Fit.status == "running")
+        .values(**values)
+    )
+    row = session.execute(statement.returning(Fit.cancel_requested_at)).first()
+    if row is None:
+        raise LeaseLostError(f"Attempt {attempt.number} no longer owns fit {attempt.fit_id}.")
+    return row[0]
+
+
+def _ended(status: str) -> dict[str, Any]:
+    return {
+        "status": status,
+        "finished_at": time.time(),
+        "lease_expires_at": None,
+        "revision": Fit.revision + 1,
+    }
+
+
+def _cancel_now(fit: Fit, now: float) -> None:
+    fit.status, fit.finished_at = "cancelled", now

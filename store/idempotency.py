@@ -1,0 +1,63 @@
+"""Idempotency keys: a request that is sent twice makes one thing."""
+
+import time
+from dataclasses import dataclass
+
+from sqlalchemy.orm import Session
+
+from store.errors import KeyReusedError
+from store.records import IdempotencyKey
+
+
+@dataclass(frozen=True)
+class Idempotency:
+    """A client's key for one creating request.
+
+    Attributes
+    ----------
+    scope
+        What the key is unique within: the operation, and the record it works on.
+    key
+        The client's ``Idempotency-Key``.
+    fingerprint
+        A digest of the request; the same key with another digest is refused.
+    """
+
+    scope: str
+    key: str
+    fingerprint: str
+
+
+def replayed(session: Session, request: Idempotency | None) -> str | None:
+    """Return the identifier that this very request made before, or None if it is new.
+
+    Raises
+    ------
+    KeyReusedError
+        If the key came before with a different request.
+    """
+    if request is None:
+        return None
+    earlier = session.get(IdempotencyKey, (request.scope, request.key))
+    if earlier is None:
+        return None
+    if earlier.fingerprint != request.fingerprint:
+        raise KeyReusedError(
+            f"Idempotency-Key {request.key!r} was used before with a different request. "
+            "Send a new key, or repeat the first request unchanged."
+        )
+    return earlier.resource_id
+
+
+def remember(session: Session, request: Idempotency | None, resource_id: str) -> None:
+    """Note, in the caller's transaction, what the request made."""
+    if request is not None:
+        session.add(
+            IdempotencyKey(
+                scope=request.scope,
+                key=request.key,
+                fingerprint=request.fingerprint,
+                resource_id=resource_id,
+                created_at=time.time(),
+            )
+        )

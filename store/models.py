@@ -1,0 +1,73 @@
+"""Models: fitted priors and their weights."""
+
+import hashlib
+import time
+from typing import Any
+
+from sqlalchemy import select, update
+
+from store.database import Store
+from store.errors import NotFoundError
+from store.idempotency import Idempotency, remember, replayed
+from store.ids import new_id
+from store.records import Fit, Model
+
+
+def new_record(store: Store, weights: bytes, **columns: Any) -> Model:
+    """Store the weights and return the model's record, not yet written."""
+    model_id = new_id("mdl")
+    key = f"models/{model_id}/weights.safetensors"
+    store.objects.put(key, weights)
+    return Model(
+        id=model_id,
+        created_at=time.time(),
+        weights_key=key,
+        weights_bytes=len(weights),
+        weights_checksum=hashlib.sha256(weights).hexdigest(),
+        **columns,
+    )
+
+
+def create(
+    store: Store, weights: bytes, *, idempotency: Idempotency | None = None, **columns: Any
+) -> Model:
+    """Store imported weights as a model, or return the one this request made before."""
+    model = new_record(store, weights, **columns)
+    with store.writing() as session:
+        earlier = replayed(session, idempotency)
+        if earlier is None:
+            session.add(model)
+            remember(session, idempotency, model.id)
+    if earlier is not None:
+        store.objects.delete(model.weights_key)
+        return get(store, earlier)
+    return model
+
+
+def get(store: Store, model_id: str) -> Model:
+    """Return the record of a model; raise ``NotFoundError`` if there is none."""
+    with store.reading() as session:
+        model = session.get(Model, model_id)
+    if model is None:
+        raise NotFoundError("model", model_id)
+    return model
+
+
+def page(store: Store, *, limit: int, after: str | None) -> list[Model]:
+    """Return up to ``limit`` models, newest first, older than ``after`` if it is given."""
+    query = select(Model).order_by(Model.id.desc()).limit(limit)
+    if after is not None:
+        query = query.where(Model.id < after)
+    with store.reading() as session:
+        return list(session.scalars(query))
+
+
+def delete(store: Store, model_id: str) -> None:
+    """Delete a model and its weights; raise ``NotFoundError`` if there is none."""
+    with store.writing() as session:
+        model = session.get(Model, model_id, with_for_update=True)
+        if model is None:
+            raise NotFoundError("model", model_id)
+        session.execute(update(Fit).where(Fit.model_id == model_id).values(model_id=None))
+        session.delete(model)
+    store.objects.delete(model.weights_key)

@@ -1,0 +1,65 @@
+"""Arrays and weights as objects: a local folder by default, S3 and friends by URL."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import obstore
+from obstore.store import LocalStore, from_url
+
+
+class Objects:
+    """Bytes under keys. A put is atomic: a reader sees the old bytes or the new, never a part."""
+
+    def __init__(self, url: str) -> None:
+        """Open the store at ``url``; a ``file://`` folder is made if it is missing."""
+        self.url = url
+        parts = urlsplit(url)
+        self._folder = Path(unquote(parts.path)) if parts.scheme == "file" else None
+        self._store: Any = (
+            from_url(url) if self._folder is None else LocalStore(self._folder, mkdir=True)
+        )
+
+    def put(self, key: str, data: bytes) -> None:
+        """Store ``data`` under ``key``, durably: on return it survives a loss of power."""
+        obstore.put(self._store, key, data)
+        if self._folder is not None:
+            # A local rename is atomic but not durable; the record that will point here is.
+            for path in (self._folder / key, (self._folder / key).parent):
+                descriptor = os.open(path, os.O_RDONLY)
+                try:
+                    os.fsync(descriptor)
+                finally:
+                    os.close(descriptor)
+
+    def get(self, key: str) -> bytes:
+        """Return the bytes under ``key``; raise ``FileNotFoundError`` if there are none."""
+        return bytes(obstore.get(self._store, key).bytes())
+
+    def get_range(self, key: str, start: int, end: int) -> bytes:
+        """Return bytes ``start`` (included) to ``end`` (excluded) of the object."""
+        return bytes(obstore.get_range(self._store, key, start=start, end=end))
+
+    def delete(self, *keys: str | None) -> None:
+        """Delete what is there of ``keys``; what is gone already is no error."""
+        for key in keys:
+            if key is not None:
+                try:
+                    obstore.delete(self._store, key)
+                except FileNotFoundError:
+                    continue
+
+    def list(self) -> Iterator[tuple[str, float]]:
+        """Yield every key with the time it was last written, in seconds since the epoch."""
+        for batch in obstore.list(self._store):
+            for entry in batch:
+                yield entry["path"], entry["last_modified"].timestamp()
+
+    def check(self) -> None:
+        """Raise if the store does not take, give back and delete an object."""
+        key = f"health/{os.getpid()}"
+        obstore.put(self._store, key, b"ok")
+        self.get(key)
+        self.delete(key)

@@ -1,0 +1,116 @@
+"""The tables. Times are seconds since the epoch (UTC); identifiers come from ``store.ids``."""
+
+from typing import Any
+
+from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+
+class Record(DeclarativeBase):
+    """Base of all tables."""
+
+    type_annotation_map = {  # noqa: RUF012 (SQLAlchemy reads it from the class)
+        str: String(200),
+        int: Integer,
+        float: Float(53),
+        dict[str, Any]: JSON(none_as_null=True),
+        list[Any]: JSON(none_as_null=True),
+    }
+
+
+class Dataset(Record):
+    """A stored capture: what is known of it without reading its arrays."""
+
+    __tablename__ = "datasets"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    name: Mapped[str]
+    created_at: Mapped[float]
+    frames: Mapped[int] = mapped_column(BigInteger)
+    views: Mapped[int]
+    keypoints: Mapped[int]
+    observed: Mapped[list[Any]]  # keypoints seen, a count per view
+    ground_truth: Mapped[bool]
+    checksum: Mapped[str]
+    skeleton: Mapped[dict[str, Any] | None]
+    image_sizes: Mapped[list[Any] | None]
+    user_metadata: Mapped[dict[str, Any]]
+
+
+class Chunk(Record):
+    """Consecutive frames of a dataset, as one object."""
+
+    __tablename__ = "chunks"
+
+    dataset_id: Mapped[str] = mapped_column(
+        ForeignKey("datasets.id", ondelete="CASCADE"), primary_key=True
+    )
+    first_frame: Mapped[int] = mapped_column(BigInteger, primary_key=True)
+    frames: Mapped[int]
+    key: Mapped[str]
+
+
+class Fit(Record):
+    """A fit job. ``status`` is the one truth about it; the queue only carries the work.
+
+    ``attempt`` is the fencing token: it grows with every claim, and a write that carries an older
+    one changes nothing. ``revision`` grows with every visible change.
+    """
+
+    __tablename__ = "fits"
+    __table_args__ = (Index("fits_by_status", "status"),)
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    name: Mapped[str]
+    created_at: Mapped[float]
+    started_at: Mapped[float | None]
+    finished_at: Mapped[float | None]
+    dataset_id: Mapped[str] = mapped_column(index=True)
+    frames: Mapped[int] = mapped_column(BigInteger)  # of the dataset when the fit was made
+    config: Mapped[dict[str, Any]]
+    job_id: Mapped[str] = mapped_column(unique=True)
+    status: Mapped[str]  # queued, running, succeeded, failed, cancelled
+    revision: Mapped[int]
+    progress: Mapped[dict[str, Any] | None]
+    cancel_requested_at: Mapped[float | None]
+    attempt: Mapped[int]
+    crashes: Mapped[int]
+    lease_expires_at: Mapped[float | None]
+    checkpoint_key: Mapped[str | None]
+    reconstruction_key: Mapped[str | None]
+    model_id: Mapped[str | None]
+    error: Mapped[dict[str, Any] | None]
+
+
+class Model(Record):
+    """A fitted prior: its weights are an object, its figures are here."""
+
+    __tablename__ = "models"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    name: Mapped[str]
+    created_at: Mapped[float]
+    fit_id: Mapped[str | None]
+    dataset_id: Mapped[str | None]
+    views: Mapped[int | None]
+    keypoints: Mapped[int]
+    frames: Mapped[int | None] = mapped_column(BigInteger)
+    config: Mapped[dict[str, Any]]
+    skeleton: Mapped[dict[str, Any] | None]
+    training_curve: Mapped[list[Any]]
+    metrics: Mapped[dict[str, Any]]
+    weights_key: Mapped[str]
+    weights_bytes: Mapped[int]
+    weights_checksum: Mapped[str]
+
+
+class IdempotencyKey(Record):
+    """What a creating request with this key made."""
+
+    __tablename__ = "idempotency_keys"
+
+    scope: Mapped[str] = mapped_column(primary_key=True)
+    key: Mapped[str] = mapped_column(primary_key=True)
+    fingerprint: Mapped[str]
+    resource_id: Mapped[str]
+    created_at: Mapped[float]

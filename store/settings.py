@@ -1,0 +1,40 @@
+"""Where records and objects live."""
+
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+
+class StoreSettings(BaseSettings):
+    """Settings of the store, read from ``FEWVIEW_*`` environment variables; frozen once read."""
+
+    model_config = SettingsConfigDict(
+        env_prefix="FEWVIEW_", env_ignore_empty=True, frozen=True, extra="ignore"
+    )
+
+    data_dir: Path = Field(
+        Path("fewview-data"),
+        description="Folder of the embedded defaults: records, objects and queue live below it.",
+    )
+    database_url: str | None = Field(
+        None,
+        description="SQLAlchemy URL of the records. Without it: SQLite in the data folder.",
+        examples=["sqlite:////var/lib/fewview/records.db"],
+    )
+    store_url: str | None = Field(
+        None,
+        description="URL of the objects (arrays, weights): file:///folder, s3://bucket/prefix, "
+        "gs://, az://. Without it: a folder in the data folder.",
+        examples=["file:///var/lib/fewview/objects"],
+    )
+
+    @property
+    def resolved_database_url(self) -> str:
+        """The records' URL, the embedded default included."""
+        return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'records.db'}"
+
+    @property
+    def resolved_store_url(self) -> str:
+        """The objects' URL, the embedded default included."""
+        return self.store_url or (self.data_dir.absolute() / "objects").as_uri()
