@@ -1,0 +1,66 @@
+"""What a fit can be told. Imports no torch, so that an API can show and check it cheaply."""
+
+from itertools import pairwise
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+MAX_DICTIONARY_ENTRIES = 16_000_000  # the paper's {4096, 2048, ..., 8} needs 11 million
+
+
+class FitConfig(BaseModel):
+    """Everything that decides the outcome of a fit besides the keypoints."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    prior: Literal["hierarchical"] = Field(
+        default="hierarchical",
+        description="The shape prior: `hierarchical` is the multi-layer block-sparse dictionary.",
+    )
+    dictionary_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field(
+        default=(128, 32),
+        min_length=1,
+        max_length=12,
+        description=(
+            "Atoms in the dictionary of each layer, from the keypoints inwards, never increasing."
+            " The last one is the length of the code that describes a structure."
+        ),
+    )
+    steps: int = Field(
+        default=4000, ge=1, le=1_000_000, description="Optimiser steps; each sees one batch."
+    )
+    batch_size: int = Field(default=64, ge=1, le=512, description="Frames in one step.")
+    learning_rate: float = Field(
+        default=1e-2,
+        gt=0,
+        le=1,
+        description="Adam's step size at the start; it falls to zero along half a cosine.",
+    )
+    seed: int = Field(
+        default=0,
+        ge=0,
+        le=2**32 - 1,
+        description="Decides the initial weights, the order of the frames and the augmentation.",
+    )
+    pck_threshold: float = Field(
+        default=0.1,
+        gt=0,
+        description=(
+            "Distance below which a keypoint counts as correct when a ground truth is given,"
+            " in the unit of that truth (the paper's is 10 cm)."
+        ),
+    )
+
+    @model_validator(mode="after")
+    def _dictionaries_narrow_and_fit_in_memory(self) -> "FitConfig":
+        sizes = self.dictionary_sizes
+        pairs = list(pairwise(sizes))
+        if any(outer < inner for outer, inner in pairs):
+            raise ValueError(f"dictionary_sizes must never increase, got {list(sizes)}")
+        entries = sum(outer * inner for outer, inner in pairs)
+        if entries > MAX_DICTIONARY_ENTRIES:
+            raise ValueError(
+                f"dictionary_sizes {list(sizes)} hold {entries} entries,"
+                f" more than the {MAX_DICTIONARY_ENTRIES} allowed; make the layers narrower"
+            )
+        return self

@@ -1,0 +1,120 @@
+"""Checking 2D keypoints and bringing every view to the same position and size."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+MIN_KEYPOINTS = 4  # three fix a weak-perspective camera; the fourth says something about the shape
+MAX_KEYPOINTS = 512
+MAX_VIEWS = 64
+MAX_COORDINATE = 1e6  # pixels; far beyond any sensor, and safe to square in float32
+MIN_CONFIDENCE = 1e-3  # below this a keypoint counts as not observed
+MIN_SIZE = 1e-3  # pixels; a view whose keypoints all coincide shows no shape
+
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Keypoints ready for the prior: every usable view centred, with root-mean-square radius 1.
+
+    `keypoints * sizes + centres` gives back the pixels. Whatever was not observed, or lies in a
+    view that is not usable, is 0 with weight 0.
+    """
+
+    keypoints: Float32  # (N, K, P, 2) unitless
+    weights: Float32  # (N, K, P) in [0, 1]
+    centres: Float32  # (N, K, 2) pixels
+    sizes: Float32  # (N, K) pixels
+    usable: NDArray[np.bool_]  # (N, K) at least MIN_KEYPOINTS keypoints that do not coincide
+
+
+def as_observations(keypoints: ArrayLike, confidence: ArrayLike | None = None) -> Observations:
+    """Check `keypoints` (N, K, P, 2) in pixels and normalise every view by what it shows.
+
+    A keypoint with a NaN coordinate, or with confidence (N, K, P) under 0.001 or NaN, counts as
+    not observed; other confidences weight it. The centre of a view is the weighted mean of its
+    keypoints, its size the weighted root mean square of their distances to it.
+
+    Raises
+    ------
+    ValueError
+        Wrong shape, infinite or absurd coordinates, confidence outside [0, 1]; the message says
+        what was expected, what came, and how to mend it.
+    """
+    pixels = check_keypoints(keypoints)
+    weights: Float32 = np.all(np.isfinite(pixels), axis=-1).astype(np.float32)
+    if confidence is not None:
+        weights *= check_confidence(confidence, expected=pixels.shape[:3])
+    pixels = np.where(weights[..., None] > 0, pixels, 0)
+
+    total = np.maximum(weights.sum(-1), MIN_CONFIDENCE)
+    centres: Float32 = (pixels * weights[..., None]).sum(-2) / total[..., None]
+    offsets = (pixels - centres[..., None, :]) * (weights > 0)[..., None]
+    sizes = np.sqrt((weights * np.square(offsets).sum(-1)).sum(-1) / total)
+    usable: NDArray[np.bool_] = np.logical_and(
+        (weights > 0).sum(-1) >= MIN_KEYPOINTS, sizes > MIN_SIZE
+    )
+    sizes = np.where(usable, sizes, np.float32(1))
+    return Observations(
+        keypoints=np.where(
+            usable[..., None, None], offsets / sizes[..., None, None], np.float32(0)
+        ),
+        weights=weights * usable[..., None],
+        centres=centres,
+        sizes=sizes,
+        usable=usable,
+    )
+
+
+def check_keypoints(keypoints: ArrayLike) -> Float32:
+    """Return `keypoints` as float32 of shape (N, K, P, 2), or raise ValueError saying why not."""
+    try:
+        pixels = np.asarray(keypoints, dtype=np.float32)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            "keypoints must be an array of numbers of shape (frames, views, keypoints, 2);"
+            " write NaN for what was not observed and give every frame the same number of views"
+        ) from error
+    if pixels.ndim != 4 or pixels.shape[-1] != 2:
+        raise ValueError(
+            f"keypoints must have shape (frames, views, keypoints, 2), got {pixels.shape};"
+            " a single frame is keypoints[None], a single view keypoints[:, None]"
+        )
+    _, views, count, _ = pixels.shape
+    if not 1 <= views <= MAX_VIEWS:
+        raise ValueError(f"keypoints must have 1 to {MAX_VIEWS} views, got {views}")
+    if not MIN_KEYPOINTS <= count <= MAX_KEYPOINTS:
+        raise ValueError(
+            f"keypoints must have {MIN_KEYPOINTS} to {MAX_KEYPOINTS} keypoints per view,"
+            f" got {count}"
+        )
+    # fmax skips NaN, which is how a missing keypoint is written; infinity is not.
+    largest = np.fmax.reduce(np.abs(pixels), axis=None, initial=0)
+    if not largest <= MAX_COORDINATE:
+        raise ValueError(
+            f"keypoints must lie within {MAX_COORDINATE:g} pixels of the origin,"
+            f" got {largest:g}; write NaN for what was not observed"
+        )
+    return pixels
+
+
+def check_confidence(confidence: ArrayLike, *, expected: tuple[int, ...]) -> Float32:
+    """Return `confidence` as float32 of shape (N, K, P), 0 where it is NaN or under 0.001.
+
+    Raises ValueError when the shape is not `expected` or a value lies outside [0, 1].
+    """
+    values = np.asarray(confidence, dtype=np.float32)
+    if values.shape != expected:
+        raise ValueError(
+            f"confidence must have shape (frames, views, keypoints) = {expected},"
+            f" got {values.shape}"
+        )
+    values = np.nan_to_num(values, nan=0.0)
+    if values.size and (values.min() < 0 or values.max() > 1):
+        raise ValueError(
+            f"confidence must lie in [0, 1], got {values.min():g} to {values.max():g};"
+            " divide it by its largest value"
+        )
+    return np.where(values < MIN_CONFIDENCE, np.float32(0), values)

@@ -1,0 +1,81 @@
+"""Tensors and what is known about them, to and from safetensors bytes; never a pickle."""
+
+import json
+import math
+import struct
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from torch import Tensor
+
+FORMAT = "fewview/1"
+MAX_HEADER = 1_000_000  # bytes; ours are a few thousand
+
+Arrays = dict[str, Tensor]
+Shapes = dict[str, tuple[int | None, ...]]
+
+
+class WeightsError(ValueError):
+    """Bytes that are not the weights or checkpoint they should be; the message says why."""
+
+
+def pack(arrays: Arrays, *, kind: str, about: dict[str, str]) -> bytes:
+    """Serialise `arrays` with `about` and the `kind` of file in the header."""
+    contiguous = {name: value.detach().contiguous() for name, value in arrays.items()}
+    return save(contiguous, metadata={**about, "format": FORMAT, "kind": kind})
+
+
+def read_about(data: bytes, *, kind: str) -> dict[str, str]:
+    """Return what the header says, having read nothing else.
+
+    Raises
+    ------
+    WeightsError
+        When this is no safetensors file, or not one of this kind.
+    """
+    if len(data) < 8:
+        raise WeightsError(f"expected a safetensors file, got {len(data)} bytes")
+    (length,) = struct.unpack("<Q", data[:8])
+    if length > min(MAX_HEADER, len(data) - 8):
+        raise WeightsError("expected a safetensors file, but the header is cut off or not one")
+    try:
+        header = json.loads(data[8 : 8 + length])
+        about = header["__metadata__"]
+        found = (about["format"], about["kind"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise WeightsError("expected a file written by fewview, got another one") from error
+    if found != (FORMAT, kind):
+        raise WeightsError(f"expected a {FORMAT} {kind}, got {found[0]} {found[1]}")
+    return {str(key): str(value) for key, value in about.items()}
+
+
+def unpack(data: bytes, *, shapes: Shapes) -> Arrays:
+    """Return the tensors of a file, having checked that they are exactly those of `shapes`.
+
+    A None in a shape allows any length. What is allocated never exceeds the length of `data`.
+
+    Raises
+    ------
+    WeightsError
+        When the file is damaged, tensors are missing, foreign, of another shape, or not finite.
+    """
+    try:
+        arrays = load(data)
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise WeightsError(f"the file is damaged: {error}") from error
+    if arrays.keys() != shapes.keys():
+        odd = ", ".join(sorted(arrays.keys() ^ shapes.keys())[:4])
+        raise WeightsError(f"the file does not hold the expected tensors (see {odd})")
+    for name, shape in shapes.items():
+        found = tuple(arrays[name].shape)
+        fits = len(found) == len(shape) and all(
+            want in (None, got) for want, got in zip(shape, found, strict=True)
+        )
+        if not fits:
+            raise WeightsError(f"{name} must have shape {shape}, got {found}")
+        if arrays[name].dtype not in (torch.float32, torch.float64):
+            raise WeightsError(f"{name} must hold floats, got {arrays[name].dtype}")
+        if not math.isfinite(arrays[name].abs().sum().item()):
+            raise WeightsError(f"{name} holds numbers that are not finite")
+    return arrays
