@@ -91,20 +91,23 @@ def refuse(
     config: dict[str, Any],
     job_id: str,
     error: dict[str, Any],
-) -> None:
-    """Record a job that can never run, so that whoever queued it can read why."""
+) -> str:
+    """Record a job that can never run, so that whoever queued it can read why; return the fit."""
     with store.writing() as session:
-        if session.scalar(select(Fit.id).where(Fit.job_id == job_id)) is None:
-            fit = _new(
-                id=new_id("fit"),
-                name=name,
-                dataset_id=dataset_id,
-                frames=0,
-                config=config,
-                job_id=job_id,
-            )
-            fit.status, fit.error, fit.finished_at = "failed", error, fit.created_at
-            session.add(fit)
+        known = session.scalar(select(Fit.id).where(Fit.job_id == job_id))
+        if known is not None:
+            return known
+        fit = _new(
+            id=new_id("fit"),
+            name=name,
+            dataset_id=dataset_id,
+            frames=0,
+            config=config,
+            job_id=job_id,
+        )
+        fit.status, fit.error, fit.finished_at = "failed", error, fit.created_at
+        session.add(fit)
+    return fit.id
 
 
 def _new(**columns: Any) -> Fit:
@@ -292,7 +295,9 @@ def request_cancel(store: Store, fit_id: str) -> Fit:
         if fit.status != "cancelled" and fit.cancel_requested_at is None:
             fit.cancel_requested_at = now
             fit.revision += 1
-        if fit.status == "queued":
+        abandoned = fit.lease_expires_at is not None and fit.lease_expires_at < now
+        if fit.status == "queued" or (fit.status == "running" and abandoned):
+            fit.attempt += 1
             _cancel_now(fit, now)
     return fit
 
@@ -304,30 +309,59 @@ def recover(store: Store) -> list[Fit]:
     taken down too many workers.
     """
     now = time.time()
-    with store.writing() as session:
-        lost = session.scalars(
-            select(Fit)
-            .where(Fit.status == "running", Fit.lease_expires_at < now)
-            .with_for_update(skip_locked=True)
-        )
-        for fit in lost:
-            fit.crashes += 1
-            fit.revision += 1
-            fit.lease_expires_at = None
-            fit.attempt += 1  # whoever still runs it is stale from here on
-            if fit.cancel_requested_at is not None:
-                _cancel_now(fit, now)
-            elif fit.crashes >= MAX_CRASHES:
-                fit.status, fit.finished_at = "failed", now
-                fit.error = {
-                    "code": "worker_lost",
-                    "message": f"The worker died {fit.crashes} times while fitting; it may have "
-                    "run out of memory. Try fewer frames or smaller dictionaries.",
-                }
-            else:
-                fit.status = "queued"
+    lost = (Fit.status == "running") & (Fit.lease_expires_at < now)
+    queued = select(Fit).where(Fit.status == "queued").order_by(Fit.id)
+    with store.reading() as session:  # the common case takes no write lock
+        any_lost = session.scalar(select(Fit.id).where(lost).limit(1)) is not None
+    if any_lost:
+        with store.writing() as session:
+            for fit in session.scalars(select(Fit).where(lost).with_for_update(skip_locked=True)):
+                _lose(fit, now)
     with store.reading() as session:
-        return list(session.scalars(select(Fit).where(Fit.status == "queued").order_by(Fit.id)))
+        return list(session.scalars(queued))
+
+
+def _lose(fit: Fit, now: float) -> None:
+    fit.crashes += 1
+    fit.attempt += 1  # whoever may still run it is stale from here on
+    fit.revision += 1
+    fit.lease_expires_at = None
+    if fit.cancel_requested_at is not None:
+        _cancel_now(fit, now)
+    elif fit.crashes >= MAX_CRASHES:
+        fit.status, fit.finished_at = "failed", now
+        fit.error = {
+            "code": "worker_lost",
+            "message": f"The worker died {fit.crashes} times while fitting; it may have run out "
+            "of memory. Try fewer frames or smaller dictionaries.",
+        }
+    else:
+        fit.status = "queued"
+
+
+def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> bool:
+    """Take a running fit from an attempt that has not heeded a request to cancel.
+
+    Returns
+    -------
+    bool
+        Whether it was taken; whoever runs it must then be stopped.
+    """
+    now = time.time()
+    with store.reading() as session:
+        asked = session.scalar(
+            select(Fit.cancel_requested_at).where(Fit.job_id == job_id, Fit.status == "running")
+        )
+    if asked is None or now - asked < patience_seconds:
+        return False
+    with store.writing() as session:
+        taken = session.execute(
+            update(Fit)
+            .where(Fit.job_id == job_id, Fit.status == "running")
+            .values(**_ended("cancelled"), attempt=Fit.attempt + 1)
+            .returning(Fit.id)
+        ).first()
+    return taken is not None
 
 
 def delete(store: Store, fit_id: str) -> None:

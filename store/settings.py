@@ -29,6 +29,11 @@ class StoreSettings(BaseSettings):
         examples=["file:///var/lib/fewview/objects"],
     )
 
+    def to_environment(self) -> dict[str, str]:
+        """Return the environment variables that give another process these settings."""
+        values = self.model_dump(mode="json", exclude_none=True)
+        return {f"FEWVIEW_{name.upper()}": str(value) for name, value in values.items()}
+
     @property
     def resolved_database_url(self) -> str:
         """The records' URL, the embedded default included."""

@@ -1,0 +1,222 @@
+"""One attempt at a fit: dataset in, model and reconstruction out, interruptible at every step."""
+
+import logging
+import math
+import signal
+import threading
+import time
+from dataclasses import asdict
+from types import FrameType, TracebackType
+from typing import Any
+
+import numpy as np
+from safetensors.numpy import save
+from sqlalchemy.exc import SQLAlchemyError
+
+from models.config import FitConfig
+from models.fitted import FittedPrior, Lift
+from models.metrics import pa_mpjpe, pck
+from models.training import Trainer
+from models.weights import WeightsError
+from store import datasets, fits
+from store.capture import Capture
+from store.database import Store
+from store.errors import LeaseLostError, NotFoundError
+from store.fits import Attempt
+from worker.settings import WorkerSettings
+
+logger = logging.getLogger(__name__)
+
+BEAT_SECONDS = 0.25
+CHECKPOINT_SHARE = 20  # checkpoints may take a twentieth of the time, however large they are
+
+
+def run_attempt(store: Store, attempt: Attempt, settings: WorkerSettings) -> None:
+    """Run a claimed fit until it succeeds, fails, is cancelled, or this process must leave.
+
+    SIGTERM means leave: checkpoint, give the fit back to the queue, return. The outcome is in the
+    fit's record. Whatever else ends the attempt is recorded as a failure and raised again, RQ's
+    own timeout included.
+    """
+    leave = threading.Event()
+
+    def on_sigterm(_signum: int, _frame: FrameType | None) -> None:
+        leave.set()
+
+    previous = signal.signal(signal.SIGTERM, on_sigterm)
+    try:
+        with _Pulse(store, attempt) as pulse:
+            _run(store, attempt, settings, pulse, leave)
+    except LeaseLostError:
+        logger.warning("Fit %s is no longer ours: leaving it alone", attempt.fit_id)
+    except NotFoundError as error:
+        _fail(store, attempt, "dataset_not_found", str(error))
+    except ValueError as error:
+        _fail(store, attempt, "unusable_capture", str(error))
+        logger.exception("Fit %s failed", attempt.fit_id)
+    except BaseException as error:
+        _fail(store, attempt, "internal_error", f"{type(error).__name__}: {error}"[:500])
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+class _Pulse:
+    """Keeps the lease and publishes progress from a thread, while steps may take seconds."""
+
+    def __init__(self, store: Store, attempt: Attempt) -> None:
+        self.progress: dict[str, Any] | None = None
+        self.cancel = self.lost = False
+        self._store, self._attempt = store, attempt
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._beat, name="pulse", daemon=True)
+
+    def __enter__(self) -> "_Pulse":
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _beat(self) -> None:
+        published = None
+        while not self._stop.wait(BEAT_SECONDS):
+            progress = self.progress
+            try:
+                self.cancel = fits.beat(
+                    self._store, self._attempt, None if progress is published else progress
+                )
+                published = progress
+            except LeaseLostError:
+                self.lost = True
+                return
+            except SQLAlchemyError:  # the lease outlives a short outage of the records
+                logger.exception("Could not publish progress")
+
+
+def _run(
+    store: Store,
+    attempt: Attempt,
+    settings: WorkerSettings,
+    pulse: _Pulse,
+    leave: threading.Event,
+) -> None:
+    started = time.monotonic()
+    fit = fits.get(store, attempt.fit_id)
+    config = FitConfig.model_validate(fit.config)
+    capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
+    trainer = _resume(capture, config, fits.load_checkpoint(store, fit.id))
+
+    next_checkpoint = time.monotonic() + settings.checkpoint_seconds
+    for progress in trainer.run():
+        pulse.progress = _finite(asdict(progress))
+        if pulse.lost:
+            raise LeaseLostError
+        if pulse.cancel:
+            fits.end(store, attempt, "cancelled")
+            return
+        if leave.is_set():
+            fits.save_checkpoint(store, attempt, trainer.checkpoint())
+            fits.release(store, attempt)
+            return
+        now = time.monotonic()
+        if now - started > settings.max_fit_seconds:
+            limit = settings.max_fit_seconds
+            _fail(store, attempt, "timed_out", f"The fit took longer than {limit} s.")
+            return
+        if now >= next_checkpoint:
+            fits.save_checkpoint(store, attempt, trainer.checkpoint())
+            took = time.monotonic() - now
+            next_checkpoint = now + max(settings.checkpoint_seconds, CHECKPOINT_SHARE * took)
+
+    prior = trainer.result()
+    lift = prior.lift(capture.keypoints, confidence=capture.confidence)
+    fits.succeed(
+        store,
+        attempt,
+        weights=prior.to_bytes(),
+        reconstruction=_to_bytes(lift),
+        describe={
+            "dataset_id": fit.dataset_id,
+            "views": capture.keypoints.shape[1],
+            "keypoints": capture.keypoints.shape[2],
+            "frames": capture.frames,
+            "config": fit.config,
+            "skeleton": datasets.get(store, fit.dataset_id).skeleton,
+            "training_curve": [_finite(point._asdict()) for point in prior.curve],
+            "metrics": _finite(evaluate(prior, lift, capture)),
+        },
+    )
+
+
+def _resume(capture: Capture, config: FitConfig, checkpoint: bytes | None) -> Trainer:
+    if checkpoint is not None:
+        try:
+            return Trainer(
+                capture.keypoints, config, confidence=capture.confidence, checkpoint=checkpoint
+            )
+        except WeightsError:
+            logger.exception("The checkpoint cannot be used: starting anew")
+    return Trainer(capture.keypoints, config, confidence=capture.confidence)
+
+
+def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]:
+    """Measure the lift of a capture; the ground truth, if there is one, is used here alone.
+
+    Returns
+    -------
+    dict
+        ``reprojection_error`` in pixels, mean over all views of all frames; ``pa_mpjpe`` and
+        ``pck`` (share of keypoints within ``pck_threshold``) in the truth's unit, or None.
+    """
+    figures: dict[str, Any] = {
+        "reprojection_error": float(np.nanmean(lift.reprojection_errors)),
+        "frames_lifted": int(np.isfinite(lift.points3d[:, 0, 0]).sum()),
+        "pa_mpjpe": None,
+        "pck": None,
+        "pck_threshold": None,
+    }
+    if capture.points3d is not None:
+        accuracy = pa_mpjpe(lift.points3d, capture.points3d)
+        threshold = prior.config.pck_threshold
+        figures |= {
+            "pa_mpjpe": accuracy.mean,
+            "pck": pck(accuracy, threshold),
+            "pck_threshold": threshold,
+        }
+    return figures
+
+
+def _to_bytes(lift: Lift) -> bytes:
+    """Return a lift's arrays as safetensors; the names are those of the API."""
+    return save(
+        {
+            "points3d": lift.points3d,
+            "rotations": lift.rotations,
+            "scales": lift.scales,
+            "translations": lift.translations,
+            "reprojection_errors": lift.reprojection_errors,
+            "keypoints_used": lift.keypoints_used,
+        }
+    )
+
+
+def _fail(store: Store, attempt: Attempt, code: str, message: str) -> None:
+    try:
+        fits.end(store, attempt, "failed", error={"code": code, "message": message})
+    except LeaseLostError:
+        logger.warning("Fit %s is no longer ours: its failure is not recorded", attempt.fit_id)
+
+
+def _finite(figures: dict[str, Any]) -> dict[str, Any]:
+    """Return the figures with None for what JSON cannot say."""
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in figures.items()
+    }

@@ -1,0 +1,135 @@
+"""The worker process: waits for fits and runs each in a process of its own."""
+
+import logging
+import os
+import signal
+import time
+
+import redis.exceptions
+from redis import Redis
+from redis.client import Pipeline
+from rq import Queue, Worker
+from rq.job import Job
+from sqlalchemy.exc import SQLAlchemyError
+
+from store import fits, housekeeping
+from store.database import Store
+from worker.process import die_with_parent
+from worker.queue import (
+    FAILURE_SECONDS,
+    QUEUE,
+    RESULT_SECONDS,
+    FitJob,
+    PlainDataSerializer,
+    connect,
+)
+from worker.reconciler import Reconciler
+from worker.settings import WorkerSettings
+
+logger = logging.getLogger(__name__)
+
+IDLE_SECONDS = 2  # how long to wait for a job before looking after the records again
+MONITOR_SECONDS = 1  # the same while a job runs
+CANCEL_PATIENCE_SECONDS = 0.7  # before a fit that does not heed a cancel loses its process
+TIMEOUT_SLACK_SECONDS = 300  # the fit ends itself; RQ's timeout is for one that hangs
+REDIS_RETRIES = 12
+SWEEP_SECONDS = 3600
+
+
+class FitWorker(Worker):
+    """RQ's worker, which also keeps records and queue in step.
+
+    It never imports torch: its work-horses are forked from it.
+    """
+
+    def __init__(self, connection: Redis, settings: WorkerSettings, store: Store) -> None:
+        super().__init__(
+            [QUEUE],
+            connection=connection,
+            job_class=FitJob,
+            serializer=PlainDataSerializer,
+            job_monitoring_interval=MONITOR_SECONDS,
+            default_result_ttl=RESULT_SECONDS,
+            log_job_description=False,
+        )
+        self.stopping = False
+        self._settings = settings
+        self._store = store
+        self._reconciler = Reconciler(store, connection)
+        self._swept_at = 0.0
+
+    @property
+    def dequeue_timeout(self) -> int:
+        """Seconds to wait for a job before the next heartbeat."""
+        return IDLE_SECONDS
+
+    def heartbeat(self, timeout: int | None = None, pipeline: Pipeline | None = None) -> None:
+        """Tell Redis that this worker lives, and look after the records."""
+        super().heartbeat(timeout, pipeline)
+        if pipeline is None and not self.is_horse:
+            self._look_after_records()
+
+    def maintain_heartbeats(self, job: Job) -> None:
+        """Do the same while a job runs, and stop it if it does not heed a cancel."""
+        super().maintain_heartbeats(job)
+        self._look_after_records()
+        if fits.enforce_cancel(self._store, job.id, patience_seconds=CANCEL_PATIENCE_SECONDS):
+            logger.warning("Job %s did not stop when asked: killing it", job.id)
+            self.kill_horse()
+
+    def _look_after_records(self) -> None:
+        try:
+            self._reconciler.step()
+            if time.monotonic() - self._swept_at > SWEEP_SECONDS or not self._swept_at:
+                self._swept_at = time.monotonic()
+                housekeeping.sweep(self._store)
+        except SQLAlchemyError:
+            logger.exception("The records cannot be reached")
+
+    def execute_job(self, job: Job, queue: Queue) -> None:
+        """Run a job in a process of its own, whatever limits its producer set or left out."""
+        job.timeout = self._settings.max_fit_seconds + TIMEOUT_SLACK_SECONDS
+        job.result_ttl, job.failure_ttl = RESULT_SECONDS, FAILURE_SECONDS
+        try:
+            super().execute_job(job, queue)
+        except redis.exceptions.ConnectionError:
+            # The record is the truth: a fit does not need Redis to go on and finish.
+            logger.exception("Redis is gone: waiting for the running fit")
+            self.wait_for_horse()
+            raise
+
+    def main_work_horse(self, job: Job, queue: Queue) -> None:
+        """Run a job; the forked process starts here."""
+        die_with_parent(self.pid or os.getppid())
+        super().main_work_horse(job, queue)
+
+    def handle_warm_shutdown_request(self) -> None:
+        """Have the running fit checkpoint and go back to the queue, then leave."""
+        super().handle_warm_shutdown_request()  # type: ignore[no-untyped-call]
+        self.stopping = True
+        if self.horse_pid:
+            os.kill(self.horse_pid, signal.SIGTERM)
+
+
+def run(settings: WorkerSettings) -> None:
+    """Work until SIGTERM or SIGINT, through outages of Redis and of the records.
+
+    Raises
+    ------
+    ValueError
+        If the settings name no Redis.
+    """
+    if settings.redis_url is None:
+        raise ValueError("A worker needs FEWVIEW_REDIS_URL, for example redis://localhost:6379/0.")
+    stopping = False
+    while not stopping:
+        try:
+            store = Store(settings, pooled=False)
+            connection = connect(str(settings.redis_url), retries=REDIS_RETRIES)
+            worker = FitWorker(connection, settings, store)
+            worker.work(logging_level="INFO")
+            stopping = worker.stopping
+        except (redis.exceptions.RedisError, SQLAlchemyError):
+            logger.exception("Cannot work; trying again")
+        if not stopping:
+            time.sleep(1)

@@ -1,0 +1,31 @@
+"""How fits are carried and bounded."""
+
+from pydantic import Field, RedisDsn
+
+from store.settings import StoreSettings
+
+
+class WorkerSettings(StoreSettings):
+    """Settings of the queue and its workers."""
+
+    redis_url: RedisDsn | None = Field(
+        None,
+        description="Redis or Valkey that carries the fits. Without it, `fewview serve` starts an "
+        "embedded Valkey.",
+        examples=["redis://localhost:6379/0"],
+    )
+    lease_seconds: float = Field(
+        10.0,
+        ge=2,
+        le=600,
+        description="A fit whose worker has not been heard of for this long is given to another.",
+    )
+    checkpoint_seconds: float = Field(
+        2.0,
+        ge=0.1,
+        le=3600,
+        description="Time between two checkpoints of a running fit.",
+    )
+    max_fit_seconds: int = Field(
+        6 * 3600, ge=1, le=7 * 24 * 3600, description="A fit that runs longer fails."
+    )
