@@ -219,12 +219,15 @@ def succeed(
     *,
     weights: bytes,
     reconstruction: bytes,
+    progress: dict[str, Any] | None,
     describe: dict[str, Any],
 ) -> str:
     """Store the model and the reconstruction and end the fit, all in one transaction.
 
     Parameters
     ----------
+    progress
+        The last progress, for those who did not see it yet.
     describe
         The remaining columns of the model's record.
 
@@ -246,6 +249,7 @@ def succeed(
                 _ended("succeeded")
                 | {
                     "model_id": model.id,
+                    "progress": progress,
                     "reconstruction_key": reconstruction_key,
                     "checkpoint_key": None,
                 },

@@ -142,6 +142,7 @@ def _run(
         attempt,
         weights=prior.to_bytes(),
         reconstruction=_to_bytes(lift),
+        progress=pulse.progress,
         describe={
             "dataset_id": fit.dataset_id,
             "views": capture.keypoints.shape[1],

@@ -1,5 +1,6 @@
 """The job that people put on the queue."""
 
+import logging
 from typing import Any
 
 from rq import get_current_job
@@ -9,6 +10,8 @@ from store.database import Store
 from worker.queue import FitJob
 from worker.reconciler import adopt
 from worker.settings import WorkerSettings
+
+logger = logging.getLogger(__name__)
 
 
 def fit(
@@ -50,8 +53,10 @@ def fit(
         if attempt is not None:
             from worker.fitting import run_attempt  # noqa: PLC0415 (loads torch: claim first)
 
+            logger.info("Fit %s: attempt %d starts", fit_id, attempt.number)
             run_attempt(store, attempt, settings)
         record = fits.get(store, fit_id)
+        logger.info("Fit %s: %s", fit_id, record.status)
     finally:
         store.close()
     if record.error is not None:

@@ -127,7 +127,7 @@ def run(settings: WorkerSettings) -> None:
             store = Store(settings, pooled=False)
             connection = connect(str(settings.redis_url), retries=REDIS_RETRIES)
             worker = FitWorker(connection, settings, store)
-            worker.work(logging_level="INFO")
+            worker.work(logging_level="WARNING")
             stopping = worker.stopping
         except (redis.exceptions.RedisError, SQLAlchemyError):
             logger.exception("Cannot work; trying again")

@@ -1,0 +1,1 @@
+"""The HTTP service: one module per resource, thin endpoints over the store and the queue."""

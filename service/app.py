@@ -1,0 +1,104 @@
+"""The FastAPI application."""
+
+import logging
+import socket
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI
+from fastapi.routing import APIRoute
+
+from service import datasets, errors, fits, health, lift, models
+from service.bodies import registered_schemas
+from service.engine import Engine
+from service.settings import Settings
+from store.database import Store
+from worker.process import die_with_parent
+from worker.queue import connect, open_queue
+
+DESCRIPTION = """
+3D structure and camera rotations from the 2D keypoints of a few uncalibrated, possibly moving
+cameras. Store a capture (`POST /datasets`), fit a model to it (`POST /fits`), follow the fit
+(`GET /fits/{id}/events`), read its main product (`GET /fits/{id}/reconstruction`), then lift new
+frames in real time (`POST /lift`).
+
+Keypoints are pixels, x right, y down. Errors are RFC 9457 problem details.
+"""
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """Return the application; the store and the queue are opened when it starts."""
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        app.state.store = Store(settings)
+        app.state.queue = open_queue(connect(str(settings.redis_url), retries=1))
+        app.state.engine = Engine(app.state.store, max_bytes=settings.warm_model_bytes)
+        yield
+        app.state.store.close()
+        app.state.queue.connection.close()
+
+    app = FastAPI(
+        title="Fewview",
+        version=version("fewview"),
+        description=DESCRIPTION,
+        license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
+        lifespan=lifespan,
+        generate_unique_id_function=_operation_id,
+        max_body_size=settings.max_body_bytes,
+        redoc_url=None,
+    )
+    app.state.settings = settings
+    for module in (datasets, fits, models, lift, health):
+        app.include_router(module.router)
+    errors.install(app)
+    _describe(app)
+    return app
+
+
+def _operation_id(route: APIRoute) -> str:
+    return route.name
+
+
+def _describe(app: FastAPI) -> None:
+    """Complete the OpenAPI document with what FastAPI cannot see by itself."""
+    generate = app.openapi
+
+    def openapi() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            schema = generate()
+            schemas = schema["components"]["schemas"]
+            schemas.update(errors.problem_schemas())
+            schemas.update(registered_schemas())
+            for unused in ("HTTPValidationError", "ValidationError"):
+                schemas.pop(unused, None)
+        assert app.openapi_schema is not None  # noqa: S101
+        return app.openapi_schema
+
+    app.openapi = openapi  # type: ignore[method-assign]
+
+
+def main() -> None:
+    """Serve the API as a child of ``fewview serve``, with the settings in the environment.
+
+    The arguments are the parent's process and the socket that it listens on: a restarted API finds
+    the requests that came while it was away.
+    """
+    parent, listener = (int(argument) for argument in sys.argv[1:])
+    die_with_parent(parent)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
+    config = uvicorn.Config(
+        create_app(Settings()),
+        log_level="warning",
+        timeout_graceful_shutdown=3,
+        server_header=False,
+    )
+    uvicorn.Server(config).run(sockets=[socket.socket(fileno=listener)])
+
+
+if __name__ == "__main__":
+    main()

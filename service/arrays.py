@@ -1,0 +1,192 @@
+"""Arrays on the wire: JSON, npz and safetensors in; the same three out.
+
+Nothing is ever unpickled, and no array is allocated before the bytes that fill it have come.
+"""
+
+import io
+import math
+import zipfile
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from service.errors import ApiError, invalid
+
+Arrays = dict[str, NDArray[Any]]
+
+_NPZ_MAGIC = b"PK\x03\x04"
+_MAX_MEMBERS = 64
+
+
+def from_bytes(data: bytes, *, max_bytes: int) -> Arrays:
+    """Read an npz or a safetensors file, told apart by how it begins.
+
+    Raises
+    ------
+    ApiError
+        400 for anything that is neither, is cut short, or holds pickled members.
+    """
+    if data.startswith(_NPZ_MAGIC):
+        return _from_npz(data, max_bytes)
+    try:
+        return load(data)
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:  # also unknown dtypes
+        raise ApiError(
+            "malformed_body",
+            "The body is neither an .npz file nor safetensors, or it was cut short "
+            f"({len(data)} bytes came): {error}",
+        ) from error
+
+
+def _from_npz(data: bytes, max_bytes: int) -> Arrays:
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            if len(members) > _MAX_MEMBERS or sum(m.file_size for m in members) > max_bytes:
+                raise ApiError(
+                    "body_too_large",
+                    f"The .npz file unpacks to more than {max_bytes} bytes or {_MAX_MEMBERS} "
+                    "arrays. Send it in parts: POST /datasets/{id}/frames.",
+                )
+            arrays = {}
+            for member in members:
+                with archive.open(member) as stream:
+                    name = member.filename.removesuffix(".npy")
+                    arrays[name] = _from_npy(name, stream, member.file_size)
+            return arrays
+    except (zipfile.BadZipFile, EOFError, OSError, NotImplementedError, ValueError) as error:
+        raise ApiError("malformed_body", f"The .npz file cannot be read: {error}") from error
+
+
+def _from_npy(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
+    """Read one member; numpy would believe the header and allocate whatever it promises."""
+    version = np.lib.format.read_magic(stream)
+    read_header = (
+        np.lib.format.read_array_header_1_0
+        if version == (1, 0)
+        else np.lib.format.read_array_header_2_0
+    )
+    shape, fortran_order, dtype = read_header(stream)
+    if dtype.hasobject:
+        raise ApiError(
+            "malformed_body",
+            f"The array {name!r} of the .npz file holds pickled objects, which are never read. "
+            "Save numbers only: numpy.savez(file, keypoints=keypoints.astype('float32')).",
+        )
+    if math.prod(shape) * dtype.itemsize > size:
+        raise ValueError(f"the array {name!r} is cut short")
+    values = np.frombuffer(stream.read(), dtype, count=math.prod(shape))
+    return values.reshape(shape, order="F" if fortran_order else "C")
+
+
+def to_safetensors(arrays: Arrays, metadata: dict[str, str]) -> bytes:
+    """Return the arrays as safetensors bytes."""
+    return save({name: np.ascontiguousarray(a) for name, a in arrays.items()}, metadata)
+
+
+def to_npz(arrays: Arrays) -> bytes:
+    """Return the arrays as an npz file's bytes."""
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def from_nested(
+    value: object,
+    pointer: str,
+    *,
+    axes: tuple[str, ...],
+    sizes: tuple[int | None, ...] | None = None,
+) -> NDArray[np.float32]:
+    """Turn nested lists into an array; ``null`` at any level means not observed, and gives NaN.
+
+    Parameters
+    ----------
+    axes
+        What each axis is, for the error message.
+    sizes
+        The sizes that are known beforehand, for input that is null as far as that axis.
+
+    Raises
+    ------
+    ApiError
+        422, naming the first list that has the wrong length or holds something else than numbers.
+    """
+    with np.errstate(over="ignore"):
+        values = _from_regular(value, len(axes))
+        if values is None:
+            values = _from_gapped(value, pointer, axes, sizes or (None,) * len(axes))
+    if np.isinf(values).any():
+        raise invalid(pointer, "expected finite numbers, got infinity; write null for unobserved")
+    return values
+
+
+def _from_regular(value: object, axes: int) -> NDArray[np.float32] | None:
+    """Convert lists that are null, if anywhere, in single numbers: the fast path."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # ragged, as it is when a whole point or view is null
+        return None
+    if array.ndim != axes:
+        return None
+    plain = array.dtype.kind in "iuf" or (
+        array.dtype == object and set(map(type, array.ravel())) <= {int, float, type(None)}
+    )
+    return array.astype(np.float32) if plain else None
+
+
+def _from_gapped(
+    value: object, pointer: str, axes: tuple[str, ...], sizes: tuple[int | None, ...]
+) -> NDArray[np.float32]:
+    found: list[int | None] = [None] * len(axes)
+    _measure(value, found, 0)
+    shape = []
+    for axis, measured, known in zip(axes, found, sizes, strict=True):
+        size = known if measured is None else measured
+        if size is None:
+            raise invalid(
+                pointer,
+                f"expected lists nested as ({', '.join(axes)}) with something observed, "
+                f"found no list of {axis}",
+            )
+        shape.append(size)
+    values = np.full(shape, np.nan, np.float32)
+    _fill(values, value, pointer, axes)
+    return values
+
+
+def _measure(value: object, sizes: list[int | None], axis: int) -> None:
+    """Note the length of the first list met on each axis; :func:`_fill` checks the others."""
+    if not isinstance(value, list):
+        return
+    if sizes[axis] is None:
+        sizes[axis] = len(value)
+    for item in value:
+        if None not in sizes[axis + 1 :]:
+            return
+        _measure(item, sizes, axis + 1)
+
+
+def _fill(target: NDArray[np.float32], value: object, pointer: str, axes: tuple[str, ...]) -> None:
+    if value is None:
+        return
+    axis = axes[-target.ndim]
+    if not isinstance(value, list) or len(value) != len(target):
+        raise invalid(pointer, f"expected {len(target)} {axis}, got {_describe(value)}")
+    for index, item in enumerate(value):
+        place = f"{pointer}/{index}"
+        if target.ndim > 1:
+            _fill(target[index], item, place, axes)
+        elif item is not None:
+            if isinstance(item, bool) or not isinstance(item, int | float):
+                raise invalid(place, f"expected a number or null, got {_describe(item)}")
+            target[index] = item
+
+
+def _describe(value: object) -> str:
+    if isinstance(value, list):
+        return f"a list of {len(value)}"
+    return "null" if value is None else f"{type(value).__name__} {str(value)[:40]!r}"

@@ -1,0 +1,351 @@
+"""Datasets: captures, uploaded whole or streamed in chunks."""
+
+from datetime import UTC, datetime
+from typing import Annotated, Any, Self
+
+import numpy as np
+from fastapi import APIRouter, Request, Response, status
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
+
+from service.bodies import binary_or_json
+from service.deps import (
+    Cursor,
+    IdempotencyHeader,
+    Identifier,
+    Limit,
+    SettingsDep,
+    StoreDep,
+)
+from service.errors import invalid, problems
+from service.idempotency import idempotency
+from service.settings import Settings
+from service.uploads import Upload, UploadBody, read_arrays, to_capture
+from service.wire import CONFIDENCE, KEYPOINTS, POINTS3D
+from store import datasets, records
+from store.capture import Capture
+from store.datasets import Description
+
+router = APIRouter(prefix="/datasets", tags=["datasets"])
+
+CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d"})
+DESCRIPTION_ARRAYS = frozenset({"keypoint_names", "edges", "image_sizes"})
+
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+KeypointName = Annotated[str, Field(min_length=1, max_length=100)]
+Edge = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
+ImageSize = Annotated[
+    list[Annotated[int, Field(ge=1, le=100_000)]], Field(min_length=2, max_length=2)
+]
+
+
+class Skeleton(BaseModel):
+    """What the keypoints are called and which of them are joined."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    keypoint_names: list[KeypointName] | None = Field(
+        None, description="One unique name per keypoint, in the order of the arrays."
+    )
+    edges: list[Edge] = Field([], max_length=5000, description="Pairs of keypoint indices.")
+
+    def check(self, keypoints: int) -> None:
+        """Raise ``ApiError`` if this is no skeleton of so many keypoints."""
+        names = self.keypoint_names
+        if names is not None and (len(names) != keypoints or len(set(names)) != keypoints):
+            raise invalid(
+                "/skeleton/keypoint_names",
+                f"expected {keypoints} different names, got {len(names)} of which "
+                f"{len(set(names))} differ",
+            )
+        for index, (a, b) in enumerate(self.edges):
+            if a == b or max(a, b) >= keypoints:
+                raise invalid(
+                    f"/skeleton/edges/{index}",
+                    f"expected two different keypoints below {keypoints}, got [{a}, {b}]",
+                )
+
+
+class DatasetDescription(BaseModel):
+    """What can be said of a capture besides its arrays."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: Name = "capture"
+    skeleton: Skeleton | None = None
+    image_sizes: list[ImageSize | None] | None = Field(
+        None, description="Width and height in pixels of each view's images, null if unknown."
+    )
+    metadata: dict[str, JsonValue] = Field(
+        {}, description="Anything of yours, kept and given back; 64 KiB of JSON at most."
+    )
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if len(self.model_dump_json(include={"metadata"})) > 64 * 1024:
+            raise ValueError("metadata may have 64 KiB of JSON at most")
+        return self
+
+    def describe(self, capture: Capture) -> Description:
+        """Return the description, checked against the capture it describes."""
+        views, keypoints = capture.keypoints.shape[1:3]
+        if self.skeleton is not None:
+            self.skeleton.check(keypoints)
+        if self.image_sizes is not None and len(self.image_sizes) != views:
+            raise invalid(
+                "/image_sizes", f"expected one per view ({views}), got {len(self.image_sizes)}"
+            )
+        return Description(
+            name=self.name,
+            skeleton=self.skeleton.model_dump() if self.skeleton else None,
+            image_sizes=self.image_sizes,
+            metadata=self.metadata,
+        )
+
+
+class Frames(BaseModel):
+    """Frames of a capture."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {
+                "keypoints": [
+                    [
+                        [[512.0, 200.5], [530.0, 260.0], None, [498.0, 402.0]],
+                        [[301.0, 190.0], [322.5, 251.0], [350.0, 330.0], [310.0, 399.0]],
+                    ]
+                ]
+            }
+        },
+    )
+
+    keypoints: KEYPOINTS
+    confidence: CONFIDENCE = None
+    points3d: POINTS3D = None
+
+
+class DatasetCreate(DatasetDescription, Frames):
+    """A capture and what is said of it."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {
+                "name": "macaque, morning session",
+                "keypoints": Frames.model_config["json_schema_extra"]["example"]["keypoints"],  # type: ignore[index,call-overload]
+                "skeleton": {
+                    "keypoint_names": ["nose", "neck", "elbow", "wrist"],
+                    "edges": [[0, 1], [1, 2], [2, 3]],
+                },
+                "image_sizes": [[1280, 1024], [1280, 1024]],
+                "metadata": {"subject": "M7"},
+            }
+        },
+    )
+
+
+class Dataset(BaseModel):
+    """A stored capture."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                "name": "macaque, morning session",
+                "created_at": "2026-03-01T09:30:00Z",
+                "frames": 3309,
+                "views": 3,
+                "keypoints": 13,
+                "missing_fraction": [0.61, 0.66, 0.65],
+                "has_ground_truth": False,
+                "checksum": f"sha256:{'5e88' * 16}",
+                "skeleton": None,
+                "image_sizes": None,
+                "metadata": {"subject": "M7"},
+            }
+        }
+    )
+
+    id: str
+    name: str
+    created_at: datetime
+    frames: int
+    views: int
+    keypoints: int = Field(description="Keypoints per view.")
+    missing_fraction: list[float] = Field(
+        description="Per view, the share of keypoints over all frames that was not observed."
+    )
+    has_ground_truth: bool
+    checksum: str = Field(
+        description="Of all frames' arrays, the same however the capture was cut into uploads."
+    )
+    skeleton: Skeleton | None
+    image_sizes: list[ImageSize | None] | None
+    metadata: dict[str, JsonValue]
+
+    @classmethod
+    def of(cls, record: records.Dataset) -> Self:
+        """Return the wire form of a record."""
+        return cls(
+            id=record.id,
+            name=record.name,
+            created_at=datetime.fromtimestamp(record.created_at, UTC),
+            frames=record.frames,
+            views=record.views,
+            keypoints=record.keypoints,
+            missing_fraction=[
+                round(1 - seen / (record.frames * record.keypoints), 6) for seen in record.observed
+            ],
+            has_ground_truth=record.ground_truth,
+            checksum=f"sha256:{record.checksum}",
+            skeleton=Skeleton.model_validate(record.skeleton) if record.skeleton else None,
+            image_sizes=record.image_sizes,
+            metadata=record.user_metadata,
+        )
+
+
+class DatasetPage(BaseModel):
+    """Datasets, newest first."""
+
+    items: list[Dataset]
+    next_cursor: str | None
+
+
+def _read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capture, Description]:
+    if upload.is_json:
+        body = upload.json(DatasetCreate)
+        capture = to_capture(body.keypoints, body.confidence, body.points3d, settings=settings)
+        return capture, body.describe(capture)
+    found = read_arrays(upload, settings, CAPTURE_ARRAYS | DESCRIPTION_ARRAYS)
+    said: dict[str, Any] = {"name": name} if name is not None else {}
+    skeleton = {key: found[key].tolist() for key in ("keypoint_names", "edges") if key in found}
+    if skeleton:
+        said["skeleton"] = skeleton
+    if "image_sizes" in found:
+        said["image_sizes"] = found["image_sizes"].tolist()
+    description = upload.form(DatasetDescription, said)
+    capture = to_capture(
+        _required(found), found.get("confidence"), found.get("points3d"), settings=settings
+    )
+    return capture, description.describe(capture)
+
+
+def _read_frames(upload: Upload, settings: Settings) -> Capture:
+    if upload.is_json:
+        body = upload.json(Frames)
+        return to_capture(body.keypoints, body.confidence, body.points3d, settings=settings)
+    found = read_arrays(upload, settings, CAPTURE_ARRAYS)
+    return to_capture(
+        _required(found), found.get("confidence"), found.get("points3d"), settings=settings
+    )
+
+
+def _required(found: dict[str, np.ndarray[Any, Any]]) -> np.ndarray[Any, Any]:
+    if "keypoints" not in found:
+        raise invalid(
+            "/keypoints",
+            "expected an array of this name, shape (frames, views, keypoints, 2); the file holds "
+            f"{', '.join(sorted(found)) or 'nothing'}",
+        )
+    return found["keypoints"]
+
+
+@router.post(
+    "",
+    status_code=status.HTTP_201_CREATED,
+    responses=problems(
+        "malformed_body", "body_too_large", "unsupported_media_type", "invalid_input"
+    ),
+    openapi_extra=binary_or_json(
+        DatasetCreate,
+        form=DatasetDescription,
+        binary="An .npz or safetensors file with `keypoints` and optionally `confidence`, "
+        "`points3d`, `keypoint_names` (npz only), `edges`, `image_sizes`.",
+    ),
+)
+def create_dataset(
+    upload: UploadBody,
+    store: StoreDep,
+    settings: SettingsDep,
+    request: Request,
+    response: Response,
+    name: Name | None = None,
+    idempotency_key: IdempotencyHeader = None,
+) -> Dataset:
+    """Store a capture.
+
+    `name` in the query names a capture that comes as raw bytes.
+    """
+    capture, description = _read_new(upload, settings, name)
+    record = datasets.create(
+        store,
+        capture,
+        description,
+        idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
+    )
+    response.headers["Location"] = f"/datasets/{record.id}"
+    return Dataset.of(record)
+
+
+@router.post(
+    "/{dataset_id}/frames",
+    responses=problems(
+        "malformed_body",
+        "not_found",
+        "body_too_large",
+        "unsupported_media_type",
+        "invalid_input",
+    ),
+    openapi_extra=binary_or_json(
+        Frames,
+        form=None,
+        binary="An .npz or safetensors file with `keypoints` and optionally `confidence` and "
+        "`points3d`.",
+    ),
+)
+def append_frames(
+    dataset_id: Identifier,
+    upload: UploadBody,
+    store: StoreDep,
+    settings: SettingsDep,
+    request: Request,
+    idempotency_key: IdempotencyHeader = None,
+) -> Dataset:
+    """Add frames to the end of a dataset, so that a session can be streamed in chunks.
+
+    Fits made earlier keep to the frames there were then.
+    """
+    record = datasets.append(
+        store,
+        dataset_id,
+        _read_frames(upload, settings),
+        max_frames=settings.max_dataset_frames,
+        idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
+    )
+    return Dataset.of(record)
+
+
+@router.get("", responses=problems("invalid_input"))
+def list_datasets(store: StoreDep, limit: Limit = 50, cursor: Cursor = None) -> DatasetPage:
+    """List datasets, newest first."""
+    found = datasets.page(store, limit=limit + 1, after=cursor)
+    return DatasetPage(
+        items=[Dataset.of(record) for record in found[:limit]],
+        next_cursor=found[limit - 1].id if len(found) > limit else None,
+    )
+
+
+@router.get("/{dataset_id}", responses=problems("not_found"))
+def get_dataset(dataset_id: Identifier, store: StoreDep) -> Dataset:
+    """Describe a dataset."""
+    return Dataset.of(datasets.get(store, dataset_id))
+
+
+@router.delete(
+    "/{dataset_id}",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems("not_found", "conflict"),
+)
+def delete_dataset(dataset_id: Identifier, store: StoreDep) -> None:
+    """Delete a dataset; models fitted to it stay."""
+    datasets.delete(store, dataset_id)

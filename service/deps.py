@@ -1,0 +1,57 @@
+"""What endpoints ask for, as annotated dependencies."""
+
+from typing import Annotated
+
+from fastapi import Depends, Header, Path, Query, Request
+from rq import Queue
+
+from service.engine import Engine
+from service.settings import Settings
+from store.database import Store
+
+
+def get_settings(request: Request) -> Settings:
+    """Return the settings this app was made with."""
+    settings: Settings = request.app.state.settings
+    return settings
+
+
+def get_store(request: Request) -> Store:
+    """Return the open store."""
+    store: Store = request.app.state.store
+    return store
+
+
+def get_queue(request: Request) -> Queue:
+    """Return the queue that carries fits."""
+    queue: Queue = request.app.state.queue
+    return queue
+
+
+def get_engine(request: Request) -> Engine:
+    """Return the engine that keeps models warm."""
+    engine: Engine = request.app.state.engine
+    return engine
+
+
+SettingsDep = Annotated[Settings, Depends(get_settings)]
+StoreDep = Annotated[Store, Depends(get_store)]
+QueueDep = Annotated[Queue, Depends(get_queue)]
+EngineDep = Annotated[Engine, Depends(get_engine)]
+
+IdempotencyHeader = Annotated[
+    str | None,
+    Header(
+        alias="Idempotency-Key",
+        min_length=1,
+        max_length=200,
+        description="Any string of your own. A request sent again with the same key within a day "
+        "makes nothing new and gets the same answer.",
+    ),
+]
+Limit = Annotated[int, Query(ge=1, le=200, description="Items on a page.")]
+Cursor = Annotated[
+    str | None,
+    Query(max_length=200, description="`next_cursor` of the page before; leave out for the first."),
+]
+Identifier = Annotated[str, Path(max_length=200)]

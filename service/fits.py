@@ -1,0 +1,335 @@
+"""Fits: jobs that turn a dataset into a model."""
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from datetime import datetime
+from typing import Annotated, Any, Literal, Self
+
+import redis.exceptions
+from fastapi import APIRouter, Depends, Header, Query, Request, Response, status
+from fastapi.concurrency import run_in_threadpool
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from pydantic import BaseModel, ConfigDict, Field
+from safetensors.numpy import load
+
+from models.config import FitConfig
+from service.datasets import Name
+from service.deps import (
+    Cursor,
+    IdempotencyHeader,
+    Identifier,
+    Limit,
+    QueueDep,
+    SettingsDep,
+    StoreDep,
+)
+from service.errors import ApiError, problems
+from service.idempotency import idempotency
+from service.representations import FormatQuery, arrays_response, binary_responses
+from service.wire import LiftedFrame
+from store import fits, records
+from worker.queue import enqueue
+
+router = APIRouter(prefix="/fits", tags=["fits"])
+
+logger = logging.getLogger(__name__)
+
+POLL_SECONDS = 0.25
+
+Status = Literal["queued", "running", "succeeded", "failed", "cancelled"]
+
+
+class FitCreate(BaseModel):
+    """A fit to make."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {
+                "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                "name": "macaque",
+                "config": {"seed": 1},
+            }
+        },
+    )
+
+    dataset_id: str = Field(max_length=200)
+    name: Name = "fit"
+    config: FitConfig = FitConfig()
+
+
+class FitProgress(BaseModel):
+    """How far a fit has come."""
+
+    step: int
+    steps: int
+    loss: float | None = Field(description="Running mean over recent batches.")
+    reprojection_error: float | None = Field(
+        description="Pixels, running mean over recent batches."
+    )
+    seconds_left: float | None
+
+
+class FitError(BaseModel):
+    """Why a fit failed."""
+
+    code: str = Field(
+        description="`dataset_not_found`, `unusable_capture`, `invalid_arguments`, `timed_out`, "
+        "`worker_lost` or `internal_error`."
+    )
+    message: str
+
+
+class Fit(BaseModel):
+    """A fit job."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
+                "name": "macaque",
+                "status": "running",
+                "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                "frames": 3309,
+                "config": FitConfig().model_dump(mode="json"),
+                "job_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
+                "attempt": 1,
+                "cancel_requested": False,
+                "progress": {
+                    "step": 1200,
+                    "steps": 4000,
+                    "loss": 0.031,
+                    "reprojection_error": 3.4,
+                    "seconds_left": 14.2,
+                },
+                "created_at": "2026-03-01T09:31:00Z",
+                "started_at": "2026-03-01T09:31:01Z",
+                "finished_at": None,
+                "model_id": None,
+                "error": None,
+            }
+        }
+    )
+
+    id: str
+    name: str
+    status: Status
+    dataset_id: str
+    frames: int = Field(description="Frames the dataset had when the fit was made: those it sees.")
+    config: dict[str, Any] = Field(description="With defaults filled in; see `FitConfig`.")
+    job_id: str = Field(description="The job that carries this fit on the queue.")
+    attempt: int = Field(description="How often it was started; more than once after a crash.")
+    cancel_requested: bool
+    progress: FitProgress | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    model_id: str | None
+    error: FitError | None
+
+    @classmethod
+    def of(cls, record: records.Fit) -> Self:
+        """Return the wire form of a record."""
+        return cls.model_validate(
+            {
+                "id": record.id,
+                "name": record.name,
+                "status": record.status,
+                "dataset_id": record.dataset_id,
+                "frames": record.frames,
+                "config": record.config,
+                "job_id": record.job_id,
+                "attempt": record.attempt,
+                "cancel_requested": record.cancel_requested_at is not None,
+                "progress": record.progress,
+                "created_at": record.created_at,
+                "started_at": record.started_at,
+                "finished_at": record.finished_at,
+                "model_id": record.model_id,
+                "error": record.error,
+            }
+        )
+
+
+class FitPage(BaseModel):
+    """Fits, newest first."""
+
+    items: list[Fit]
+    next_cursor: str | None
+
+
+class Reconstruction(BaseModel):
+    """Every frame of the fitted dataset, lifted by the fit's own model."""
+
+    fit_id: str
+    model_id: str | None
+    dataset_id: str
+    frames: list[LiftedFrame]
+
+
+def find_fit(fit_id: Identifier, store: StoreDep) -> records.Fit:
+    """Return the fit named in the path, or end in 404."""
+    return fits.get(store, fit_id)
+
+
+FitDep = Annotated[records.Fit, Depends(find_fit)]
+
+
+@router.post(
+    "",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses=problems("malformed_body", "not_found", "invalid_input", "too_many_fits"),
+)
+def create_fit(
+    body: FitCreate,
+    store: StoreDep,
+    queue: QueueDep,
+    settings: SettingsDep,
+    request: Request,
+    response: Response,
+    idempotency_key: IdempotencyHeader = None,
+) -> Fit:
+    """Queue a fit of a dataset.
+
+    The fit is recorded before it is queued: if the queue is away, it is queued as soon as a worker
+    and the queue are back.
+    """
+    if len(fits.page(store, limit=settings.max_queued_fits, after=None, status="queued")) >= (
+        settings.max_queued_fits
+    ):
+        raise ApiError(
+            "too_many_fits",
+            f"{settings.max_queued_fits} fits are waiting already; try again when some have run.",
+            headers={"Retry-After": "60"},
+        )
+    record = fits.create(
+        store,
+        dataset_id=body.dataset_id,
+        name=body.name,
+        config=body.config.model_dump(mode="json"),
+        idempotency=idempotency(request, idempotency_key, body.model_dump_json()),
+    )
+    if record.status == "queued":
+        try:
+            enqueue(queue, record)
+        except redis.exceptions.RedisError:
+            logger.warning("The queue is away: %s waits in the records", record.id)
+    response.headers["Location"] = f"/fits/{record.id}"
+    return Fit.of(record)
+
+
+@router.get("", responses=problems("invalid_input"))
+def list_fits(
+    store: StoreDep,
+    limit: Limit = 50,
+    cursor: Cursor = None,
+    status: Annotated[Status | None, Query()] = None,
+    dataset_id: Annotated[str | None, Query(max_length=200)] = None,
+    job_id: Annotated[str | None, Query(max_length=200)] = None,
+) -> FitPage:
+    """List fits, newest first; `job_id` finds the fit of a job you queued yourself."""
+    found = fits.page(
+        store, limit=limit + 1, after=cursor, status=status, dataset_id=dataset_id, job_id=job_id
+    )
+    return FitPage(
+        items=[Fit.of(record) for record in found[:limit]],
+        next_cursor=found[limit - 1].id if len(found) > limit else None,
+    )
+
+
+@router.get("/{fit_id}", responses=problems("not_found"))
+def get_fit(fit: FitDep) -> Fit:
+    """Describe a fit and its progress."""
+    return Fit.of(fit)
+
+
+@router.delete(
+    "/{fit_id}",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems("not_found", "conflict"),
+)
+def delete_fit(fit_id: Identifier, store: StoreDep) -> None:
+    """Delete a fit that has ended, and its reconstruction; its model stays."""
+    fits.delete(store, fit_id)
+
+
+@router.post(
+    "/{fit_id}/cancel",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses=problems("not_found", "conflict"),
+)
+def cancel_fit(fit_id: Identifier, store: StoreDep, queue: QueueDep, response: Response) -> Fit:
+    """Cancel a queued fit at once, a running one within two seconds."""
+    record = fits.request_cancel(store, fit_id)
+    if record.status == "cancelled":
+        # Best effort: a cancelled fit cannot be claimed, its job would end at once.
+        with suppress(redis.exceptions.RedisError):
+            queue.remove(record.job_id)
+    response.headers["Location"] = f"/fits/{record.id}"
+    return Fit.of(record)
+
+
+@router.get(
+    "/{fit_id}/events",
+    response_class=EventSourceResponse,
+    responses=problems("not_found"),
+)
+async def stream_fit_events(
+    fit: FitDep,
+    store: StoreDep,
+    last_event_id: Annotated[
+        int | None, Header(description="The last event you have; only newer ones are sent.")
+    ] = None,
+) -> AsyncIterator[ServerSentEvent]:
+    """Follow a fit: server-sent events `progress` while it goes on, then one `end`.
+
+    The data of every event is the fit as `GET /fits/{fit_id}` gives it, its id grows with every
+    change. Close the stream on `end`.
+    """
+    seen = last_event_id or 0
+    while True:
+        ended = fit.status in fits.TERMINAL
+        if ended or fit.revision > seen:
+            seen = fit.revision
+            yield ServerSentEvent(
+                data=Fit.of(fit), event="end" if ended else "progress", id=str(seen)
+            )
+        if ended:
+            return
+        await asyncio.sleep(POLL_SECONDS)
+        fit = await run_in_threadpool(fits.get, store, fit.id)
+
+
+@router.get(
+    "/{fit_id}/reconstruction",
+    response_model=Reconstruction,
+    responses=problems("not_found", "conflict", "not_acceptable")
+    | binary_responses("Every frame of the fitted dataset, lifted."),
+)
+def get_reconstruction(
+    fit: FitDep, store: StoreDep, request: Request, format: FormatQuery = None
+) -> Response:
+    """Download every frame of the fitted dataset, lifted: structures, cameras, errors.
+
+    As JSON, or as the arrays `points3d` (N, P, 3), `rotations` (N, K, 3, 3), `scales` (N, K),
+    `translations` (N, K, 2), `reprojection_errors` (N, K) and `keypoints_used` (N, K), NaN where
+    there is no answer.
+    """
+    if fit.reconstruction_key is None:
+        raise ApiError(
+            "conflict", f"Fit {fit.id!r} is {fit.status}: only a fit that succeeded has one."
+        )
+    about = {
+        "fit_id": fit.id,
+        "model_id": fit.model_id,
+        "dataset_id": fit.dataset_id,
+    }
+    return arrays_response(
+        request,
+        load(store.objects.get(fit.reconstruction_key)),
+        about,
+        format=format,
+        filename=f"{fit.id}-reconstruction",
+    )

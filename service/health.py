@@ -1,0 +1,70 @@
+"""Health: is the process up, and can it reach its parts."""
+
+import time
+from collections.abc import Callable
+from typing import Literal
+
+import redis.exceptions
+from fastapi import APIRouter
+from obstore.exceptions import BaseError as ObjectStoreError
+from pydantic import BaseModel
+from rq import Worker
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.deps import QueueDep, StoreDep
+from service.errors import ApiError, problems
+
+router = APIRouter(prefix="/health", tags=["health"])
+
+
+class Liveness(BaseModel):
+    """The process answers."""
+
+    status: Literal["ok"] = "ok"
+
+
+class Check(BaseModel):
+    """One part that was reached."""
+
+    status: Literal["ok"] = "ok"
+    milliseconds: float
+
+
+class Readiness(BaseModel):
+    """Every part was reached."""
+
+    status: Literal["ok"] = "ok"
+    queue: Check
+    records: Check
+    objects: Check
+    workers: int
+
+
+@router.get("/live")
+def check_live() -> Liveness:
+    """Tell that the process is up."""
+    return Liveness()
+
+
+@router.get("/ready", responses=problems("unavailable"))
+def check_ready(store: StoreDep, queue: QueueDep) -> Readiness:
+    """Reach queue, records and objects; 503 names those that cannot be reached."""
+    parts: dict[str, Callable[[], object]] = {
+        "queue": queue.connection.ping,
+        "records": store.check_records,
+        "objects": store.objects.check,
+    }
+    checks: dict[str, Check] = {}
+    failures: list[tuple[str, str]] = []
+    for name, reach in parts.items():
+        started = time.perf_counter()
+        try:
+            reach()
+        except (redis.exceptions.RedisError, SQLAlchemyError, ObjectStoreError, OSError) as error:
+            failures.append((f"/{name}", f"cannot be reached: {error}"[:300]))
+        else:
+            checks[name] = Check(milliseconds=round(1000 * (time.perf_counter() - started), 3))
+    if failures:
+        names = ", ".join(pointer.lstrip("/") for pointer, _ in failures)
+        raise ApiError("unavailable", f"Cannot be reached: {names}.", errors=failures)
+    return Readiness(**checks, workers=Worker.count(connection=queue.connection))

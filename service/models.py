@@ -1,0 +1,217 @@
+"""Models: fitted priors, to read, download, import and delete."""
+
+from datetime import datetime
+from typing import Any, Self
+
+from fastapi import APIRouter, Request, Response, status
+from pydantic import BaseModel, ConfigDict, Field
+
+from models.config import FitConfig
+from models.fitted import FittedPrior
+from models.weights import WeightsError
+from service.bodies import binary_or_json
+from service.datasets import Name, Skeleton
+from service.deps import Cursor, IdempotencyHeader, Identifier, Limit, StoreDep
+from service.errors import ApiError, problems
+from service.idempotency import idempotency
+from service.representations import binary_responses, bytes_response
+from service.uploads import UploadBody
+from store import models, records
+
+router = APIRouter(prefix="/models", tags=["models"])
+
+
+class CurvePoint(BaseModel):
+    """One row of a training curve."""
+
+    step: int
+    loss: float | None
+    reprojection_error: float | None = Field(description="Pixels.")
+
+
+class Model(BaseModel):
+    """A fitted prior."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
+                "name": "macaque",
+                "created_at": "2026-03-01T09:32:00Z",
+                "fit_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
+                "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                "frames": 3309,
+                "views": 3,
+                "keypoints": 13,
+                "config": FitConfig().model_dump(mode="json"),
+                "skeleton": None,
+                "reprojection_error": 3.1,
+                "frames_lifted": 3300,
+                "pa_mpjpe": 0.061,
+                "pck": 0.86,
+                "pck_threshold": 0.1,
+                "weights_bytes": 91234,
+                "weights_checksum": f"sha256:{'5e88' * 16}",
+                "training_curve": [{"step": 20, "loss": 0.4, "reprojection_error": 60.1}],
+            }
+        }
+    )
+
+    id: str
+    name: str
+    created_at: datetime
+    fit_id: str | None = Field(description="The fit that made it; null if it was imported.")
+    dataset_id: str | None
+    frames: int | None = Field(description="Frames it was fitted to.")
+    views: int | None = Field(description="Views it was fitted to; it lifts any number of them.")
+    keypoints: int = Field(description="Keypoints per view.")
+    config: FitConfig
+    skeleton: Skeleton | None
+    reprojection_error: float | None = Field(
+        None, description="Pixels, mean over the views of the fitted frames."
+    )
+    frames_lifted: int | None = Field(None, description="Fitted frames that got a structure.")
+    pa_mpjpe: float | None = Field(
+        None,
+        description="Mean Procrustes-aligned error of the fitted frames against the ground truth, "
+        "in its unit; null without one.",
+    )
+    pck: float | None = Field(
+        None, description="Share of keypoints closer to the truth than `pck_threshold`."
+    )
+    pck_threshold: float | None = None
+    weights_bytes: int
+    weights_checksum: str
+    training_curve: list[CurvePoint]
+
+    @classmethod
+    def of(cls, record: records.Model) -> Self:
+        """Return the wire form of a record."""
+        return cls.model_validate(
+            {
+                "id": record.id,
+                "name": record.name,
+                "created_at": record.created_at,
+                "fit_id": record.fit_id,
+                "dataset_id": record.dataset_id,
+                "frames": record.frames,
+                "views": record.views,
+                "keypoints": record.keypoints,
+                "config": record.config,
+                "skeleton": record.skeleton,
+                "weights_bytes": record.weights_bytes,
+                "weights_checksum": f"sha256:{record.weights_checksum}",
+                "training_curve": record.training_curve,
+                **record.metrics,
+            }
+        )
+
+
+class ModelPage(BaseModel):
+    """Models, newest first."""
+
+    items: list[Model]
+    next_cursor: str | None
+
+
+class ModelImport(BaseModel):
+    """What can be said of imported weights."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: Name = "imported"
+    skeleton: Skeleton | None = None
+
+
+@router.get("", responses=problems("invalid_input"))
+def list_models(store: StoreDep, limit: Limit = 50, cursor: Cursor = None) -> ModelPage:
+    """List models, newest first."""
+    found = models.page(store, limit=limit + 1, after=cursor)
+    return ModelPage(
+        items=[Model.of(record) for record in found[:limit]],
+        next_cursor=found[limit - 1].id if len(found) > limit else None,
+    )
+
+
+@router.get("/{model_id}", responses=problems("not_found"))
+def get_model(model_id: Identifier, store: StoreDep) -> Model:
+    """Describe a model: configuration, training curve, errors."""
+    return Model.of(models.get(store, model_id))
+
+
+@router.get(
+    "/{model_id}/weights",
+    response_class=Response,
+    responses=problems("not_found", "range_not_satisfiable")
+    | binary_responses("The weights as safetensors, to be imported elsewhere."),
+)
+def download_weights(model_id: Identifier, store: StoreDep, request: Request) -> Response:
+    """Download a model's weights (safetensors), whole or a range of their bytes."""
+    record = models.get(store, model_id)
+    return bytes_response(
+        request,
+        store.objects.get(record.weights_key),
+        media_type="application/octet-stream",
+        filename=f"{record.id}.safetensors",
+        checksum=record.weights_checksum,
+    )
+
+
+@router.post(
+    "",
+    status_code=status.HTTP_201_CREATED,
+    responses=problems(
+        "malformed_body", "body_too_large", "unsupported_media_type", "invalid_input"
+    ),
+    openapi_extra=binary_or_json(
+        None, form=ModelImport, binary="Weights as `GET /models/{id}/weights` gives them."
+    ),
+)
+def import_model(
+    upload: UploadBody,
+    store: StoreDep,
+    request: Request,
+    response: Response,
+    name: Name | None = None,
+    idempotency_key: IdempotencyHeader = None,
+) -> Model:
+    """Import weights that were downloaded from this or another Fewview.
+
+    `name` in the query names a model that comes as raw bytes.
+    """
+    if upload.is_json:
+        raise ApiError(
+            "unsupported_media_type",
+            "expected the weights' bytes (application/octet-stream) or a form, got JSON",
+        )
+    said = upload.form(ModelImport, {} if name is None else {"name": name})
+    try:
+        prior = FittedPrior.from_bytes(upload.data)
+    except WeightsError as error:
+        raise ApiError("malformed_body", f"These are no weights of a model: {error}") from error
+    if said.skeleton is not None:
+        said.skeleton.check(prior.keypoints_per_frame)
+    columns: dict[str, Any] = {
+        "name": said.name,
+        "keypoints": prior.keypoints_per_frame,
+        "config": prior.config.model_dump(mode="json"),
+        "skeleton": said.skeleton.model_dump() if said.skeleton else None,
+        "training_curve": [point._asdict() for point in prior.curve],
+        "metrics": {},
+    }
+    record = models.create(
+        store,
+        upload.data,
+        idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
+        **columns,
+    )
+    response.headers["Location"] = f"/models/{record.id}"
+    return Model.of(record)
+
+
+@router.delete(
+    "/{model_id}", status_code=status.HTTP_204_NO_CONTENT, responses=problems("not_found")
+)
+def delete_model(model_id: Identifier, store: StoreDep) -> None:
+    """Delete a model and its weights; the fit that made it keeps its reconstruction."""
+    models.delete(store, model_id)

@@ -1,0 +1,44 @@
+"""How the service listens and what it accepts."""
+
+from pydantic import Field
+
+from models.keypoints import MAX_KEYPOINTS, MAX_VIEWS
+from worker.settings import WorkerSettings
+
+MEBIBYTE = 1024 * 1024
+
+
+class Settings(WorkerSettings):
+    """All settings: the store's, the queue's and the service's own."""
+
+    host: str = Field("127.0.0.1", description="Address to listen on.")
+    port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
+    workers: int | None = Field(
+        None,
+        ge=0,
+        le=64,
+        description="Worker processes that `fewview serve` starts. Default: 1 with the embedded "
+        "queue, 0 with a queue of your own (start them with `fewview worker`).",
+    )
+    max_body_bytes: int = Field(
+        256 * MEBIBYTE, ge=1024, description="Largest request body; more is refused as it arrives."
+    )
+    max_json_bytes: int = Field(
+        64 * MEBIBYTE,
+        ge=1024,
+        description="Largest JSON body. Larger captures travel as safetensors or npz.",
+    )
+    max_frames: int = Field(
+        100_000, ge=1, description="Most frames in one request, be it an upload or a lift."
+    )
+    max_dataset_frames: int = Field(
+        2_000_000, ge=1, description="Most frames in one dataset, over all its uploads."
+    )
+    max_views: int = Field(16, ge=1, le=MAX_VIEWS, description="Most views in a capture.")
+    max_keypoints: int = Field(256, ge=4, le=MAX_KEYPOINTS, description="Most keypoints in a view.")
+    max_queued_fits: int = Field(
+        1000, ge=1, description="Fits that may wait at a time; POST /fits answers 429 beyond that."
+    )
+    warm_model_bytes: int = Field(
+        512 * MEBIBYTE, ge=0, description="Weights to keep in memory for lifting."
+    )

