@@ -1,0 +1,168 @@
+import time
+
+import pytest
+
+from store import datasets, fits, models
+from store.capture import Capture
+from store.database import Store
+from store.datasets import Description
+from store.errors import ConflictError, LeaseLostError
+from store.fits import MAX_CRASHES, Attempt
+from store.records import Fit
+
+DESCRIBE = {
+    "keypoints": 5,
+    "config": {},
+    "training_curve": [],
+    "metrics": {},
+}
+
+
+@pytest.fixture
+def fit(store: Store, capture: Capture) -> Fit:
+    dataset = datasets.create(store, capture, Description("a"))
+    return fits.create(store, dataset_id=dataset.id, name="f", config={"seed": 1})
+
+
+def claim(store: Store, fit: Fit, lease_seconds: float = 60) -> Attempt:
+    attempt = fits.claim(store, fit.id, lease_seconds=lease_seconds)
+    assert attempt is not None
+    return attempt
+
+
+def succeed(store: Store, attempt: Attempt) -> str:
+    return fits.succeed(
+        store, attempt, weights=b"w", reconstruction=b"r", progress=None, describe=DESCRIBE
+    )
+
+
+def objects(store: Store) -> set[str]:
+    return {key.split("/")[2].split("_")[0] for key, _ in store.objects.list()}
+
+
+def test_one_attempt_at_a_time(store: Store, fit: Fit) -> None:
+    claim(store, fit)
+    assert fits.claim(store, fit.id, lease_seconds=60) is None
+    assert fits.get(store, fit.id).status == "running"
+
+
+def test_a_stale_attempt_can_write_nothing(store: Store, fit: Fit) -> None:
+    stale = claim(store, fit, lease_seconds=0.01)
+    fits.save_checkpoint(store, stale, b"old")
+    time.sleep(0.02)
+    fresh = claim(store, fit)
+    before = fits.get(store, fit.id)
+    for write in (
+        lambda: fits.beat(store, stale, {"step": 99}),
+        lambda: fits.save_checkpoint(store, stale, b"stale"),
+        lambda: succeed(store, stale),
+        lambda: fits.end(store, stale, "failed", error={"code": "x", "message": "x"}),
+        lambda: fits.release(store, stale),
+    ):
+        with pytest.raises(LeaseLostError):
+            write()
+    after = fits.get(store, fit.id)
+    assert (after.status, after.revision, after.progress, after.model_id) == (
+        "running",
+        before.revision,
+        None,
+        None,
+    )
+    assert fits.load_checkpoint(store, fit.id) == b"old"
+    assert objects(store) == {"chunk", "checkpoint"}
+    assert models.page(store, limit=1, after=None) == []
+    succeed(store, fresh)
+
+
+def test_success_leaves_model_and_reconstruction_and_no_checkpoint(store: Store, fit: Fit) -> None:
+    attempt = claim(store, fit)
+    fits.save_checkpoint(store, attempt, b"1")
+    fits.save_checkpoint(store, attempt, b"2")
+    model_id = succeed(store, attempt)
+    record = fits.get(store, fit.id)
+    assert (record.status, record.model_id) == ("succeeded", model_id)
+    assert models.get(store, model_id).fit_id == fit.id
+    assert objects(store) == {"chunk", "weights.safetensors", "reconstruction"}
+
+
+@pytest.mark.parametrize("status", ["succeeded", "failed", "cancelled"])
+def test_terminal_states_are_never_left(store: Store, fit: Fit, status: str) -> None:
+    attempt = claim(store, fit)
+    if status == "succeeded":
+        succeed(store, attempt)
+    else:
+        fits.end(store, attempt, status)
+    assert fits.claim(store, fit.id, lease_seconds=60) is None
+    assert fits.recover(store) == []
+    with pytest.raises(LeaseLostError):
+        fits.beat(store, attempt, None)
+    if status == "cancelled":
+        fits.request_cancel(store, fit.id)
+    else:
+        with pytest.raises(ConflictError):
+            fits.request_cancel(store, fit.id)
+    assert fits.get(store, fit.id).status == status
+
+
+def test_cancelling(store: Store, fit: Fit) -> None:
+    attempt = claim(store, fit)
+    assert fits.beat(store, attempt, None) is False
+    asked = fits.request_cancel(store, fit.id)
+    assert asked.status == "running"
+    assert fits.beat(store, attempt, None) is True
+    assert fits.enforce_cancel(store, fit.job_id, patience_seconds=60) is False
+    assert fits.enforce_cancel(store, fit.job_id, patience_seconds=0) is True
+    assert fits.get(store, fit.id).status == "cancelled"
+    with pytest.raises(LeaseLostError):
+        succeed(store, attempt)
+
+
+def test_a_queued_fit_is_cancelled_at_once(store: Store, fit: Fit) -> None:
+    assert fits.request_cancel(store, fit.id).status == "cancelled"
+    assert fits.claim(store, fit.id, lease_seconds=60) is None
+
+
+def test_a_fit_nobody_runs_any_more_is_cancelled_at_once(store: Store, fit: Fit) -> None:
+    attempt = claim(store, fit, lease_seconds=0.01)
+    time.sleep(0.02)
+    assert fits.request_cancel(store, fit.id).status == "cancelled"
+    with pytest.raises(LeaseLostError):
+        fits.beat(store, attempt, None)
+
+
+def test_a_lost_fit_is_queued_again_and_given_up_in_the_end(store: Store, fit: Fit) -> None:
+    for crash in range(1, MAX_CRASHES + 1):
+        claim(store, fit, lease_seconds=0.001)
+        time.sleep(0.005)
+        queued = [lost.id for lost in fits.recover(store)]
+        assert queued == ([fit.id] if crash < MAX_CRASHES else [])
+    record = fits.get(store, fit.id)
+    assert record.status == "failed"
+    assert record.error is not None
+    assert record.error["code"] == "worker_lost"
+
+
+def test_a_released_fit_counts_no_crash_and_keeps_its_checkpoint(store: Store, fit: Fit) -> None:
+    attempt = claim(store, fit)
+    fits.save_checkpoint(store, attempt, b"half")
+    fits.release(store, attempt)
+    record = fits.get(store, fit.id)
+    assert (record.status, record.crashes) == ("queued", 0)
+    claim(store, fit)
+    assert fits.load_checkpoint(store, fit.id) == b"half"
+
+
+def test_one_fit_per_job(store: Store, fit: Fit) -> None:
+    first = fits.create(store, dataset_id=fit.dataset_id, name="x", config={}, job_id="job")
+    again = fits.create(store, dataset_id=fit.dataset_id, name="x", config={}, job_id="job")
+    assert first.id == again.id
+
+
+def test_deleting_a_fit_keeps_its_model(store: Store, fit: Fit) -> None:
+    attempt = claim(store, fit)
+    with pytest.raises(ConflictError):
+        fits.delete(store, fit.id)
+    model_id = succeed(store, attempt)
+    fits.delete(store, fit.id)
+    assert models.get(store, model_id).fit_id is None
+    assert "reconstruction" not in objects(store)
