@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-RIDGE = 1e-3  # share of the structure's variance: above float32 noise, below any real depth
+RIDGE = 1e-4  # share of the structure's variance: above float32 noise, below any real depth
 TINY = 1e-12
 
 

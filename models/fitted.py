@@ -7,10 +7,11 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from models.cameras import project
+from models.cameras import project, solve_cameras
 from models.config import FitConfig
 from models.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS, Observations, as_observations
 from models.prior import HierarchicalPrior, parameter_shapes
+from models.refinement import settle
 from models.weights import Arrays, WeightsError, pack, read_about, unpack
 
 Status = Literal["ok", "too_few_keypoints"]
@@ -55,9 +56,16 @@ class Lift:
 class FittedPrior:
     """The outcome of a fit. Immutable, and safe to use from several threads at once."""
 
-    def __init__(self, config: FitConfig, arrays: Arrays, curve: tuple[CurvePoint, ...]) -> None:
+    def __init__(
+        self,
+        config: FitConfig,
+        arrays: Arrays,
+        curve: tuple[CurvePoint, ...],
+        foreshortening: float,
+    ) -> None:
         self.config = config
         self.curve = curve
+        self.foreshortening = foreshortening
         self._arrays = arrays
         self._network = HierarchicalPrior(arrays["first"].shape[0], config.dictionary_sizes)
         self._network.load_state_dict(arrays)
@@ -114,14 +122,18 @@ class FittedPrior:
         weights = torch.from_numpy(seen.weights[part])
         sizes, centres = torch.from_numpy(seen.sizes[part]), torch.from_numpy(seen.centres[part])
         found = self._network(keypoints, weights)
-        distances = (project(found.points[:, None], found.cameras) - keypoints).norm(dim=-1)
+        points, guesses = settle(
+            found.points, keypoints, weights, found.guesses, self.foreshortening
+        )
+        cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
+        distances = (project(points[:, None], cameras) - keypoints).norm(dim=-1)
         observed = (weights > 0).to(distances.dtype)
         mean = (distances * observed).sum(-1) / observed.sum(-1).clamp_min(1)
         answers = (
-            found.points,
-            found.cameras.rotations,
-            found.cameras.scales * sizes,
-            found.cameras.translations * sizes[..., None] + centres,
+            points,
+            cameras.rotations,
+            cameras.scales * sizes,
+            cameras.translations * sizes[..., None] + centres,
             mean * sizes,
         )
         return tuple(answer.numpy() for answer in answers)
@@ -130,7 +142,11 @@ class FittedPrior:
         """Return the prior as safetensors bytes, its configuration in the header."""
         curve = torch.tensor(self.curve, dtype=torch.float64).reshape(-1, 3)
         return pack(
-            {**self._arrays, "curve": curve},
+            {
+                **self._arrays,
+                "curve": curve,
+                "foreshortening": torch.tensor([self.foreshortening], dtype=torch.float64),
+            },
             kind="prior",
             about={
                 "config": self.config.model_dump_json(),
@@ -157,8 +173,8 @@ class FittedPrior:
         if not MIN_KEYPOINTS <= keypoints <= MAX_KEYPOINTS:
             raise WeightsError(f"the header says {keypoints} keypoints per frame")
         shapes = parameter_shapes(keypoints, config.dictionary_sizes)
-        arrays = unpack(data, shapes={**shapes, "curve": (None, 3)})
+        arrays = unpack(data, shapes={**shapes, "curve": (None, 3), "foreshortening": (1,)})
         curve = tuple(
             CurvePoint(int(s), loss, error) for s, loss, error in arrays.pop("curve").tolist()
         )
-        return cls(config, arrays, curve)
+        return cls(config, arrays, curve, arrays.pop("foreshortening").item())

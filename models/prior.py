@@ -50,16 +50,18 @@ class HierarchicalPrior(nn.Module):
     def encode(self, views: Tensor) -> tuple[Tensor, Tensor]:
         """Codes (M, B_L) and rotations (M, 3, 3) of M centred views (M, P, 2)."""
         # One ISTA step per layer, paper eq. "encoder": Psi_l = ReLU(D_l^T Psi_{l-1}; lambda_l).
-        # The 2x3 block of an atom lies along dimension 1, so that a layer is one product.
-        block = views.mT @ self.first  # (M, 2, 3 B_1)
-        block = block.reshape(len(views), 6, -1)  # (M, 6, B_1)
-        block = torch.relu(block - self.encoder_thresholds[0])
+        # The six numbers of an atom's 2x3 block are rows of their own, so that a layer is one
+        # product; addmm with relu_ halves the memory traffic that dominates on a CPU.
+        rows = views.mT.reshape(-1, self.keypoints)  # (2 M, P)
+        threshold = self.encoder_thresholds[0].repeat(3)
+        block = torch.relu_(torch.addmm(-threshold, rows, self.first))  # (2 M, 3 B_1)
+        block = block.reshape(6 * len(views), -1)  # (6 M, B_1)
         for dictionary, threshold in zip(
             self.dictionaries, self.encoder_thresholds[1:], strict=True
         ):
-            block = torch.relu(block @ dictionary - threshold)  # (M, 6, B_l)
+            block = torch.relu_(torch.addmm(-threshold, block, dictionary))  # (6 M, B_l)
         # Rotation factorisation: one linear layer reads the unrotated code, one the rotation.
-        flat = block.flatten(1)  # (M, 6 B_L)
+        flat = block.reshape(len(views), -1)  # (M, 6 B_L)
         rotations, _ = nearest_rotation(self.rotate(flat).reshape(-1, 2, 3))
         code: Tensor = self.unrotate(flat)
         return code, rotations
@@ -70,7 +72,7 @@ class HierarchicalPrior(nn.Module):
         for dictionary, threshold in zip(
             reversed(self.dictionaries), reversed(self.decoder_thresholds), strict=True
         ):
-            code = torch.relu(code @ dictionary.T - threshold)  # (N, B_{l-1})
+            code = torch.relu_(torch.addmm(-threshold, code, dictionary.T))  # (N, B_{l-1})
         atoms = self.first.reshape(3 * self.keypoints, -1)  # (3 P, B_1)
         points = (code @ atoms.T).reshape(-1, self.keypoints, 3)
         points = points - points.mean(-2, keepdim=True)

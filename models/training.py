@@ -16,9 +16,11 @@ from models.config import FitConfig
 from models.fitted import CurvePoint, FittedPrior
 from models.keypoints import Observations, as_observations
 from models.prior import HierarchicalPrior, Reconstruction
+from models.refinement import estimate_foreshortening
 from models.weights import Arrays, Shapes, WeightsError, pack, read_about, unpack
 
 CURVE_ROWS = 200
+HANDEDNESS_FRAMES = 1000  # as many as decide the handedness of a fit
 RECENT = 0.05  # weight of the newest batch in the running means
 
 
@@ -100,10 +102,16 @@ class Trainer:
 
     def result(self) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
+        every = slice(None, None, math.ceil(len(self._keypoints) / HANDEDNESS_FRAMES))
+        keypoints, weights = self._keypoints[every], self._weights[every]
+        with torch.inference_mode():
+            seen = self._network(keypoints, weights)
+            foreshortening = estimate_foreshortening(seen.points, keypoints, weights, seen.guesses)
         return FittedPrior(
             config=self.config,
             arrays={name: value.detach().clone() for name, value in self._parameters.items()},
             curve=tuple(self._curve),
+            foreshortening=foreshortening,
         )
 
     def checkpoint(self) -> bytes:

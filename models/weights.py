@@ -23,7 +23,12 @@ class WeightsError(ValueError):
 def pack(arrays: Arrays, *, kind: str, about: dict[str, str]) -> bytes:
     """Serialise `arrays` with `about` and the `kind` of file in the header."""
     contiguous = {name: value.detach().contiguous() for name, value in arrays.items()}
-    return save(contiguous, metadata={**about, "format": FORMAT, "kind": kind})
+    # One entry: safetensors writes several in any order, and equal weights should be equal bytes.
+    return save(contiguous, metadata={"fewview": json.dumps({**about, **_kind(kind)})})
+
+
+def _kind(kind: str) -> dict[str, str]:
+    return {"format": FORMAT, "kind": kind}
 
 
 def read_about(data: bytes, *, kind: str) -> dict[str, str]:
@@ -41,11 +46,11 @@ def read_about(data: bytes, *, kind: str) -> dict[str, str]:
         raise WeightsError("expected a safetensors file, but the header is cut off or not one")
     try:
         header = json.loads(data[8 : 8 + length])
-        about = header["__metadata__"]
+        about = json.loads(header["__metadata__"]["fewview"])
         found = (about["format"], about["kind"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise WeightsError("expected a file written by fewview, got another one") from error
-    if found != (FORMAT, kind):
+    if found != tuple(_kind(kind).values()):
         raise WeightsError(f"expected a {FORMAT} {kind}, got {found[0]} {found[1]}")
     return {str(key): str(value) for key, value in about.items()}
 
