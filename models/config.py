@@ -45,6 +45,7 @@ class FitConfig(BaseModel):
     pck_threshold: float = Field(
         default=0.1,
         gt=0,
+        le=1e9,
         description=(
             "Distance below which a keypoint counts as correct when a ground truth is given,"
             " in the unit of that truth (the paper's is 10 cm)."
