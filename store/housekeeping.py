@@ -17,7 +17,7 @@ def sweep(store: Store, *, orphan_seconds: float = ORPHAN_SECONDS) -> int:
     Returns
     -------
     int
-        How many objects were deleted.
+        How many objects were deleted, whole and partial.
     """
     # List before reading the records: an object written meanwhile is not in the list.
     old = time.time() - orphan_seconds
@@ -31,8 +31,9 @@ def sweep(store: Store, *, orphan_seconds: float = ORPHAN_SECONDS) -> int:
         ):
             candidates.difference_update(session.scalars(select(column)))
     store.objects.delete(*candidates)
+    partial = store.objects.delete_partial(old)
     with store.writing() as session:
         session.execute(
             delete(IdempotencyKey).where(IdempotencyKey.created_at < time.time() - KEY_SECONDS)
         )
-    return len(candidates)
+    return len(candidates) + partial

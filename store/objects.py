@@ -19,7 +19,9 @@ class Objects:
         parts = urlsplit(url)
         self._folder = Path(unquote(parts.path)) if parts.scheme == "file" else None
         self._store: Any = (
-            from_url(url) if self._folder is None else LocalStore(self._folder, mkdir=True)
+            from_url(url)
+            if self._folder is None
+            else LocalStore(self._folder, mkdir=True, automatic_cleanup=True)
         )
 
     def put(self, key: str, data: bytes) -> None:
@@ -56,6 +58,19 @@ class Objects:
         for batch in obstore.list(self._store):
             for entry in batch:
                 yield entry["path"], entry["last_modified"].timestamp()
+
+    def delete_partial(self, before: float) -> int:
+        """Delete what puts that were killed before a time (epoch seconds) left; return how many.
+
+        A local put writes ``key#N`` and renames it. Elsewhere unfinished uploads are the business
+        of the bucket's lifecycle rules.
+        """
+        if self._folder is None:
+            return 0
+        partial = [p for p in self._folder.rglob("*#*") if p.stat().st_mtime < before]
+        for path in partial:
+            path.unlink(missing_ok=True)
+        return len(partial)
 
     def check(self) -> None:
         """Raise if the store does not take, give back and delete an object."""

@@ -54,9 +54,28 @@ def test_killed_writers_leave_whole_datasets_and_orphans_that_are_swept(
     housekeeping.sweep(store, orphan_seconds=-1)
     chunks = sum(dataset.frames // 200 for dataset in stored)
     assert len(list(store.objects.list())) == chunks
-    # Temporary files of interrupted puts are no objects; they must not be taken for any.
     for dataset in stored:
         datasets.load(store, dataset.id)
+
+
+def test_a_killed_put_leaves_no_object_and_its_part_is_swept(store: Store, tmp_path: Path) -> None:
+    code = (
+        "import sys; from store.objects import Objects; objects = Objects(sys.argv[1]);"
+        "data = bytes(200_000_000); print('ready', flush=True); objects.put('a/big', data)"
+    )
+    command = [sys.executable, "-c", code, store.objects.url]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:
+        assert writer.stdout is not None
+        writer.stdout.readline()
+        while not list(tmp_path.glob("objects/a/*")):
+            time.sleep(0.001)
+        writer.kill()
+    left = list(tmp_path.glob("objects/a/*"))
+    assert left
+    assert list(store.objects.list()) == []
+    assert housekeeping.sweep(store) == 0  # it might still be under way
+    assert housekeeping.sweep(store, orphan_seconds=-1) == len(left)
+    assert list(tmp_path.glob("objects/a/*")) == []
 
 
 def test_sweeping_keeps_young_objects(store: Store) -> None:

