@@ -12,6 +12,7 @@ from torch import Tensor
 
 RIDGE = 1e-4  # share of the structure's variance: above float32 noise, below any real depth
 TINY = 1e-12
+NOTHING = 1e-9  # turns the undefined direction of (0, 0) into no turn
 
 
 class WeakPerspective(NamedTuple):
@@ -40,32 +41,34 @@ def nearest_rotation(matrix: Tensor) -> tuple[Tensor, Tensor]:
     or zero the nearest rotation is not unique; one of them is returned.
     """
     first, second = matrix.unbind(-2)  # (..., 3) each
-    x, a = _unit(first, torch.zeros_like(first))
+    x, a = _unit(first, first)
     b = (x * second).sum(-1, keepdim=True)
     y, d = _unit(second - b * x, x)
-    y, _ = _unit(y - (x * y).sum(-1, keepdim=True) * x, x)  # again: the first lost digits if d << b
+    y = y - (x * y).sum(-1, keepdim=True) * x  # once more: digits were lost if d << b
 
-    cos, sin = a + d, b
-    stretch = (cos.square() + sin.square()).clamp_min(TINY).sqrt()
-    turned = stretch > 10 * TINY**0.5
-    cos = torch.where(turned, cos / stretch, 1.0)
-    sin = torch.where(turned, sin / stretch, 0.0)
+    cos, sin = a + d + NOTHING, b
+    stretch = (cos.square() + sin.square()).sqrt()
+    cos, sin = cos / stretch, sin / stretch
     top, middle = cos * x - sin * y, sin * x + cos * y
-    rotations = torch.stack((top, middle, torch.linalg.cross(top, middle)), -2)
+    rotations = torch.stack((top, middle, torch.linalg.cross(top, middle, dim=-1)), -2)
     return rotations, stretch[..., 0] / 2
 
 
 def _unit(vectors: Tensor, away_from: Tensor) -> tuple[Tensor, Tensor]:
-    """Split (..., 3) into unit vectors and lengths (..., 1); a zero gets any direction."""
+    """Split (..., 3) into unit vectors and lengths (..., 1).
+
+    A zero gets some direction at a right angle to the unit vector `away_from`.
+    """
     squared = vectors.square().sum(-1, keepdim=True)
     zero = squared <= TINY
+    if not zero.any():
+        lengths = squared.sqrt()
+        return vectors / lengths, lengths
     lengths = torch.where(zero, 1.0, squared).sqrt()
-    units = vectors / lengths
-    if zero.any():
-        axis = torch.nn.functional.one_hot(away_from.abs().argmin(-1), 3).to(vectors)
-        axis = axis - (axis * away_from).sum(-1, keepdim=True) * away_from
-        units = torch.where(zero, torch.nn.functional.normalize(axis, dim=-1), units)
-    return units, torch.where(zero, 0.0, lengths)
+    axis = torch.nn.functional.one_hot(away_from.abs().argmin(-1), 3).to(vectors)
+    axis = axis - (axis * away_from).sum(-1, keepdim=True) * away_from
+    axis = torch.nn.functional.normalize(axis.detach(), dim=-1)
+    return torch.where(zero, axis, vectors / lengths), torch.where(zero, 0.0, lengths)
 
 
 def solve_cameras(points: Tensor, image: Tensor, weights: Tensor, guess: Tensor) -> WeakPerspective:
@@ -88,23 +91,25 @@ def solve_cameras(points: Tensor, image: Tensor, weights: Tensor, guess: Tensor)
     guess
         (..., 3, 3) rotations.
     """
-    share = weights / weights.sum(-1, keepdim=True).clamp_min(TINY)  # (..., P)
-    share = share[..., None]
-    points_mean = (share * points).sum(-2, keepdim=True)  # (..., 1, 3)
-    image_mean = (share * image).sum(-2, keepdim=True)  # (..., 1, 2)
-    points, image = points - points_mean, image - image_mean
-    weighted = (share * points).mT  # (..., 3, P)
+    share = (weights / weights.sum(-1, keepdim=True).clamp_min(TINY))[..., None]  # (..., P, 1)
+    points_mean = (share * points).sum(-2)  # (..., 3)
+    image_mean = (share * image).sum(-2)  # (..., 2)
+    points, image = points - points_mean[..., None, :], image - image_mean[..., None, :]
+    weighted_image = share * image  # (..., P, 2)
 
-    scatter = weighted @ points  # (..., 3, 3)
-    ridge = RIDGE * scatter.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None] + TINY
-    spread = (share * image.square()).sum((-2, -1))  # (...)
-    size = (spread / (scatter.diagonal(dim1=-2, dim2=-1).sum(-1) + TINY)).clamp_min(TINY).sqrt()
-    target = weighted @ image + ridge * size[..., None, None] * guess[..., :2, :].mT  # (..., 3, 2)
+    scatter = (share * points).mT @ points  # (..., 3, 3)
+    cross = points.mT @ weighted_image  # (..., 3, 2)
+    variance = scatter.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None] + TINY
+    spread = (weighted_image * image).sum((-2, -1))[..., None, None]
+    ridge = RIDGE * variance
+    # A typical scale is enough for the guess: it only speaks where the points do not.
+    pull = ridge * (spread / variance + TINY).sqrt()
     eye = torch.eye(3, dtype=points.dtype, device=points.device)
-    rotations, _ = nearest_rotation(torch.linalg.solve(scatter + ridge * eye, target).mT)
+    affine = torch.linalg.solve(scatter + ridge * eye, cross + pull * guess[..., :2, :].mT)
+    rotations, _ = nearest_rotation(affine.mT)
 
-    xy = points @ rotations[..., :2, :].mT  # (..., P, 2)
-    scales = (share * xy * image).sum((-2, -1)) / ((share * xy.square()).sum((-2, -1)) + TINY)
-    offset = (points_mean @ rotations[..., :2, :].mT)[..., 0, :]
-    translations = image_mean[..., 0, :] - scales[..., None] * offset
-    return WeakPerspective(rotations, scales, translations)
+    axes = rotations[..., :2, :].mT  # (..., 3, 2)
+    # Sums over the points are products with their scatter: |X axes|^2 = axes^T scatter axes.
+    scales = (cross * axes).sum((-2, -1)) / (((scatter @ axes) * axes).sum((-2, -1)) + TINY)
+    offset = (points_mean[..., None, :] @ axes)[..., 0, :]
+    return WeakPerspective(rotations, scales, image_mean - scales[..., None] * offset)

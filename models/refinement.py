@@ -14,7 +14,7 @@ from torch import Tensor
 
 from models.cameras import WeakPerspective, project, solve_cameras
 
-ROUNDS = 3  # further ones change the error by under 1 %
+ROUNDS = 2  # a third lowers the error by some 2 % and costs a frame 0.3 ms
 STIFFNESS = 0.05  # pull to the network's structure, where one view seen head-on pulls with about 1
 DECISIVE = 0.8  # a frame leaves the handedness of the fit if its error falls below this share
 MIRROR = (1.0, 1.0, -1.0)  # through the x-y plane

@@ -20,7 +20,7 @@ from models.refinement import estimate_foreshortening
 from models.weights import Arrays, Shapes, WeightsError, pack, read_about, unpack
 
 CURVE_ROWS = 200
-HANDEDNESS_FRAMES = 1000  # as many as decide the handedness of a fit
+HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
 RECENT = 0.05  # weight of the newest batch in the running means
 
 
