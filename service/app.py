@@ -15,6 +15,7 @@ from fastapi.routing import APIRoute
 from service import datasets, errors, fits, health, lift, models
 from service.bodies import registered_schemas
 from service.engine import Engine
+from service.limits import BodyLimit
 from service.settings import Settings
 from store.database import Store
 from worker.process import die_with_parent
@@ -49,13 +50,13 @@ def create_app(settings: Settings) -> FastAPI:
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
         lifespan=lifespan,
         generate_unique_id_function=_operation_id,
-        max_body_size=settings.max_body_bytes,
         redoc_url=None,
     )
     app.state.settings = settings
     for module in (datasets, fits, models, lift, health):
         app.include_router(module.router)
     errors.install(app)
+    app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes)
     _describe(app)
     return app
 

@@ -6,6 +6,7 @@ Nothing is ever unpickled, and no array is allocated before the bytes that fill 
 import io
 import math
 import zipfile
+import zlib
 from typing import IO, Any
 
 import numpy as np
@@ -18,7 +19,9 @@ from service.errors import ApiError, invalid
 Arrays = dict[str, NDArray[Any]]
 
 _NPZ_MAGIC = b"PK\x03\x04"
+_NPZ_ENTRY = b"PK\x01\x02"  # begins every entry of a zip file's directory
 _MAX_MEMBERS = 64
+_MAX_HEADER = 1_000_000  # bytes of a safetensors header; a capture's has a few hundred
 
 
 def from_bytes(data: bytes, *, max_bytes: int) -> Arrays:
@@ -32,6 +35,8 @@ def from_bytes(data: bytes, *, max_bytes: int) -> Arrays:
     if data.startswith(_NPZ_MAGIC):
         return _from_npz(data, max_bytes)
     try:
+        if int.from_bytes(data[:8], "little") > _MAX_HEADER:
+            raise ValueError("no header at its start")
         return load(data)
     except (SafetensorError, KeyError, TypeError, ValueError) as error:  # also unknown dtypes
         raise ApiError(
@@ -42,22 +47,33 @@ def from_bytes(data: bytes, *, max_bytes: int) -> Arrays:
 
 
 def _from_npz(data: bytes, max_bytes: int) -> Arrays:
+    too_large = ApiError(
+        "body_too_large",
+        f"The .npz file unpacks to more than {max_bytes} bytes or {_MAX_MEMBERS} arrays. Send it "
+        "in parts: POST /datasets/{id}/frames.",
+    )
+    if data.count(_NPZ_ENTRY) > _MAX_MEMBERS:  # millions of them would fill the memory
+        raise too_large
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
-            if len(members) > _MAX_MEMBERS or sum(m.file_size for m in members) > max_bytes:
-                raise ApiError(
-                    "body_too_large",
-                    f"The .npz file unpacks to more than {max_bytes} bytes or {_MAX_MEMBERS} "
-                    "arrays. Send it in parts: POST /datasets/{id}/frames.",
-                )
+            if sum(member.file_size for member in members) > max_bytes:
+                raise too_large
             arrays = {}
             for member in members:
                 with archive.open(member) as stream:
                     name = member.filename.removesuffix(".npy")
                     arrays[name] = _from_npy(name, stream, member.file_size)
             return arrays
-    except (zipfile.BadZipFile, EOFError, OSError, NotImplementedError, ValueError) as error:
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        OSError,
+        OverflowError,
+        RuntimeError,  # encrypted members, unknown compression, headers nested without end
+        ValueError,
+    ) as error:
         raise ApiError("malformed_body", f"The .npz file cannot be read: {error}") from error
 
 
@@ -99,7 +115,8 @@ def from_nested(
     pointer: str,
     *,
     axes: tuple[str, ...],
-    sizes: tuple[int | None, ...] | None = None,
+    sizes: tuple[int | None, ...],
+    max_bytes: int,
 ) -> NDArray[np.float32]:
     """Turn nested lists into an array; ``null`` at any level means not observed, and gives NaN.
 
@@ -109,6 +126,8 @@ def from_nested(
         What each axis is, for the error message.
     sizes
         The sizes that are known beforehand, for input that is null as far as that axis.
+    max_bytes
+        Largest array to make: a few nulls can stand for many numbers.
 
     Raises
     ------
@@ -118,7 +137,7 @@ def from_nested(
     with np.errstate(over="ignore"):
         values = _from_regular(value, len(axes))
         if values is None:
-            values = _from_gapped(value, pointer, axes, sizes or (None,) * len(axes))
+            values = _from_gapped(value, pointer, axes, sizes, max_bytes)
     if np.isinf(values).any():
         raise invalid(pointer, "expected finite numbers, got infinity; write null for unobserved")
     return values
@@ -127,19 +146,20 @@ def from_nested(
 def _from_regular(value: object, axes: int) -> NDArray[np.float32] | None:
     """Convert lists that are null, if anywhere, in single numbers: the fast path."""
     try:
-        array = np.asarray(value)
+        array = np.array(value, dtype=object)  # of its own accord numpy takes true for 1
     except ValueError:  # ragged, as it is when a whole point or view is null
         return None
-    if array.ndim != axes:
+    if array.ndim != axes or not set(map(type, array.flat)) <= {int, float, type(None)}:
         return None
-    plain = array.dtype.kind in "iuf" or (
-        array.dtype == object and set(map(type, array.ravel())) <= {int, float, type(None)}
-    )
-    return array.astype(np.float32) if plain else None
+    return array.astype(np.float32)
 
 
 def _from_gapped(
-    value: object, pointer: str, axes: tuple[str, ...], sizes: tuple[int | None, ...]
+    value: object,
+    pointer: str,
+    axes: tuple[str, ...],
+    sizes: tuple[int | None, ...],
+    max_bytes: int,
 ) -> NDArray[np.float32]:
     found: list[int | None] = [None] * len(axes)
     _measure(value, found, 0)
@@ -153,6 +173,12 @@ def _from_gapped(
                 f"found no list of {axis}",
             )
         shape.append(size)
+    if 4 * math.prod(shape) > max_bytes:
+        raise invalid(
+            pointer,
+            f"expected at most {max_bytes} bytes as float32, got {4 * math.prod(shape)} "
+            f"({' x '.join(map(str, shape))}); send the frames in parts",
+        )
     values = np.full(shape, np.nan, np.float32)
     _fill(values, value, pointer, axes)
     return values
@@ -189,4 +215,6 @@ def _fill(target: NDArray[np.float32], value: object, pointer: str, axes: tuple[
 def _describe(value: object) -> str:
     if isinstance(value, list):
         return f"a list of {len(value)}"
-    return "null" if value is None else f"{type(value).__name__} {str(value)[:40]!r}"
+    if value is None:
+        return "null"
+    return "an object" if isinstance(value, dict) else f"{type(value).__name__} {value!r:.40}"

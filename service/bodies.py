@@ -1,64 +1,79 @@
-"""Request bodies in the OpenAPI document, where an operation takes several types."""
+"""What FastAPI cannot say of bodies by itself, for the OpenAPI document."""
 
 from typing import Any
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict
 from pydantic.json_schema import models_json_schema
 
 _REFERENCE = "#/components/schemas/{model}"
 _registered: set[type[BaseModel]] = set()
+_forms: dict[str, Any] = {}
 
 
-def binary_or_json(
-    json: type[BaseModel] | None, *, form: type[BaseModel] | None, binary: str
+def page_of(item: type[BaseModel]) -> ConfigDict:
+    """Return the configuration of a page's model: an example made of one item's."""
+    extra = item.model_config.get("json_schema_extra")
+    assert isinstance(extra, dict)  # noqa: S101
+    return ConfigDict(
+        json_schema_extra={"example": {"items": [extra["example"]], "next_cursor": None}}
+    )
+
+
+def request_body(
+    json: type[BaseModel] | None = None,
+    *,
+    form: type[BaseModel] | None = None,
+    binary: str | None = None,
 ) -> dict[str, Any]:
-    """Return the ``openapi_extra`` of an operation that takes JSON or an array file.
+    """Return the ``openapi_extra`` of an operation that reads its body itself.
 
     Parameters
     ----------
     json
-        The JSON body; None if the operation takes files only.
+        The JSON body, if it takes one.
     form
         Text fields beside the file in ``multipart/form-data``.
     binary
-        What the file holds.
+        What the file holds, if it takes one.
     """
-    file = {"type": "string", "format": "binary", "description": binary}
-    properties: dict[str, Any] = {"file": file}
-    if form is not None:
-        fields = form.model_json_schema(ref_template=_REFERENCE)["properties"]
-        # A form field is text: what is not a string is written as JSON.
-        properties |= {
-            name: {
-                "type": "string",
-                "description": schema.get("description", "")
-                + ("" if schema.get("type") == "string" else " As JSON."),
-            }
-            for name, schema in fields.items()
-        }
     content: dict[str, Any] = {}
     if json is not None:
         _registered.add(json)
-        content["application/json"] = {"schema": {"$ref": f"#/components/schemas/{json.__name__}"}}
-    content["application/octet-stream"] = {"schema": file}
-    content["multipart/form-data"] = {
-        "schema": {
+        content["application/json"] = {"schema": {"$ref": _REFERENCE.format(model=json.__name__)}}
+    if binary is not None:
+        file = {"type": "string", "format": "binary", "description": binary}
+        content["application/octet-stream"] = {"schema": file}
+        name = f"{(json or form or BaseModel).__name__}Form"
+        _forms[name] = {
             "type": "object",
-            "title": f"{json.__name__ if json else 'Weights'}Form",
+            "title": name,
             "required": ["file"],
-            "properties": properties,
+            "properties": {"file": file} | _form_fields(form),
         }
-    }
+        content["multipart/form-data"] = {"schema": {"$ref": _REFERENCE.format(model=name)}}
     return {"requestBody": {"required": True, "content": content}}
 
 
-def registered_schemas() -> dict[str, Any]:
-    """Return the schemas that :func:`binary_or_json` refers to, by name."""
-    if not _registered:
+def _form_fields(form: type[BaseModel] | None) -> dict[str, Any]:
+    """Return the text fields of a form: what is not a string is written as JSON."""
+    if form is None:
         return {}
+    fields = form.model_json_schema(ref_template=_REFERENCE)["properties"]
+    return {
+        name: {
+            "type": "string",
+            "description": schema.get("description", "")
+            + ("" if schema.get("type") == "string" else " As JSON."),
+        }
+        for name, schema in fields.items()
+    }
+
+
+def registered_schemas() -> dict[str, Any]:
+    """Return the schemas that :func:`request_body` refers to, by name."""
     _, definitions = models_json_schema(
         [(model, "validation") for model in sorted(_registered, key=lambda m: m.__name__)],
         ref_template=_REFERENCE,
     )
     schemas: dict[str, Any] = definitions["$defs"]
-    return schemas
+    return schemas | _forms

@@ -4,19 +4,21 @@ from datetime import UTC, datetime
 from typing import Annotated, Any, Self
 
 import numpy as np
+import orjson
 from fastapi import APIRouter, Request, Response, status
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, field_validator
 
-from service.bodies import binary_or_json
+from service.arrays import Arrays
+from service.bodies import page_of, request_body
 from service.deps import (
-    Cursor,
     IdempotencyHeader,
     Identifier,
     Limit,
     SettingsDep,
     StoreDep,
+    cursor_of,
 )
-from service.errors import invalid, problems
+from service.errors import BODY_PROBLEMS, invalid, problems
 from service.idempotency import idempotency
 from service.settings import Settings
 from service.uploads import Upload, UploadBody, read_arrays, to_capture
@@ -29,10 +31,13 @@ router = APIRouter(prefix="/datasets", tags=["datasets"])
 
 CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d"})
 DESCRIPTION_ARRAYS = frozenset({"keypoint_names", "edges", "image_sizes"})
+MAX_LISTED = 10_000  # values of an array that describes
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 KeypointName = Annotated[str, Field(min_length=1, max_length=100)]
 Edge = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
+MAX_METADATA = 64 * 1024
+
 ImageSize = Annotated[
     list[Annotated[int, Field(ge=1, le=100_000)]], Field(min_length=2, max_length=2)
 ]
@@ -79,11 +84,16 @@ class DatasetDescription(BaseModel):
         {}, description="Anything of yours, kept and given back; 64 KiB of JSON at most."
     )
 
-    @model_validator(mode="after")
-    def _bounded(self) -> Self:
-        if len(self.model_dump_json(include={"metadata"})) > 64 * 1024:
-            raise ValueError("metadata may have 64 KiB of JSON at most")
-        return self
+    @field_validator("metadata")
+    @classmethod
+    def _bounded(cls, value: dict[str, JsonValue]) -> dict[str, JsonValue]:
+        try:
+            size = len(orjson.dumps(value))
+        except orjson.JSONEncodeError as error:  # nested too deeply, integers beyond 64 bits
+            raise ValueError(f"expected JSON that can be given back: {error}") from error
+        if size > MAX_METADATA:
+            raise ValueError(f"expected {MAX_METADATA} bytes of JSON at most, got {size}")
+        return value
 
     def describe(self, capture: Capture) -> Description:
         """Return the description, checked against the capture it describes."""
@@ -207,6 +217,8 @@ class Dataset(BaseModel):
 class DatasetPage(BaseModel):
     """Datasets, newest first."""
 
+    model_config = page_of(Dataset)
+
     items: list[Dataset]
     next_cursor: str | None
 
@@ -218,11 +230,11 @@ def _read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Cap
         return capture, body.describe(capture)
     found = read_arrays(upload, settings, CAPTURE_ARRAYS | DESCRIPTION_ARRAYS)
     said: dict[str, Any] = {"name": name} if name is not None else {}
-    skeleton = {key: found[key].tolist() for key in ("keypoint_names", "edges") if key in found}
+    skeleton = {key: _listed(found, key) for key in ("keypoint_names", "edges") if key in found}
     if skeleton:
         said["skeleton"] = skeleton
     if "image_sizes" in found:
-        said["image_sizes"] = found["image_sizes"].tolist()
+        said["image_sizes"] = _listed(found, "image_sizes")
     description = upload.form(DatasetDescription, said)
     capture = to_capture(
         _required(found), found.get("confidence"), found.get("points3d"), settings=settings
@@ -240,7 +252,13 @@ def _read_frames(upload: Upload, settings: Settings) -> Capture:
     )
 
 
-def _required(found: dict[str, np.ndarray[Any, Any]]) -> np.ndarray[Any, Any]:
+def _listed(found: Arrays, name: str) -> Any:
+    if found[name].size > MAX_LISTED:
+        raise invalid(f"/{name}", f"expected {MAX_LISTED} values at most, got {found[name].size}")
+    return found[name].tolist()
+
+
+def _required(found: Arrays) -> np.ndarray[Any, Any]:
     if "keypoints" not in found:
         raise invalid(
             "/keypoints",
@@ -253,10 +271,8 @@ def _required(found: dict[str, np.ndarray[Any, Any]]) -> np.ndarray[Any, Any]:
 @router.post(
     "",
     status_code=status.HTTP_201_CREATED,
-    responses=problems(
-        "malformed_body", "body_too_large", "unsupported_media_type", "invalid_input"
-    ),
-    openapi_extra=binary_or_json(
+    responses=problems(*BODY_PROBLEMS, "idempotency_key_reused"),
+    openapi_extra=request_body(
         DatasetCreate,
         form=DatasetDescription,
         binary="An .npz or safetensors file with `keypoints` and optionally `confidence`, "
@@ -289,16 +305,9 @@ def create_dataset(
 
 @router.post(
     "/{dataset_id}/frames",
-    responses=problems(
-        "malformed_body",
-        "not_found",
-        "body_too_large",
-        "unsupported_media_type",
-        "invalid_input",
-    ),
-    openapi_extra=binary_or_json(
+    responses=problems(*BODY_PROBLEMS, "not_found", "idempotency_key_reused"),
+    openapi_extra=request_body(
         Frames,
-        form=None,
         binary="An .npz or safetensors file with `keypoints` and optionally `confidence` and "
         "`points3d`.",
     ),
@@ -325,8 +334,12 @@ def append_frames(
     return Dataset.of(record)
 
 
-@router.get("", responses=problems("invalid_input"))
-def list_datasets(store: StoreDep, limit: Limit = 50, cursor: Cursor = None) -> DatasetPage:
+@router.get("", responses=problems())
+def list_datasets(
+    store: StoreDep,
+    limit: Limit = 50,
+    cursor: Annotated[str | None, cursor_of("ds")] = None,
+) -> DatasetPage:
     """List datasets, newest first."""
     found = datasets.page(store, limit=limit + 1, after=cursor)
     return DatasetPage(

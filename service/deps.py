@@ -1,6 +1,6 @@
 """What endpoints ask for, as annotated dependencies."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Header, Path, Query, Request
 from rq import Queue
@@ -34,6 +34,14 @@ def get_engine(request: Request) -> Engine:
     return engine
 
 
+def cursor_of(prefix: str) -> Any:
+    """Return what a page's cursor may be: the identifier of a resource with this prefix."""
+    return Query(
+        pattern=f"^{prefix}_[0-9a-z]{{26}}$",
+        description="`next_cursor` of the page before; leave out for the first.",
+    )
+
+
 SettingsDep = Annotated[Settings, Depends(get_settings)]
 StoreDep = Annotated[Store, Depends(get_store)]
 QueueDep = Annotated[Queue, Depends(get_queue)]
@@ -50,8 +58,4 @@ IdempotencyHeader = Annotated[
     ),
 ]
 Limit = Annotated[int, Query(ge=1, le=200, description="Items on a page.")]
-Cursor = Annotated[
-    str | None,
-    Query(max_length=200, description="`next_cursor` of the page before; leave out for the first."),
-]
 Identifier = Annotated[str, Path(max_length=200)]

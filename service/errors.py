@@ -7,7 +7,6 @@ from typing import Any
 import redis.exceptions
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import ORJSONResponse
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
@@ -35,6 +34,9 @@ PROBLEMS = {
     "internal_error": (500, "Something went wrong inside"),
     "unavailable": (503, "A part of the service cannot be reached"),
 }
+
+# What can be wrong with a body that carries arrays.
+BODY_PROBLEMS = ("malformed_body", "body_too_large", "unsupported_media_type")
 
 
 class FieldError(BaseModel):
@@ -110,9 +112,7 @@ class ApiError(Exception):
             detail=self.detail,
             errors=[FieldError(pointer=pointer, detail=detail) for pointer, detail in self.errors],
         )
-        return ORJSONResponse(
-            problem.model_dump(), status, headers=self.headers, media_type=PROBLEM_JSON
-        )
+        return Response(problem.model_dump_json(), status, self.headers, PROBLEM_JSON)
 
 
 def invalid(pointer: str, detail: str) -> ApiError:
@@ -126,9 +126,9 @@ def from_validation(error: ValidationError | RequestValidationError) -> ApiError
     """Return the errors that pydantic found, each with a pointer to its field."""
     found = []
     for item in error.errors():
-        place = [str(part) for part in item["loc"]]
-        if isinstance(error, RequestValidationError):  # body, query, path, header come first
-            place = place[1:] if place[0] == "body" else place[-1:]
+        place = [str(part).replace("~", "~0").replace("/", "~1") for part in item["loc"]]
+        if isinstance(error, RequestValidationError):  # query, path or header comes first
+            place = place[1:]
         message = item["msg"].removeprefix("Value error, ")
         found.append(("/" + "/".join(place) if place else "", message))
     summary = "; ".join(f"{pointer.lstrip('/') or 'body'}: {text}" for pointer, text in found[:5])
@@ -136,9 +136,12 @@ def from_validation(error: ValidationError | RequestValidationError) -> ApiError
 
 
 def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
-    """Return the OpenAPI responses of an operation that can end in these problems."""
+    """Return the OpenAPI responses of an operation that can end in these problems.
+
+    All can end in ``invalid_input`` (of a parameter at least), ``internal_error``, ``unavailable``.
+    """
     described: dict[int | str, dict[str, Any]] = {}
-    for code in (*codes, "internal_error"):
+    for code in dict.fromkeys((*codes, "invalid_input", "internal_error", "unavailable")):
         status, title = PROBLEMS[code]
         entry = described.setdefault(
             status,
@@ -186,10 +189,10 @@ def install(app: FastAPI) -> None:
         return ApiError(code, str(error.detail), headers=dict(error.headers or {})).response()
 
     @app.exception_handler(OperationalError)
-    @app.exception_handler(redis.exceptions.ConnectionError)
+    @app.exception_handler(redis.exceptions.RedisError)
     async def on_outage(_request: Request, error: Exception) -> Response:
         logger.error("Unavailable: %s", error)
-        part = "queue" if isinstance(error, redis.exceptions.ConnectionError) else "records"
+        part = "queue" if isinstance(error, redis.exceptions.RedisError) else "records"
         return ApiError(
             "unavailable",
             f"The {part} cannot be reached at the moment; try again shortly.",

@@ -5,7 +5,7 @@ import logging
 from collections.abc import AsyncIterator
 from contextlib import suppress
 from datetime import datetime
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import redis.exceptions
 from fastapi import APIRouter, Depends, Header, Query, Request, Response, status
@@ -15,21 +15,24 @@ from pydantic import BaseModel, ConfigDict, Field
 from safetensors.numpy import load
 
 from models.config import FitConfig
+from service.bodies import page_of, request_body
 from service.datasets import Name
 from service.deps import (
-    Cursor,
     IdempotencyHeader,
     Identifier,
     Limit,
     QueueDep,
     SettingsDep,
     StoreDep,
+    cursor_of,
 )
-from service.errors import ApiError, problems
+from service.errors import BODY_PROBLEMS, ApiError, problems
 from service.idempotency import idempotency
 from service.representations import FormatQuery, arrays_response, binary_responses
-from service.wire import LiftedFrame
+from service.uploads import UploadBody
+from service.wire import LIFTED_FRAME, LiftedFrame
 from store import fits, records
+from store.errors import NotFoundError
 from worker.queue import enqueue
 
 router = APIRouter(prefix="/fits", tags=["fits"])
@@ -118,7 +121,10 @@ class Fit(BaseModel):
     status: Status
     dataset_id: str
     frames: int = Field(description="Frames the dataset had when the fit was made: those it sees.")
-    config: dict[str, Any] = Field(description="With defaults filled in; see `FitConfig`.")
+    config: FitConfig | None = Field(
+        description="With defaults filled in; null if the job that asked for the fit had none that "
+        "is valid."
+    )
     job_id: str = Field(description="The job that carries this fit on the queue.")
     attempt: int = Field(description="How often it was started; more than once after a crash.")
     cancel_requested: bool
@@ -139,7 +145,7 @@ class Fit(BaseModel):
                 "status": record.status,
                 "dataset_id": record.dataset_id,
                 "frames": record.frames,
-                "config": record.config,
+                "config": record.config or None,
                 "job_id": record.job_id,
                 "attempt": record.attempt,
                 "cancel_requested": record.cancel_requested_at is not None,
@@ -156,12 +162,25 @@ class Fit(BaseModel):
 class FitPage(BaseModel):
     """Fits, newest first."""
 
+    model_config = page_of(Fit)
+
     items: list[Fit]
     next_cursor: str | None
 
 
 class Reconstruction(BaseModel):
     """Every frame of the fitted dataset, lifted by the fit's own model."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "fit_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
+                "model_id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
+                "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                "frames": [LIFTED_FRAME],
+            }
+        }
+    )
 
     fit_id: str
     model_id: str | None
@@ -180,10 +199,11 @@ FitDep = Annotated[records.Fit, Depends(find_fit)]
 @router.post(
     "",
     status_code=status.HTTP_202_ACCEPTED,
-    responses=problems("malformed_body", "not_found", "invalid_input", "too_many_fits"),
+    responses=problems(*BODY_PROBLEMS, "not_found", "idempotency_key_reused", "too_many_fits"),
+    openapi_extra=request_body(FitCreate),
 )
 def create_fit(
-    body: FitCreate,
+    upload: UploadBody,
     store: StoreDep,
     queue: QueueDep,
     settings: SettingsDep,
@@ -196,6 +216,7 @@ def create_fit(
     The fit is recorded before it is queued: if the queue is away, it is queued as soon as a worker
     and the queue are back.
     """
+    body = upload.json(FitCreate)
     if len(fits.page(store, limit=settings.max_queued_fits, after=None, status="queued")) >= (
         settings.max_queued_fits
     ):
@@ -209,7 +230,7 @@ def create_fit(
         dataset_id=body.dataset_id,
         name=body.name,
         config=body.config.model_dump(mode="json"),
-        idempotency=idempotency(request, idempotency_key, body.model_dump_json()),
+        idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )
     if record.status == "queued":
         try:
@@ -220,11 +241,11 @@ def create_fit(
     return Fit.of(record)
 
 
-@router.get("", responses=problems("invalid_input"))
+@router.get("", responses=problems())
 def list_fits(
     store: StoreDep,
     limit: Limit = 50,
-    cursor: Cursor = None,
+    cursor: Annotated[str | None, cursor_of("fit")] = None,
     status: Annotated[Status | None, Query()] = None,
     dataset_id: Annotated[str | None, Query(max_length=200)] = None,
     job_id: Annotated[str | None, Query(max_length=200)] = None,
@@ -299,7 +320,10 @@ async def stream_fit_events(
         if ended:
             return
         await asyncio.sleep(POLL_SECONDS)
-        fit = await run_in_threadpool(fits.get, store, fit.id)
+        try:
+            fit = await run_in_threadpool(fits.get, store, fit.id)
+        except NotFoundError:  # it ended and was deleted since
+            return
 
 
 @router.get(

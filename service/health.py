@@ -7,7 +7,7 @@ from typing import Literal
 import redis.exceptions
 from fastapi import APIRouter
 from obstore.exceptions import BaseError as ObjectStoreError
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict, Field
 from rq import Worker
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -19,6 +19,8 @@ router = APIRouter(prefix="/health", tags=["health"])
 
 class Liveness(BaseModel):
     """The process answers."""
+
+    model_config = ConfigDict(json_schema_extra={"example": {"status": "ok"}})
 
     status: Literal["ok"] = "ok"
 
@@ -33,11 +35,23 @@ class Check(BaseModel):
 class Readiness(BaseModel):
     """Every part was reached."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "status": "ok",
+                "queue": {"status": "ok", "milliseconds": 0.3},
+                "records": {"status": "ok", "milliseconds": 0.5},
+                "objects": {"status": "ok", "milliseconds": 1.2},
+                "workers": 1,
+            }
+        }
+    )
+
     status: Literal["ok"] = "ok"
     queue: Check
     records: Check
     objects: Check
-    workers: int
+    workers: int = Field(description="Workers on the queue, here or elsewhere.")
 
 
 @router.get("/live")

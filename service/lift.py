@@ -9,12 +9,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
 from models.fitted import Lift as LiftArrays
-from service.bodies import binary_or_json
+from service.bodies import request_body
 from service.deps import EngineDep, SettingsDep
-from service.errors import invalid, problems
+from service.errors import BODY_PROBLEMS, invalid, problems
 from service.representations import FormatQuery, arrays_response, binary_responses
 from service.uploads import Upload, UploadBody, read_arrays, to_capture
-from service.wire import CONFIDENCE, KEYPOINTS, LiftedFrame
+from service.wire import CONFIDENCE, KEYPOINTS, LIFTED_FRAME, LiftedFrame
 
 router = APIRouter(tags=["lift"])
 
@@ -49,6 +49,12 @@ class LiftRequest(BaseModel):
 class Lift(BaseModel):
     """Lifted frames, in the order they came."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {"model": "mdl_01m7ysqde9xx2qq81h8t3gh6xr", "frames": [LIFTED_FRAME]}
+        }
+    )
+
     model: str
     frames: list[LiftedFrame]
 
@@ -76,18 +82,10 @@ def _read(upload: Upload, model: str | None, settings: SettingsDep) -> tuple[str
     "/lift",
     operation_id="lift",
     response_model=Lift,
-    responses=problems(
-        "malformed_body",
-        "not_found",
-        "not_acceptable",
-        "body_too_large",
-        "unsupported_media_type",
-        "invalid_input",
-    )
+    responses=problems(*BODY_PROBLEMS, "not_found", "not_acceptable")
     | binary_responses("The lifted frames."),
-    openapi_extra=binary_or_json(
+    openapi_extra=request_body(
         LiftRequest,
-        form=None,
         binary="A safetensors or .npz file with `frames` (frames, views, keypoints, 2) and "
         "optionally `confidence`; the model is named in the query.",
     ),

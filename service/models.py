@@ -1,7 +1,7 @@
 """Models: fitted priors, to read, download, import and delete."""
 
 from datetime import datetime
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 from fastapi import APIRouter, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from models.config import FitConfig
 from models.fitted import FittedPrior
 from models.weights import WeightsError
-from service.bodies import binary_or_json
+from service.bodies import page_of, request_body
 from service.datasets import Name, Skeleton
-from service.deps import Cursor, IdempotencyHeader, Identifier, Limit, StoreDep
-from service.errors import ApiError, problems
+from service.deps import IdempotencyHeader, Identifier, Limit, StoreDep, cursor_of
+from service.errors import BODY_PROBLEMS, ApiError, problems
 from service.idempotency import idempotency
 from service.representations import binary_responses, bytes_response
 from service.uploads import UploadBody
@@ -110,6 +110,8 @@ class Model(BaseModel):
 class ModelPage(BaseModel):
     """Models, newest first."""
 
+    model_config = page_of(Model)
+
     items: list[Model]
     next_cursor: str | None
 
@@ -123,8 +125,12 @@ class ModelImport(BaseModel):
     skeleton: Skeleton | None = None
 
 
-@router.get("", responses=problems("invalid_input"))
-def list_models(store: StoreDep, limit: Limit = 50, cursor: Cursor = None) -> ModelPage:
+@router.get("", responses=problems())
+def list_models(
+    store: StoreDep,
+    limit: Limit = 50,
+    cursor: Annotated[str | None, cursor_of("mdl")] = None,
+) -> ModelPage:
     """List models, newest first."""
     found = models.page(store, limit=limit + 1, after=cursor)
     return ModelPage(
@@ -160,11 +166,9 @@ def download_weights(model_id: Identifier, store: StoreDep, request: Request) ->
 @router.post(
     "",
     status_code=status.HTTP_201_CREATED,
-    responses=problems(
-        "malformed_body", "body_too_large", "unsupported_media_type", "invalid_input"
-    ),
-    openapi_extra=binary_or_json(
-        None, form=ModelImport, binary="Weights as `GET /models/{id}/weights` gives them."
+    responses=problems(*BODY_PROBLEMS, "idempotency_key_reused"),
+    openapi_extra=request_body(
+        form=ModelImport, binary="Weights as `GET /models/{id}/weights` gives them."
     ),
 )
 def import_model(

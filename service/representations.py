@@ -1,6 +1,7 @@
 """Responses that carry arrays: JSON, safetensors or npz, whole or a range of them."""
 
 import hashlib
+import re
 from typing import Annotated, Any, Literal
 
 import orjson
@@ -146,11 +147,10 @@ def _parse_range(header: str, size: int) -> tuple[int, int] | None:
     ApiError
         416 for a range beyond the end.
     """
-    unit, _, spec = header.partition("=")
-    first, dash, last = spec.strip().partition("-")
-    numeric = all(part == "" or part.isdigit() for part in (first, last))
-    if unit.strip() != "bytes" or not dash or not numeric or (first == last == ""):
-        return None  # several ranges, or another unit
+    one_range = re.fullmatch(r"bytes=\s*([0-9]{0,18})-([0-9]{0,18})\s*", header)
+    first, last = one_range.groups() if one_range else ("", "")
+    if first == last == "":
+        return None  # several ranges, another unit, or no range at all
     if first == "":
         start, end = max(0, size - int(last)), size
     else:

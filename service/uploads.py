@@ -7,6 +7,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 import orjson
 from fastapi import Depends, Request
+from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 from starlette.datastructures import UploadFile
 
@@ -26,6 +27,7 @@ BINARY_TYPES = (
     "application/zip",
 )
 POINT_AXES = ("frames", "views", "keypoints", "x y")
+TRUTH_AXES = ("frames", "keypoints", "x y z")
 
 
 @dataclass(frozen=True)
@@ -55,8 +57,10 @@ class Upload:
 
     def json(self, model: type[Body]) -> Body:
         """Return the JSON body as ``model``."""
+        if not self.is_json:
+            raise ApiError("unsupported_media_type", "expected Content-Type application/json")
         try:
-            return model.model_validate(orjson.loads(self.data or b"null"))
+            return model.model_validate(orjson.loads(self.data))
         except orjson.JSONDecodeError as error:
             raise ApiError(
                 "malformed_body",
@@ -98,16 +102,17 @@ async def read_upload(request: Request) -> Upload:
     if media_type in BINARY_TYPES:
         return Upload(await request.body(), is_json=False)
     if media_type == "application/json" or media_type.endswith("+json"):
-        body = bytearray()
+        pieces, size = [], 0
         async for piece in request.stream():
-            body += piece
-            if len(body) > settings.max_json_bytes:
+            pieces.append(piece)
+            size += len(piece)
+            if size > settings.max_json_bytes:
                 raise ApiError(
                     "body_too_large",
                     f"JSON bodies may have {settings.max_json_bytes} bytes at most. Send "
                     "safetensors or npz (application/octet-stream), or the frames in parts.",
                 )
-        return Upload(bytes(body), is_json=True)
+        return Upload(b"".join(pieces), is_json=True)
     raise ApiError(
         "unsupported_media_type",
         f"expected Content-Type application/json, application/octet-stream (npz or safetensors) "
@@ -129,27 +134,22 @@ def to_capture(
 ) -> Capture:
     """Check nested lists or arrays against the limits and return the capture they make."""
     sizes = (None, None, expected_keypoints, 2)
+    limit = settings.max_body_bytes
     try:
-        pixels = _array(keypoints, keypoints_field, POINT_AXES, sizes)
+        pixels = _array(keypoints, keypoints_field, POINT_AXES, sizes, limit)
         shape = pixels.shape
-        for axis, count, limit in zip(
-            POINT_AXES,
-            shape,
-            (settings.max_frames, settings.max_views, settings.max_keypoints),
-            strict=False,
-        ):
-            if count > limit:
-                raise CaptureError("keypoints", f"expected at most {limit} {axis}, got {count}")
+        most = (settings.max_frames, settings.max_views, settings.max_keypoints)
+        for axis, count, allowed in zip(POINT_AXES, shape, most, strict=False):
+            if count > allowed:
+                raise CaptureError("keypoints", f"expected at most {allowed} {axis}, got {count}")
         return Capture.checked(
             pixels,
             None
             if confidence is None
-            else _array(confidence, "confidence", POINT_AXES[:3], shape[:3]),
+            else _array(confidence, "confidence", POINT_AXES[:3], shape[:3], limit),
             None
             if points3d is None
-            else _array(
-                points3d, "points3d", ("frames", "keypoints", "x y z"), (shape[0], shape[2], 3)
-            ),
+            else _array(points3d, "points3d", TRUTH_AXES, (shape[0], shape[2], 3), limit),
         )
     except CaptureError as error:
         name = keypoints_field if error.field == "keypoints" else error.field
@@ -169,10 +169,17 @@ def read_arrays(upload: Upload, settings: Settings, allowed: frozenset[str]) -> 
 
 
 def _array(
-    value: object, name: str, axes: tuple[str, ...], sizes: tuple[int | None, ...]
-) -> np.ndarray[Any, np.dtype[Any]]:
+    value: object,
+    name: str,
+    axes: tuple[str, ...],
+    sizes: tuple[int | None, ...],
+    max_bytes: int,
+) -> NDArray[np.float32]:
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in "iuf":
             raise invalid(f"/{name}", f"expected an array of numbers, got {value.dtype}")
-        return value
-    return arrays.from_nested(value, f"/{name}", axes=axes, sizes=sizes)
+        if value.ndim != len(axes):
+            raise invalid(f"/{name}", f"expected axes ({', '.join(axes)}), got shape {value.shape}")
+        with np.errstate(over="ignore"):  # what becomes infinite is refused with the infinite
+            return value.astype(np.float32)
+    return arrays.from_nested(value, f"/{name}", axes=axes, sizes=sizes, max_bytes=max_bytes)

@@ -61,27 +61,26 @@ class LiftedView(BaseModel):
     )
 
 
+LIFTED_FRAME: dict[str, Any] = {
+    "status": "ok",
+    "reason": None,
+    "points3d": [[0.1, -0.9, 0.0], [0.1, 0.3, 0.1], [-0.3, 0.2, 0.0], [0.1, 0.4, -0.1]],
+    "views": [
+        {
+            "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            "scale": 212.4,
+            "translation": [512.0, 388.5],
+            "reprojection_error": 1.8,
+        },
+        None,
+    ],
+}
+
+
 class LiftedFrame(BaseModel):
     """One frame, lifted."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "example": {
-                "status": "ok",
-                "reason": None,
-                "points3d": [[0.1, -0.9, 0.0], [0.1, 0.3, 0.1], [-0.2, 0.6, -0.1]],
-                "views": [
-                    {
-                        "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-                        "scale": 212.4,
-                        "translation": [512.0, 388.5],
-                        "reprojection_error": 1.8,
-                    },
-                    None,
-                ],
-            }
-        }
-    )
+    model_config = ConfigDict(json_schema_extra={"example": LIFTED_FRAME})
 
     status: Literal["ok", "too_few_keypoints"]
     reason: str | None = Field(description="Why there is no answer, if there is none.")

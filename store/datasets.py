@@ -34,6 +34,10 @@ def create(
 ) -> Dataset:
     """Store a capture as a new dataset, or return the one this request made before."""
     dataset_id = new_id("ds")
+    with store.reading() as session:  # before anything is stored in vain
+        earlier = replayed(session, idempotency)
+    if earlier is not None:
+        return get(store, earlier)
     key = _put_chunk(store, dataset_id, capture)
     with store.writing() as session:
         earlier = replayed(session, idempotency)
@@ -91,6 +95,9 @@ def append(
     appended = False
     try:
         while not appended:
+            with store.reading() as session:
+                if replayed(session, idempotency) is not None:
+                    break
             dataset = get(store, dataset_id)
             if dataset.frames + capture.frames > max_frames:
                 raise CaptureError(

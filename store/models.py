@@ -32,6 +32,10 @@ def create(
     store: Store, weights: bytes, *, idempotency: Idempotency | None = None, **columns: Any
 ) -> Model:
     """Store imported weights as a model, or return the one this request made before."""
+    with store.reading() as session:  # before anything is stored in vain
+        earlier = replayed(session, idempotency)
+    if earlier is not None:
+        return get(store, earlier)
     model = new_record(store, weights, **columns)
     with store.writing() as session:
         earlier = replayed(session, idempotency)
