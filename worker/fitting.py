@@ -2,16 +2,13 @@
 
 import logging
 import math
-import signal
-import threading
 import time
 from dataclasses import asdict
-from types import FrameType, TracebackType
 from typing import Any
 
 import numpy as np
+import torch
 from safetensors.numpy import save
-from sqlalchemy.exc import SQLAlchemyError
 
 from models.config import FitConfig
 from models.fitted import FittedPrior, Lift
@@ -23,30 +20,24 @@ from store.capture import Capture
 from store.database import Store
 from store.errors import LeaseLostError, NotFoundError
 from store.fits import Attempt
+from worker.pulse import Pulse
 from worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
 
-BEAT_SECONDS = 0.25
 CHECKPOINT_SHARE = 20  # checkpoints may take a twentieth of the time, however large they are
 
 
-def run_attempt(store: Store, attempt: Attempt, settings: WorkerSettings) -> None:
+def run_attempt(store: Store, pulse: Pulse, settings: WorkerSettings) -> None:
     """Run a claimed fit until it succeeds, fails, is cancelled, or this process must leave.
 
-    SIGTERM means leave: checkpoint, give the fit back to the queue, return. The outcome is in the
-    fit's record. Whatever else ends the attempt is recorded as a failure and raised again, RQ's
-    own timeout included.
+    The outcome is in the fit's record. Whatever else ends the attempt is recorded as a failure and
+    raised again, RQ's own timeout included.
     """
-    leave = threading.Event()
-
-    def on_sigterm(_signum: int, _frame: FrameType | None) -> None:
-        leave.set()
-
-    previous = signal.signal(signal.SIGTERM, on_sigterm)
+    attempt = pulse.attempt
+    torch.set_num_threads(settings.fit_threads)
     try:
-        with _Pulse(store, attempt) as pulse:
-            _run(store, attempt, settings, pulse, leave)
+        _run(store, pulse, settings)
     except LeaseLostError:
         logger.warning("Fit %s is no longer ours: leaving it alone", attempt.fit_id)
     except NotFoundError as error:
@@ -57,56 +48,10 @@ def run_attempt(store: Store, attempt: Attempt, settings: WorkerSettings) -> Non
     except BaseException as error:
         _fail(store, attempt, "internal_error", f"{type(error).__name__}: {error}"[:500])
         raise
-    finally:
-        signal.signal(signal.SIGTERM, previous)
 
 
-class _Pulse:
-    """Keeps the lease and publishes progress from a thread, while steps may take seconds."""
-
-    def __init__(self, store: Store, attempt: Attempt) -> None:
-        self.progress: dict[str, Any] | None = None
-        self.cancel = self.lost = False
-        self._store, self._attempt = store, attempt
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._beat, name="pulse", daemon=True)
-
-    def __enter__(self) -> "_Pulse":
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stop.set()
-        self._thread.join()
-
-    def _beat(self) -> None:
-        published = None
-        while not self._stop.wait(BEAT_SECONDS):
-            progress = self.progress
-            try:
-                self.cancel = fits.beat(
-                    self._store, self._attempt, None if progress is published else progress
-                )
-                published = progress
-            except LeaseLostError:
-                self.lost = True
-                return
-            except SQLAlchemyError:  # the lease outlives a short outage of the records
-                logger.exception("Could not publish progress")
-
-
-def _run(
-    store: Store,
-    attempt: Attempt,
-    settings: WorkerSettings,
-    pulse: _Pulse,
-    leave: threading.Event,
-) -> None:
+def _run(store: Store, pulse: Pulse, settings: WorkerSettings) -> None:
+    attempt = pulse.attempt
     started = time.monotonic()
     fit = fits.get(store, attempt.fit_id)
     config = FitConfig.model_validate(fit.config)
@@ -121,7 +66,7 @@ def _run(
         if pulse.cancel:
             fits.end(store, attempt, "cancelled")
             return
-        if leave.is_set():
+        if pulse.leave:
             fits.save_checkpoint(store, attempt, trainer.checkpoint())
             fits.release(store, attempt)
             return

@@ -7,6 +7,7 @@ from rq import get_current_job
 
 from store import fits
 from store.database import Store
+from worker.pulse import Pulse
 from worker.queue import FitJob
 from worker.reconciler import adopt
 from worker.settings import WorkerSettings
@@ -51,10 +52,11 @@ def fit(
             raise RuntimeError("The job's arguments are not plain data.")
         attempt = fits.claim(store, fit_id, lease_seconds=settings.lease_seconds)
         if attempt is not None:
-            from worker.fitting import run_attempt  # noqa: PLC0415 (loads torch: claim first)
-
             logger.info("Fit %s: attempt %d starts", fit_id, attempt.number)
-            run_attempt(store, attempt, settings)
+            with Pulse(store, attempt) as pulse:
+                from worker.fitting import run_attempt  # noqa: PLC0415 (torch takes seconds)
+
+                run_attempt(store, pulse, settings)
         record = fits.get(store, fit_id)
         logger.info("Fit %s: %s", fit_id, record.status)
     finally:

@@ -26,6 +26,13 @@ class WorkerSettings(StoreSettings):
         le=3600,
         description="Time between two checkpoints of a running fit.",
     )
+    fit_threads: int = Field(
+        1,
+        ge=1,
+        le=256,
+        description="Processor cores for one fit. Small dictionaries gain nothing from more, and "
+        "lose much where other processes want the cores; a fit's last digits depend on it.",
+    )
     max_fit_seconds: int = Field(
         6 * 3600, ge=1, le=7 * 24 * 3600, description="A fit that runs longer fails."
     )

@@ -1,0 +1,79 @@
+"""What a running attempt must keep doing, and what it must listen to."""
+
+import logging
+import signal
+import threading
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from store import fits
+from store.database import Store
+from store.errors import LeaseLostError
+from store.fits import Attempt
+
+logger = logging.getLogger(__name__)
+
+BEAT_SECONDS = 0.25
+
+
+class Pulse:
+    """Keeps an attempt's lease and publishes its progress, from a thread.
+
+    So the lease lives however long loading the libraries, or one step, may take.
+
+    Attributes
+    ----------
+    progress
+        To be published with the next beat.
+    cancel
+        The user asked to stop the fit.
+    leave
+        SIGTERM came: checkpoint, give the fit back to the queue, and go.
+    lost
+        The fit belongs to somebody else by now: do nothing more.
+    """
+
+    def __init__(self, store: Store, attempt: Attempt) -> None:
+        self.attempt = attempt
+        self.progress: dict[str, Any] | None = None
+        self.cancel = self.leave = self.lost = False
+        self._store = store
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._beat, name="pulse", daemon=True)
+
+    def __enter__(self) -> Self:
+        """Start beating, and take SIGTERM."""
+        self._previous = signal.signal(signal.SIGTERM, self._on_sigterm)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop beating."""
+        self._stop.set()
+        self._thread.join()
+        signal.signal(signal.SIGTERM, self._previous)
+
+    def _on_sigterm(self, _number: int, _frame: FrameType | None) -> None:
+        self.leave = True
+
+    def _beat(self) -> None:
+        published = None
+        while not self._stop.wait(BEAT_SECONDS):
+            progress = self.progress
+            try:
+                self.cancel = fits.beat(
+                    self._store, self.attempt, None if progress is published else progress
+                )
+                published = progress
+            except LeaseLostError:
+                self.lost = True
+                return
+            except SQLAlchemyError:  # the lease outlives a short outage of the records
+                logger.exception("Could not publish progress")
