@@ -2,11 +2,13 @@
 
 import io
 import zipfile
-from dataclasses import dataclass, replace
+import zlib
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
@@ -69,20 +71,12 @@ def read_capture(path: Path) -> Capture:
         If there is no such file, it is no ``.npz`` file, or its arrays do not fit together.
     """
     try:
-        loaded = np.load(path, allow_pickle=False)
+        with path.open("rb") as file:
+            return _checked(_read(file))
     except FileNotFoundError as error:
         raise CaptureError(f"there is no such file; {EXPECTED}") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise CaptureError(f"{reason or 'this is no .npz file'}; {EXPECTED}") from error
-    if not isinstance(loaded, np.lib.npyio.NpzFile):
-        raise CaptureError(f"this is a single array; {EXPECTED}")
-    with loaded:
-        if "keypoints" not in loaded:
-            came = ", ".join(loaded.files) or "no arrays"
-            raise CaptureError(f"the file holds {came}; {EXPECTED}")
-        found = {name: _read(loaded, name) for name in Capture.__annotations__ if name in loaded}
-    return _checked(found)
+    except OSError as error:
+        raise CaptureError(f"{error.strerror or error}; {EXPECTED}") from error
 
 
 def hold_out(capture: Capture, share: float, seed: int) -> tuple[Capture, Capture]:
@@ -98,12 +92,24 @@ def hold_out(capture: Capture, share: float, seed: int) -> tuple[Capture, Captur
     return capture.frames(seen), capture.frames(unseen)
 
 
-def _read(file: "np.lib.npyio.NpzFile", name: str) -> Array:
+def _read(file: IO[bytes]) -> dict[str, Array]:
+    """Read the arrays of a capture; nothing is ever unpickled."""
     try:
-        array: Array = file[name]
-    except (ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
-        raise CaptureError(f"`{name}` cannot be read ({error}); {EXPECTED}") from error
-    return array
+        loaded = np.load(file, allow_pickle=False)
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise CaptureError(f"this is no .npz file; {EXPECTED}") from error
+    if not isinstance(loaded, NpzFile):
+        raise CaptureError(f"this is a single array; {EXPECTED}")
+    if "keypoints" not in loaded:
+        came = ", ".join(loaded.files) or "no arrays"
+        raise CaptureError(f"the file holds {came}; {EXPECTED}")
+    found = {}
+    for name in (field.name for field in fields(Capture) if field.name in loaded):
+        try:
+            found[name] = loaded[name]
+        except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise CaptureError(f"`{name}` cannot be read ({error}); {EXPECTED}") from error
+    return found
 
 
 def _checked(found: dict[str, Array]) -> Capture:

@@ -149,7 +149,7 @@ def call(client: httpx2.Client, method: str, path: str, **request: Any) -> httpx
     problem = response.json()
     reasons = [f"{e['pointer']}: {e['detail']}" for e in problem.get("errors", [])]
     message = "; ".join(reasons) or problem.get("detail") or problem["title"]
-    if response.status_code == httpx2.codes.UNPROCESSABLE_ENTITY:
+    if response.status_code == httpx2.codes.UNPROCESSABLE_CONTENT:
         raise CaptureError(message)
     raise DemoError(f"{method} {path}: {message}")
 
@@ -344,7 +344,7 @@ class ProgressDisplay:
             disable=not console.is_terminal,
         )
         self._task = self._bar.add_task("waiting for a worker", total=None)
-        self._next_line = 0.0
+        self._next_line, self._printed = 0.0, -1
 
     def __enter__(self) -> "ProgressDisplay":
         self._bar.start()
@@ -364,9 +364,10 @@ class ProgressDisplay:
         text = f"step {step}/{steps}  loss {loss}  reprojection error {error} px  {left} s left"
         self._bar.update(self._task, completed=step, total=steps, description=text)
         ended = fit["finished_at"] is not None
-        if not console.is_terminal and (ended or time.monotonic() >= self._next_line):
+        due = step != self._printed and (ended or time.monotonic() >= self._next_line)
+        if due and not console.is_terminal:
             console.print(text, soft_wrap=True)
-            self._next_line = time.monotonic() + LINE_SECONDS
+            self._next_line, self._printed = time.monotonic() + LINE_SECONDS, step
 
 
 def show(figures: dict[str, Any]) -> None:
