@@ -10,6 +10,7 @@ import zlib
 from typing import IO, Any
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
@@ -99,8 +100,13 @@ def _from_npy(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
 
 
 def to_safetensors(arrays: Arrays, metadata: dict[str, str]) -> bytes:
-    """Return the arrays as safetensors bytes."""
-    return save({name: np.ascontiguousarray(a) for name, a in arrays.items()}, metadata)
+    """Return the arrays as safetensors bytes, the same for the same arrays and metadata."""
+    data = save({name: np.ascontiguousarray(a) for name, a in arrays.items()}, metadata)
+    # The library writes metadata in an order of chance; a download that is resumed needs one.
+    size = int.from_bytes(data[:8], "little")
+    header = orjson.dumps(orjson.loads(data[8 : 8 + size]), option=orjson.OPT_SORT_KEYS)
+    header += b" " * (-len(header) % 8)
+    return len(header).to_bytes(8, "little") + header + data[8 + size :]
 
 
 def to_npz(arrays: Arrays) -> bytes:

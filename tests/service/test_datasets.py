@@ -1,0 +1,207 @@
+"""Datasets: every way in gives the same capture."""
+
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+from starlette.testclient import TestClient
+
+from models.synthetic import SyntheticCapture
+from tests.service.conftest import (
+    BYTES,
+    JSON,
+    frames_of,
+    make_dataset,
+    nested,
+    problem,
+    to_npz,
+    to_safetensors,
+)
+
+
+@pytest.fixture(scope="session")
+def arrays(capture: SyntheticCapture) -> dict[str, np.ndarray[Any, Any]]:
+    points3d = capture.points3d.copy()
+    points3d[2] = np.nan
+    points3d[3, 4] = np.nan
+    return {
+        "keypoints": capture.keypoints,
+        "confidence": capture.confidence,
+        "points3d": points3d,
+    }
+
+
+@pytest.fixture(scope="session")
+def description(capture: SyntheticCapture) -> dict[str, Any]:
+    return {
+        "name": "a figure",
+        "skeleton": {
+            "keypoint_names": list(capture.keypoint_names),
+            "edges": [list(edge) for edge in capture.edges],
+        },
+        "image_sizes": [[1280, 1024], None, [640, 480]],
+        "metadata": {"subject": {"code": "M7", "sessions": [1, 2]}},
+    }
+
+
+@pytest.fixture(scope="session")
+def reference(
+    api: TestClient, arrays: dict[str, np.ndarray[Any, Any]], description: dict[str, Any]
+) -> dict[str, Any]:
+    """The capture as JSON, null wherever something was not observed."""
+    body = {
+        **description,
+        "keypoints": frames_of(arrays["keypoints"]),
+        "confidence": arrays["confidence"].tolist(),
+        "points3d": [nested(frame) for frame in arrays["points3d"]],
+    }
+    response = api.post("/datasets", content=orjson.dumps(body), headers=JSON)
+    assert response.status_code == 201, response.text
+    made: dict[str, Any] = response.json()
+    assert response.headers["Location"] == f"/datasets/{made['id']}"
+    return made
+
+
+def test_a_dataset_is_described(
+    api: TestClient,
+    reference: dict[str, Any],
+    capture: SyntheticCapture,
+    description: dict[str, Any],
+) -> None:
+    found = api.get(f"/datasets/{reference['id']}")
+    assert found.status_code == 200
+    assert found.json() == reference
+    assert reference.items() >= description.items()
+    assert [reference[name] for name in ("frames", "views", "keypoints")] == [60, 3, 16]
+    assert reference["has_ground_truth"] is True
+    missing = np.isnan(capture.keypoints[..., 0]).mean((0, 2))
+    assert 0 < missing.min() < missing.max()
+    np.testing.assert_allclose(reference["missing_fraction"], missing, atol=1e-6)
+
+
+@pytest.mark.parametrize("encode", [to_npz, to_safetensors])
+def test_files_are_the_same_capture(
+    api: TestClient,
+    reference: dict[str, Any],
+    arrays: dict[str, np.ndarray[Any, Any]],
+    encode: Any,
+) -> None:
+    response = api.post("/datasets?name=bytes", content=encode(**arrays), headers=BYTES)
+    assert response.status_code == 201, response.text
+    assert response.json()["name"] == "bytes"
+    for field in ("checksum", "frames", "views", "keypoints", "missing_fraction"):
+        assert response.json()[field] == reference[field]
+
+
+def test_a_form_is_the_same_capture(
+    api: TestClient,
+    reference: dict[str, Any],
+    arrays: dict[str, np.ndarray[Any, Any]],
+    description: dict[str, Any],
+) -> None:
+    fields = {
+        name: value if isinstance(value, str) else orjson.dumps(value).decode()
+        for name, value in description.items()
+    }
+    response = api.post("/datasets", data=fields, files={"file": ("c.npz", to_npz(**arrays))})
+    assert response.status_code == 201, response.text
+    apart = {"id": None, "created_at": None}
+    assert response.json() | apart == reference | apart
+
+
+def test_npz_holds_the_description_too(api: TestClient, capture: SyntheticCapture) -> None:
+    data = to_npz(
+        keypoints=capture.keypoints.astype(">f8"),
+        keypoint_names=np.array(capture.keypoint_names),
+        edges=np.array(capture.edges),
+        image_sizes=np.array(capture.image_sizes),
+    )
+    found = api.post("/datasets", content=data, headers={"Content-Type": "application/x-npz"})
+    assert found.status_code == 201, found.text
+    assert found.json()["skeleton"]["keypoint_names"] == list(capture.keypoint_names)
+    assert found.json()["skeleton"]["edges"] == [list(edge) for edge in capture.edges]
+    assert found.json()["image_sizes"] == [[1280, 1024]] * 3
+
+
+@pytest.mark.parametrize("cuts", [[1], [7, 8, 40]])
+def test_a_streamed_capture_has_the_same_checksum(
+    api: TestClient,
+    reference: dict[str, Any],
+    arrays: dict[str, np.ndarray[Any, Any]],
+    cuts: list[int],
+) -> None:
+    parts = [
+        {name: array[start:end] for name, array in arrays.items()}
+        for start, end in zip([0, *cuts], [*cuts, 60], strict=True)
+    ]
+    url = "/datasets"
+    for number, part in enumerate(parts):
+        if number % 2:
+            body = {
+                "keypoints": frames_of(part["keypoints"]),
+                "confidence": part["confidence"].tolist(),
+                "points3d": [nested(frame) for frame in part["points3d"]],
+            }
+            response = api.post(url, content=orjson.dumps(body), headers=JSON)
+        else:
+            response = api.post(url, content=to_safetensors(**part), headers=BYTES)
+        assert response.status_code == (200 if number else 201), response.text
+        url = f"/datasets/{response.json()['id']}/frames"
+    for field in ("checksum", "frames", "missing_fraction", "has_ground_truth"):
+        assert response.json()[field] == reference[field]
+
+
+def test_frames_must_suit_the_dataset(api: TestClient) -> None:
+    made = make_dataset(api)
+    url = f"/datasets/{made['id']}/frames"
+    other = np.zeros((1, 3, 16, 2), np.float32)
+    detail = problem(
+        api.post(url, content=to_npz(keypoints=other), headers=BYTES),
+        422,
+        "invalid_input",
+        "/keypoints",
+    )
+    assert "2 views of 16 keypoints" in detail
+    full = np.zeros((400, 2, 16, 2), np.float32)
+    assert api.post(url, content=to_npz(keypoints=full), headers=BYTES).status_code == 200
+    detail = problem(
+        api.post(url, content=to_npz(keypoints=full), headers=BYTES), 422, "invalid_input"
+    )
+    assert "at most 500 frames" in detail
+    assert api.get(f"/datasets/{made['id']}").json()["frames"] == 406
+
+
+def test_pages_lose_and_double_nothing(api: TestClient) -> None:
+    made = [make_dataset(api, frames=1, seed=n)["id"] for n in range(7)]
+    seen: list[str] = []
+    cursor, pages = "", 0
+    while cursor is not None:
+        page = api.get(f"/datasets?limit=3{cursor and f'&cursor={cursor}'}").json()
+        seen += [item["id"] for item in page["items"]]
+        cursor, pages = page["next_cursor"], pages + 1
+        if pages == 1:  # neither a newer dataset nor the loss of the last one seen disturbs
+            made.append(make_dataset(api, frames=1)["id"])
+            assert api.delete(f"/datasets/{cursor}").status_code == 204
+    assert pages >= 3
+    assert len(seen) == len(set(seen))
+    assert seen == sorted(seen, reverse=True)
+    assert set(made[:7]) <= set(seen)
+
+
+def test_a_deleted_dataset_is_gone(api: TestClient) -> None:
+    url = f"/datasets/{make_dataset(api)['id']}"
+    assert api.delete(url).status_code == 204
+    frames = to_npz(keypoints=np.zeros((1, 2, 16, 2)))
+    problem(api.get(url), 404, "not_found")
+    problem(api.delete(url), 404, "not_found")
+    problem(api.post(f"{url}/frames", content=frames, headers=BYTES), 404, "not_found")
+    problem(api.post("/fits", json={"dataset_id": url.rsplit("/", maxsplit=1)[-1]}), 404, "not_found")
+
+
+def test_a_dataset_in_use_stays(api: TestClient) -> None:
+    made = make_dataset(api)
+    fit = api.post("/fits", json={"dataset_id": made["id"]}).json()
+    assert fit["id"] in problem(api.delete(f"/datasets/{made['id']}"), 409, "conflict")
+    assert api.post(f"/fits/{fit['id']}/cancel").json()["status"] == "cancelled"
+    assert api.delete(f"/datasets/{made['id']}").status_code == 204

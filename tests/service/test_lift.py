@@ -1,0 +1,203 @@
+"""Lifting: the same numbers in every format, right to the last pixel."""
+
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+from safetensors.numpy import load
+from starlette.testclient import TestClient
+
+from models.fitted import FittedPrior
+from models.synthetic import SyntheticCapture
+from tests.service.conftest import BYTES, JSON, frames_of, problem, to_npz, to_safetensors
+
+Array = np.ndarray[Any, Any]
+
+
+def lift(api: TestClient, model: str, frames: Any, confidence: Any = None) -> list[Any]:
+    body = {"model": model, "frames": frames, "confidence": confidence}
+    response = api.post("/lift", content=orjson.dumps(body), headers=JSON)
+    assert response.status_code == 200, response.text
+    assert response.json()["model"] == model
+    answer: list[Any] = response.json()["frames"]
+    return answer
+
+
+def check_json(frames: list[Any], arrays: dict[str, Array]) -> None:
+    assert len(frames) == len(arrays["points3d"])
+    for n, frame in enumerate(frames):
+        if frame["status"] == "ok":
+            np.testing.assert_allclose(frame["points3d"], arrays["points3d"][n], rtol=1e-6)
+        else:
+            assert np.isnan(arrays["points3d"][n]).all()
+        for k, view in enumerate(frame["views"]):
+            for name, value in (
+                ("rotation", arrays["rotations"][n, k]),
+                ("scale", arrays["scales"][n, k]),
+                ("translation", arrays["translations"][n, k]),
+                ("reprojection_error", arrays["reprojection_errors"][n, k]),
+            ):
+                if view is None:
+                    assert np.isnan(value).all()
+                else:
+                    np.testing.assert_allclose(view[name], value, rtol=1e-6)
+
+
+@pytest.fixture(scope="session")
+def expected(weights: bytes, capture: SyntheticCapture) -> dict[str, Array]:
+    """What the library itself answers."""
+    found = FittedPrior.from_bytes(weights).lift(capture.keypoints, confidence=capture.confidence)
+    return {name: value for name, value in vars(found).items() if name != "status"}
+
+
+@pytest.mark.parametrize("sent", ["json", "npz", "safetensors", "form"])
+@pytest.mark.parametrize("asked", ["json", "npz", "safetensors"])
+def test_every_format_gives_the_numbers_of_the_library(
+    api: TestClient,
+    model: str,
+    capture: SyntheticCapture,
+    expected: dict[str, Array],
+    tmp_path: Any,
+    sent: str,
+    asked: str,
+) -> None:
+    url = f"/lift?model={model}&format={asked}"
+    arrays = {"frames": capture.keypoints, "confidence": capture.confidence}
+    if sent == "json":
+        body = {
+            "model": model,
+            "frames": frames_of(capture.keypoints),
+            "confidence": capture.confidence.tolist(),
+        }
+        response = api.post(url, content=orjson.dumps(body), headers=JSON)
+    elif sent == "form":
+        response = api.post(url, files={"file": ("f.npz", to_npz(**arrays))})
+    else:
+        encode = to_npz if sent == "npz" else to_safetensors
+        response = api.post(url, content=encode(**arrays), headers=BYTES)
+    assert response.status_code == 200, response.text
+    if asked == "json":
+        check_json(response.json()["frames"], expected)
+        return
+    if asked == "npz":
+        (tmp_path / "lift.npz").write_bytes(response.content)
+        with np.load(tmp_path / "lift.npz") as file:
+            found = {name: file[name] for name in file.files}
+    else:
+        found = load(response.content)
+    assert found.keys() == expected.keys()
+    for name, array in found.items():
+        np.testing.assert_allclose(array, expected[name], rtol=1e-6)
+
+
+def test_the_cameras_reproject_the_structure(
+    api: TestClient, model: str, capture: SyntheticCapture
+) -> None:
+    """W = s (R X)_xy + t, and the mean distance over what was observed."""
+    checked = 0
+    frames = lift(api, model, frames_of(capture.keypoints))
+    for frame, pixels in zip(frames, capture.keypoints.astype(np.float64), strict=True):
+        structure = np.array(frame["points3d"])
+        np.testing.assert_allclose(structure.mean(0), 0, atol=1e-4)
+        for camera, seen in zip(frame["views"], pixels, strict=True):
+            if camera is None:
+                continue
+            rotation = np.array(camera["rotation"])
+            np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+            assert np.linalg.det(rotation) == pytest.approx(1, abs=1e-4)
+            assert camera["scale"] > 0
+            image = camera["scale"] * (structure @ rotation.T)[:, :2] + camera["translation"]
+            error = np.nanmean(np.linalg.norm(image - seen, axis=-1))
+            assert error == pytest.approx(camera["reprojection_error"], rel=1e-3, abs=0.02)
+            checked += 1
+    assert checked == 60 * 3 - 1
+
+
+def test_a_frame_is_lifted_on_its_own(
+    api: TestClient, model: str, capture: SyntheticCapture
+) -> None:
+    frames = frames_of(capture.keypoints[:9])
+    together = lift(api, model, frames)
+    backwards = lift(api, model, frames[::-1])
+    for n, frame in enumerate(frames):
+        for other in (lift(api, model, [frame])[0], backwards[8 - n]):
+            np.testing.assert_allclose(
+                other["points3d"], together[n]["points3d"], rtol=1e-4, atol=1e-5
+            )
+            for a, b in zip(other["views"], together[n]["views"], strict=True):
+                assert (a is None) == (b is None)
+                if a is not None:
+                    np.testing.assert_allclose(a["translation"], b["translation"], rtol=1e-4)
+
+
+def test_frames_that_show_too_little_say_so(
+    api: TestClient, model: str, capture: SyntheticCapture
+) -> None:
+    good = frames_of(capture.keypoints[:1])[0]
+    few: list[Any] = [None] * 16
+    few[:3] = [[10.0, 20.0], [30.0, 5.0], [7.0, 50.0]]
+    same_place = [[5.0, 5.0]] * 16
+    half = [[None, 4.0]] * 16
+    for bad in (None, few, same_place, half, [None] * 16):
+        answers = lift(api, model, [good, [bad] * 3, [good[0], bad, None]])
+        assert [answer["status"] for answer in answers] == ["ok", "too_few_keypoints", "ok"]
+        assert answers[0]["reason"] is None
+        assert "4 keypoints" in answers[1]["reason"]
+        assert answers[1]["points3d"] is None
+        assert answers[1]["views"] == [None] * 3
+        assert answers[2]["views"][0] is not None
+        assert answers[2]["views"][1:] == [None, None]
+    only_nulls = lift(api, model, [[None, None]])
+    assert only_nulls[0]["status"] == "too_few_keypoints"
+
+
+@pytest.mark.parametrize("views", [[0], [2, 0], [1, 1, 1, 1]])
+def test_any_number_of_views(
+    api: TestClient, model: str, capture: SyntheticCapture, views: list[int]
+) -> None:
+    frames = lift(api, model, frames_of(capture.keypoints[:3, views]))
+    assert [frame["status"] for frame in frames] == ["ok"] * 3
+    assert all(len(frame["views"]) == len(views) for frame in frames)
+
+
+def test_confidence_counts(api: TestClient, model: str, capture: SyntheticCapture) -> None:
+    keypoints = capture.keypoints[:1].copy()
+    confidence = np.isfinite(keypoints[..., 0]).astype(float)
+    plain = lift(api, model, frames_of(keypoints))
+    assert lift(api, model, frames_of(keypoints), confidence.tolist()) == plain
+
+    hidden = keypoints.copy()
+    hidden[0, 0, 5] = np.nan
+    confidence[0, 0, 5] = 0
+    keypoints[0, 0, 5] = 9999
+    nulls: list[Any] = confidence.tolist()
+    nulls[0][0][5] = None
+    expected = lift(api, model, frames_of(hidden))
+    assert lift(api, model, frames_of(keypoints), confidence.tolist()) == expected
+    assert lift(api, model, frames_of(keypoints), nulls) == expected
+    assert expected != plain
+    weighted = lift(api, model, frames_of(capture.keypoints[:1]), (0.3 * confidence).tolist())
+    check = lift(api, model, frames_of(capture.keypoints[:1]), (confidence**2).tolist())
+    assert weighted[0]["status"] == check[0]["status"] == "ok"
+
+
+def test_other_keypoints_than_the_models_are_named(
+    api: TestClient, model: str, capture: SyntheticCapture
+) -> None:
+    frames = frames_of(capture.keypoints[:2, :, :12])
+    body = orjson.dumps({"model": model, "frames": frames})
+    detail = problem(api.post("/lift", content=body, headers=JSON), 422, "invalid_input", "/frames")
+    assert "expected 16 keypoints as in the model, got 12" in detail
+
+
+def test_files_need_the_model_in_the_query(api: TestClient, capture: SyntheticCapture) -> None:
+    data = to_npz(frames=capture.keypoints)
+    problem(api.post("/lift", content=data, headers=BYTES), 422, "invalid_input", "/model")
+    problem(api.post("/lift?model=mdl_no", content=data, headers=BYTES), 404, "not_found")
+    problem(
+        api.post("/lift?model=mdl_no", content=to_npz(confidence=np.ones(3)), headers=BYTES),
+        422,
+        "invalid_input",
+        "/frames",
+    )

@@ -1,0 +1,215 @@
+"""Models: their figures, their weights out and in again."""
+
+import io
+import pickle
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+from safetensors.numpy import load, save
+from starlette.testclient import TestClient
+
+from models.config import FitConfig
+from models.fitted import FittedPrior
+from models.metrics import pa_mpjpe, pck
+from models.synthetic import SyntheticCapture
+from service.engine import Engine
+from service.settings import Settings
+from store import models
+from store.database import Store
+from store.errors import NotFoundError
+from tests.service.conftest import (
+    BYTES,
+    CONFIG,
+    JSON,
+    Live,
+    frames_of,
+    make_dataset,
+    problem,
+    to_npz,
+    to_safetensors,
+)
+
+
+def lift(client: Any, model: str, capture: SyntheticCapture) -> Any:
+    body = {"model": model, "frames": frames_of(capture.keypoints[:5])}
+    return client.post("/lift", content=orjson.dumps(body), headers=JSON)
+
+
+def test_a_fitted_model_is_described(
+    live: Live, fitted: dict[str, Any], capture: SyntheticCapture
+) -> None:
+    found = live.get(f"/models/{fitted['model_id']}")
+    assert found["fit_id"] == fitted["id"]
+    assert found["dataset_id"] == fitted["dataset_id"]
+    assert found["config"] == fitted["config"]
+    assert [found[name] for name in ("frames", "views", "keypoints")] == [60, 3, 16]
+    steps = [point["step"] for point in found["training_curve"]]
+    assert steps == sorted(steps)
+    assert steps[-1] == CONFIG["steps"]
+    assert all(point["loss"] > 0 for point in found["training_curve"])
+
+    url = f"/fits/{fitted['id']}/reconstruction?format=safetensors"
+    arrays = load(live.http.get(url).content)
+    accuracy = pa_mpjpe(arrays["points3d"], capture.points3d)
+    assert found["pa_mpjpe"] == pytest.approx(accuracy.mean, rel=1e-6)
+    assert found["pck"] == pytest.approx(pck(accuracy, 0.2), rel=1e-6)
+    assert found["pck_threshold"] == 0.2
+    assert 0 < found["pa_mpjpe"] < 1
+    error = float(np.nanmean(arrays["reprojection_errors"]))
+    assert found["reprojection_error"] == pytest.approx(error, rel=1e-4)
+    assert found["frames_lifted"] == 60
+    assert found["id"] in [item["id"] for item in live.get("/models")["items"]]
+
+
+def test_without_truth_there_is_no_error(live: Live) -> None:
+    dataset = make_dataset(live.http, frames=30, name="no truth", skeleton={"edges": [[0, 1]]})
+    fit = live.finished(live.fit(dataset["id"], steps=5)["id"])
+    found = live.get(f"/models/{fit['model_id']}")
+    assert (found["pa_mpjpe"], found["pck"], found["pck_threshold"]) == (None, None, None)
+    assert found["reprojection_error"] > 0
+    assert found["skeleton"] == dataset["skeleton"]
+    # The model outlives its dataset and its fit.
+    assert live.http.delete(f"/datasets/{dataset['id']}").status_code == 204
+    assert live.http.delete(f"/fits/{fit['id']}").status_code == 204
+    found = live.get(f"/models/{fit['model_id']}")
+    assert found["fit_id"] is None
+
+
+def test_weights_travel(
+    live: Live, fitted: dict[str, Any], capture: SyntheticCapture, api: TestClient
+) -> None:
+    weights = live.http.get(f"/models/{fitted['model_id']}/weights")
+    assert weights.headers["content-type"] == "application/octet-stream"
+    assert fitted["model_id"] in weights.headers["content-disposition"]
+    described = live.get(f"/models/{fitted['model_id']}")
+    assert described["weights_bytes"] == len(weights.content)
+
+    answer = lift(live.http, fitted["model_id"], capture).json()["frames"]
+    form = {
+        "name": "travelled",
+        "skeleton": orjson.dumps({"edges": [[0, 1], [1, 2]]}).decode(),
+    }
+    for response in (
+        live.http.post("/models?name=travelled", content=weights.content, headers=BYTES),
+        api.post("/models", data=form, files={"file": ("w.safetensors", weights.content)}),
+    ):
+        assert response.status_code == 201, response.text
+        found = response.json()
+        assert response.headers["Location"] == f"/models/{found['id']}"
+        assert found["name"] == "travelled"
+        for field in ("config", "keypoints", "weights_checksum", "training_curve"):
+            assert found[field] == described[field]
+        assert found["fit_id"] is found["dataset_id"] is found["pa_mpjpe"] is None
+        client = api if found["skeleton"] else live.http
+        assert lift(client, found["id"], capture).json()["frames"] == answer
+        assert client.get(f"/models/{found['id']}/weights").content == weights.content
+        assert client.get(f"/models/{found['id']}").json() == found
+
+
+def test_a_deleted_model_lifts_no_more(
+    api: TestClient, weights: bytes, capture: SyntheticCapture
+) -> None:
+    model = api.post("/models", content=weights, headers=BYTES).json()["id"]
+    assert lift(api, model, capture).status_code == 200  # and is warm from here on
+    assert api.delete(f"/models/{model}").status_code == 204
+    problem(lift(api, model, capture), 404, "not_found")
+    for url in (f"/models/{model}", f"/models/{model}/weights"):
+        problem(api.get(url), 404, "not_found")
+    problem(api.delete(f"/models/{model}"), 404, "not_found")
+
+
+def test_models_come_in_pages(api: TestClient, weights: bytes) -> None:
+    made = [api.post("/models", content=weights, headers=BYTES).json()["id"] for _ in range(5)]
+    cursor, seen = "", []
+    while cursor is not None:
+        page = api.get(f"/models?limit=2{cursor and f'&cursor={cursor}'}").json()
+        seen += [item["id"] for item in page["items"]]
+        cursor = page["next_cursor"]
+    assert len(seen) == len(set(seen))
+    assert set(made) <= set(seen)
+
+
+def damaged(weights: bytes) -> dict[str, bytes]:
+    arrays = load(weights)
+    about = about_of(weights)
+    config = FitConfig.model_validate(CONFIG)
+    wider = config.model_copy(update={"dictionary_sizes": (32, 8)}).model_dump_json()
+    not_finite = {name: array.copy() for name, array in arrays.items()}
+    next(iter(not_finite.values())).flat[0] = np.nan
+    header = len(weights) - sum(array.nbytes for array in arrays.values()) - 8
+    return {
+        "empty": b"",
+        "short": weights[:5],
+        "cut in its header": weights[: header // 2],
+        "cut in its arrays": weights[:-100],
+        "too long": weights + b"\0",
+        "huge header": (2**62).to_bytes(8, "little") + weights[8:],
+        "pickle": pickle.dumps({"weights": [1, 2, 3]}),
+        "zip": to_npz(**arrays),
+        "no metadata": save(arrays),
+        "a capture": to_safetensors(keypoints=np.zeros((1, 2, 4, 2), np.float32)),
+        "another kind": rewritten(arrays, about | {"kind": "checkpoint"}),
+        "another format": rewritten(arrays, about | {"format": "fewview/99"}),
+        "config of another size": rewritten(arrays, about | {"config": wider}),
+        "foreign metadata": save(arrays, {"fewview": "[1]"}),
+        "no config": save(arrays, {k: v for k, v in about.items() if k != "config"}),
+        "absurd config": rewritten(arrays, about | {"config": '{"steps": -1}'}),
+        "other keypoints": rewritten(arrays, about | {"keypoints": "17"}),
+        "absurd keypoints": rewritten(arrays, about | {"keypoints": "1000000000"}),
+        "an array is missing": rewritten(dict(list(arrays.items())[1:]), about),
+        "an array too many": rewritten({**arrays, "more": np.zeros(1, np.float32)}, about),
+        "not finite": rewritten(not_finite, about),
+        "integers": rewritten({k: v.astype(np.int32) for k, v in arrays.items()}, about),
+    }
+
+
+def about_of(weights: bytes) -> dict[str, str]:
+    size = int.from_bytes(weights[:8], "little")
+    metadata = orjson.loads(weights[8 : 8 + size])["__metadata__"]
+    about: dict[str, str] = orjson.loads(metadata["fewview"])
+    return about
+
+
+def rewritten(arrays: dict[str, Any], about: dict[str, str]) -> bytes:
+    return save(arrays, {"fewview": orjson.dumps(about).decode()})
+
+
+@pytest.mark.usefixtures("unchanged")
+def test_damaged_weights_are_refused(api: TestClient, weights: bytes) -> None:
+    FittedPrior.from_bytes(rewritten(load(weights), about_of(weights)))  # the undamaged one
+    for what, data in damaged(weights).items():
+        response = api.post("/models", content=data, headers=BYTES)
+        assert response.status_code == 400, what
+        problem(response, 400, "malformed_body")
+
+
+@pytest.mark.usefixtures("unchanged")
+def test_what_is_said_of_weights_is_checked(api: TestClient, weights: bytes) -> None:
+    file = {"file": ("w", io.BytesIO(weights))}
+    skeleton = {"skeleton": '{"edges": [[0, 16]]}'}
+    problem(
+        api.post("/models", data=skeleton, files=file), 422, "invalid_input", "/skeleton/edges/0"
+    )
+    file = {"file": ("w", io.BytesIO(weights))}
+    problem(api.post("/models", data={"x": "1"}, files=file), 422, "invalid_input", "/x")
+    problem(api.post("/models?name=", content=weights, headers=BYTES), 422, "invalid_input")
+    problem(api.post("/models", content=b"{}", headers=JSON), 415, "unsupported_media_type")
+
+
+def test_warm_models_are_read_once_and_given_up_when_there_are_too_many(
+    settings: Settings, api: TestClient, weights: bytes
+) -> None:
+    ids = [api.post("/models", content=weights, headers=BYTES).json()["id"] for _ in range(3)]
+    store = Store(settings)
+    engine = Engine(store, max_bytes=2 * len(weights))
+    first = [engine.prior(model) for model in ids[:2]]
+    assert [engine.prior(model) for model in ids[:2]] == first
+    engine.prior(ids[2])  # takes the place of the one not used for longest
+    assert engine.prior(ids[1]) is first[1]
+    assert engine.prior(ids[0]) is not first[0]
+    models.delete(store, ids[1])  # by another process, say
+    with pytest.raises(NotFoundError):
+        engine.prior(ids[1])
+    store.close()
