@@ -55,13 +55,13 @@ class HierarchicalPrior(nn.Module):
         rows = views.mT.reshape(-1, self.keypoints)  # (2 M, P)
         threshold = self.encoder_thresholds[0].repeat(3)
         block = torch.relu_(torch.addmm(-threshold, rows, self.first))  # (2 M, 3 B_1)
-        block = block.reshape(6 * len(views), -1)  # (6 M, B_1)
+        block = block.reshape(6 * len(views), len(self.encoder_thresholds[0]))  # (6 M, B_1)
         for dictionary, threshold in zip(
             self.dictionaries, self.encoder_thresholds[1:], strict=True
         ):
             block = torch.relu_(torch.addmm(-threshold, block, dictionary))  # (6 M, B_l)
         # Rotation factorisation: one linear layer reads the unrotated code, one the rotation.
-        flat = block.reshape(len(views), -1)  # (M, 6 B_L)
+        flat = block.reshape(len(views), 6 * block.shape[-1])  # (M, 6 B_L)
         rotations, _ = nearest_rotation(self.rotate(flat).reshape(-1, 2, 3))
         code: Tensor = self.unrotate(flat)
         return code, rotations
@@ -102,7 +102,7 @@ class HierarchicalPrior(nn.Module):
         # of the object each one shows: a sum would shrink the code when a view is missing.
         votes = weights.sum(-1)  # (N, K)
         votes = votes / votes.sum(-1, keepdim=True).clamp_min(1e-6)
-        code = (votes[..., None] * codes.reshape(frames, views, -1)).sum(1)  # (N, B_L)
+        code = (votes[..., None] * codes.reshape(frames, views, codes.shape[-1])).sum(1)  # (N, B_L)
         points = self.decode(code)
         cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
         return Reconstruction(points, cameras, guesses)
