@@ -21,7 +21,7 @@ from store.datasets import Description
 from store.records import Fit
 from worker.settings import WorkerSettings
 
-CONFIG = {"dictionary_sizes": [16, 8], "steps": 600, "batch_size": 16}
+CONFIG = {"dictionary_sizes": [16, 8], "steps": 100, "batch_size": 16}
 LONG = CONFIG | {"steps": 1_000_000}
 
 StartWorker = Callable[[], "subprocess.Popen[bytes]"]
@@ -88,14 +88,14 @@ def start_worker(settings: WorkerSettings) -> Iterator[StartWorker]:
         process.wait()
 
 
-def wait_for(condition: Callable[[], bool], what: str, seconds: float = 40) -> None:
+def wait_for(condition: Callable[[], bool], what: str, seconds: float = 120) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"waited {seconds} s for {what}"
         time.sleep(0.02)
 
 
-def wait_until(store: Store, fit_id: str, *statuses: str, seconds: float = 40) -> Fit:
+def wait_until(store: Store, fit_id: str, *statuses: str, seconds: float = 120) -> Fit:
     wait_for(
         lambda: fits.get(store, fit_id).status in statuses, f"{fit_id} to be {statuses}", seconds
     )

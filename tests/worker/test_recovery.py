@@ -31,7 +31,7 @@ from tests.worker.conftest import (
 from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
 
-SLOW = CONFIG | {"steps": 2500}
+SLOW = CONFIG | {"steps": 1000}
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def test_the_worker_is_killed(
     store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
-    wait_for_step(store, queued.id, 300)
+    wait_for_step(store, queued.id, 100)
     horse = work_horse(worker)
     worker.kill()
     worker.wait()
@@ -77,7 +77,7 @@ def test_the_work_horse_is_killed(
     store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
-    wait_for_step(store, queued.id, 300)
+    wait_for_step(store, queued.id, 100)
     kill(work_horse(worker))
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
     assert worker.poll() is None
@@ -87,7 +87,7 @@ def test_the_worker_is_told_to_leave(
     store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
-    wait_for_step(store, queued.id, 300)
+    wait_for_step(store, queued.id, 100)
     worker.send_signal(signal.SIGTERM)
     assert worker.wait(10) == 0
     record = fits.get(store, queued.id)
@@ -100,7 +100,7 @@ def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
     store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     frozen = start_worker()
-    wait_for_step(store, queued.id, 300)
+    wait_for_step(store, queued.id, 100)
     horse = work_horse(frozen)
     for pid in (frozen.pid, horse):
         subprocess.run(["kill", "-STOP", str(pid)], check=True)
@@ -143,7 +143,7 @@ def test_redis_dies_under_a_running_fit(
     environment = settings.model_copy(update={"redis_url": url}).to_environment()
     worker = subprocess.Popen([sys.executable, "-m", "service.cli", "worker"], env=environment)
     try:
-        wait_for_step(store, fit.id, 300)
+        wait_for_step(store, fit.id, 100)
         server.terminate()
         server = ValkeyServer(
             port=port, data_dir=tmp_path / "valkey", persist=True, appendonly="yes"
