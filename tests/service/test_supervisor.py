@@ -1,0 +1,207 @@
+"""``fewview serve`` and its parts, killed for real in the middle of what they do."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+import pytest
+
+from models.synthetic import synthetic_capture
+from tests.service.conftest import BYTES, Live, descendants, processes, to_npz, wait_for
+
+SLOW = {"steps": 1500}
+Start = Callable[[], Live]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Give a function that starts the service on one data folder, again after it was killed."""
+    started: list[Live] = []
+
+    def start() -> Live:
+        process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "service.cli", "serve"),
+                *("--port=0", f"--data-dir={tmp_path / 'data'}"),
+                *("--lease-seconds=2", "--checkpoint-seconds=0.2"),
+            ],
+            env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert process.stdout is not None
+        said = ""
+        while "Ctrl-C" not in said:
+            line = process.stdout.readline()
+            assert line, f"the service ended: {said}"
+            said += line
+        address = re.search(r"API\s+(http://\S+)", said)
+        assert address
+        http = httpx2.Client(base_url=address[1], timeout=30)
+        live = Live(address[1], http, process, tmp_path / "data")
+        started.append(live)
+        return live
+
+    yield start
+    for live in started:
+        live.http.close()
+        live.process.kill()
+        live.process.wait()
+        assert live.process.stdout is not None
+        live.process.stdout.close()
+
+
+def part(live: Live, *words: str) -> int:
+    """Return the process of the service whose command line holds all the words."""
+    for pid in descendants(live.process.pid):
+        command = Path(f"/proc/{pid}/cmdline").read_bytes().decode()
+        parent = processes().get(pid)
+        if parent == live.process.pid and all(word in command for word in words):
+            return pid
+    raise AssertionError(f"there is no process with {words}")
+
+
+def upload(live: Live, frames: int = 60) -> str:
+    seen = synthetic_capture(frames=frames, views=3, noise=1.0, seed=2)
+    response = live.http.post("/datasets", content=to_npz(keypoints=seen.keypoints), headers=BYTES)
+    assert response.status_code == 201, response.text
+    return str(response.json()["id"])
+
+
+def wait_for_step(live: Live, fit_id: str, step: int) -> None:
+    def reached() -> bool:
+        fit = live.get(f"/fits/{fit_id}")
+        assert fit["status"] in ("queued", "running"), fit
+        return fit["progress"] is not None and fit["progress"]["step"] >= step
+
+    wait_for(reached, f"step {step}")
+
+
+@pytest.mark.parametrize("victim", [("valkey-server",), ("service.cli", "worker")])
+def test_a_part_is_killed_in_the_middle_of_a_fit(start: Start, victim: tuple[str, ...]) -> None:
+    live = start()
+    dataset_id = upload(live)
+    fit = live.fit(dataset_id, **SLOW)
+    waiting = live.fit(dataset_id, steps=5)
+    wait_for_step(live, fit["id"], 100)
+    pid = part(live, *victim)
+    os.kill(pid, signal.SIGKILL)
+    for made in (fit, waiting):
+        ended = live.finished(made["id"])
+        assert ended["status"] == "succeeded", ended["error"]
+        assert ended["model_id"] is not None
+    assert part(live, *victim) != pid
+    ready = wait_for(lambda: live.http.get("/health/ready").status_code == 200, "readiness")
+    assert ready
+
+
+def test_the_api_is_killed_in_the_middle_of_an_upload(start: Start) -> None:
+    live = start()
+    kept = upload(live)
+    body = to_npz(keypoints=np.zeros((2000, 3, 16, 2), np.float32) + 5)
+    sent, killed = threading.Event(), threading.Event()
+
+    def slowly() -> Iterator[bytes]:
+        yield body[: len(body) // 2]
+        sent.set()
+        killed.wait(30)
+        yield body[len(body) // 2 :]
+
+    outcome: list[Any] = []
+
+    def send() -> None:
+        try:
+            with httpx2.Client(base_url=live.url, timeout=30) as http:
+                outcome.append(http.post("/datasets", content=slowly(), headers=BYTES))
+        except httpx2.HTTPError as error:
+            outcome.append(error)
+
+    uploading = threading.Thread(target=send)
+    uploading.start()
+    assert sent.wait(30)
+    os.kill(part(live, "service.app"), signal.SIGKILL)
+    killed.set()
+    uploading.join()
+    assert isinstance(outcome[0], httpx2.HTTPError)
+    # The listening socket is the supervisor's: this request waits for the new API.
+    with httpx2.Client(base_url=live.url, timeout=60) as http:
+        items = http.get("/datasets").json()["items"]
+        assert [item["id"] for item in items] == [kept]
+        assert http.get(f"/datasets/{kept}").json()["frames"] == 60
+        files = [p for p in (live.data_dir / "objects").rglob("*") if p.is_file()]
+        assert len(files) == 1
+        again = http.post("/datasets", content=body, headers=BYTES)
+        assert again.status_code == 201
+
+
+def test_everything_is_killed_and_started_again(start: Start) -> None:
+    live = start()
+    fit = live.fit(upload(live), **SLOW)
+    wait_for_step(live, fit["id"], 100)
+    family = descendants(live.process.pid)
+    assert len(family) >= 4  # Valkey, worker, work-horse, API
+    live.process.kill()
+    live.process.wait()
+    wait_for(lambda: not family & processes().keys(), "all its processes to die", 5)
+    again = start()
+    ended = again.finished(fit["id"])
+    assert ended["status"] == "succeeded"
+    assert ended["attempt"] > 1
+
+
+def test_sigterm_saves_the_running_fit_for_the_next_start(start: Start) -> None:
+    live = start()
+    fit = live.fit(upload(live), **SLOW)
+    wait_for_step(live, fit["id"], 100)
+    family = descendants(live.process.pid)
+    live.process.send_signal(signal.SIGINT)
+    assert live.process.wait(20) == 0
+    assert not family & processes().keys()
+    again = start()
+    ended = again.finished(fit["id"])
+    assert ended["status"] == "succeeded"
+
+
+def test_a_second_service_on_the_same_folder_or_port_is_refused(
+    start: Start, tmp_path: Path
+) -> None:
+    live = start()
+    port = live.url.rpartition(":")[2]
+    for arguments, reason in (
+        (["--port=0", f"--data-dir={live.data_dir}"], "Another `fewview serve` uses"),
+        ([f"--port={port}", f"--data-dir={tmp_path / 'other'}"], "Cannot listen on"),
+        (["--port=99999"], "--port"),
+        (["--frobnicate"], "frobnicate"),
+    ):
+        refused = subprocess.run(
+            [sys.executable, "-m", "service.cli", "serve", *arguments],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert refused.returncode == 2, refused
+        assert reason in refused.stderr
+
+
+def test_every_setting_is_in_the_help_and_in_the_readme() -> None:
+    from service.settings import Settings
+
+    shown = subprocess.run(
+        [sys.executable, "-m", "service.cli", "serve", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    readme = Path("README.md").read_text()
+    for name, field in Settings.model_fields.items():
+        assert f"--{name.replace('_', '-')}" in shown
+        assert f"FEWVIEW_{name.upper()}" in readme
+        assert field.description
