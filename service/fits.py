@@ -217,9 +217,7 @@ def create_fit(
     and the queue are back.
     """
     body = upload.json(FitCreate)
-    if len(fits.page(store, limit=settings.max_queued_fits, after=None, status="queued")) >= (
-        settings.max_queued_fits
-    ):
+    if fits.count_queued(store) >= settings.max_queued_fits:
         raise ApiError(
             "too_many_fits",
             f"{settings.max_queued_fits} fits are waiting already; try again when some have run.",

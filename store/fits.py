@@ -13,7 +13,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Update, select, update
+from sqlalchemy import Update, func, select, update
 from sqlalchemy.orm import Session
 
 from store import datasets, models
@@ -151,6 +151,13 @@ def page(
             query = query.where(column == value)
     with store.reading() as session:
         return list(session.scalars(query))
+
+
+def count_queued(store: Store) -> int:
+    """Return how many fits wait."""
+    with store.reading() as session:
+        query = select(func.count()).select_from(Fit).where(Fit.status == "queued")
+        return session.scalar(query) or 0
 
 
 def claim(store: Store, fit_id: str, *, lease_seconds: float) -> Attempt | None:
