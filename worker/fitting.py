@@ -15,11 +15,11 @@ from models.fitted import FittedPrior, Lift
 from models.metrics import pa_mpjpe, pck
 from models.training import Trainer
 from models.weights import WeightsError
-from store import datasets, fits
+from store import attempts, datasets, fits
+from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
 from store.errors import LeaseLostError, NotFoundError
-from store.fits import Attempt
 from worker.pulse import Pulse
 from worker.settings import WorkerSettings
 
@@ -56,7 +56,7 @@ def _run(store: Store, pulse: Pulse, settings: WorkerSettings) -> None:
     fit = fits.get(store, attempt.fit_id)
     config = FitConfig.model_validate(fit.config)
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
-    trainer = _resume(capture, config, fits.load_checkpoint(store, fit.id))
+    trainer = _resume(capture, config, attempts.load_checkpoint(store, fit.id))
 
     next_checkpoint = time.monotonic() + settings.checkpoint_seconds
     for progress in trainer.run():
@@ -64,11 +64,11 @@ def _run(store: Store, pulse: Pulse, settings: WorkerSettings) -> None:
         if pulse.lost:
             raise LeaseLostError
         if pulse.cancel:
-            fits.end(store, attempt, "cancelled")
+            attempts.end(store, attempt, "cancelled")
             return
         if pulse.leave:
-            fits.save_checkpoint(store, attempt, trainer.checkpoint())
-            fits.release(store, attempt)
+            attempts.save_checkpoint(store, attempt, trainer.checkpoint())
+            attempts.release(store, attempt)
             return
         now = time.monotonic()
         if now - started > settings.max_fit_seconds:
@@ -76,13 +76,13 @@ def _run(store: Store, pulse: Pulse, settings: WorkerSettings) -> None:
             _fail(store, attempt, "timed_out", f"The fit took longer than {limit} s.")
             return
         if now >= next_checkpoint:
-            fits.save_checkpoint(store, attempt, trainer.checkpoint())
+            attempts.save_checkpoint(store, attempt, trainer.checkpoint())
             took = time.monotonic() - now
             next_checkpoint = now + max(settings.checkpoint_seconds, CHECKPOINT_SHARE * took)
 
     prior = trainer.result()
     lift = prior.lift(capture.keypoints, confidence=capture.confidence)
-    fits.succeed(
+    attempts.succeed(
         store,
         attempt,
         weights=prior.to_bytes(),
@@ -155,7 +155,7 @@ def _to_bytes(lift: Lift) -> bytes:
 
 def _fail(store: Store, attempt: Attempt, code: str, message: str) -> None:
     try:
-        fits.end(store, attempt, "failed", error={"code": code, "message": message})
+        attempts.end(store, attempt, "failed", error={"code": code, "message": message})
     except LeaseLostError:
         logger.warning("Fit %s is no longer ours: its failure is not recorded", attempt.fit_id)
 

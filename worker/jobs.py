@@ -5,7 +5,7 @@ from typing import Any
 
 from rq import get_current_job
 
-from store import fits
+from store import attempts, fits
 from store.database import Store
 from worker.pulse import Pulse
 from worker.queue import FitJob
@@ -50,7 +50,7 @@ def fit(
         fit_id = adopt(store, job) if known is None else known.id
         if fit_id is None:
             raise RuntimeError("The job's arguments are not plain data.")
-        attempt = fits.claim(store, fit_id, lease_seconds=settings.lease_seconds)
+        attempt = attempts.claim(store, fit_id, lease_seconds=settings.lease_seconds)
         if attempt is not None:
             logger.info("Fit %s: attempt %d starts", fit_id, attempt.number)
             with Pulse(store, attempt) as pulse:

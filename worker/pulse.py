@@ -8,10 +8,10 @@ from typing import Any, Self
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from store import fits
+from store import attempts
+from store.attempts import Attempt
 from store.database import Store
 from store.errors import LeaseLostError
-from store.fits import Attempt
 
 logger = logging.getLogger(__name__)
 
@@ -68,7 +68,7 @@ class Pulse:
         while not self._stop.wait(BEAT_SECONDS):
             progress = self.progress
             try:
-                self.cancel = fits.beat(
+                self.cancel = attempts.beat(
                     self._store, self.attempt, None if progress is published else progress
                 )
                 published = progress

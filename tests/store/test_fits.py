@@ -2,12 +2,13 @@ import time
 
 import pytest
 
-from store import datasets, fits, models
+from store import attempts, datasets, fits, models
+from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
 from store.errors import ConflictError, LeaseLostError
-from store.fits import MAX_CRASHES, Attempt
+from store.fits import MAX_CRASHES
 from store.records import Fit
 
 DESCRIBE = {
@@ -25,13 +26,13 @@ def fit(store: Store, capture: Capture) -> Fit:
 
 
 def claim(store: Store, fit: Fit, lease_seconds: float = 60) -> Attempt:
-    attempt = fits.claim(store, fit.id, lease_seconds=lease_seconds)
+    attempt = attempts.claim(store, fit.id, lease_seconds=lease_seconds)
     assert attempt is not None
     return attempt
 
 
 def succeed(store: Store, attempt: Attempt) -> str:
-    return fits.succeed(
+    return attempts.succeed(
         store, attempt, weights=b"w", reconstruction=b"r", progress=None, describe=DESCRIBE
     )
 
@@ -42,22 +43,22 @@ def objects(store: Store) -> set[str]:
 
 def test_one_attempt_at_a_time(store: Store, fit: Fit) -> None:
     claim(store, fit)
-    assert fits.claim(store, fit.id, lease_seconds=60) is None
+    assert attempts.claim(store, fit.id, lease_seconds=60) is None
     assert fits.get(store, fit.id).status == "running"
 
 
 def test_a_stale_attempt_can_write_nothing(store: Store, fit: Fit) -> None:
     stale = claim(store, fit, lease_seconds=0.01)
-    fits.save_checkpoint(store, stale, b"old")
+    attempts.save_checkpoint(store, stale, b"old")
     time.sleep(0.02)
     fresh = claim(store, fit)
     before = fits.get(store, fit.id)
     for write in (
-        lambda: fits.beat(store, stale, {"step": 99}),
-        lambda: fits.save_checkpoint(store, stale, b"stale"),
+        lambda: attempts.beat(store, stale, {"step": 99}),
+        lambda: attempts.save_checkpoint(store, stale, b"stale"),
         lambda: succeed(store, stale),
-        lambda: fits.end(store, stale, "failed", error={"code": "x", "message": "x"}),
-        lambda: fits.release(store, stale),
+        lambda: attempts.end(store, stale, "failed", error={"code": "x", "message": "x"}),
+        lambda: attempts.release(store, stale),
     ):
         with pytest.raises(LeaseLostError):
             write()
@@ -68,7 +69,7 @@ def test_a_stale_attempt_can_write_nothing(store: Store, fit: Fit) -> None:
         None,
         None,
     )
-    assert fits.load_checkpoint(store, fit.id) == b"old"
+    assert attempts.load_checkpoint(store, fit.id) == b"old"
     assert objects(store) == {"chunk", "checkpoint"}
     assert models.page(store, limit=1, after=None) == []
     succeed(store, fresh)
@@ -76,8 +77,8 @@ def test_a_stale_attempt_can_write_nothing(store: Store, fit: Fit) -> None:
 
 def test_success_leaves_model_and_reconstruction_and_no_checkpoint(store: Store, fit: Fit) -> None:
     attempt = claim(store, fit)
-    fits.save_checkpoint(store, attempt, b"1")
-    fits.save_checkpoint(store, attempt, b"2")
+    attempts.save_checkpoint(store, attempt, b"1")
+    attempts.save_checkpoint(store, attempt, b"2")
     model_id = succeed(store, attempt)
     record = fits.get(store, fit.id)
     assert (record.status, record.model_id) == ("succeeded", model_id)
@@ -91,11 +92,11 @@ def test_terminal_states_are_never_left(store: Store, fit: Fit, status: str) -> 
     if status == "succeeded":
         succeed(store, attempt)
     else:
-        fits.end(store, attempt, status)
-    assert fits.claim(store, fit.id, lease_seconds=60) is None
+        attempts.end(store, attempt, status)
+    assert attempts.claim(store, fit.id, lease_seconds=60) is None
     assert fits.recover(store) == []
     with pytest.raises(LeaseLostError):
-        fits.beat(store, attempt, None)
+        attempts.beat(store, attempt, None)
     if status == "cancelled":
         fits.request_cancel(store, fit.id)
     else:
@@ -106,10 +107,10 @@ def test_terminal_states_are_never_left(store: Store, fit: Fit, status: str) -> 
 
 def test_cancelling(store: Store, fit: Fit) -> None:
     attempt = claim(store, fit)
-    assert fits.beat(store, attempt, None) is False
+    assert attempts.beat(store, attempt, None) is False
     asked = fits.request_cancel(store, fit.id)
     assert asked.status == "running"
-    assert fits.beat(store, attempt, None) is True
+    assert attempts.beat(store, attempt, None) is True
     assert fits.enforce_cancel(store, fit.job_id, patience_seconds=60) is False
     assert fits.enforce_cancel(store, fit.job_id, patience_seconds=0) is True
     assert fits.get(store, fit.id).status == "cancelled"
@@ -119,7 +120,7 @@ def test_cancelling(store: Store, fit: Fit) -> None:
 
 def test_a_queued_fit_is_cancelled_at_once(store: Store, fit: Fit) -> None:
     assert fits.request_cancel(store, fit.id).status == "cancelled"
-    assert fits.claim(store, fit.id, lease_seconds=60) is None
+    assert attempts.claim(store, fit.id, lease_seconds=60) is None
 
 
 def test_a_fit_nobody_runs_any_more_is_cancelled_at_once(store: Store, fit: Fit) -> None:
@@ -127,7 +128,7 @@ def test_a_fit_nobody_runs_any_more_is_cancelled_at_once(store: Store, fit: Fit)
     time.sleep(0.02)
     assert fits.request_cancel(store, fit.id).status == "cancelled"
     with pytest.raises(LeaseLostError):
-        fits.beat(store, attempt, None)
+        attempts.beat(store, attempt, None)
 
 
 def test_a_lost_fit_is_queued_again_and_given_up_in_the_end(store: Store, fit: Fit) -> None:
@@ -144,12 +145,12 @@ def test_a_lost_fit_is_queued_again_and_given_up_in_the_end(store: Store, fit: F
 
 def test_a_released_fit_counts_no_crash_and_keeps_its_checkpoint(store: Store, fit: Fit) -> None:
     attempt = claim(store, fit)
-    fits.save_checkpoint(store, attempt, b"half")
-    fits.release(store, attempt)
+    attempts.save_checkpoint(store, attempt, b"half")
+    attempts.release(store, attempt)
     record = fits.get(store, fit.id)
     assert (record.status, record.crashes) == ("queued", 0)
     claim(store, fit)
-    assert fits.load_checkpoint(store, fit.id) == b"half"
+    assert attempts.load_checkpoint(store, fit.id) == b"half"
 
 
 def test_one_fit_per_job(store: Store, fit: Fit) -> None:

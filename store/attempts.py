@@ -1,0 +1,168 @@
+"""Attempts: what the process that runs a fit may write, for as long as it holds the lease."""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
+
+from store import fits, models
+from store.database import Store
+from store.errors import LeaseLostError
+from store.ids import new_id
+from store.records import Fit
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """The right to write to a running fit until the lease expires.
+
+    Attributes
+    ----------
+    number
+        The fencing token.
+    lease_seconds
+        How long the right lasts after each beat.
+    """
+
+    fit_id: str
+    number: int
+    lease_seconds: float
+
+
+def claim(store: Store, fit_id: str, *, lease_seconds: float) -> Attempt | None:
+    """Take a queued fit, or one whose holder's lease has run out; None if neither is so."""
+    now = time.time()
+    with store.writing() as session:
+        number = session.scalar(
+            update(Fit)
+            .where(
+                Fit.id == fit_id,
+                (Fit.status == "queued")
+                | ((Fit.status == "running") & (Fit.lease_expires_at < now)),
+                Fit.cancel_requested_at.is_(None),
+            )
+            .values(
+                status="running",
+                attempt=Fit.attempt + 1,
+                revision=Fit.revision + 1,
+                lease_expires_at=now + lease_seconds,
+                started_at=now,
+            )
+            .returning(Fit.attempt)
+        )
+    return None if number is None else Attempt(fit_id, number, lease_seconds)
+
+
+def beat(store: Store, attempt: Attempt, progress: dict[str, Any] | None) -> bool:
+    """Keep the lease and publish progress; return whether the user asked to cancel.
+
+    Raises
+    ------
+    LeaseLostError
+        If another attempt or a terminal state has taken this one's place.
+    """
+    values: dict[str, Any] = {"lease_expires_at": time.time() + attempt.lease_seconds}
+    if progress is not None:
+        values |= {"progress": progress, "revision": Fit.revision + 1}
+    with store.writing() as session:
+        asked = _write(session, attempt, values)
+    return asked is not None
+
+
+def save_checkpoint(store: Store, attempt: Attempt, data: bytes) -> None:
+    """Replace the fit's checkpoint; raise ``LeaseLostError`` if this attempt is stale."""
+    key = f"fits/{attempt.fit_id}/{new_id('checkpoint')}.safetensors"
+    store.objects.put(key, data)
+    try:
+        with store.writing() as session:
+            old = session.scalar(select(Fit.checkpoint_key).where(Fit.id == attempt.fit_id))
+            _write(session, attempt, {"checkpoint_key": key})
+    except LeaseLostError:
+        store.objects.delete(key)
+        raise
+    store.objects.delete(old)
+
+
+def load_checkpoint(store: Store, fit_id: str) -> bytes | None:
+    """Return the last checkpoint of a fit, or None if it has none."""
+    key = fits.get(store, fit_id).checkpoint_key
+    return None if key is None else store.objects.get(key)
+
+
+def succeed(
+    store: Store,
+    attempt: Attempt,
+    *,
+    weights: bytes,
+    reconstruction: bytes,
+    progress: dict[str, Any] | None,
+    describe: dict[str, Any],
+) -> str:
+    """Store the model and the reconstruction and end the fit, all in one transaction.
+
+    Parameters
+    ----------
+    progress
+        The last progress, for those who did not see it yet.
+    describe
+        The remaining columns of the model's record.
+
+    Returns
+    -------
+    str
+        The model's identifier.
+    """
+    fit = fits.get(store, attempt.fit_id)
+    model = models.new_record(store, weights, name=fit.name, fit_id=fit.id, **describe)
+    reconstruction_key = f"fits/{fit.id}/{new_id('reconstruction')}.safetensors"
+    store.objects.put(reconstruction_key, reconstruction)
+    try:
+        with store.writing() as session:
+            session.add(model)
+            _write(
+                session,
+                attempt,
+                fits.ended("succeeded")
+                | {
+                    "model_id": model.id,
+                    "progress": progress,
+                    "reconstruction_key": reconstruction_key,
+                    "checkpoint_key": None,
+                },
+            )
+    except LeaseLostError:
+        store.objects.delete(model.weights_key, reconstruction_key)
+        raise
+    store.objects.delete(fit.checkpoint_key)
+    return model.id
+
+
+def end(
+    store: Store, attempt: Attempt, status: str, *, error: dict[str, Any] | None = None
+) -> None:
+    """End the attempt's fit as ``failed`` or ``cancelled``."""
+    with store.writing() as session:
+        key = session.scalar(select(Fit.checkpoint_key).where(Fit.id == attempt.fit_id))
+        _write(session, attempt, fits.ended(status) | {"error": error, "checkpoint_key": None})
+    store.objects.delete(key)
+
+
+def release(store: Store, attempt: Attempt) -> None:
+    """Put the attempt's fit back to queued, to be resumed from its last checkpoint."""
+    with store.writing() as session:
+        _write(session, attempt, {"status": "queued", "lease_expires_at": None})
+
+
+def _write(session: Session, attempt: Attempt, values: dict[str, Any]) -> float | None:
+    """Write as ``attempt``; return when cancellation was asked for, if it was."""
+    statement = (
+        update(Fit)
+        .where(Fit.id == attempt.fit_id, Fit.attempt == attempt.number, Fit.status == "running")
+        .values(**values)
+    )
+    row = session.execute(statement.returning(Fit.cancel_requested_at)).first()
+    if row is None:
+        raise LeaseLostError(f"Attempt {attempt.number} no longer owns fit {attempt.fit_id}.")
+    return row[0]
