@@ -70,9 +70,10 @@ def _from_npz(data: bytes, max_bytes: int) -> Arrays:
         zipfile.BadZipFile,
         zlib.error,
         EOFError,
+        MemoryError,  # what ast.literal_eval says of headers nested without end
         OSError,
         OverflowError,
-        RuntimeError,  # encrypted members, unknown compression, headers nested without end
+        RuntimeError,  # encrypted members, unknown compression
         ValueError,
     ) as error:
         raise ApiError("malformed_body", f"The .npz file cannot be read: {error}") from error
@@ -93,7 +94,7 @@ def _from_npy(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
             f"The array {name!r} of the .npz file holds pickled objects, which are never read. "
             "Save numbers only: numpy.savez(file, keypoints=keypoints.astype('float32')).",
         )
-    if math.prod(shape) * dtype.itemsize > size:
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > size:
         raise ValueError(f"the array {name!r} is cut short")
     values = np.frombuffer(stream.read(), dtype, count=math.prod(shape))
     return values.reshape(shape, order="F" if fortran_order else "C")

@@ -113,7 +113,10 @@ class ApiError(Exception):
             detail=self.detail,
             errors=[FieldError(pointer=pointer, detail=detail) for pointer, detail in self.errors],
         )
-        return Response(problem.model_dump_json(), status, self.headers, PROBLEM_JSON)
+        headers = dict(self.headers or {})
+        if status == 413:  # or the server would read the rest of the body, to throw it away
+            headers["Connection"] = "close"
+        return Response(problem.model_dump_json(), status, headers, PROBLEM_JSON)
 
 
 def invalid(pointer: str, detail: str) -> ApiError:

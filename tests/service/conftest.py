@@ -134,7 +134,7 @@ def settings(valkey: ValkeyServer, tmp_path_factory: pytest.TempPathFactory) -> 
 
 @pytest.fixture(scope="session")
 def api(settings: Settings) -> Iterator[TestClient]:
-    """The app in this process. No worker: what is queued stays queued."""
+    """Serve the app in this process. No worker: what is queued stays queued."""
     with TestClient(create_app(settings), raise_server_exceptions=False) as client:
         yield client
 
@@ -225,7 +225,7 @@ def descendants(pid: int) -> set[int]:
 
 @pytest.fixture(scope="session")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
-    """``fewview serve`` with all its defaults; stopped with SIGTERM, and nothing may stay."""
+    """Run ``fewview serve`` with its defaults; stop it with SIGTERM, and nothing may stay."""
     folder = tmp_path_factory.mktemp("live")
     process = subprocess.Popen(
         [sys.executable, "-m", "service.cli", "serve", "--port", "0", "--data-dir", str(folder)],
@@ -254,7 +254,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
 
 @pytest.fixture(scope="session")
 def fitted(live: Live, capture: SyntheticCapture) -> dict[str, Any]:
-    """A fit of the whole capture, ground truth included, that has succeeded."""
+    """Fit the whole capture, ground truth included."""
     arrays = {
         "keypoints": capture.keypoints,
         "confidence": capture.confidence,

@@ -49,7 +49,7 @@ def description(capture: SyntheticCapture) -> dict[str, Any]:
 def reference(
     api: TestClient, arrays: dict[str, np.ndarray[Any, Any]], description: dict[str, Any]
 ) -> dict[str, Any]:
-    """The capture as JSON, null wherever something was not observed."""
+    """Send the capture as JSON, null wherever something was not observed."""
     body = {
         **description,
         "keypoints": frames_of(arrays["keypoints"]),
@@ -196,7 +196,8 @@ def test_a_deleted_dataset_is_gone(api: TestClient) -> None:
     problem(api.get(url), 404, "not_found")
     problem(api.delete(url), 404, "not_found")
     problem(api.post(f"{url}/frames", content=frames, headers=BYTES), 404, "not_found")
-    problem(api.post("/fits", json={"dataset_id": url.rsplit("/", maxsplit=1)[-1]}), 404, "not_found")
+    fit = {"dataset_id": url.removeprefix("/datasets/")}
+    problem(api.post("/fits", json=fit), 404, "not_found")
 
 
 def test_a_dataset_in_use_stays(api: TestClient) -> None:

@@ -48,6 +48,8 @@ def test_a_fit_is_queued_with_its_defaults_filled_in(api: TestClient) -> None:
     assert api.get(f"/fits?dataset_id={dataset['id']}&status=running").json()["items"] == []
     problem(api.get(f"/fits/{fit['id']}/reconstruction"), 409, "conflict")
     problem(api.delete(f"/fits/{fit['id']}"), 409, "conflict")
+    wrong = api.get(f"/fits/{fit['id']}/events", headers={"Last-Event-ID": "newest"})
+    problem(wrong, 422, "invalid_input", "/last-event-id")
 
     cancelled = api.post(f"/fits/{fit['id']}/cancel")
     assert cancelled.status_code == 202

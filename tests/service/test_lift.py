@@ -46,7 +46,7 @@ def check_json(frames: list[Any], arrays: dict[str, Array]) -> None:
 
 @pytest.fixture(scope="session")
 def expected(weights: bytes, capture: SyntheticCapture) -> dict[str, Array]:
-    """What the library itself answers."""
+    """Return what the library itself answers."""
     found = FittedPrior.from_bytes(weights).lift(capture.keypoints, confidence=capture.confidence)
     return {name: value for name, value in vars(found).items() if name != "status"}
 

