@@ -284,16 +284,16 @@ def accuracies(fitted: Result, new: Result, threshold: float) -> dict[str, Any]:
         "mirrored": accuracy.reflected,
     }
     if new.lifted:
-        accuracy = unseen_accuracy(new, mirrored=accuracy.reflected)
+        accuracy = accuracy_of(new, mirrored=accuracy.reflected)
         figures["pa_mpjpe_unseen"] = finite(accuracy.mean)
         figures["pck_unseen"] = finite(pck(accuracy, threshold))
     return figures
 
 
-def unseen_accuracy(new: Result, *, mirrored: bool) -> Accuracy:
+def accuracy_of(result: Result, *, mirrored: bool) -> Accuracy:
     """Compare frames with their truth, mirrored or not as the fit was."""
-    points = new.lifted["points3d"] * (-1 if mirrored else 1)
-    return pa_mpjpe(points, np.asarray(new.capture.points3d), reflection="never")
+    points = result.lifted["points3d"] * (-1 if mirrored else 1)
+    return pa_mpjpe(points, np.asarray(result.capture.points3d), reflection="never")
 
 
 def mean_reprojection_error(lifted: Lifted) -> float | None:
@@ -419,10 +419,7 @@ def draw_some(fitted: Result, new: Result, figures: dict[str, Any], folder: Path
     """Draw a good, a middling and a bad frame, of those that the fit did not see if there are."""
     result = new if new.lifted else fitted
     mirrored = bool(figures["mirrored"])
-    if result.capture.points3d is None:
-        errors, unit = np.nanmean(result.lifted["reprojection_errors"], axis=1), " px off its view"
-    else:
-        errors, unit = unseen_accuracy(result, mirrored=mirrored).per_frame, " off the truth"
+    errors, unit = frame_errors(result, mirrored=mirrored)
     known = np.flatnonzero(np.isfinite(errors))
     ranked = known[np.argsort(errors[known])]
     if len(ranked) < len(QUANTILES):
@@ -439,6 +436,19 @@ def draw_some(fitted: Result, new: Result, figures: dict[str, Any], folder: Path
     path = folder / f"{Path(figures['capture']).stem}.png"
     draw(path, scenes, edges, f"{figures['capture']}: {which}")
     return path.absolute()
+
+
+def frame_errors(result: Result, *, mirrored: bool) -> tuple[NDArray[np.float64], str]:
+    """Return each frame's error, NaN where it has none, and of which kind it is.
+
+    Against the truth where it is known of any frame, else against what the views saw.
+    """
+    if result.capture.points3d is not None:
+        errors = accuracy_of(result, mirrored=mirrored).per_frame
+        if np.isfinite(errors).any():
+            return errors, " off the truth"
+    pixels = np.ma.masked_invalid(result.lifted["reprojection_errors"])
+    return pixels.mean(axis=1).filled(np.nan), " px off its views"
 
 
 def scene(result: Result, frame: int, title: str, *, mirrored: bool) -> Scene:
