@@ -21,6 +21,8 @@ from store.database import Store
 from worker.process import die_with_parent
 from worker.queue import connect, open_queue
 
+RESOURCES = (datasets, fits, models, lift, health)
+
 DESCRIPTION = """
 3D structure and camera rotations from the 2D keypoints of a few uncalibrated, possibly moving
 cameras. Store a capture (`POST /datasets`), fit a model to it (`POST /fits`), follow the fit
@@ -53,7 +55,7 @@ def create_app(settings: Settings) -> FastAPI:
         redoc_url=None,
     )
     app.state.settings = settings
-    for module in (datasets, fits, models, lift, health):
+    for module in RESOURCES:
         app.include_router(module.router)
     errors.install(app)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes)
@@ -77,6 +79,12 @@ def _describe(app: FastAPI) -> None:
             schemas.update(registered_schemas())
             for unused in ("HTTPValidationError", "ValidationError"):
                 schemas.pop(unused, None)
+            for name, kind in ((n, k) for module in RESOURCES for n, k in vars(module).items()):
+                if "example" in schemas.get(name, {}):  # FastAPI has taken its nulls out
+                    schemas[name]["example"] = kind.model_config["json_schema_extra"]["example"]
+            events = schema["paths"]["/fits/{fit_id}/events"]["get"]["responses"]["200"]
+            # FastAPI writes what only OpenAPI 3.2 knows into a document of version 3.1.
+            events["content"]["text/event-stream"] = {"schema": {"type": "string"}}
         assert app.openapi_schema is not None  # noqa: S101
         return app.openapi_schema
 

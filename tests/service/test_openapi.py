@@ -1,4 +1,4 @@
-"""The OpenAPI document: valid, committed, exemplified, and good enough to generate a client from."""
+"""The OpenAPI document: valid, committed, with examples, and clients can be made from it."""
 
 import importlib
 import io
@@ -126,9 +126,9 @@ def test_a_generated_client_does_the_whole_job(
 ) -> None:
     generator = Path(sys.executable).parent / "openapi-python-client"
     target = tmp_path / "generated_fewview"
+    options = ["--path", COMMITTED, "--output-path", target, "--meta", "none"]
     done = subprocess.run(
-        [generator, "generate", "--path", COMMITTED, "--meta", "none", "--output-path", target]
-        + ["--fail-on-warning"],
+        [generator, "generate", *options, "--fail-on-warning"],
         capture_output=True,
         text=True,
         check=False,
@@ -183,12 +183,12 @@ def test_a_generated_client_does_the_whole_job(
         model = call("models.get_model", fit.model_id)
         assert model.reprojection_error > 0
         assert call("models.list_models").items[0].id == model.id
-        request = wire.LiftRequest(model=model.id, frames=[*frames[:2], [None, None]])
+        request = wire.LiftRequest(model=model.id, frames=[*frames[:2], [None] * 3])
         lifted = call("lift.lift", body=request)
         assert [str(frame.status) for frame in lifted.frames] == ["ok", "ok", "too_few_keypoints"]
         assert np.array(lifted.frames[0].points3d).shape == (16, 3)
         assert np.array(lifted.frames[0].views[0].rotation).shape == (3, 3)
-        assert lifted.frames[2].views == [None, None]
+        assert lifted.frames[2].views == [None] * 3
         file = types.File(payload=io.BytesIO(to_npz(frames=capture.keypoints[:2])))
         again = call("lift.lift", body=file, model=model.id)
         assert again.frames[0] == lifted.frames[0]
