@@ -51,7 +51,7 @@ def test_nearest_rotation_of_degenerate_rows_is_a_rotation_with_finite_gradient(
     rotation, stretch = nearest_rotation(matrix)
     np.testing.assert_allclose((rotation @ rotation.mT).detach(), np.eye(3), atol=1e-5)
     assert torch.linalg.det(rotation).item() == pytest.approx(1, abs=1e-5)
-    (rotation.sum() + stretch.sum()).backward()
+    torch.autograd.backward(rotation.sum() + stretch.sum())
     assert matrix.grad is not None
     assert matrix.grad.isfinite().all()
 
@@ -80,7 +80,7 @@ def test_scale_and_translation_are_the_best_for_the_rotation() -> None:
     root = np.sqrt(weights[0].numpy())[:, None]
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        return (root * (x[0] * xy + x[1:] - image[0].numpy())).ravel()
+        return np.ravel(root * (x[0] * xy + x[1:] - image[0].numpy()))
 
     best = least_squares(residuals, np.array([1.0, 0, 0])).x
     np.testing.assert_allclose(found.scales[0], best[0], atol=1e-6)
@@ -125,7 +125,7 @@ def test_degenerate_views_stay_finite_and_rotations_stay_rotations(case: str) ->
     np.testing.assert_allclose(
         (found.rotations @ found.rotations.mT)[0].detach(), np.eye(3), atol=1e-4
     )
-    projected.square().sum().backward()
+    torch.autograd.backward(projected.square().sum())
     assert projected.isfinite().all()
     assert points.grad is not None
     assert points.grad.isfinite().all()

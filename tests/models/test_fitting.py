@@ -169,7 +169,8 @@ def _spoiled(data: bytes, case: str) -> bytes:  # noqa: PLR0911 - one return per
         case "huge header":
             return struct.pack("<Q", 2**62) + data[8:]
         case "not finite":
-            return data[: 8 + length] + struct.pack("<f", np.nan) * ((len(data) - 8 - length) // 4)
+            nothing = struct.pack("<f", np.nan)
+            return data[: 8 + length] + nothing * ((len(data) - 8 - int(length)) // 4)
         case "other sizes":
             return data.replace(b"[16,8]", b"[16,4]")
         case "absurd sizes":

@@ -1,5 +1,7 @@
 """The queue's contract, as any RQ producer meets it."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from redis import Redis
@@ -59,7 +61,12 @@ def test_a_plain_producer_gets_record_progress_and_model(
     )
     wait_for(lambda: bool(job.is_finished), "the job to be finished")
     if serializer is None:
-        assert job.return_value(refresh=True)["model_id"] == record.model_id
+        result = job.return_value(refresh=True)
+        assert result == {
+            "fit_id": record.id,
+            "status": "succeeded",
+            "model_id": record.model_id,
+        }
         assert job.get_meta()["fit_id"] == record.id
 
 
@@ -117,20 +124,28 @@ def test_a_job_that_can_never_run_says_why(
 
 
 class Bomb:
-    def __reduce__(self) -> tuple[object, tuple[str]]:
-        return (open, ("/tmp/fewview-unpickled", "w"))  # noqa: S108
+    """Opens a file for writing when it is unpickled."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, tuple[str, str]]:
+        return (open, (self.path, "w"))
 
 
 def test_nothing_but_plain_data_is_read_and_nothing_but_the_fit_is_run(
-    redis: Redis, dataset_id: str, start_worker: StartWorker, tmp_path_factory: object
+    redis: Redis, dataset_id: str, start_worker: StartWorker, tmp_path: Path
 ) -> None:
     queue = Queue("fits", connection=redis)
-    bomb = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config={"a": Bomb()})
+    bomb = queue.enqueue(
+        "worker.jobs.fit", dataset_id=dataset_id, config={"a": Bomb(f"{tmp_path}/gone-off")}
+    )
     other = queue.enqueue("os.getcwd")
     good = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=CONFIG | {"steps": 1})
     start_worker()
     wait_for(lambda: bool(good.is_finished), "the good job")
     assert bomb.is_failed
+    assert not (tmp_path / "gone-off").exists()
     assert other.is_failed
 
 
