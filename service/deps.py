@@ -1,4 +1,7 @@
-"""What endpoints ask for, as annotated dependencies."""
+"""What endpoints ask for, as annotated dependencies.
+
+They are asynchronous because FastAPI runs all others in threads, which takes longer than they do.
+"""
 
 from typing import Annotated, Any
 
@@ -10,25 +13,25 @@ from service.settings import Settings
 from store.database import Store
 
 
-def get_settings(request: Request) -> Settings:
+async def get_settings(request: Request) -> Settings:
     """Return the settings this app was made with."""
     settings: Settings = request.app.state.settings
     return settings
 
 
-def get_store(request: Request) -> Store:
+async def get_store(request: Request) -> Store:
     """Return the open store."""
     store: Store = request.app.state.store
     return store
 
 
-def get_queue(request: Request) -> Queue:
+async def get_queue(request: Request) -> Queue:
     """Return the queue that carries fits."""
     queue: Queue = request.app.state.queue
     return queue
 
 
-def get_engine(request: Request) -> Engine:
+async def get_engine(request: Request) -> Engine:
     """Return the engine that keeps models warm."""
     engine: Engine = request.app.state.engine
     return engine

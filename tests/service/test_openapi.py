@@ -126,7 +126,7 @@ def test_a_generated_client_does_the_whole_job(
 ) -> None:
     generator = Path(sys.executable).parent / "openapi-python-client"
     target = tmp_path / "generated_fewview"
-    options = ["--path", COMMITTED, "--output-path", target, "--meta", "none"]
+    options = ["--path", str(COMMITTED), "--output-path", str(target), "--meta", "none"]
     done = subprocess.run(
         [generator, "generate", *options, "--fail-on-warning"],
         capture_output=True,
