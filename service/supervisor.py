@@ -219,9 +219,10 @@ def _await_redis(url: str, child: Child) -> None:
 
 def _await_api(address: str, child: Child) -> None:
     deadline = time.monotonic() + START_SECONDS
+    direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # it is this machine
     while True:
         try:
-            with urllib.request.urlopen(f"{address}/health/live", timeout=1):  # noqa: S310
+            with direct.open(f"{address}/health/live", timeout=1):
                 return
         except (urllib.error.URLError, TimeoutError, ConnectionError):
             _check_starting(child, deadline)
