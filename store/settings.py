@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
+from sqlalchemy import URL, make_url
+from sqlalchemy.exc import ArgumentError
 
 
 class StoreSettings(BaseSettings):
@@ -29,15 +31,27 @@ class StoreSettings(BaseSettings):
         examples=["file:///var/lib/fewview/objects"],
     )
 
+    @field_validator("database_url")
+    @classmethod
+    def _is_url(cls, url: str | None) -> str | None:
+        if url is not None:
+            try:
+                make_url(url)
+            except ArgumentError as error:
+                raise ValueError("expected a URL such as sqlite:////folder/records.db") from error
+        return url
+
     def to_environment(self) -> dict[str, str]:
         """Return the environment variables that give another process these settings."""
         values = self.model_dump(mode="json", exclude_none=True)
         return {f"FEWVIEW_{name.upper()}": str(value) for name, value in values.items()}
 
     @property
-    def resolved_database_url(self) -> str:
+    def resolved_database_url(self) -> URL:
         """The records' URL, the embedded default included."""
-        return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'records.db'}"
+        if self.database_url is not None:
+            return make_url(self.database_url)
+        return URL.create("sqlite", database=str(self.data_dir.absolute() / "records.db"))
 
     @property
     def resolved_store_url(self) -> str:
