@@ -167,6 +167,7 @@ class Dataset(BaseModel):
                 "views": 3,
                 "keypoints": 13,
                 "missing_fraction": [0.61, 0.66, 0.65],
+                "has_confidence": True,
                 "has_ground_truth": False,
                 "checksum": f"sha256:{'5e88' * 16}",
                 "skeleton": None,
@@ -185,6 +186,7 @@ class Dataset(BaseModel):
     missing_fraction: list[float] = Field(
         description="Per view, the share of keypoints over all frames that was not observed."
     )
+    has_confidence: bool
     has_ground_truth: bool
     checksum: str = Field(
         description="Of all frames' arrays, the same however the capture was cut into uploads."
@@ -206,6 +208,7 @@ class Dataset(BaseModel):
             missing_fraction=[
                 round(1 - seen / (record.frames * record.keypoints), 6) for seen in record.observed
             ],
+            has_confidence=record.confidence,
             has_ground_truth=record.ground_truth,
             checksum=f"sha256:{record.checksum}",
             skeleton=Skeleton.model_validate(record.skeleton) if record.skeleton else None,
@@ -262,8 +265,7 @@ def _required(found: Arrays) -> np.ndarray[Any, Any]:
     if "keypoints" not in found:
         raise invalid(
             "/keypoints",
-            "expected an array of this name, shape (frames, views, keypoints, 2); the file holds "
-            f"{', '.join(sorted(found)) or 'nothing'}",
+            "expected an array of this name in the file, shape (frames, views, keypoints, 2)",
         )
     return found["keypoints"]
 
@@ -276,7 +278,7 @@ def _required(found: Arrays) -> np.ndarray[Any, Any]:
         DatasetCreate,
         form=DatasetDescription,
         binary="An .npz or safetensors file with `keypoints` and optionally `confidence`, "
-        "`points3d`, `keypoint_names` (npz only), `edges`, `image_sizes`.",
+        "`points3d`, `keypoint_names` (npz only), `edges`, `image_sizes`; others are ignored.",
     ),
 )
 def create_dataset(
@@ -309,7 +311,7 @@ def create_dataset(
     openapi_extra=request_body(
         Frames,
         binary="An .npz or safetensors file with `keypoints` and optionally `confidence` and "
-        "`points3d`.",
+        "`points3d`; others are ignored.",
     ),
 )
 def append_frames(

@@ -86,8 +86,8 @@ def _read(upload: Upload, model: str | None, settings: SettingsDep) -> tuple[str
     | binary_responses("The lifted frames."),
     openapi_extra=request_body(
         LiftRequest,
-        binary="A safetensors or .npz file with `frames` (frames, views, keypoints, 2) and "
-        "optionally `confidence`; the model is named in the query.",
+        binary="A safetensors or .npz file with `frames` (or `keypoints`: frames, views, "
+        "keypoints, 2) and optionally `confidence`; the model is named in the query.",
     ),
 )
 def lift(

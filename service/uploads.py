@@ -158,16 +158,10 @@ def to_capture(
         raise invalid(f"/{name}", str(error)) from error
 
 
-def read_arrays(upload: Upload, settings: Settings, allowed: frozenset[str]) -> Arrays:
-    """Read the file of an upload; refuse arrays that the operation does not know."""
+def read_arrays(upload: Upload, settings: Settings, known: frozenset[str]) -> Arrays:
+    """Read the arrays of an upload's file that an operation knows; captures come with others."""
     found = arrays.from_bytes(upload.data, max_bytes=settings.max_body_bytes)
-    unknown = sorted(set(found) - allowed)
-    if unknown:
-        raise invalid(
-            f"/{unknown[0]}",
-            f"there is no array of this name; expected some of {', '.join(sorted(allowed))}",
-        )
-    return found
+    return {name: array for name, array in found.items() if name in known}
 
 
 def _array(

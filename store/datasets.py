@@ -50,6 +50,7 @@ def create(
                 views=capture.keypoints.shape[1],
                 keypoints=capture.keypoints.shape[2],
                 observed=capture.observed(),
+                confidence=capture.confidence is not None,
                 ground_truth=capture.points3d is not None,
                 checksum=extend_checksum("", capture),
                 skeleton=description.skeleton,
@@ -119,6 +120,7 @@ def append(
                                 sum(counts)
                                 for counts in zip(dataset.observed, capture.observed(), strict=True)
                             ],
+                            confidence=dataset.confidence or capture.confidence is not None,
                             ground_truth=dataset.ground_truth or capture.points3d is not None,
                             checksum=checksum,
                         )

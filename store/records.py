@@ -30,6 +30,7 @@ class Dataset(Record):
     views: Mapped[int]
     keypoints: Mapped[int]
     observed: Mapped[list[Any]]  # keypoints seen, a count per view
+    confidence: Mapped[bool]  # some frames came with it
     ground_truth: Mapped[bool]
     checksum: Mapped[str]
     skeleton: Mapped[dict[str, Any] | None]

@@ -93,8 +93,7 @@ def test_no_array_file(api: TestClient, model: str, what: str) -> None:
     ("arrays", "pointer"),
     [
         ({"confidence": ARRAY[..., 0]}, "/keypoints"),
-        ({"points": ARRAY}, "/points"),
-        ({"keypoints": ARRAY, "colour": ARRAY}, "/colour"),
+        ({"points": ARRAY}, "/keypoints"),
         ({"keypoints": ARRAY[0]}, "/keypoints"),
         ({"keypoints": ARRAY[..., :1]}, "/keypoints"),
         ({"keypoints": ARRAY[:0]}, "/keypoints"),

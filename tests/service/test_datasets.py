@@ -74,7 +74,7 @@ def test_a_dataset_is_described(
     assert found.json() == reference
     assert reference.items() >= description.items()
     assert [reference[name] for name in ("frames", "views", "keypoints")] == [60, 3, 16]
-    assert reference["has_ground_truth"] is True
+    assert reference["has_confidence"] is reference["has_ground_truth"] is True
     missing = np.isnan(capture.keypoints[..., 0]).mean((0, 2))
     assert 0 < missing.min() < missing.max()
     np.testing.assert_allclose(reference["missing_fraction"], missing, atol=1e-6)
@@ -206,3 +206,12 @@ def test_a_dataset_in_use_stays(api: TestClient) -> None:
     assert fit["id"] in problem(api.delete(f"/datasets/{made['id']}"), 409, "conflict")
     assert api.post(f"/fits/{fit['id']}/cancel").json()["status"] == "cancelled"
     assert api.delete(f"/datasets/{made['id']}").status_code == 204
+
+
+def test_arrays_that_a_capture_has_besides_are_ignored(api: TestClient) -> None:
+    keypoints = np.ones((2, 1, 4, 2), np.float32)
+    body = to_npz(keypoints=keypoints, clip=np.arange(2), unit=np.array("mm"))
+    response = api.post("/datasets", content=body, headers=BYTES)
+    assert response.status_code == 201, response.text
+    assert response.json()["frames"] == 2
+    assert response.json()["has_confidence"] is False
