@@ -5,10 +5,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, text
+from sqlalchemy import URL, Connection, Engine, create_engine, event, select, text
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import NullPool
 
+from store.errors import StoreError
 from store.objects import Objects
 from store.records import Record
 from store.settings import StoreSettings
@@ -21,6 +23,8 @@ class Store:
 
     def __init__(self, settings: StoreSettings, *, pooled: bool = True) -> None:
         """Open records and objects, making folders and tables that are missing.
+
+        Raises ``StoreError`` for records that another version of Fewview wrote.
 
         Parameters
         ----------
@@ -64,6 +68,15 @@ def _open_records(url: URL, *, pooled: bool) -> Engine:
         event.listen(engine, "begin", _begin_sqlite)
     with engine.execution_options(writing=True).begin() as connection:
         Record.metadata.create_all(connection)
+    with engine.connect() as connection:
+        for table in Record.metadata.sorted_tables:
+            try:
+                connection.execute(select(table).limit(0))
+            except DBAPIError as error:
+                raise StoreError(
+                    f"The records in {url} were written by another version of Fewview: its table "
+                    f"{table.name!r} differs. Use that version, or another data folder."
+                ) from error
     return engine
 
 

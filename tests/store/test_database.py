@@ -1,0 +1,40 @@
+from pathlib import Path
+
+import pytest
+from sqlalchemy import text
+
+from store.database import Store
+from store.errors import StoreError
+from store.settings import StoreSettings
+
+
+def test_records_of_another_version_are_refused(store: Store, tmp_path: Path) -> None:
+    with store.engine.execution_options(writing=True).begin() as connection:
+        connection.execute(text("ALTER TABLE datasets RENAME COLUMN checksum TO digest"))
+    with pytest.raises(StoreError, match="another version"):
+        Store(StoreSettings(data_dir=tmp_path))
+
+
+def test_a_data_folder_may_have_any_name(tmp_path: Path) -> None:
+    folder = tmp_path / "a?b #1 %20 ü"
+    store = Store(StoreSettings(data_dir=folder))
+    store.objects.put("a/b", b"1")
+    store.check_records()
+    assert (folder / "records.db").is_file()
+    assert (folder / "objects" / "a" / "b").read_bytes() == b"1"
+    store.close()
+
+
+def test_a_failed_transaction_leaves_nothing(store: Store) -> None:
+    def count() -> int:
+        with store.reading() as session:
+            return int(session.execute(text("SELECT count(*) FROM idempotency_keys")).scalar_one())
+
+    insert = text("INSERT INTO idempotency_keys VALUES ('s', 'k', 'f', 'r', 0)")
+    with pytest.raises(RuntimeError), store.writing() as session:  # noqa: PT012
+        session.execute(insert)
+        raise RuntimeError
+    assert count() == 0
+    with store.writing() as session:
+        session.execute(insert)
+    assert count() == 1
