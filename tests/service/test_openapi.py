@@ -3,6 +3,7 @@
 import importlib
 import io
 import json
+import os
 import subprocess
 import sys
 import time
@@ -124,11 +125,12 @@ def test_examples_of_requests_work(api: TestClient, spec: dict[str, Any], model:
 def test_a_generated_client_does_the_whole_job(
     live: Live, capture: SyntheticCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    generator = Path(sys.executable).parent / "openapi-python-client"
+    programs = Path(sys.executable).parent
     target = tmp_path / "generated_fewview"
     options = ["--path", str(COMMITTED), "--output-path", str(target), "--meta", "none"]
     done = subprocess.run(
-        [generator, "generate", *options, "--fail-on-warning"],
+        [programs / "openapi-python-client", "generate", *options, "--fail-on-warning"],
+        env=os.environ | {"PATH": f"{programs}:{os.environ['PATH']}"},  # it looks for ruff there
         capture_output=True,
         text=True,
         check=False,
