@@ -9,6 +9,7 @@ from models.fitted import FittedPrior
 from store import models
 from store.database import Store
 from store.errors import NotFoundError
+from store.records import Model
 
 
 class Engine:
@@ -43,9 +44,7 @@ class Engine:
             with self._lock:
                 loading = self._loading.setdefault(model_id, threading.Lock())
             with loading:
-                prior = self._lookup(model_id) or self._load(
-                    model_id, record.weights_key, record.weights_bytes
-                )
+                prior = self._lookup(model_id) or self._load(record)
         return prior
 
     def _lookup(self, model_id: str) -> FittedPrior | None:
@@ -55,14 +54,14 @@ class Engine:
             self._warm.move_to_end(model_id)
             return self._warm[model_id][0]
 
-    def _load(self, model_id: str, key: str, size: int) -> FittedPrior:
+    def _load(self, record: Model) -> FittedPrior:
         try:
-            prior = FittedPrior.from_bytes(self._store.objects.get(key))
-        except FileNotFoundError as error:  # deleted since its record was read
-            raise NotFoundError("model", model_id) from error
+            prior = FittedPrior.from_bytes(models.load_weights(self._store, record))
+        finally:
+            with self._lock:
+                self._loading.pop(record.id, None)
         with self._lock:
-            self._warm[model_id] = (prior, size)
-            self._loading.pop(model_id, None)
+            self._warm[record.id] = (prior, record.weights_bytes)
             while len(self._warm) > 1 and sum(b for _, b in self._warm.values()) > self._max_bytes:
                 self._warm.popitem(last=False)
         return prior

@@ -8,12 +8,19 @@ from typing import Any
 import redis.exceptions
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
+from obstore.exceptions import BaseError as ObjectStoreError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from store.errors import CaptureError, ConflictError, KeyReusedError, NotFoundError
+from store.errors import (
+    CaptureError,
+    ConflictError,
+    KeyReusedError,
+    NotFoundError,
+    QueueFullError,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -186,6 +193,14 @@ def install(app: FastAPI) -> None:
     async def on_key_reused(_request: Request, error: KeyReusedError) -> Response:
         return ApiError("idempotency_key_reused", str(error)).response()
 
+    @app.exception_handler(QueueFullError)
+    async def on_queue_full(_request: Request, error: QueueFullError) -> Response:
+        return ApiError(
+            "too_many_fits",
+            f"{error} Try again when some have run.",
+            headers={"Retry-After": "60"},
+        ).response()
+
     @app.exception_handler(HTTPException)
     async def on_http_error(request: Request, error: HTTPException) -> Response:
         detail = str(error.detail)
@@ -196,10 +211,15 @@ def install(app: FastAPI) -> None:
         return ApiError(code, detail, headers=dict(error.headers or {})).response()
 
     @app.exception_handler(OperationalError)
+    @app.exception_handler(ObjectStoreError)
     @app.exception_handler(redis.exceptions.RedisError)
     async def on_outage(_request: Request, error: Exception) -> Response:
         logger.error("Unavailable: %s", error)
-        part = "queue" if isinstance(error, redis.exceptions.RedisError) else "records"
+        part = "objects"
+        if isinstance(error, redis.exceptions.RedisError):
+            part = "queue"
+        elif isinstance(error, OperationalError):
+            part = "records"
         return ApiError(
             "unavailable",
             f"The {part} cannot be reached at the moment; try again shortly.",
@@ -209,7 +229,9 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(Exception)
     async def on_bug(_request: Request, _error: Exception) -> Response:
         return ApiError(
-            "internal_error", "This is a fault in Fewview; its log says more."
+            "internal_error",
+            "This is a fault in Fewview; its log says more.",
+            headers={"Connection": "close"},  # as the server does after an exception
         ).response()
 
 

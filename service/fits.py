@@ -26,7 +26,7 @@ from service.deps import (
     StoreDep,
     cursor_of,
 )
-from service.errors import BODY_PROBLEMS, ApiError, problems
+from service.errors import BODY_PROBLEMS, problems
 from service.idempotency import idempotency
 from service.representations import FormatQuery, arrays_response, binary_responses
 from service.uploads import UploadBody
@@ -217,17 +217,12 @@ def create_fit(
     and the queue are back.
     """
     body = upload.json(FitCreate)
-    if fits.count_queued(store) >= settings.max_queued_fits:
-        raise ApiError(
-            "too_many_fits",
-            f"{settings.max_queued_fits} fits are waiting already; try again when some have run.",
-            headers={"Retry-After": "60"},
-        )
     record = fits.create(
         store,
         dataset_id=body.dataset_id,
         name=body.name,
         config=body.config.model_dump(mode="json"),
+        max_queued=settings.max_queued_fits,
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )
     if record.status == "queued":
@@ -339,10 +334,7 @@ def get_reconstruction(
     `translations` (N, K, 2), `reprojection_errors` (N, K) and `keypoints_used` (N, K), NaN where
     there is no answer.
     """
-    if fit.reconstruction_key is None:
-        raise ApiError(
-            "conflict", f"Fit {fit.id!r} is {fit.status}: only a fit that succeeded has one."
-        )
+    data = fits.load_reconstruction(store, fit)
     about = {
         "fit_id": fit.id,
         "model_id": fit.model_id,
@@ -350,7 +342,7 @@ def get_reconstruction(
     }
     return arrays_response(
         request,
-        load(store.objects.get(fit.reconstruction_key)),
+        load(data),
         about,
         format=format,
         filename=f"{fit.id}-reconstruction",

@@ -156,7 +156,7 @@ def download_weights(model_id: Identifier, store: StoreDep, request: Request) ->
     record = models.get(store, model_id)
     return bytes_response(
         request,
-        store.objects.get(record.weights_key),
+        models.load_weights(store, record),
         media_type="application/octet-stream",
         filename=f"{record.id}.safetensors",
         checksum=record.weights_checksum,

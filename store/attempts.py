@@ -129,7 +129,6 @@ def succeed(
                     "model_id": model.id,
                     "progress": progress,
                     "reconstruction_key": reconstruction_key,
-                    "checkpoint_key": None,
                 },
             )
     except LeaseLostError:
@@ -145,14 +144,22 @@ def end(
     """End the attempt's fit as ``failed`` or ``cancelled``."""
     with store.writing() as session:
         key = session.scalar(select(Fit.checkpoint_key).where(Fit.id == attempt.fit_id))
-        _write(session, attempt, fits.ended(status) | {"error": error, "checkpoint_key": None})
+        _write(session, attempt, fits.ended(status) | {"error": error})
     store.objects.delete(key)
 
 
 def release(store: Store, attempt: Attempt) -> None:
-    """Put the attempt's fit back to queued, to be resumed from its last checkpoint."""
+    """Put the attempt's fit back to queued, to be resumed from its last checkpoint.
+
+    If the user asked to cancel meanwhile, that is done instead.
+    """
+    back = {"status": "queued", "lease_expires_at": None, "revision": Fit.revision + 1}
     with store.writing() as session:
-        _write(session, attempt, {"status": "queued", "lease_expires_at": None})
+        asked = _write(session, attempt, back)
+        if asked is not None:  # nobody would claim it any more
+            session.execute(
+                update(Fit).where(Fit.id == attempt.fit_id).values(**fits.ended("cancelled"))
+            )
 
 
 def _write(session: Session, attempt: Attempt, values: dict[str, Any]) -> float | None:

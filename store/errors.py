@@ -4,6 +4,7 @@ StoreError
 ├── NotFoundError          no such dataset, fit or model
 ├── ConflictError          the record's state does not allow it
 ├── CaptureError           arrays that are no capture; names the field
+├── QueueFullError         as many fits wait as may
 ├── KeyReusedError         an idempotency key came back with another request
 └── LeaseLostError         a stale attempt tried to write; another attempt owns the fit
 """
@@ -40,6 +41,10 @@ class CaptureError(StoreError):
     def __init__(self, field: str, message: str) -> None:
         super().__init__(message)
         self.field = field
+
+
+class QueueFullError(StoreError):
+    """As many fits wait as may."""
 
 
 class KeyReusedError(StoreError):

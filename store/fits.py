@@ -14,12 +14,11 @@ from typing import Any
 
 from sqlalchemy import func, select, update
 
-from store import datasets
 from store.database import Store
-from store.errors import ConflictError, NotFoundError
+from store.errors import ConflictError, NotFoundError, QueueFullError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
-from store.records import Fit, Model
+from store.records import Dataset, Fit, Model
 
 TERMINAL = ("succeeded", "failed", "cancelled")
 MAX_CRASHES = 5
@@ -32,6 +31,7 @@ def create(
     name: str,
     config: dict[str, Any],
     job_id: str | None = None,
+    max_queued: int | None = None,
     idempotency: Idempotency | None = None,
 ) -> Fit:
     """Record a queued fit of the dataset as it is now.
@@ -43,14 +43,22 @@ def create(
     ------
     NotFoundError
         If there is no such dataset.
+    QueueFullError
+        If ``max_queued`` fits wait already.
     """
-    dataset = datasets.get(store, dataset_id)
     fit_id = new_id("fit")
     with store.writing() as session:
         earlier = replayed(session, idempotency)
         if earlier is None and job_id is not None:
             earlier = session.scalar(select(Fit.id).where(Fit.job_id == job_id))
         if earlier is None:
+            waiting = select(func.count()).select_from(Fit).where(Fit.status == "queued")
+            if max_queued is not None and (session.scalar(waiting) or 0) >= max_queued:
+                raise QueueFullError(f"{max_queued} fits are waiting already.")
+            # Locked against deletion, so that no fit is queued of a dataset that is gone.
+            dataset = session.get(Dataset, dataset_id, with_for_update=True)
+            if dataset is None:
+                raise NotFoundError("dataset", dataset_id)
             fit = _new(
                 id=fit_id,
                 name=name,
@@ -134,13 +142,6 @@ def page(
         return list(session.scalars(query))
 
 
-def count_queued(store: Store) -> int:
-    """Return how many fits wait."""
-    with store.reading() as session:
-        query = select(func.count()).select_from(Fit).where(Fit.status == "queued")
-        return session.scalar(query) or 0
-
-
 def request_cancel(store: Store, fit_id: str) -> Fit:
     """Cancel a queued fit at once, or ask the attempt that runs it to stop.
 
@@ -165,8 +166,7 @@ def request_cancel(store: Store, fit_id: str) -> Fit:
             fit.revision += 1
         abandoned = fit.lease_expires_at is not None and fit.lease_expires_at < now
         if fit.status == "queued" or (fit.status == "running" and abandoned):
-            fit.attempt += 1
-            _cancel_now(fit, now)
+            _end(fit, "cancelled", now)
     return fit
 
 
@@ -191,13 +191,12 @@ def recover(store: Store) -> list[Fit]:
 
 def _lose(fit: Fit, now: float) -> None:
     fit.crashes += 1
-    fit.attempt += 1  # whoever may still run it is stale from here on
     fit.revision += 1
     fit.lease_expires_at = None
     if fit.cancel_requested_at is not None:
-        _cancel_now(fit, now)
+        _end(fit, "cancelled", now)
     elif fit.crashes >= MAX_CRASHES:
-        fit.status, fit.finished_at = "failed", now
+        _end(fit, "failed", now)
         fit.error = {
             "code": "worker_lost",
             "message": f"The worker died {fit.crashes} times while fitting; it may have run out "
@@ -226,7 +225,7 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
         taken = session.execute(
             update(Fit)
             .where(Fit.job_id == job_id, Fit.status == "running")
-            .values(**ended("cancelled"), attempt=Fit.attempt + 1)
+            .values(**ended("cancelled"))
             .returning(Fit.id)
         ).first()
     return taken is not None
@@ -254,14 +253,34 @@ def delete(store: Store, fit_id: str) -> None:
 
 
 def ended(status: str) -> dict[str, Any]:
-    """Return the columns of a fit that ends now."""
+    """Return the columns of a fit that ends now. It needs its checkpoint no more."""
     return {
         "status": status,
         "finished_at": time.time(),
         "lease_expires_at": None,
+        "checkpoint_key": None,
         "revision": Fit.revision + 1,
     }
 
 
-def _cancel_now(fit: Fit, now: float) -> None:
-    fit.status, fit.finished_at = "cancelled", now
+def _end(fit: Fit, status: str, now: float) -> None:
+    fit.status, fit.finished_at = status, now
+    fit.lease_expires_at = fit.checkpoint_key = None  # the sweep removes the checkpoint itself
+
+
+def load_reconstruction(store: Store, fit: Fit) -> bytes:
+    """Return the reconstruction of a fit (safetensors).
+
+    Raises
+    ------
+    NotFoundError
+        If the fit was deleted since its record was read.
+    ConflictError
+        If it has none, for it did not succeed.
+    """
+    if fit.reconstruction_key is None:
+        raise ConflictError(f"Fit {fit.id!r} is {fit.status}: only a fit that succeeded has one.")
+    try:
+        return store.objects.get(fit.reconstruction_key)
+    except FileNotFoundError as error:
+        raise NotFoundError("fit", fit.id) from error

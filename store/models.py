@@ -57,6 +57,14 @@ def get(store: Store, model_id: str) -> Model:
     return model
 
 
+def load_weights(store: Store, model: Model) -> bytes:
+    """Return a model's weights; raise ``NotFoundError`` if it was deleted since it was read."""
+    try:
+        return store.objects.get(model.weights_key)
+    except FileNotFoundError as error:
+        raise NotFoundError("model", model.id) from error
+
+
 def page(store: Store, *, limit: int, after: str | None) -> list[Model]:
     """Return up to ``limit`` models, newest first, older than ``after`` if it is given."""
     query = select(Model).order_by(Model.id.desc()).limit(limit)

@@ -40,10 +40,6 @@ class Objects:
         """Return the bytes under ``key``; raise ``FileNotFoundError`` if there are none."""
         return bytes(obstore.get(self._store, key).bytes())
 
-    def get_range(self, key: str, start: int, end: int) -> bytes:
-        """Return bytes ``start`` (included) to ``end`` (excluded) of the object."""
-        return bytes(obstore.get_range(self._store, key, start=start, end=end))
-
     def delete(self, *keys: str | None) -> None:
         """Delete what is there of ``keys``; what is gone already is no error."""
         for key in keys:

@@ -2,13 +2,14 @@ import time
 
 import pytest
 
-from store import attempts, datasets, fits, models
+from store import attempts, datasets, fits, housekeeping, models
 from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
-from store.errors import ConflictError, LeaseLostError
+from store.errors import ConflictError, LeaseLostError, QueueFullError
 from store.fits import MAX_CRASHES
+from store.idempotency import Idempotency
 from store.records import Fit
 
 DESCRIBE = {
@@ -151,6 +152,49 @@ def test_a_released_fit_counts_no_crash_and_keeps_its_checkpoint(store: Store, f
     assert (record.status, record.crashes) == ("queued", 0)
     claim(store, fit)
     assert attempts.load_checkpoint(store, fit.id) == b"half"
+
+
+def test_a_fit_released_as_it_is_cancelled_is_cancelled(store: Store, fit: Fit) -> None:
+    attempt = claim(store, fit)
+    fits.request_cancel(store, fit.id)
+    attempts.release(store, attempt)
+    assert fits.get(store, fit.id).status == "cancelled"
+    assert fits.recover(store) == []
+
+
+def test_whoever_ends_a_fit_its_checkpoint_goes(store: Store, fit: Fit) -> None:
+    attempt = claim(store, fit)
+    attempts.save_checkpoint(store, attempt, b"half")
+    fits.request_cancel(store, fit.id)
+    assert fits.enforce_cancel(store, fit.job_id, patience_seconds=0)
+    housekeeping.sweep(store, orphan_seconds=-1)
+    assert objects(store) == {"chunk"}
+
+
+def test_only_so_many_fits_wait_and_a_repeated_request_is_none_of_them(
+    store: Store, fit: Fit
+) -> None:
+    def create(idempotency: Idempotency | None) -> str:
+        return fits.create(
+            store,
+            dataset_id=fit.dataset_id,
+            name="g",
+            config={},
+            max_queued=2,
+            idempotency=idempotency,
+        ).id
+
+    request = Idempotency("POST /fits", "k", "x")
+    assert create(request) == create(request)
+    with pytest.raises(QueueFullError):
+        create(None)
+
+
+def test_attempts_count_starts(store: Store, fit: Fit) -> None:
+    claim(store, fit, lease_seconds=0.001)
+    time.sleep(0.005)
+    fits.recover(store)
+    assert claim(store, fit).number == 2
 
 
 def test_one_fit_per_job(store: Store, fit: Fit) -> None:
