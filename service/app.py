@@ -1,5 +1,6 @@
 """The FastAPI application."""
 
+import asyncio
 import logging
 import socket
 import sys
@@ -17,11 +18,14 @@ from service.bodies import registered_schemas
 from service.engine import Engine
 from service.limits import BodyLimit
 from service.settings import Settings
+from service.uploads import LARGE_AT_A_TIME
 from store.database import Store
 from worker.process import die_with_parent
 from worker.queue import connect, open_queue
 
 RESOURCES = (datasets, fits, models, lift, health)
+
+QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 
 DESCRIPTION = """
 3D structure and camera rotations from the 2D keypoints of a few uncalibrated, possibly moving
@@ -39,7 +43,11 @@ def create_app(settings: Settings) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         app.state.store = Store(settings)
-        app.state.queue = open_queue(connect(str(settings.redis_url), retries=1))
+        connection = connect(
+            str(settings.redis_url), retries=1, timeout_seconds=QUEUE_PATIENCE_SECONDS
+        )
+        app.state.queue = open_queue(connection)
+        app.state.large_uploads = asyncio.Semaphore(LARGE_AT_A_TIME)
         app.state.engine = Engine(app.state.store, max_bytes=settings.warm_model_bytes)
         yield
         app.state.store.close()

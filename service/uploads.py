@@ -1,6 +1,7 @@
 """Request bodies that carry arrays: JSON, raw bytes, or multipart/form-data."""
 
 import hashlib
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeVar
 
@@ -28,6 +29,8 @@ BINARY_TYPES = (
     "application/npz",
     "application/zip",
 )
+LARGE_BYTES = 1024 * 1024
+LARGE_AT_A_TIME = 4
 POINT_AXES = ("frames", "views", "keypoints", "x y")
 TRUTH_AXES = ("frames", "keypoints", "x y z")
 
@@ -90,8 +93,21 @@ class Upload:
             raise from_validation(error) from error
 
 
-async def read_upload(request: Request) -> Upload:
-    """Read a body of any of the accepted types; the size limits hold while it streams in."""
+async def read_upload(request: Request) -> AsyncIterator[Upload]:
+    """Give a body of any of the accepted types; the size limits hold while it streams in.
+
+    Working on a body takes many times its size in memory. Large ones take turns at that, a few at
+    a time, and so leave the threads to the small ones.
+    """
+    upload = await _read(request)
+    if len(upload.data) < LARGE_BYTES:
+        yield upload
+    else:
+        async with request.app.state.large_uploads:
+            yield upload
+
+
+async def _read(request: Request) -> Upload:
     settings: Settings = request.app.state.settings
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type == "multipart/form-data":
@@ -122,7 +138,7 @@ async def read_upload(request: Request) -> Upload:
     )
 
 
-UploadBody = Annotated[Upload, Depends(read_upload)]
+UploadBody = Annotated[Upload, Depends(read_upload, scope="function")]  # until it is answered
 
 
 def to_capture(

@@ -48,8 +48,6 @@ def fit(
     try:
         known = fits.by_job(store, job.id)
         fit_id = adopt(store, job) if known is None else known.id
-        if fit_id is None:
-            raise RuntimeError("The job's arguments are not plain data.")
         attempt = attempts.claim(store, fit_id, lease_seconds=settings.lease_seconds)
         if attempt is not None:
             logger.info("Fit %s: attempt %d starts", fit_id, attempt.number)

@@ -53,25 +53,37 @@ class _PlainDataUnpickler(pickle.Unpickler):
 
 
 class FitJob(Job):
-    """A job that may call :data:`FIT_JOB` and nothing else."""
+    """A job that may call :data:`FIT_JOB` and nothing else: no other function, no callbacks."""
+
+    success_callback = failure_callback = stopped_callback = None
+
+    def check_function(self) -> None:
+        """Raise ``ValueError`` if the job asks for another function."""
+        if self.func_name != FIT_JOB or self.instance is not None:
+            raise ValueError(f"This queue runs {FIT_JOB!r} only, not {self.func_name!r}.")
 
     @property
     def func(self) -> Any:
         """Return the job function."""
-        if self.func_name != FIT_JOB or self.instance is not None:
-            raise ValueError(f"This queue runs {FIT_JOB!r} only, not {self.func_name!r}.")
+        self.check_function()
         return super().func
 
 
-def connect(url: str, *, retries: int) -> Redis:
+def connect(url: str, *, retries: int, timeout_seconds: float = 5.0) -> Redis:
     """Return a client that rides over ``retries`` failures (a restart of Redis) at up to 1 s each.
 
     A name that cannot be reached is only noticed at the first command.
+
+    Parameters
+    ----------
+    timeout_seconds
+        How long Redis may take to accept a connection or to answer, at each try.
     """
     return Redis.from_url(
         url,
         retry=Retry(ExponentialWithJitterBackoff(base=0.05, cap=1.0), retries),
-        socket_connect_timeout=5,
+        socket_connect_timeout=timeout_seconds,
+        socket_timeout=timeout_seconds,
         health_check_interval=30,
     )
 

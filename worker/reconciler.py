@@ -15,6 +15,7 @@ from worker.queue import FitJob, enqueue, open_queue, parse_request
 logger = logging.getLogger(__name__)
 
 GRACE_SECONDS = 2.0
+ARGUMENTS = ("dataset_id", "config", "name")  # of a job, in this order
 
 
 class Reconciler:
@@ -38,7 +39,8 @@ class Reconciler:
                 self._adopt(job_id)
         self._known.intersection_update(waiting)  # bounded by the queue's length
         now = time.monotonic()
-        lost = [fit for fit in fits.recover(self._store) if fit.job_id not in set(waiting)]
+        carried = set(waiting)
+        lost = [fit for fit in fits.recover(self._store) if fit.job_id not in carried]
         self._lost_since = {fit.id: self._lost_since.get(fit.id, now) for fit in lost}
         for fit in lost:
             if now - self._lost_since[fit.id] >= GRACE_SECONDS:
@@ -55,16 +57,20 @@ class Reconciler:
                 adopt(self._store, job)
 
 
-def adopt(store: Store, job: FitJob) -> str | None:
+def adopt(store: Store, job: FitJob) -> str:
     """Record the fit that a job asks for, whoever queued it; return its identifier.
 
     A job that can never run is recorded as a failed fit, so that its producer can read why.
-    Returns None if not even that is possible, because the job's arguments are no plain data.
     """
     arguments: dict[str, object] = {}
     try:
-        arguments = dict(zip(("dataset_id", "config", "name"), job.args, strict=False))
+        job.check_function()
+        if len(job.args) > len(ARGUMENTS):
+            raise ValueError(f"expected {', '.join(ARGUMENTS)}, got {len(job.args)} arguments")
+        arguments = dict(zip(ARGUMENTS, job.args, strict=False))
         arguments |= job.kwargs
+        if unknown := sorted(set(arguments) - set(ARGUMENTS)):
+            raise ValueError(f"{unknown[0]}: expected some of {', '.join(ARGUMENTS)}")
         dataset_id, config, name = parse_request(**arguments)
         fit_id = fits.create(
             store,
@@ -73,18 +79,15 @@ def adopt(store: Store, job: FitJob) -> str | None:
             config=config.model_dump(mode="json"),
             job_id=job.id,
         ).id
-    except DeserializationError:
-        logger.exception("Job %s holds more than plain data", job.id)
-        return None
-    except (TypeError, ValueError, NotFoundError) as error:
+    except (DeserializationError, TypeError, ValueError, NotFoundError) as error:
         code = "dataset_not_found" if isinstance(error, NotFoundError) else "invalid_arguments"
         fit_id = fits.refuse(
             store,
-            dataset_id=str(arguments.get("dataset_id"))[:200],
+            dataset_id=str(arguments.get("dataset_id", ""))[:200],
             name=str(arguments.get("name") or "fit")[:200],
             config={},
             job_id=job.id,
-            error={"code": code, "message": str(error)},
+            error={"code": code, "message": str(error.__cause__ or error)},
         )
     job.meta["fit_id"] = fit_id
     job.save_meta()  # type: ignore[no-untyped-call]

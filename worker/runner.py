@@ -6,6 +6,7 @@ import signal
 import time
 
 import redis.exceptions
+from obstore.exceptions import BaseError as ObjectStoreError
 from redis import Redis
 from redis.client import Pipeline
 from rq import Queue, Worker
@@ -85,6 +86,8 @@ class FitWorker(Worker):
                 housekeeping.sweep(self._store)
         except SQLAlchemyError:
             logger.exception("The records cannot be reached")
+        except (ObjectStoreError, OSError):
+            logger.exception("The objects cannot be swept")
 
     def execute_job(self, job: Job, queue: Queue) -> None:
         """Run a job in a process of its own, whatever limits its producer set or left out."""
@@ -92,7 +95,7 @@ class FitWorker(Worker):
         job.result_ttl, job.failure_ttl = RESULT_SECONDS, FAILURE_SECONDS
         try:
             super().execute_job(job, queue)
-        except redis.exceptions.ConnectionError:
+        except (redis.exceptions.ConnectionError, redis.exceptions.TimeoutError):
             # The record is the truth: a fit does not need Redis to go on and finish.
             logger.exception("Redis is gone: waiting for the running fit")
             self.wait_for_horse()

@@ -1,11 +1,12 @@
 """The queue's contract, as any RQ producer meets it."""
 
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 from redis import Redis
-from rq import Queue
+from rq import Callback, Queue
 from rq.serializers import JSONSerializer
 from safetensors.numpy import load
 
@@ -88,7 +89,7 @@ def test_a_waiting_job_has_a_record_that_can_be_cancelled(
     fits.request_cancel(store, running.id)
     wait_until(store, running.id, "cancelled", seconds=4)
     wait_for(lambda: bool(second.is_finished), "the cancelled fit's job to end")
-    assert fits.get(store, waiting.id).attempt == 1  # grown by the cancel, never claimed
+    assert fits.get(store, waiting.id).attempt == 0  # never claimed
     assert models.page(store, limit=1, after=None) == []
 
 
@@ -99,7 +100,8 @@ def test_a_waiting_job_has_a_record_that_can_be_cancelled(
         ({"dataset_id": 7}, "invalid_arguments", "dataset_id"),
         ({"config": {"steps": 0}}, "invalid_arguments", "steps"),
         ({"config": {"stepz": 5}}, "invalid_arguments", "stepz"),
-        ({"wrong": 1}, "invalid_arguments", "wrong"),
+        ({"wrong": 1}, "invalid_arguments", "wrong: expected some of dataset_id"),
+        ({"name": datetime(2026, 1, 1, tzinfo=UTC)}, "invalid_arguments", "datetime"),
     ],
 )
 def test_a_job_that_can_never_run_says_why(
@@ -134,19 +136,25 @@ class Bomb:
 
 
 def test_nothing_but_plain_data_is_read_and_nothing_but_the_fit_is_run(
-    redis: Redis, dataset_id: str, start_worker: StartWorker, tmp_path: Path
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker, tmp_path: Path
 ) -> None:
     queue = Queue("fits", connection=redis)
     bomb = queue.enqueue(
         "worker.jobs.fit", dataset_id=dataset_id, config={"a": Bomb(f"{tmp_path}/gone-off")}
     )
-    other = queue.enqueue("os.getcwd")
-    good = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=CONFIG | {"steps": 1})
+    other = queue.enqueue("os.getcwd", dataset_id=dataset_id, config=CONFIG)
+    back = Callback(f"{__name__}.no_such_function")
+    good = queue.enqueue(
+        "worker.jobs.fit", dataset_id=dataset_id, config=CONFIG | {"steps": 1}, on_success=back
+    )
     start_worker()
     wait_for(lambda: bool(good.is_finished), "the good job")
     assert bomb.is_failed
     assert not (tmp_path / "gone-off").exists()
     assert other.is_failed
+    record = fits.by_job(store, other.id)
+    assert record is not None
+    assert (record.status, record.attempt) == ("failed", 0)
 
 
 def test_a_dataset_that_vanished_under_a_queued_fit(
