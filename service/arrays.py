@@ -111,9 +111,15 @@ def to_safetensors(arrays: Arrays, metadata: dict[str, str]) -> bytes:
 
 
 def to_npz(arrays: Arrays) -> bytes:
-    """Return the arrays as an npz file's bytes."""
+    """Return the arrays as an npz file's bytes, the same for the same arrays.
+
+    ``numpy.savez`` notes the time in them, and so a download could not be resumed.
+    """
     buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **arrays)
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, array in arrays.items():
+            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
     return buffer.getvalue()
 
 

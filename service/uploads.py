@@ -1,6 +1,7 @@
 """Request bodies that carry arrays: JSON, raw bytes, or multipart/form-data."""
 
 import hashlib
+import os
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeVar
@@ -30,7 +31,7 @@ BINARY_TYPES = (
     "application/zip",
 )
 LARGE_BYTES = 1024 * 1024
-LARGE_AT_A_TIME = 4
+LARGE_AT_A_TIME = min(4, os.cpu_count() or 1)
 POINT_AXES = ("frames", "views", "keypoints", "x y")
 TRUTH_AXES = ("frames", "keypoints", "x y z")
 
