@@ -21,9 +21,17 @@ MIRROR = (1.0, 1.0, -1.0)  # through the x-y plane
 
 
 def settle(
-    points: Tensor, keypoints: Tensor, weights: Tensor, guesses: Tensor, foreshortening: float
+    points: Tensor,
+    keypoints: Tensor,
+    weights: Tensor,
+    guesses: Tensor,
+    foreshortening: float,
+    *,
+    rounds: int = ROUNDS,
 ) -> tuple[Tensor, Tensor]:
-    """Refine right-handed structures of frames with two views or more; mirror what needs it.
+    """Refine the structures of frames and make them right-handed.
+
+    A frame with one view is only moved along its image: depth stays the network's.
 
     Parameters
     ----------
@@ -37,6 +45,8 @@ def settle(
         k of the fit, negative if the network's structures are mirror images; see
         `estimate_foreshortening`. A frame follows that sign unless the other explains its
         keypoints decidedly better. A frame with one view follows it always.
+    rounds
+        How often cameras and structure take turns; with more, the network has less of a say.
 
     Returns
     -------
@@ -44,9 +54,10 @@ def settle(
     """
     if foreshortening == 0:
         return points, guesses
-    several = (weights.sum(-1) > 0).sum(1) > 1  # (N,)
+    views = (weights.sum(-1) > 0).sum(1)  # (N,)
+    some, several = views > 0, views > 1
     signs = torch.full_like(points[:, 0, 0], 1.0 if foreshortening > 0 else -1.0)  # (N,)
-    if several.any():
+    if some.any():
         # Both hypotheses at once: the first half of the batch keeps the sign of the fit.
         both = torch.cat((signs, -signs)) * abs(foreshortening)
         refined, errors = _refine(
@@ -55,12 +66,13 @@ def settle(
             weights.repeat(2, 1, 1),
             guesses.repeat(2, 1, 1, 1),
             both,
+            rounds,
         )
         kept, turned = refined.chunk(2)
         error, error_turned = errors.chunk(2)
         turn = several & (error_turned < DECISIVE * error)
         refined = torch.where(turn[:, None, None], turned, kept)
-        points = torch.where(several[:, None, None], refined, points)
+        points = torch.where(some[:, None, None], refined, points)
         signs = torch.where(turn, -signs, signs)
     mirror = torch.where((signs < 0)[:, None], points.new_tensor(MIRROR), 1.0)  # (N, 3)
     points = points * mirror[:, None]
@@ -72,7 +84,7 @@ def settle(
 
 
 def estimate_foreshortening(
-    points: Tensor, keypoints: Tensor, weights: Tensor, guesses: Tensor
+    points: Tensor, keypoints: Tensor, weights: Tensor, guesses: Tensor, *, rounds: int = ROUNDS
 ) -> float:
     """Return k of a whole fit, in the handedness that most of its frames have.
 
@@ -85,10 +97,10 @@ def estimate_foreshortening(
     points, keypoints = points[several], keypoints[several]
     weights, guesses = weights[several], guesses[several]
     k = torch.zeros_like(points[:, 0, 0])
-    for _ in range(ROUNDS):
-        refined, _ = _refine(points, keypoints, weights, guesses, k)
+    for _ in range(rounds):
+        refined, _ = _refine(points, keypoints, weights, guesses, k, rounds)
         cameras = solve_cameras(refined[:, None], keypoints, weights, guesses)
-        projected, nearer = _first_order(refined, weights, cameras)
+        projected, nearer = first_order(refined, weights, cameras)
         match = (weights[..., None] * (keypoints - projected) * nearer).sum((1, 2, 3))  # (N,)
         square = (weights[..., None] * nearer.square()).sum((1, 2, 3)).sum().clamp_min(1e-9)
         k = match.sign() * (match.abs().sum() / square)
@@ -96,15 +108,15 @@ def estimate_foreshortening(
 
 
 def _refine(
-    points: Tensor, keypoints: Tensor, weights: Tensor, guesses: Tensor, k: Tensor
+    points: Tensor, keypoints: Tensor, weights: Tensor, guesses: Tensor, k: Tensor, rounds: int
 ) -> tuple[Tensor, Tensor]:
     """Alternate cameras and structure; structures (N, P, 3) and squared-error roots (N,)."""
     k = k[:, None, None, None]
     stiffness = STIFFNESS * torch.eye(3, dtype=points.dtype)
     target = keypoints
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         cameras = solve_cameras(points[:, None], target, weights, guesses)
-        projected, nearer = _first_order(points, weights, cameras)
+        projected, nearer = first_order(points, weights, cameras)
         target = keypoints - k * nearer  # what weak perspective would have shown
         axes = cameras.scales[..., None, None] * cameras.rotations[..., :2, :]  # (N, K, 2, 3)
         squares = (axes.mT @ axes).flatten(-2)  # (N, K, 9)
@@ -113,14 +125,12 @@ def _refine(
         pull = (residual @ axes).sum(1)  # (N, P, 3)
         points = points + torch.linalg.solve(normal, pull)
     cameras = solve_cameras(points[:, None], target, weights, guesses)
-    projected, nearer = _first_order(points, weights, cameras)
+    projected, nearer = first_order(points, weights, cameras)
     residual = keypoints - k * nearer - projected
     return points, (weights[..., None] * residual.square()).sum((1, 2, 3)).sqrt()
 
 
-def _first_order(
-    points: Tensor, weights: Tensor, cameras: WeakPerspective
-) -> tuple[Tensor, Tensor]:
+def first_order(points: Tensor, weights: Tensor, cameras: WeakPerspective) -> tuple[Tensor, Tensor]:
     """Weak-perspective projections (N, K, P, 2) and how they move per unit of k."""
     projected = project(points[:, None], cameras)
     share = weights / weights.sum(-1, keepdim=True).clamp_min(1e-6)

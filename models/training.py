@@ -13,6 +13,7 @@ from torch import Tensor
 
 from models.cameras import project
 from models.config import FitConfig
+from models.distillation import Teachers, find_teachers, structure_loss, virtual_views
 from models.fitted import CurvePoint, FittedPrior
 from models.keypoints import Observations, as_observations
 from models.prior import HierarchicalPrior, Reconstruction
@@ -21,6 +22,9 @@ from models.weights import Arrays, Shapes, WeightsError, pack, read_about, unpac
 
 CURVE_ROWS = 200
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
+REFRESHES = (0.5, 0.75)  # shares of the steps after which the network gets (new) teachers
+VIRTUAL = 0.5  # share of a batch that virtual views take from then on
+STRUCTURE = 3.0  # weight of the distance to the teachers next to the reprojection error
 RECENT = 0.05  # weight of the newest batch in the running means
 
 
@@ -69,6 +73,8 @@ class Trainer:
         self.config = config
         self.step = 0
         self.seconds = 0.0
+        self._teachers: Teachers | None = None
+        self._teacher_weights: Arrays = {}
         self._fingerprint = _fingerprint(observations)
         self._keypoints = torch.from_numpy(observations.keypoints[frames])
         self._weights = torch.from_numpy(observations.weights[frames])
@@ -119,6 +125,8 @@ class Trainer:
         arrays: Arrays = {}
         for name, parameter in self._parameters.items():
             arrays[f"weights.{name}"] = parameter.detach()
+            # As long as there are no teachers, their network is zero.
+            arrays[f"teacher.{name}"] = self._teacher_weights.get(name, torch.zeros_like(parameter))
             # Before the first step Adam has no moments: they are zero.
             moments = self._optimiser.state.get(parameter, {})
             for moment in ("exp_avg", "exp_avg_sq"):
@@ -136,7 +144,7 @@ class Trainer:
     def _restore(self, data: bytes) -> None:
         shapes: Shapes = {"state": (4,), "curve": (None, 3)}
         for name, parameter in self._parameters.items():
-            for group in ("weights", "exp_avg", "exp_avg_sq"):
+            for group in ("weights", "teacher", "exp_avg", "exp_avg_sq"):
                 shapes[f"{group}.{name}"] = tuple(parameter.shape)
         about = read_about(data, kind="checkpoint")
         if about.get("config") != self.config.model_dump_json():
@@ -149,7 +157,12 @@ class Trainer:
         self._curve = [
             CurvePoint(int(s), loss, error) for s, loss, error in arrays["curve"].tolist()
         ]
+        refreshed = [step for step in self._refreshes() if step < self.step]
         with torch.no_grad():
+            if refreshed:
+                for name, parameter in self._parameters.items():
+                    parameter.copy_(arrays[f"teacher.{name}"])
+                self._teach(max(refreshed))
             for name, parameter in self._parameters.items():
                 parameter.copy_(arrays[f"weights.{name}"])
                 if self.step:
@@ -161,20 +174,65 @@ class Trainer:
 
     def _advance(self) -> tuple[float, float]:
         """Take one optimiser step; the loss and the reprojection error in pixels."""
+        if self.step in self._refreshes():
+            self._teach(self.step)
         frames = torch.from_numpy(self._batch())
+        if self._teachers is not None:
+            frames = frames[: len(frames) - int(VIRTUAL * len(frames))]
         keypoints, weights = self._keypoints[frames], self._weights[frames]
         rate = (
             self.config.learning_rate / 2 * (1 + math.cos(math.pi * self.step / self.config.steps))
         )
         for group in self._optimiser.param_groups:
             group["lr"] = rate
-        loss, distances = _loss(self._network(keypoints, weights), keypoints, weights)
+        if self._teachers is None:
+            loss, distances = _loss(self._network(keypoints, weights), keypoints, weights)
+            total = loss
+        else:
+            loss, distances, total = self._distil(self._teachers, frames)
         self._optimiser.zero_grad()
-        torch.autograd.backward(loss)
+        torch.autograd.backward(total)
         self._optimiser.step()
         seen = weights > 0
         pixels = (distances.detach() * self._sizes[frames][..., None])[seen]
         return loss.item(), pixels.mean().item()
+
+    def _distil(self, teachers: Teachers, frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Reprojection loss, its distances in `frames`, and the sum with the structure loss."""
+        rng = np.random.default_rng([self.config.seed, self.step, 1])
+        count = min(self.config.batch_size, len(self._keypoints)) - len(frames)
+        structures, virtual, shown = virtual_views(teachers, self._weights, count, rng)
+        keypoints = torch.cat((self._keypoints[frames], virtual))
+        weights = torch.cat((self._weights[frames], shown))
+        seen = self._network(keypoints, weights)
+        loss, distances = _loss(seen, keypoints, weights)
+        places = teachers.places[frames]
+        taught = places >= 0
+        total = loss
+        if count or taught.any():
+            points = torch.cat((seen.points[: len(frames)][taught], seen.points[len(frames) :]))
+            truth = torch.cat((teachers.points[places[taught]], structures))
+            total = loss + STRUCTURE * structure_loss(points, truth)
+        return loss, distances[: len(frames)], total
+
+    def _refreshes(self) -> list[int]:
+        return [int(share * self.config.steps) for share in REFRESHES]
+
+    def _teach(self, step: int) -> None:
+        """Let the network as it stands, before `step`, settle its teachers.
+
+        Checkpoints hold the network of that moment, which is less than its teachers.
+        """
+        self._teacher_weights = {
+            name: value.detach().clone() for name, value in self._parameters.items()
+        }
+        self._teachers = find_teachers(
+            self._network,
+            self._keypoints,
+            self._weights,
+            most=self.config.steps // 3,  # a fit of few steps spends little on teachers
+            seed=[self.config.seed, step, 2],
+        )
 
     def _batch(self) -> NDArray[np.int64]:
         """Frames of this step: epoch after epoch, each in an order of its own."""
