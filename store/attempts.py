@@ -4,7 +4,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import select, update
+from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from store import fits, models
@@ -48,7 +48,7 @@ def claim(store: Store, fit_id: str, *, lease_seconds: float) -> Attempt | None:
                 attempt=Fit.attempt + 1,
                 revision=Fit.revision + 1,
                 lease_expires_at=now + lease_seconds,
-                started_at=now,
+                started_at=func.coalesce(Fit.started_at, now),  # of the first attempt
             )
             .returning(Fit.attempt)
         )
