@@ -36,6 +36,13 @@ class FitConfig(BaseModel):
         le=1,
         description="Adam's step size at the start; it falls to zero along half a cosine.",
     )
+    distillation: bool = Field(
+        default=True,
+        description=(
+            "Let what several views of a frame agree on teach the network about frames with fewer."
+            " Off: the paper's fit, from the reprojection error alone."
+        ),
+    )
     seed: int = Field(
         default=0,
         ge=0,

@@ -216,6 +216,8 @@ class Trainer:
         return loss, distances[: len(frames)], total
 
     def _refreshes(self) -> list[int]:
+        if not self.config.distillation:
+            return []
         return [int(share * self.config.steps) for share in REFRESHES]
 
     def _teach(self, step: int) -> None:

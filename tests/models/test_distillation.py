@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from models import training
 from models.cameras import nearest_rotation
 from models.config import FitConfig
 from models.distillation import Teachers, find_teachers, structure_loss, virtual_views
@@ -41,20 +40,16 @@ def _teachers(keypoints: Tensor, weights: Tensor, *, most: int = 50) -> Teachers
     return found
 
 
-def test_frames_with_one_view_learn_from_frames_with_several(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_frames_with_one_view_learn_from_frames_with_several() -> None:
     capture = _mostly_single_views()
     single = np.arange(400) % 3 > 0
-    config = FitConfig(steps=600)
 
-    def error() -> float:
+    def error(*, distillation: bool) -> float:
+        config = FitConfig(steps=600, distillation=distillation)
         lift = fit(capture.keypoints, config).lift(capture.keypoints)
         return float(pa_mpjpe(lift.points3d, capture.points3d).per_frame[single].mean())
 
-    distilled = error()
-    monkeypatch.setattr(training, "REFRESHES", ())
-    assert distilled < 0.9 * error()
+    assert error(distillation=True) < 0.9 * error(distillation=False)
 
 
 def test_without_two_views_there_are_no_teachers() -> None:
