@@ -73,14 +73,16 @@ class FitWorker(Worker):
     def maintain_heartbeats(self, job: Job) -> None:
         """Do the same while a job runs, and stop it if it does not heed a cancel."""
         super().maintain_heartbeats(job)
-        self._look_after_records()
-        if fits.enforce_cancel(self._store, job.id, patience_seconds=CANCEL_PATIENCE_SECONDS):
-            logger.warning("Job %s did not stop when asked: killing it", job.id)
-            self.kill_horse()
+        self._look_after_records(job)
 
-    def _look_after_records(self) -> None:
+    def _look_after_records(self, job: Job | None = None) -> None:
         try:
             self._reconciler.step()
+            if job is not None and fits.enforce_cancel(
+                self._store, job.id, patience_seconds=CANCEL_PATIENCE_SECONDS
+            ):
+                logger.warning("Job %s did not stop when asked: killing it", job.id)
+                self.kill_horse()
             if time.monotonic() - self._swept_at > SWEEP_SECONDS or not self._swept_at:
                 self._swept_at = time.monotonic()
                 housekeeping.sweep(self._store)
