@@ -5,6 +5,12 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from models.calibration import Camera, KnownLength
+
+Refine = Literal["auto", "off", "full"]
+Arrangement = Literal["auto", "moving", "static"]
+Index = Annotated[int, Field(ge=0)]
+
 MAX_DICTIONARY_ENTRIES = 16_000_000  # the paper's {4096, 2048, ..., 8} needs 11 million
 
 
@@ -41,6 +47,37 @@ class FitConfig(BaseModel):
         description=(
             "Let what several views of a frame agree on teach the network about frames with fewer."
             " Off: the paper's fit, from the reprojection error alone."
+        ),
+    )
+    refine: Refine = Field(
+        default="auto",
+        description=(
+            "Perspective refinement of every frame after the network: `auto` where the residuals"
+            " say that it helps, `full` wherever it can be computed, `off` never (weak perspective,"
+            " as in the paper). Also what lifts do unless they say otherwise."
+        ),
+    )
+    cameras: Arrangement = Field(
+        default="auto",
+        description=(
+            "`static`: the cameras rest relative to each other; `moving`: each may move from frame"
+            " to frame; `auto`: found from the keypoints, view by view."
+        ),
+    )
+    calibration: tuple[Camera | None, ...] | None = Field(
+        default=None,
+        max_length=64,
+        description="What is known of the cameras, one entry per view; null where nothing is.",
+    )
+    known_length: KnownLength | None = Field(
+        default=None, description="A measured distance in the subject: results get its unit."
+    )
+    handedness: tuple[Index, Index, Index, Index] | None = Field(
+        default=None,
+        description=(
+            "Four keypoints a, b, c, d with a positive volume (b-a) x (c-a) . (d-a) in most"
+            " frames, seen in a right-handed frame: decides between a structure and its mirror"
+            " image. Without it perspective decides."
         ),
     )
     seed: int = Field(

@@ -1,5 +1,6 @@
 """A fitted prior: lifts 2D keypoints to structure and cameras, and travels as bytes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -8,13 +9,15 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from models.cameras import project, solve_cameras
-from models.config import FitConfig
+from models.config import FitConfig, Refine
+from models.found import FoundCameras
 from models.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS, Observations, as_observations
 from models.prior import HierarchicalPrior, parameter_shapes
 from models.refinement import settle
 from models.weights import Arrays, WeightsError, pack, read_about, unpack
 
 Status = Literal["ok", "too_few_keypoints"]
+CAMERA_MODELS = ("weak_perspective", "perspective", "fisheye")
 REASONS: dict[Status, str] = {
     "ok": "",
     "too_few_keypoints": (
@@ -39,10 +42,16 @@ class Lift:
     A frame without a usable view has no structure; a view that is not usable has no camera.
     """
 
-    points3d: NDArray[np.float32]  # (N, P, 3) canonical, centred, root-mean-square radius 1
+    points3d: NDArray[np.float32]  # (N, P, 3) canonical, centred
     rotations: NDArray[np.float32]  # (N, K, 3, 3) canonical to camera, det +1
-    scales: NDArray[np.float32]  # (N, K) pixels per unit
-    translations: NDArray[np.float32]  # (N, K, 2) pixels
+    scales: NDArray[np.float32]  # (N, K) pixels per unit, at the structure's centre
+    # (N, K, 3): of perspective, x_cam = R X + t in units of the structure; of weak perspective,
+    # (x, y) in pixels and NaN.
+    translations: NDArray[np.float32]
+    focals: NDArray[np.float32]  # (N, K, 2) pixels along x and y; NaN for weak perspective
+    principal_points: NDArray[np.float32]  # (N, K, 2) pixels; NaN for weak perspective
+    distortions: NDArray[np.float32]  # (N, K, 8) OpenCV's order; NaN for weak perspective
+    camera_models: NDArray[np.int8]  # (N, K) index into CAMERA_MODELS, -1 without a camera
     reprojection_errors: NDArray[np.float32]  # (N, K) pixels, mean over the observed keypoints
     keypoints_used: NDArray[np.int32]  # (N, K)
     status: tuple[Status, ...]  # N
@@ -62,8 +71,10 @@ class FittedPrior:
         arrays: Arrays,
         curve: tuple[CurvePoint, ...],
         foreshortening: float,
+        cameras: FoundCameras | None = None,
     ) -> None:
         self.config = config
+        self.cameras = cameras
         self.curve = curve
         self.foreshortening = foreshortening
         self._arrays = arrays
@@ -76,7 +87,14 @@ class FittedPrior:
         """The number of keypoints P that every frame must have."""
         return self._network.keypoints
 
-    def lift(self, keypoints: ArrayLike, *, confidence: ArrayLike | None = None) -> Lift:
+    def lift(
+        self,
+        keypoints: ArrayLike,
+        *,
+        confidence: ArrayLike | None = None,
+        refine: Refine | None = None,
+        views: Sequence[int] | None = None,
+    ) -> Lift:
         """Lift frames (N, K, P, 2) in pixels, with any number of views K and any gaps.
 
         Every frame is lifted on its own: neither its neighbours nor the order of the frames
@@ -88,19 +106,20 @@ class FittedPrior:
             When the arrays are malformed (see `as_observations`) or P differs from the fit's.
         """
         seen = as_observations(keypoints, confidence)
-        frames, views, count, _ = seen.keypoints.shape
+        frames, views_n, count, _ = seen.keypoints.shape
         if count != self.keypoints_per_frame:
             raise ValueError(
                 f"this prior was fitted to {self.keypoints_per_frame} keypoints per view,"
                 f" got {count}; give them in the order of the fit, NaN for what was not observed"
             )
-        widest = 6 * views * max(self.config.dictionary_sizes[0], count)
+        widest = 6 * views_n * max(self.config.dictionary_sizes[0], count)
         slices = range(0, frames, max(1, ACTIVATIONS // widest)) or [0]
         size = max(1, ACTIVATIONS // widest)
         parts = [self._lift(seen, slice(start, start + size)) for start in slices]
-        points, rotations, scales, translations, errors = (
+        points, rotations, scales, shifts, errors = (
             np.concatenate(part) for part in zip(*parts, strict=True)
         )
+        translations = np.concatenate((shifts, np.full_like(shifts[..., :1], np.nan)), -1)
         usable = seen.usable
         answered: NDArray[np.bool_] = np.any(usable, axis=1)
         points[~answered] = np.nan
@@ -111,6 +130,10 @@ class FittedPrior:
             rotations=rotations,
             scales=scales,
             translations=translations,
+            focals=np.full((frames, views_n, 2), np.nan, np.float32),
+            principal_points=np.full((frames, views_n, 2), np.nan, np.float32),
+            distortions=np.full((frames, views_n, 8), np.nan, np.float32),
+            camera_models=np.where(usable, 0, -1).astype(np.int8),
             reprojection_errors=errors,
             keypoints_used=(seen.weights > 0).sum(-1, dtype=np.int32),
             status=tuple("ok" if any_view else "too_few_keypoints" for any_view in answered),
