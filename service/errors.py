@@ -16,6 +16,7 @@ from starlette.responses import Response
 
 from store.errors import (
     CaptureError,
+    ConfigError,
     ConflictError,
     KeyReusedError,
     NotFoundError,
@@ -188,6 +189,10 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(CaptureError)
     async def on_capture_error(_request: Request, error: CaptureError) -> Response:
         return invalid(f"/{error.field}", str(error)).response()
+
+    @app.exception_handler(ConfigError)
+    async def on_config_error(_request: Request, error: ConfigError) -> Response:
+        return invalid(f"/config/{error.field}", str(error)).response()
 
     @app.exception_handler(KeyReusedError)
     async def on_key_reused(_request: Request, error: KeyReusedError) -> Response:

@@ -4,6 +4,7 @@ StoreError
 ├── NotFoundError          no such dataset, fit or model
 ├── ConflictError          the record's state does not allow it
 ├── CaptureError           arrays that are no capture; names the field
+├── ConfigError            a configuration that its dataset does not allow; names the field
 ├── QueueFullError         as many fits wait as may
 ├── KeyReusedError         an idempotency key came back with another request
 └── LeaseLostError         a stale attempt tried to write; another attempt owns the fit
@@ -34,6 +35,22 @@ class CaptureError(StoreError):
     ----------
     field
         The array at fault, as the caller named it: ``keypoints``, ``confidence``, ``points3d``, ...
+    message
+        What was expected, what came, and how to mend it.
+    """
+
+    def __init__(self, field: str, message: str) -> None:
+        super().__init__(message)
+        self.field = field
+
+
+class ConfigError(StoreError):
+    """A fit's configuration that speaks of views or keypoints which its dataset has not.
+
+    Parameters
+    ----------
+    field
+        The field of the configuration at fault: ``calibration``, ``known_length``, ...
     message
         What was expected, what came, and how to mend it.
     """

@@ -15,7 +15,7 @@ from typing import Any
 from sqlalchemy import func, select, update
 
 from store.database import Store
-from store.errors import ConflictError, NotFoundError, QueueFullError
+from store.errors import ConfigError, ConflictError, NotFoundError, QueueFullError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
 from store.records import Dataset, Fit, Model
@@ -43,6 +43,8 @@ def create(
     ------
     NotFoundError
         If there is no such dataset.
+    ConfigError
+        If the configuration speaks of views or keypoints that the dataset has not.
     QueueFullError
         If ``max_queued`` fits wait already.
     """
@@ -59,6 +61,7 @@ def create(
             dataset = session.get(Dataset, dataset_id, with_for_update=True)
             if dataset is None:
                 raise NotFoundError("dataset", dataset_id)
+            _check(config, dataset)
             fit = _new(
                 id=fit_id,
                 name=name,
@@ -70,6 +73,27 @@ def create(
             session.add(fit)
             remember(session, idempotency, fit_id)
     return fit if earlier is None else get(store, earlier)
+
+
+def _check(config: dict[str, Any], dataset: Dataset) -> None:
+    """Raise ``ConfigError`` for what a configuration cannot know by itself."""
+    calibration, known_length = config.get("calibration"), config.get("known_length")
+    if calibration is not None and len(calibration) != dataset.views:
+        raise ConfigError(
+            "calibration",
+            f"the calibration must have an entry per view: expected {dataset.views}, got "
+            f"{len(calibration)}; write null for a view of which nothing is known",
+        )
+    for field, found in (
+        ("known_length", known_length and known_length["keypoints"]),
+        ("handedness", config.get("handedness")),
+    ):
+        if found and (len(set(found)) < len(found) or max(found) >= dataset.keypoints):
+            raise ConfigError(
+                field,
+                f"{field} must name {len(found)} different keypoints below {dataset.keypoints}, "
+                f"got {list(found)}",
+            )
 
 
 def refuse(

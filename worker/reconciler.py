@@ -9,7 +9,7 @@ from rq.exceptions import DeserializationError
 
 from store import fits
 from store.database import Store
-from store.errors import NotFoundError
+from store.errors import ConfigError, NotFoundError
 from worker.queue import FitJob, enqueue, open_queue, parse_request
 
 logger = logging.getLogger(__name__)
@@ -79,7 +79,7 @@ def adopt(store: Store, job: FitJob) -> str:
             config=config.model_dump(mode="json"),
             job_id=job.id,
         ).id
-    except (DeserializationError, TypeError, ValueError, NotFoundError) as error:
+    except (DeserializationError, TypeError, ValueError, NotFoundError, ConfigError) as error:
         code = "dataset_not_found" if isinstance(error, NotFoundError) else "invalid_arguments"
         fit_id = fits.refuse(
             store,

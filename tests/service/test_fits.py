@@ -84,6 +84,49 @@ def test_a_wrong_config_is_named(api: TestClient, config: Any, pointer: str) -> 
     problem(api.post("/fits", json=body), 422, "invalid_input", pointer)
 
 
+CAMERA = {"intrinsics": {"fx": 900, "fy": 900, "cx": 640, "cy": 512, "distortion": [0.1, 0.01]}}
+
+
+@pytest.mark.parametrize(
+    ("config", "pointer"),
+    [
+        ({"refine": "some"}, "/config/refine"),
+        ({"cameras": "flying"}, "/config/cameras"),
+        ({"calibration": [CAMERA]}, "/config/calibration"),
+        (
+            {"calibration": [CAMERA, {"rotation": None, "translation": [0, 0, 1]}]},
+            "/config/calibration/1",
+        ),
+        ({"known_length": {"keypoints": [0, 16], "length": 0.4}}, "/config/known_length"),
+        ({"known_length": {"keypoints": [0, 1], "length": 0}}, "/config/known_length/length"),
+        ({"handedness": [0, 1, 2, 2]}, "/config/handedness"),
+        ({"handedness": [0, 1, 2, 16]}, "/config/handedness"),
+    ],
+)
+def test_what_is_said_of_the_cameras_must_fit_the_dataset(
+    api: TestClient, config: Any, pointer: str
+) -> None:
+    dataset = make_dataset(api)
+    body = {"dataset_id": dataset["id"], "config": config}
+    problem(api.post("/fits", json=body), 422, "invalid_input", pointer)
+    assert api.get(f"/fits?dataset_id={dataset['id']}").json()["items"] == []
+
+
+def test_what_is_said_of_the_cameras_is_kept(api: TestClient) -> None:
+    said = {
+        "refine": "full",
+        "cameras": "static",
+        "calibration": [CAMERA, None],
+        "known_length": {"keypoints": [0, 1], "length": 0.4},
+        "handedness": [0, 1, 2, 3],
+    }
+    body = {"dataset_id": make_dataset(api)["id"], "config": said}
+    response = api.post("/fits", json=body)
+    assert response.status_code == 202, response.text
+    assert response.json()["config"] == FitConfig.model_validate(said).model_dump(mode="json")
+    api.post(f"/fits/{response.json()['id']}/cancel")
+
+
 def test_too_many_waiting_fits_are_refused(api: TestClient) -> None:
     dataset = make_dataset(api)["id"]
     waiting = []

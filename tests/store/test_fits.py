@@ -1,4 +1,5 @@
 import time
+from typing import Any
 
 import pytest
 
@@ -7,7 +8,7 @@ from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
-from store.errors import ConflictError, LeaseLostError, QueueFullError
+from store.errors import ConfigError, ConflictError, LeaseLostError, QueueFullError
 from store.fits import MAX_CRASHES
 from store.idempotency import Idempotency
 from store.records import Fit
@@ -40,6 +41,30 @@ def succeed(store: Store, attempt: Attempt) -> str:
 
 def objects(store: Store) -> set[str]:
     return {key.split("/")[2].split("_")[0] for key, _ in store.objects.list()}
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        ({"calibration": [None]}, "expected 2, got 1"),
+        ({"known_length": {"keypoints": [0, 5], "length": 1}}, "2 different keypoints below 5"),
+        ({"known_length": {"keypoints": [3, 3], "length": 1}}, "2 different keypoints"),
+        ({"handedness": [0, 1, 2, 2]}, "4 different keypoints"),
+        ({"handedness": [0, 1, 2, 9]}, r"got \[0, 1, 2, 9\]"),
+    ],
+)
+def test_a_config_must_speak_of_the_datasets_views_and_keypoints(
+    store: Store, fit: Fit, config: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said) as refused:
+        fits.create(store, dataset_id=fit.dataset_id, name="f", config=config)
+    assert [refused.value.field] == list(config)
+    good = {
+        "calibration": [None, None],
+        "known_length": {"keypoints": [0, 4], "length": 1},
+        "handedness": [0, 1, 2, 4],
+    }
+    assert fits.create(store, dataset_id=fit.dataset_id, name="f", config=good).config == good
 
 
 def test_one_attempt_at_a_time(store: Store, fit: Fit) -> None:

@@ -100,6 +100,8 @@ def test_a_waiting_job_has_a_record_that_can_be_cancelled(
         ({"dataset_id": 7}, "invalid_arguments", "dataset_id"),
         ({"config": {"steps": 0}}, "invalid_arguments", "steps"),
         ({"config": {"stepz": 5}}, "invalid_arguments", "stepz"),
+        ({"config": {"calibration": [None]}}, "invalid_arguments", "expected 3, got 1"),
+        ({"config": {"handedness": [0, 1, 2, 16]}}, "invalid_arguments", "keypoints below 16"),
         ({"wrong": 1}, "invalid_arguments", "wrong: expected some of dataset_id"),
         ({"name": datetime(2026, 1, 1, tzinfo=UTC)}, "invalid_arguments", "datetime"),
     ],
