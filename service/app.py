@@ -13,7 +13,7 @@ import uvicorn
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
-from service import datasets, errors, fits, health, lift, models
+from service import datasets, errors, fits, health, lift, models, reconstructions
 from service.bodies import registered_schemas
 from service.engine import Engine
 from service.limits import BodyLimit
@@ -23,7 +23,7 @@ from store.database import Store
 from worker.process import die_with_parent
 from worker.queue import connect, open_queue
 
-RESOURCES = (datasets, fits, models, lift, health)
+RESOURCES = (datasets, fits, reconstructions, models, lift, health)
 
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 

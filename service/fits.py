@@ -12,7 +12,6 @@ from fastapi import APIRouter, Depends, Header, Query, Request, Response, status
 from fastapi.concurrency import run_in_threadpool
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
-from safetensors.numpy import load
 
 from models.config import FitConfig
 from service.bodies import page_of, request_body
@@ -28,9 +27,7 @@ from service.deps import (
 )
 from service.errors import BODY_PROBLEMS, problems
 from service.idempotency import idempotency
-from service.representations import FormatQuery, arrays_response, binary_responses
 from service.uploads import UploadBody
-from service.wire import LIFTED_FRAME, LiftedFrame
 from store import fits, records
 from store.errors import NotFoundError
 from worker.queue import enqueue
@@ -66,6 +63,9 @@ class FitCreate(BaseModel):
 class FitProgress(BaseModel):
     """How far a fit has come."""
 
+    stage: Literal["training", "refining"] = Field(
+        "training", description="The network is trained first, then cameras are refined."
+    )
     step: int
     steps: int
     loss: float | None = Field(description="Running mean over recent batches.")
@@ -101,6 +101,7 @@ class Fit(BaseModel):
                 "attempt": 1,
                 "cancel_requested": False,
                 "progress": {
+                    "stage": "training",
                     "step": 1200,
                     "steps": 4000,
                     "loss": 0.031,
@@ -166,26 +167,6 @@ class FitPage(BaseModel):
 
     items: list[Fit]
     next_cursor: str | None
-
-
-class Reconstruction(BaseModel):
-    """Every frame of the fitted dataset, lifted by the fit's own model."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "example": {
-                "fit_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
-                "model_id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
-                "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
-                "frames": [LIFTED_FRAME],
-            }
-        }
-    )
-
-    fit_id: str
-    model_id: str | None
-    dataset_id: str
-    frames: list[LiftedFrame]
 
 
 def find_fit(fit_id: Identifier, store: StoreDep) -> records.Fit:
@@ -317,33 +298,3 @@ async def stream_fit_events(
             fit = await run_in_threadpool(fits.get, store, fit.id)
         except NotFoundError:  # it ended and was deleted since
             return
-
-
-@router.get(
-    "/{fit_id}/reconstruction",
-    response_model=Reconstruction,
-    responses=problems("not_found", "conflict", "not_acceptable")
-    | binary_responses("Every frame of the fitted dataset, lifted."),
-)
-def get_reconstruction(
-    fit: FitDep, store: StoreDep, request: Request, format: FormatQuery = None
-) -> Response:
-    """Download every frame of the fitted dataset, lifted: structures, cameras, errors.
-
-    As JSON, or as the arrays `points3d` (N, P, 3), `rotations` (N, K, 3, 3), `scales` (N, K),
-    `translations` (N, K, 2), `reprojection_errors` (N, K) and `keypoints_used` (N, K), NaN where
-    there is no answer.
-    """
-    data = fits.load_reconstruction(store, fit)
-    about = {
-        "fit_id": fit.id,
-        "model_id": fit.model_id,
-        "dataset_id": fit.dataset_id,
-    }
-    return arrays_response(
-        request,
-        load(data),
-        about,
-        format=format,
-        filename=f"{fit.id}-reconstruction",
-    )

@@ -10,8 +10,16 @@ from models.config import FitConfig
 from models.fitted import FittedPrior
 from models.weights import WeightsError
 from service.bodies import page_of, request_body
+from service.cameras import ModelCameras
 from service.datasets import Name, Skeleton
-from service.deps import IdempotencyHeader, Identifier, Limit, StoreDep, cursor_of
+from service.deps import (
+    EngineDep,
+    IdempotencyHeader,
+    Identifier,
+    Limit,
+    StoreDep,
+    cursor_of,
+)
 from service.errors import BODY_PROBLEMS, ApiError, problems
 from service.idempotency import idempotency
 from service.representations import binary_responses, bytes_response
@@ -143,6 +151,15 @@ def list_models(
 def get_model(model_id: Identifier, store: StoreDep) -> Model:
     """Describe a model: configuration, training curve, errors."""
     return Model.of(models.get(store, model_id))
+
+
+@router.get("/{model_id}/cameras", responses=problems("not_found"))
+def get_model_cameras(model_id: Identifier, engine: EngineDep) -> ModelCameras:
+    """Tell what the fit found out about its cameras: what they are, how surely, and why.
+
+    A model that was fitted without refinement answers too, with the arrangement `unknown`.
+    """
+    return ModelCameras.of(model_id, engine.prior(model_id).cameras)
 
 
 @router.get(

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 
-from models.fitted import REASONS
+from models.fitted import CAMERA_MODELS, REASONS, Lift
+from service.arrays import Arrays
 
 _NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
 
@@ -45,17 +46,43 @@ POINTS3D = Annotated[Any, WithJsonSchema(POINTS3D_SCHEMA)]
 
 Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+Rotation = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
+
+
+CameraModel = Literal["weak_perspective", "perspective", "fisheye"]
+Distortion = Annotated[list[float], Field(min_length=8, max_length=8)]
 
 
 class LiftedView(BaseModel):
-    """One view's weak-perspective camera: `w = scale * (rotation @ X)[:2] + translation`."""
+    """One view's camera.
 
-    rotation: Annotated[list[Vector3], Field(min_length=3, max_length=3)] = Field(
+    Weak perspective: `w = scale * (rotation @ X)[:2] + translation`. Perspective and fisheye:
+    `x = rotation @ X + translation`, which OpenCV's `projectPoints` (or `fisheye.projectPoints`)
+    turns into pixels with `focal`, `principal_point` and `distortion`.
+    """
+
+    camera: CameraModel
+
+    rotation: Rotation = Field(
         description="3x3, orthonormal, determinant 1: canonical frame to camera (x right, y down, "
         "z forward)."
     )
-    scale: float = Field(description="Pixels per unit of `points3d`.")
-    translation: Vector2 = Field(description="Pixels.")
+    scale: float = Field(
+        description="Pixels per unit of `points3d`, at the structure's centre in perspective."
+    )
+    translation: Annotated[list[float], Field(min_length=2, max_length=3)] = Field(
+        description="Weak perspective: (x, y), pixels. Otherwise (x, y, z), units of `points3d`."
+    )
+    focal: Vector2 | None = Field(
+        description="Focal length along x and y, pixels; null for weak perspective."
+    )
+    principal_point: Vector2 | None = Field(
+        description="(x, y), pixels; null for weak perspective."
+    )
+    distortion: Distortion | None = Field(
+        description="OpenCV's order: k1, k2, p1, p2, k3, k4, k5, k6; fisheye: k1 to k4, then "
+        "zeros. Null for weak perspective."
+    )
     reprojection_error: float = Field(
         description="Pixels, the mean distance over the observed keypoints."
     )
@@ -67,9 +94,13 @@ LIFTED_FRAME: dict[str, Any] = {
     "points3d": [[0.1, -0.9, 0.0], [0.1, 0.3, 0.1], [-0.3, 0.2, 0.0], [0.1, 0.4, -0.1]],
     "views": [
         {
+            "camera": "perspective",
             "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             "scale": 212.4,
-            "translation": [512.0, 388.5],
+            "translation": [-0.6, -0.58, 5.2],
+            "focal": [1104.5, 1104.5],
+            "principal_point": [640.0, 512.0],
+            "distortion": [-0.11, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
             "reprojection_error": 1.8,
         },
         None,
@@ -92,30 +123,60 @@ class LiftedFrame(BaseModel):
     )
 
 
-def frames_json(arrays: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:
+def lift_arrays(lift: Lift) -> Arrays:
+    """Return a lift's arrays under the names they have on the wire."""
+    return {name: array for name, array in vars(lift).items() if name != "status"}
+
+
+def frames_json(arrays: Arrays) -> list[dict[str, Any]]:
     """Return the JSON form of a lift's arrays, a dictionary like :class:`LiftedFrame` a frame."""
-    answered = np.isfinite(arrays["points3d"]).all((1, 2)).tolist()
-    has_camera = np.isfinite(arrays["scales"]).tolist()
-    points, rotations, scales, translations, errors = (
-        arrays[name].tolist()
-        for name in ("points3d", "rotations", "scales", "translations", "reprojection_errors")
-    )
+    points = arrays["points3d"].tolist()
+    finite: NDArray[np.bool_] = np.all(np.isfinite(arrays["points3d"]), axis=(1, 2))
+    answered = finite.tolist()
+    views = zip(*(arrays[name].tolist() for name in _VIEW_ARRAYS), strict=True)
     return [
         {
             "status": "ok" if answered[n] else "too_few_keypoints",
             "reason": None if answered[n] else REASONS["too_few_keypoints"],
             "points3d": points[n] if answered[n] else None,
-            "views": [
-                {
-                    "rotation": rotations[n][k],
-                    "scale": scales[n][k],
-                    "translation": translations[n][k],
-                    "reprojection_error": errors[n][k],
-                }
-                if has_camera[n][k]
-                else None
-                for k in range(len(scales[n]))
-            ],
+            "views": [_view_json(*view) for view in zip(*of_frame, strict=True)],
         }
-        for n in range(len(points))
+        for n, of_frame in enumerate(views)
     ]
+
+
+_VIEW_ARRAYS = (  # in the order of _view_json's parameters
+    "camera_models",
+    "rotations",
+    "scales",
+    "translations",
+    "focals",
+    "principal_points",
+    "distortions",
+    "reprojection_errors",
+)
+
+
+def _view_json(
+    model: int,
+    rotation: list[list[float]],
+    scale: float,
+    translation: list[float],
+    focal: list[float],
+    principal_point: list[float],
+    distortion: list[float],
+    error: float,
+) -> dict[str, Any] | None:
+    if model < 0:
+        return None
+    weak = model == 0
+    return {
+        "camera": CAMERA_MODELS[model],
+        "rotation": rotation,
+        "scale": scale,
+        "translation": translation[:2] if weak else translation,
+        "focal": None if weak else focal,
+        "principal_point": None if weak else principal_point,
+        "distortion": None if weak else distortion,
+        "reprojection_error": error,
+    }

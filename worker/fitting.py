@@ -141,16 +141,7 @@ def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]
 
 def _to_bytes(lift: Lift) -> bytes:
     """Return a lift's arrays as safetensors; the names are those of the API."""
-    return save(
-        {
-            "points3d": lift.points3d,
-            "rotations": lift.rotations,
-            "scales": lift.scales,
-            "translations": lift.translations,
-            "reprojection_errors": lift.reprojection_errors,
-            "keypoints_used": lift.keypoints_used,
-        }
-    )
+    return save({name: array for name, array in vars(lift).items() if name != "status"})
 
 
 def _fail(store: Store, attempt: Attempt, code: str, message: str) -> None:

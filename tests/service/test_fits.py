@@ -7,11 +7,15 @@ from typing import Any
 import numpy as np
 import orjson
 import pytest
-from safetensors.numpy import load
+from safetensors.numpy import load, save
 from starlette.testclient import TestClient
 
 from models.config import FitConfig
+from models.fitted import CAMERA_MODELS, FittedPrior
 from models.synthetic import SyntheticCapture
+from service.settings import Settings
+from store import attempts, fits, records
+from store.database import Store
 from tests.service.conftest import CONFIG, Live, make_dataset, problem, wait_for
 
 LONG = {"steps": 1_000_000, "dictionary_sizes": [64, 16]}
@@ -226,7 +230,11 @@ def test_the_reconstruction_is_the_same_in_every_format(
         "points3d": (n, p, 3),
         "rotations": (n, k, 3, 3),
         "scales": (n, k),
-        "translations": (n, k, 2),
+        "translations": (n, k, 3),
+        "focals": (n, k, 2),
+        "principal_points": (n, k, 2),
+        "distortions": (n, k, 8),
+        "camera_models": (n, k),
         "reprojection_errors": (n, k),
         "keypoints_used": (n, k),
     }
@@ -241,18 +249,123 @@ def test_the_reconstruction_is_the_same_in_every_format(
         for view, camera in enumerate(frame["views"]):
             if camera is None:
                 assert np.isnan(arrays["scales"][index, view])
+                assert arrays["camera_models"][index, view] == -1
                 continue
+            assert camera["camera"] == CAMERA_MODELS[arrays["camera_models"][index, view]]
             for name, plural in (
                 ("rotation", "rotations"),
                 ("scale", "scales"),
                 ("translation", "translations"),
+                ("focal", "focals"),
+                ("principal_point", "principal_points"),
+                ("distortion", "distortions"),
                 ("reprojection_error", "reprojection_errors"),
             ):
-                np.testing.assert_array_equal(np.float32(camera[name]), arrays[plural][index, view])
+                value = arrays[plural][index, view]
+                if name == "translation" and camera["camera"] == "weak_perspective":
+                    value = value[:2]
+                if camera[name] is None:
+                    assert np.isnan(value).all()
+                else:
+                    np.testing.assert_array_equal(np.float32(camera[name]), value)
     assert body["frames"][7]["views"][1] is None  # the view that saw nothing
     np.testing.assert_array_equal(arrays["keypoints_used"][0], (capture.confidence[0] > 0).sum(-1))
     problem(live.http.get(url, headers={"Accept": "image/png"}), 406, "not_acceptable")
     problem(live.http.get(f"{url}?format=png"), 422, "invalid_input", "/format")
+
+
+def test_a_reconstruction_can_be_refined_otherwise(
+    live: Live, fitted: dict[str, Any], capture: SyntheticCapture
+) -> None:
+    url = f"/fits/{fitted['id']}/reconstruction"
+    stored = live.http.get(f"{url}?format=safetensors")
+    same = live.http.get(f"{url}?format=safetensors&refine={fitted['config']['refine']}")
+    assert same.content == stored.content
+    weights = live.http.get(f"/models/{fitted['model_id']}/weights").content
+    prior = FittedPrior.from_bytes(weights)
+    for refine in ("off", "full"):
+        answer = live.http.get(f"{url}?format=safetensors&refine={refine}")
+        assert answer.status_code == 200, answer.text
+        arrays = load(answer.content)
+        assert arrays.keys() == load(stored.content).keys()
+        here = prior.lift(capture.keypoints, confidence=capture.confidence, refine=refine)
+        np.testing.assert_allclose(arrays["points3d"], here.points3d, rtol=1e-4, atol=1e-5)
+        np.testing.assert_array_equal(arrays["camera_models"], here.camera_models)
+    assert (
+        load(live.http.get(f"{url}?format=safetensors&refine=off").content)["camera_models"] <= 0
+    ).all()
+    problem(live.http.get(f"{url}?refine=some"), 422, "invalid_input", "/refine")
+
+
+def test_what_is_gone_cannot_be_refined_otherwise(live: Live) -> None:
+    dataset = make_dataset(live.http, frames=30)
+    fit = live.finished(live.fit(dataset["id"], steps=5)["id"])
+    url = f"/fits/{fit['id']}/reconstruction"
+    assert live.http.get(f"{url}?refine=off").status_code == 200
+    assert live.http.delete(f"/datasets/{dataset['id']}").status_code == 204
+    assert dataset["id"] in problem(live.http.get(f"{url}?refine=off"), 404, "not_found")
+    assert live.http.delete(f"/models/{fit['model_id']}").status_code == 204
+    assert "deleted" in problem(live.http.get(f"{url}?refine=off"), 409, "conflict")
+    assert live.http.get(f"{url}?refine=auto").status_code == 200
+
+
+def stored_fit(
+    settings: Settings, dataset: dict[str, Any], reconstruction: bytes, **columns: Any
+) -> str:
+    """Record a fit that succeeded, without running it; return its identifier."""
+    store = Store(settings)
+    fit = fits.create(store, dataset_id=dataset["id"], name="f", config=CONFIG)
+    attempt = attempts.claim(store, fit.id, lease_seconds=60)
+    assert attempt is not None
+    attempts.succeed(
+        store,
+        attempt,
+        weights=b"",
+        reconstruction=reconstruction,
+        progress=columns.pop("progress", None),
+        describe={"keypoints": 16, "config": CONFIG, "training_curve": [], "metrics": {}},
+    )
+    with store.writing() as session:
+        for name, value in columns.items():
+            setattr(session.get(records.Fit, fit.id), name, value)
+    store.close()
+    return fit.id
+
+
+def test_records_of_older_versions_are_served(api: TestClient, settings: Settings) -> None:
+    """A reconstruction without perspective; progress without a stage."""
+    old = {
+        "points3d": np.random.default_rng(0).normal(size=(3, 16, 3)),
+        "rotations": np.tile(np.eye(3), (3, 2, 1, 1)),
+        "scales": np.array([[2.0, np.nan]] * 3),
+        "translations": np.array([[[5.0, 6.0], [np.nan, np.nan]]] * 3),
+        "reprojection_errors": np.array([[1.0, np.nan]] * 3),
+    }
+    arrays = {name: array.astype(np.float32) for name, array in old.items()}
+    arrays["keypoints_used"] = np.array([[16, 0]] * 3, np.int32)
+    progress = {"step": 9, "steps": 9, "loss": 1, "reprojection_error": 1, "seconds_left": 0}
+    fit = stored_fit(settings, make_dataset(api), save(arrays), progress=progress)
+
+    assert api.get(f"/fits/{fit}").json()["progress"] == {"stage": "training", **progress}
+    for url in (f"/fits/{fit}/reconstruction", f"/fits/{fit}/reconstruction?refine=off"):
+        answer = api.get(url)
+        assert answer.status_code == 200, answer.text
+        for frame in answer.json()["frames"]:
+            assert frame["views"][1] is None
+            view = frame["views"][0]
+            assert (view["camera"], view["translation"]) == ("weak_perspective", [5.0, 6.0])
+            assert view["focal"] is None
+    found = load(api.get(f"/fits/{fit}/reconstruction?format=safetensors").content)
+    assert found["translations"].shape == (3, 2, 3)
+    assert found["camera_models"].tolist() == [[0, -1]] * 3
+    assert all(found[name].dtype == np.float32 for name in ("translations", "focals"))
+
+
+def test_a_long_fit_is_refined_otherwise_in_parts(api: TestClient, settings: Settings) -> None:
+    fit = stored_fit(settings, make_dataset(api), b"", frames=settings.max_frames + 1)
+    response = api.get(f"/fits/{fit}/reconstruction?refine=full")
+    detail = problem(response, 422, "invalid_input", "/refine")
+    assert "in parts with POST /lift" in detail
 
 
 @pytest.mark.parametrize("what", ["reconstruction", "weights"])

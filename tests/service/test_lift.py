@@ -5,18 +5,22 @@ from typing import Any
 import numpy as np
 import orjson
 import pytest
+from pydantic import TypeAdapter
 from safetensors.numpy import load
 from starlette.testclient import TestClient
 
-from models.fitted import FittedPrior
+from models.fitted import CAMERA_MODELS, FittedPrior, Lift
 from models.synthetic import SyntheticCapture
+from service.wire import LiftedFrame, frames_json, lift_arrays
 from tests.service.conftest import BYTES, JSON, frames_of, problem, to_npz, to_safetensors
 
 Array = np.ndarray[Any, Any]
 
 
-def lift(api: TestClient, model: str, frames: Any, confidence: Any = None) -> list[Any]:
-    body = {"model": model, "frames": frames, "confidence": confidence}
+def lift(
+    api: TestClient, model: str, frames: Any, confidence: Any = None, **more: Any
+) -> list[Any]:
+    body = {"model": model, "frames": frames, "confidence": confidence, **more}
     response = api.post("/lift", content=orjson.dumps(body), headers=JSON)
     assert response.status_code == 200, response.text
     assert response.json()["model"] == model
@@ -36,12 +40,19 @@ def check_json(frames: list[Any], arrays: dict[str, Array]) -> None:
                 ("rotation", arrays["rotations"][n, k]),
                 ("scale", arrays["scales"][n, k]),
                 ("translation", arrays["translations"][n, k]),
+                ("focal", arrays["focals"][n, k]),
+                ("principal_point", arrays["principal_points"][n, k]),
+                ("distortion", arrays["distortions"][n, k]),
                 ("reprojection_error", arrays["reprojection_errors"][n, k]),
             ):
-                if view is None:
+                known = value[np.isfinite(value)] if name == "translation" else value
+                if view is None or view[name] is None:
                     assert np.isnan(value).all()
                 else:
-                    np.testing.assert_allclose(view[name], value, rtol=1e-6)
+                    np.testing.assert_allclose(view[name], known, rtol=1e-6)
+            model = arrays["camera_models"][n, k]
+            assert (view and view["camera"]) == (CAMERA_MODELS[model] if model >= 0 else None)
+            assert view is None or (view["focal"] is None) == (model == 0)
 
 
 @pytest.fixture(scope="session")
@@ -96,7 +107,7 @@ def test_the_cameras_reproject_the_structure(
 ) -> None:
     """W = s (R X)_xy + t, and the mean distance over what was observed."""
     checked = 0
-    frames = lift(api, model, frames_of(capture.keypoints))
+    frames = lift(api, model, frames_of(capture.keypoints), refine="off")
     for frame, pixels in zip(frames, capture.keypoints.astype(np.float64), strict=True):
         structure = np.array(frame["points3d"])
         np.testing.assert_allclose(structure.mean(0), 0, atol=1e-4)
@@ -107,6 +118,8 @@ def test_the_cameras_reproject_the_structure(
             np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
             assert np.linalg.det(rotation) == pytest.approx(1, abs=1e-4)
             assert camera["scale"] > 0
+            assert camera["camera"] == "weak_perspective"
+            assert camera["focal"] is camera["principal_point"] is camera["distortion"] is None
             image = camera["scale"] * (structure @ rotation.T)[:, :2] + camera["translation"]
             error = np.nanmean(np.linalg.norm(image - seen, axis=-1))
             assert error == pytest.approx(camera["reprojection_error"], rel=1e-3, abs=0.02)
@@ -201,3 +214,112 @@ def test_files_need_the_model_in_the_query(api: TestClient, capture: SyntheticCa
         "invalid_input",
         "/frames",
     )
+
+
+def test_the_cameras_of_perspective_reproject_the_structure(
+    api: TestClient, model: str, capture: SyntheticCapture
+) -> None:
+    """W = f (x, y) / z + c with x = R X + t; the lenses of these cameras do not distort."""
+    frames = lift(api, model, frames_of(capture.keypoints), refine="full")
+    cameras = [camera for frame in frames for camera in frame["views"] if camera is not None]
+    assert sum(camera["camera"] == "perspective" for camera in cameras) > 0.9 * len(cameras)
+    for frame, pixels in zip(frames, capture.keypoints.astype(np.float64), strict=True):
+        for camera, seen in zip(frame["views"], pixels, strict=True):
+            if camera is None or camera["camera"] != "perspective" or any(camera["distortion"]):
+                continue
+            x = np.array(frame["points3d"]) @ np.array(camera["rotation"]).T + camera["translation"]
+            image = camera["focal"] * x[:, :2] / x[:, 2:] + camera["principal_point"]
+            error = np.nanmean(np.linalg.norm(image - seen, axis=-1))
+            assert error == pytest.approx(camera["reprojection_error"], rel=1e-2, abs=0.1)
+
+
+def test_every_kind_of_camera_on_the_wire() -> None:
+    """A view of each camera model, and one that has no camera."""
+    models = np.array([[0, 1, 2, -1]], np.int8)
+    rng = np.random.default_rng(0)
+
+    def values(*shape: int, of: Array = models >= 0) -> Array:
+        found = rng.uniform(1, 2, (1, 4, *shape)).astype(np.float32)
+        found[~of] = np.nan
+        return found
+
+    translations = values(3)
+    translations[0, 0, 2] = np.nan
+    arrays = lift_arrays(
+        Lift(
+            points3d=rng.uniform(-1, 1, (1, 5, 3)).astype(np.float32),
+            rotations=values(3, 3),
+            scales=values(),
+            translations=translations,
+            focals=values(2, of=models > 0),
+            principal_points=values(2, of=models > 0),
+            distortions=values(8, of=models > 0),
+            camera_models=models,
+            reprojection_errors=values(),
+            keypoints_used=np.array([[5, 5, 5, 0]], np.int32),
+            status=("ok",),
+        )
+    )
+    frames = frames_json(arrays)
+    check_json(frames, arrays)
+    TypeAdapter(list[LiftedFrame]).validate_python(frames)
+    assert len(frames[0]["views"][0]["translation"]) == 2
+    assert frames[0]["views"][3] is None
+
+
+def test_which_views_and_how_to_refine_can_be_said_of_json_and_of_bytes(
+    api: TestClient, model: str, capture: SyntheticCapture
+) -> None:
+    keypoints = capture.keypoints[:4, [2, 0]]
+    said = lift(api, model, frames_of(keypoints), refine="off", views=[2, 0])
+    url = f"/lift?model={model}"
+    more = "refine=off&views=2&views=0"
+    body = {"model": model, "frames": frames_of(keypoints)}
+    for response in (
+        api.post(f"{url}&{more}", content=to_npz(frames=keypoints), headers=BYTES),
+        api.post(f"{url}&{more}", content=orjson.dumps(body), headers=JSON),
+    ):
+        assert response.status_code == 200, response.text
+        assert response.json()["frames"] == said
+
+
+@pytest.mark.parametrize(
+    ("more", "pointer", "said"),
+    [
+        ({"views": [0]}, "/views", "expected one index per view: 2, got 1"),
+        ({"views": [1, 1]}, "/views", "expected different views"),
+        ({"views": []}, "/views", "one index per view"),
+        ({"views": [0, -1]}, "/views/1", "greater than or equal to 0"),
+        ({"views": [0, 1.5]}, "/views/1", "integer"),
+        ({"refine": "some"}, "/refine", "'auto', 'off' or 'full'"),
+    ],
+)
+def test_what_is_wrong_with_views_and_refine_is_named(
+    api: TestClient,
+    model: str,
+    capture: SyntheticCapture,
+    more: dict[str, Any],
+    pointer: str,
+    said: str,
+) -> None:
+    keypoints = capture.keypoints[:2, :2]
+    body = orjson.dumps({"model": model, "frames": frames_of(keypoints), **more})
+    response = api.post("/lift", content=body, headers=JSON)
+    assert said in problem(response, 422, "invalid_input", pointer)
+    if more.get("views") != []:  # a query cannot say an empty list
+        response = api.post(
+            "/lift",
+            params={"model": model, **more},
+            content=to_npz(frames=keypoints),
+            headers=BYTES,
+        )
+        assert said in problem(response, 422, "invalid_input", pointer)
+
+
+def test_views_must_be_the_fits(api: TestClient, model: str, capture: SyntheticCapture) -> None:
+    body = orjson.dumps(
+        {"model": model, "frames": frames_of(capture.keypoints[:2, :2]), "views": [0, 3]}
+    )
+    response = api.post("/lift", content=body, headers=JSON)
+    detail = problem(response, 422, "invalid_input", "/views")
+    assert "views of the fit, 0 to 2, got 3" in detail

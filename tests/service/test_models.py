@@ -12,6 +12,7 @@ from starlette.testclient import TestClient
 
 from models.config import FitConfig
 from models.fitted import FittedPrior
+from models.found import FoundCameras
 from models.metrics import pa_mpjpe, pck
 from models.synthetic import SyntheticCapture
 from service.engine import Engine
@@ -61,6 +62,83 @@ def test_a_fitted_model_is_described(
     assert found["reprojection_error"] == pytest.approx(error, rel=1e-4)
     assert found["frames_lifted"] == 60
     assert found["id"] in [item["id"] for item in live.get("/models")["items"]]
+
+
+def found_cameras() -> FoundCameras:
+    """Return a view that rests, known without doubt, and a fisheye one that moves."""
+    nan = np.nan
+    return FoundCameras(
+        arrangement="mixed",
+        reason="because",
+        warnings=("view 0 was bumped",),
+        fisheye=np.array([False, True]),
+        focals=np.array([[900.0, 910.0], [300.0, 300.0]]),
+        focal_sds=np.array([0.0, 4.0]),
+        principal_points=np.array([[640.0, 512.0], [320.0, 240.0]]),
+        principal_point_sds=np.zeros((2, 2)),
+        distortions=np.zeros((2, 8)),
+        distortion_sds=np.zeros(2),
+        resting=np.array([True, False]),
+        rotations=np.stack((np.eye(3), np.full((3, 3), nan))),
+        rotation_sds=np.array([0.1, nan]),
+        translations=np.array([[0.0, 1.0, 2.0], [nan] * 3]),
+        translation_sds=np.array([[0.1, 0.1, 0.2], [nan] * 3]),
+        reprojection_errors=np.array([1.5, 2.5]),
+        noise=1.2,
+    )
+
+
+def test_the_cameras_that_were_found(
+    api: TestClient, weights: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = api.post("/models", content=weights, headers=BYTES).json()["id"]
+    engine = api.app.state.engine  # type: ignore[attr-defined]
+    monkeypatch.setattr(engine.prior(model), "cameras", found_cameras())
+    found = api.get(f"/models/{model}/cameras").json()
+    assert (found["model"], found["arrangement"], found["noise"]) == (model, "mixed", 1.2)
+    assert (found["reason"], found["warnings"]) == ("because", ["view 0 was bumped"])
+    first, second = found["views"]
+    assert [view["index"] for view in found["views"]] == [0, 1]
+    assert (first["camera"], second["camera"]) == ("perspective", "fisheye")
+    assert (first["focal"], first["focal_sd"]) == ([900.0, 910.0], 0.0)
+    assert first["rotation"] == np.eye(3).tolist()
+    assert (first["translation"], first["translation_sd"]) == ([0, 1, 2], [0.1, 0.1, 0.2])
+    assert second["resting"] is False
+    assert second["rotation"] is second["rotation_sd"] is None
+    assert second["translation"] is second["translation_sd"] is None
+    assert second["reprojection_error"] == 2.5
+
+    body = {"model": model, "frames": [[None, None]], "views": [0, 2]}
+    detail = problem(api.post("/lift", json=body), 422, "invalid_input", "/views")
+    assert "views of the fit, 0 to 1, got 2" in detail
+
+
+def test_without_refinement_no_cameras_are_found(live: Live, api: TestClient) -> None:
+    dataset = make_dataset(live.http, frames=30)
+    fit = live.finished(live.fit(dataset["id"], steps=5, refine="off")["id"])
+    found = live.get(f"/models/{fit['model_id']}/cameras")
+    assert (found["arrangement"], found["views"], found["noise"]) == ("unknown", [], None)
+    assert "refine: off" in found["reason"]
+    problem(api.get("/models/mdl_no/cameras"), 404, "not_found")
+
+
+def test_the_cameras_of_a_capture_are_found(
+    live: Live, fitted: dict[str, Any], capture: SyntheticCapture
+) -> None:
+    """By the fit itself; they travel with the weights."""
+    found = live.get(f"/models/{fitted['model_id']}/cameras")
+    assert found["arrangement"] in ("static", "moving", "mixed")
+    assert found["reason"]
+    assert found["noise"] > 0
+    assert [view["index"] for view in found["views"]] == [0, 1, 2]
+    for view in found["views"]:
+        assert view["camera"] == "perspective"
+        assert view["focal"][0] > 0
+        assert view["focal_sd"] >= 0
+        assert (view["rotation"] is None) is not view["resting"]
+    weights = live.http.get(f"/models/{fitted['model_id']}/weights").content
+    copy = live.http.post("/models", content=weights, headers=BYTES).json()["id"]
+    assert live.get(f"/models/{copy}/cameras") == found | {"model": copy}
 
 
 def test_without_truth_there_is_no_error(live: Live) -> None:

@@ -19,7 +19,7 @@ from safetensors.numpy import load
 from starlette.testclient import TestClient
 
 from models.synthetic import SyntheticCapture
-from service import datasets, errors, fits, health, lift, models
+from service import datasets, errors, fits, health, lift, models, reconstructions
 from service.openapi import document
 from tests.service.conftest import CONFIG, Live, frames_of, to_npz
 
@@ -64,6 +64,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "get_dataset",
         "get_fit",
         "get_model",
+        "get_model_cameras",
         "get_reconstruction",
         "import_model",
         "lift",
@@ -101,7 +102,7 @@ def test_every_answer_has_an_example_that_fits_it(spec: dict[str, Any]) -> None:
     for name in named:
         kind = next(
             getattr(module, name)
-            for module in (datasets, fits, models, lift, health, errors)
+            for module in (datasets, fits, reconstructions, models, lift, health, errors)
             if hasattr(module, name)
         )
         TypeAdapter(kind).validate_python(schemas[name]["example"])
@@ -184,6 +185,9 @@ def test_a_generated_client_does_the_whole_job(
 
         model = call("models.get_model", fit.model_id)
         assert model.reprojection_error > 0
+        cameras = call("models.get_model_cameras", model.id)
+        assert cameras.reason
+        assert [view.index for view in cameras.views] == list(range(len(cameras.views)))
         assert call("models.list_models").items[0].id == model.id
         request = wire.LiftRequest(model=model.id, frames=[*frames[:2], [None] * 3])
         lifted = call("lift.lift", body=request)
@@ -194,6 +198,11 @@ def test_a_generated_client_does_the_whole_job(
         file = types.File(payload=io.BytesIO(to_npz(frames=capture.keypoints[:2])))
         again = call("lift.lift", body=file, model=model.id)
         assert again.frames[0] == lifted.frames[0]
+        file = types.File(payload=io.BytesIO(to_npz(frames=capture.keypoints[:2, 1:])))
+        off = wire.LiftRefineType0.OFF
+        plain = call("lift.lift", body=file, model=model.id, refine=off, views=[1, 2])
+        assert plain.frames[0].views[0].camera == "weak_perspective"
+        assert len(call("fits.get_reconstruction", fit.id, refine=off).frames) == 60
 
         weights = call("models.download_weights", model.id).payload.getvalue()
         assert "curve" in load(weights)

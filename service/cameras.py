@@ -1,0 +1,158 @@
+"""The JSON form of the cameras that a fit found."""
+
+from typing import Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from models.found import FoundCameras
+from service.wire import Distortion, Rotation, Vector2, Vector3
+
+NOT_SOUGHT = (
+    "This model was fitted without refinement (refine: off), or by an older Fewview: its views "
+    "are weak perspective, with a camera of their own in every frame."
+)
+
+
+class FoundView(BaseModel):
+    """The camera of one view; a standard deviation of 0 stands by what was given and kept.
+
+    What could not be found is null.
+    """
+
+    index: int = Field(description="Which view of the fit; what `views` of `POST /lift` counts.")
+    camera: Literal["perspective", "fisheye"]
+    resting: bool = Field(description="Whether it rests relative to the other resting cameras.")
+    focal: Vector2 | None = Field(description="Focal length along x and y, pixels.")
+    focal_sd: float | None = Field(description="Pixels.")
+    principal_point: Vector2 | None = Field(description="(x, y), pixels.")
+    principal_point_sd: Vector2 | None = Field(description="(x, y), pixels.")
+    distortion: Distortion | None = Field(
+        description="OpenCV's order: k1, k2, p1, p2, k3, k4, k5, k6; fisheye: k1 to k4, then zeros."
+    )
+    distortion_sd: float | None = Field(description="Of the first coefficient.")
+    rotation: Rotation | None = Field(
+        description="R of `x = R X + t`, 3x3, OpenCV's axes; null for a camera that moves."
+    )
+    rotation_sd: float | None = Field(description="Degrees.")
+    translation: Vector3 | None = Field(
+        description="t of `x = R X + t`, in units of the structures; null for a camera that moves."
+    )
+    translation_sd: Vector3 | None = Field(description="The same unit.")
+    reprojection_error: float | None = Field(
+        description="Pixels, mean over the frames it was found from."
+    )
+
+
+class ModelCameras(BaseModel):
+    """What a fit found out about its cameras.
+
+    Cameras at rest share one frame of reference: that of the first of them, or the one in which
+    their poses were given.
+    """
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "model": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
+                "arrangement": "mixed",
+                "reason": "View 0 keeps its place to 0.02 units over 400 frames; view 1 moves.",
+                "warnings": ["View 0: the principal point lies 80 px from where it was said to."],
+                "noise": 1.9,
+                "views": [
+                    {
+                        "index": 0,
+                        "camera": "perspective",
+                        "resting": True,
+                        "focal": [1104.5, 1104.5],
+                        "focal_sd": 6.2,
+                        "principal_point": [640.0, 512.0],
+                        "principal_point_sd": [0.0, 0.0],
+                        "distortion": [-0.11, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+                        "distortion_sd": 0.01,
+                        "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+                        "rotation_sd": 0.0,
+                        "translation": [0.0, 0.0, 0.0],
+                        "translation_sd": [0.0, 0.0, 0.0],
+                        "reprojection_error": 2.4,
+                    },
+                    {
+                        "index": 1,
+                        "camera": "perspective",
+                        "resting": False,
+                        "focal": [1098.1, 1098.1],
+                        "focal_sd": 11.0,
+                        "principal_point": [640.0, 512.0],
+                        "principal_point_sd": [0.0, 0.0],
+                        "distortion": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+                        "distortion_sd": 0.0,
+                        "rotation": None,
+                        "rotation_sd": None,
+                        "translation": None,
+                        "translation_sd": None,
+                        "reprojection_error": 2.6,
+                    },
+                ],
+            }
+        }
+    )
+
+    model: str
+    arrangement: Literal["static", "moving", "mixed", "unknown"] = Field(
+        description="`mixed`: some rest and some move; `unknown`: cameras were not sought."
+    )
+    reason: str = Field(description="Why, in words.")
+    warnings: list[str] = Field(
+        description="What does not fit, such as a calibration that is wrong, in words."
+    )
+    noise: float | None = Field(
+        description="Pixels, the standard deviation of a keypoint's coordinate about the model."
+    )
+    views: list[FoundView] = Field(description="Of the fit, in its order; none if unknown.")
+
+    @classmethod
+    def of(cls, model_id: str, found: FoundCameras | None) -> Self:
+        """Return the wire form of what a model's fit found."""
+        if found is None:
+            return cls(
+                model=model_id,
+                arrangement="unknown",
+                reason=NOT_SOUGHT,
+                warnings=[],
+                noise=None,
+                views=[],
+            )
+        views = [
+            {
+                "index": view,
+                "camera": "fisheye" if found.fisheye[view] else "perspective",
+                "resting": bool(found.resting[view]),
+                "focal": _known(found.focals[view]),
+                "focal_sd": _known(found.focal_sds[view]),
+                "principal_point": _known(found.principal_points[view]),
+                "principal_point_sd": _known(found.principal_point_sds[view]),
+                "distortion": _known(found.distortions[view]),
+                "distortion_sd": _known(found.distortion_sds[view]),
+                "rotation": _known(found.rotations[view]),
+                "rotation_sd": _known(found.rotation_sds[view]),
+                "translation": _known(found.translations[view]),
+                "translation_sd": _known(found.translation_sds[view]),
+                "reprojection_error": _known(found.reprojection_errors[view]),
+            }
+            for view in range(len(found.resting))
+        ]
+        return cls.model_validate(
+            {
+                "model": model_id,
+                "arrangement": found.arrangement,
+                "reason": found.reason,
+                "warnings": list(found.warnings),
+                "noise": _known(found.noise),
+                "views": views,
+            }
+        )
+
+
+def _known(value: Any) -> Any:
+    """Return numbers as lists, or None if not all of them are finite."""
+    return np.asarray(value).tolist() if np.isfinite(value).all() else None

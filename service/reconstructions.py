@@ -1,0 +1,138 @@
+"""Reconstructions: every frame of a fitted dataset, lifted."""
+
+from collections.abc import AsyncIterator
+
+import numpy as np
+from fastapi import APIRouter, Depends, Request
+from pydantic import BaseModel, ConfigDict
+from safetensors.numpy import load
+from starlette.responses import Response
+
+from models.config import Refine
+from service.arrays import Arrays
+from service.deps import EngineDep, SettingsDep, StoreDep
+from service.errors import invalid, problems
+from service.fits import FitDep
+from service.lift import RefineQuery
+from service.representations import FormatQuery, arrays_response, binary_responses
+from service.wire import LIFTED_FRAME, LiftedFrame, lift_arrays
+from store import datasets, fits, records
+from store.errors import ConflictError
+
+router = APIRouter(prefix="/fits", tags=["fits"])
+
+
+class Reconstruction(BaseModel):
+    """Every frame of the fitted dataset, lifted by the fit's own model."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "fit_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
+                "model_id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
+                "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                "frames": [LIFTED_FRAME],
+            }
+        }
+    )
+
+    fit_id: str
+    model_id: str | None
+    dataset_id: str
+    frames: list[LiftedFrame]
+
+
+async def take_turn(request: Request, refine: RefineQuery = None) -> AsyncIterator[None]:
+    """Have a reconstruction that is lifted anew wait its turn, as large uploads do."""
+    if refine is None:
+        yield
+    else:
+        async with request.app.state.large_uploads:
+            yield
+
+
+@router.get(
+    "/{fit_id}/reconstruction",
+    response_model=Reconstruction,
+    dependencies=[Depends(take_turn, scope="function")],
+    responses=problems("not_found", "conflict", "not_acceptable")
+    | binary_responses("Every frame of the fitted dataset, lifted."),
+)
+def get_reconstruction(
+    fit: FitDep,
+    store: StoreDep,
+    engine: EngineDep,
+    settings: SettingsDep,
+    request: Request,
+    refine: RefineQuery = None,
+    format: FormatQuery = None,
+) -> Response:
+    """Download every frame of the fitted dataset, lifted: structures, cameras, errors.
+
+    As JSON, or as the arrays `points3d` (N, P, 3), `rotations` (N, K, 3, 3), `scales` (N, K),
+    `translations` (N, K, 3), `focals` (N, K, 2), `principal_points` (N, K, 2), `distortions`
+    (N, K, 8), `reprojection_errors` (N, K), NaN where there is no answer; `keypoints_used` (N, K)
+    and `camera_models` (N, K): 0 weak perspective, 1 perspective, 2 fisheye, -1 no camera. Of weak
+    perspective a translation is (x, y) in pixels and NaN.
+
+    With the fit's own `refine`, or without, this is what the fit stored. With another the frames
+    are lifted when asked for, by the fit's model, which takes longer.
+    """
+    if refine is None or refine == fit.config.get("refine", "off"):  # older fits refined nothing
+        found = _completed(load(fits.load_reconstruction(store, fit)))
+    else:
+        found = _lift_again(fit, refine, store, engine, settings)
+    about = {
+        "fit_id": fit.id,
+        "model_id": fit.model_id,
+        "dataset_id": fit.dataset_id,
+    }
+    return arrays_response(
+        request, found, about, format=format, filename=f"{fit.id}-reconstruction"
+    )
+
+
+def _completed(arrays: Arrays) -> Arrays:
+    """Return a stored reconstruction, with what those stored by older versions lack."""
+    if "camera_models" in arrays:
+        return arrays
+    scales = arrays["scales"]
+    return arrays | {
+        "translations": np.concatenate(
+            (arrays["translations"], np.full_like(scales[..., None], np.nan)), -1
+        ),
+        "focals": np.full((*scales.shape, 2), np.nan, np.float32),
+        "principal_points": np.full((*scales.shape, 2), np.nan, np.float32),
+        "distortions": np.full((*scales.shape, 8), np.nan, np.float32),
+        "camera_models": np.where(np.isfinite(scales), 0, -1).astype(np.int8),
+    }
+
+
+def _lift_again(
+    fit: records.Fit, refine: Refine, store: StoreDep, engine: EngineDep, settings: SettingsDep
+) -> Arrays:
+    """Lift the frames of a fit with its model, refined otherwise than the fit was told.
+
+    Raises
+    ------
+    ConflictError
+        If it has no model, or no longer.
+    NotFoundError
+        If its dataset was deleted.
+    ApiError
+        422 if there are more frames than in one lift.
+    """
+    if fit.model_id is None:
+        raise ConflictError(
+            f"Fit {fit.id!r} ({fit.status}) has no model to lift its frames with: it has not "
+            "succeeded, or the model was deleted."
+        )
+    if fit.frames > settings.max_frames:
+        raise invalid(
+            "/refine",
+            f"expected a fit of {settings.max_frames} frames at most, this one has {fit.frames}: "
+            "leave it out for what the fit stored, or lift the frames in parts with POST /lift",
+        )
+    capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
+    prior = engine.prior(fit.model_id)
+    return lift_arrays(prior.lift(capture.keypoints, confidence=capture.confidence, refine=refine))
