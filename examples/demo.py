@@ -6,7 +6,8 @@ Everything happens as a user would do it, over HTTP against a service that is st
 
 1. `POST /datasets` and `POST /datasets/{id}/frames` store the capture, less the frames held out;
 2. `POST /fits` queues a fit, `GET /fits/{id}/events` follows it;
-3. `GET /fits/{id}/reconstruction` gives every fitted frame in 3D, `GET /models/{id}` the figures;
+3. `GET /fits/{id}/reconstruction` gives every fitted frame in 3D, `GET /models/{id}` the figures,
+   `GET /models/{id}/cameras` the cameras that were found;
 4. `POST /lift` lifts the frames that were held out, first together, then one by one.
 
 The last line of the output is a JSON object with all figures.
@@ -113,6 +114,8 @@ def run(address: str, capture: Capture, arguments: argparse.Namespace) -> dict[s
         dataset = upload(client, seen, arguments.capture.stem[:200] or "capture")
         fit = follow(client, create_fit(client, dataset["id"], config))
         model = call(client, "GET", f"/models/{fit['model_id']}").json()
+        cameras = call(client, "GET", f"/models/{model['id']}/cameras").json()
+        show_cameras(cameras)
         fitted = Result(seen, reconstruction(client, fit["id"]))
         new = Result(unseen, lift(client, model["id"], unseen) if len(unseen) else {})
         latencies = time_lifts(client, model["id"], unseen if len(unseen) else seen)
@@ -130,6 +133,8 @@ def run(address: str, capture: Capture, arguments: argparse.Namespace) -> dict[s
         "reprojection_error_px_unseen": mean_reprojection_error(new.lifted),
         "lift_ms_p50": float(np.percentile(latencies, 50)),
         "lift_ms_p99": float(np.percentile(latencies, 99)),
+        "cameras": cameras["arrangement"],
+        "focal_px": [view["focal"] and view["focal"][0] for view in cameras["views"]],
         "fit_seconds": fit["seconds"],
         "steps": fit["config"]["steps"],
     }
@@ -361,13 +366,27 @@ class ProgressDisplay:
         step, steps = progress["step"], progress["steps"]
         loss, error = number(progress["loss"]), number(progress["reprojection_error"])
         left = number(progress["seconds_left"])
-        text = f"step {step}/{steps}  loss {loss}  reprojection error {error} px  {left} s left"
+        text = (
+            f"{progress['stage']}  step {step}/{steps}  loss {loss}  "
+            f"reprojection error {error} px  {left} s left"
+        )
         self._bar.update(self._task, completed=step, total=steps, description=text)
         ended = fit["finished_at"] is not None
         due = step != self._printed and (ended or time.monotonic() >= self._next_line)
         if due and not console.is_terminal:
             console.print(text, soft_wrap=True)
             self._next_line, self._printed = time.monotonic() + LINE_SECONDS, step
+
+
+def show_cameras(cameras: dict[str, Any]) -> None:
+    """Print what the fit found out about its cameras."""
+    console.print(f"Cameras: {cameras['arrangement']}. {cameras['reason']}", soft_wrap=True)
+    known = [view for view in cameras["views"] if view["focal"] is not None]
+    focals = [f"{number(view['focal'][0])} ± {number(view['focal_sd'])}" for view in known]
+    if focals:
+        console.print(f"Focal lengths (px): {', '.join(focals)}", soft_wrap=True)
+    for warning in cameras["warnings"]:
+        console.print(f"Beware: {warning}", soft_wrap=True)
 
 
 def show(figures: dict[str, Any]) -> None:

@@ -65,6 +65,7 @@ def test_shows_figures_and_a_picture_and_leaves_nothing_behind(tmp_path: Path) -
     assert "\x1b" not in done.stdout
     assert "\r" not in done.stdout
     assert "step 60/60" in done.stdout
+    assert "Cameras: " in done.stdout
 
     figures = json.loads(done.stdout.splitlines()[-1])
     assert figures["capture"] == "figure.npz"
@@ -79,6 +80,8 @@ def test_shows_figures_and_a_picture_and_leaves_nothing_behind(tmp_path: Path) -
     assert 0 < figures["reprojection_error_px_unseen"] < 200
     assert 0 < figures["lift_ms_p50"] <= figures["lift_ms_p99"]
     assert figures["fit_seconds"] > 0
+    assert figures["cameras"] in ("static", "moving", "mixed", "unknown")
+    assert all(focal > 0 for focal in figures["focal_px"])
     picture = Path(figures["picture"])
     assert picture == tmp_path / "demo-output" / "figure.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
