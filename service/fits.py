@@ -50,7 +50,11 @@ class FitCreate(BaseModel):
             "example": {
                 "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
                 "name": "macaque",
-                "config": {"seed": 1},
+                "config": {
+                    "seed": 1,
+                    "cameras": "static",
+                    "known_length": {"keypoints": [2, 3], "length": 0.26},
+                },
             }
         },
     )
