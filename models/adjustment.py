@@ -10,6 +10,7 @@ points (Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000; Hartley & 
 View Geometry*, app. 6). Everything here is float64: N frames, K views, P keypoints, G groups.
 """
 
+from collections.abc import Generator
 from typing import NamedTuple
 
 import torch
@@ -36,7 +37,7 @@ class Rig(NamedTuple):
     translations: Tensor  # (K, 3) d, units of the structure
 
     @property
-    def count(self) -> int:
+    def size(self) -> int:
         """The number of groups G."""
         return int(self.groups.max()) + 1
 
@@ -100,9 +101,7 @@ def place(scene: Scene, rig: Rig) -> tuple[Tensor, Tensor, Tensor]:
     return v @ rig.rotations.mT + rig.translations[:, None], turned, v
 
 
-def cost(
-    views: Views, rig: Rig, prior: ShapePrior, size_precision: Tensor, scene: Scene
-) -> Tensor:
+def cost(views: Views, rig: Rig, prior: ShapePrior, size_precision: Tensor, scene: Scene) -> Tensor:
     """Minus twice the log posterior of each frame (N,), up to a constant."""
     camera, _, _ = place(scene, rig)
     pixels = image(camera, rig.optics)
@@ -142,7 +141,7 @@ def normal_equations(
     weighted = weights[..., None, None] * by_points
     points = (weighted.mT @ by_points).sum(1)  # (N, P, 3, 3)
     pull_points = (weighted.mT @ residual[..., None]).sum(1)[..., 0]
-    groups, basis = rig.count, prior.basis.shape[-1]
+    groups, basis = rig.size, prior.basis.shape[-1]
     # One group's columns are the sums over its views.
     member = torch.nn.functional.one_hot(rig.groups, groups).to(residual)  # (K, G)
     coupling = torch.einsum("nkpic,kg->npigc", weighted.mT @ by_pose, member)
@@ -213,9 +212,8 @@ def refine(
         here = Scene(*(a[active] for a in scene))
         local = prior._replace(means=prior.means[active], spread=prior.spread[active])
         normal = normal_equations(part, rig, local, size_precision, here, shared=False)
-        tried, gained = here, torch.zeros_like(best[active])
         step = _solve(normal, damping[active])
-        tried = _move(here, *step, rig.count)
+        tried = move(here, *step, rig.size)
         costs = cost(part, rig, local, size_precision, tried)
         better = costs <= best[active]
         gained = (best[active] - costs) / best[active].clamp_min(1e-9)
@@ -234,7 +232,7 @@ def refine(
 
 
 def _solve(normal: Normal, damping: Tensor) -> tuple[Tensor, Tensor]:
-    """Steps of the points (N, P, 3) and of the rest (N, R) of one damped Gauss-Newton step."""
+    """Take one damped Gauss-Newton step: of the points (N, P, 3) and of the rest (N, R)."""
     points, reduced, pull = eliminate_points(normal, damping)
     factor, _ = torch.linalg.cholesky_ex(reduced)
     rest = torch.cholesky_solve(pull[..., None], factor)[..., 0]
@@ -253,13 +251,30 @@ def eliminate_points(normal: Normal, damping: Tensor) -> tuple[Tensor, Tensor, T
     flat = normal.coupling.flatten(1, 2)  # (N, 3 P, R)
     reduced = rest - flat.mT @ carried.flatten(1, 2)
     reduced = reduced + torch.diag_embed(damping[:, None] * diagonal + 1e-12)
-    pull = normal.pull_rest - (carried.flatten(1, 2).mT @ normal.pull_points.flatten(1)[..., None])[
-        ..., 0
-    ]
+    pull = (
+        normal.pull_rest
+        - (carried.flatten(1, 2).mT @ normal.pull_points.flatten(1)[..., None])[..., 0]
+    )
     return inverse, reduced, pull
 
 
-def _move(scene: Scene, points: Tensor, rest: Tensor, groups: int) -> Scene:
+def structure_covariances(
+    views: Views, rig: Rig, prior: ShapePrior, scene: Scene, *, size_precision: Tensor
+) -> Tensor:
+    """Covariances (N, 3 P, 3 P) of the structures about their best values (Laplace)."""
+    normal = normal_equations(views, rig, prior, size_precision, scene, shared=False)
+    inverse, reduced, _ = eliminate_points(normal, torch.full_like(prior.spread, 1e-9))
+    carried = (inverse @ normal.coupling).flatten(1, 2)  # (N, 3 P, R)
+    factor, _ = torch.linalg.cholesky_ex(reduced)
+    covariances = carried @ torch.cholesky_solve(carried.mT, factor)
+    count = inverse.shape[1]
+    blocks = covariances.view(-1, count, 3, count, 3)
+    blocks.diagonal(dim1=1, dim2=3).add_(inverse.permute(0, 2, 3, 1))
+    return covariances
+
+
+def move(scene: Scene, points: Tensor, rest: Tensor, groups: int) -> Scene:
+    """Apply steps of the points (N, P, 3) and of the rest (N, R) to a scene."""
     pose = rest[:, : POSE * groups].reshape(len(rest), groups, POSE)
     return Scene(
         scene.points + points,
@@ -270,18 +285,21 @@ def _move(scene: Scene, points: Tensor, rest: Tensor, groups: int) -> Scene:
 
 
 def _turning(by: Tensor, arms: Tensor) -> Tensor:
-    """Derivative by a rotation vector: by (..., 2, 3) times -[arms]_x, arms (..., 3)."""
-    return torch.linalg.cross(arms[..., None, :].expand_as(by), by, dim=-1)
+    """Derive by a rotation vector: by (..., 2, 3) times -[arms]_x, arms (..., 3)."""
+    turned: Tensor = torch.linalg.cross(arms[..., None, :].expand_as(by), by, dim=-1)
+    return turned
 
 
 def turn(vectors: Tensor) -> Tensor:
-    """Rotations (..., 3, 3) by the angle and about the axis of vectors (..., 3): Rodrigues."""
+    """Return rotations (..., 3, 3) by angle and axis of vectors (..., 3): Rodrigues."""
     angle = vectors.square().sum(-1).clamp_min(1e-24).sqrt()[..., None, None]
     x, y, z = vectors.unbind(-1)
     zero = torch.zeros_like(x)
-    cross = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
+    cross = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).reshape(*x.shape, 3, 3)
     eye = torch.eye(3, dtype=vectors.dtype)
-    return eye + angle.sin() / angle * cross + (1 - angle.cos()) / angle.square() * cross @ cross
+    square = (1 - angle.cos()) / angle.square() * cross @ cross
+    rotations: Tensor = eye + angle.sin() / angle * cross + square
+    return rotations
 
 
 class SharedPrior(NamedTuple):
@@ -292,7 +310,7 @@ class SharedPrior(NamedTuple):
     free: Tensor  # (T,) bool; the others stay as they are
 
     def offset(self, rig: Rig) -> Tensor:
-        """The rig minus the mean, (T,); extrinsics to first order."""
+        """Return the rig minus the mean, (T,); extrinsics to first order."""
         ours, mean = rig.optics, self.reference.optics
         turned = rig.rotations @ self.reference.rotations.mT
         skew = (turned - turned.mT) / 2
@@ -339,16 +357,21 @@ def adjust(
     size_precision: Tensor,
     shared: SharedPrior,
     iterations: int = 20,
-) -> tuple[Rig, Scene, Tensor, Tensor]:
-    """Adjust frames and rig together; rig, scene, cost per frame (N,), information (T, T)."""
+) -> Generator[None, None, tuple[Rig, Scene, Tensor, Tensor]]:
+    """Adjust frames and rig together, yielding after each iteration.
+
+    Returns the rig, the scene, the cost per frame (N,) and the information (T, T): the inverse of
+    the covariance of what is shared, frames marginalised.
+    """
     costs = cost(views, rig, prior, size_precision, scene)
     kept = costs.isfinite()
     views = views._replace(weights=views.weights * kept[:, None, None])
     best = costs[kept].sum() + shared.cost(rig)
     damping = FIRST_DAMPING
     information = shared.precision
-    size = POSE * rig.count + prior.basis.shape[-1]
+    size = POSE * rig.size + prior.basis.shape[-1]
     for _ in range(iterations):
+        yield
         normal = normal_equations(views, rig, prior, size_precision, scene, shared=True)
         damped = torch.full_like(costs, damping)
         inverse, reduced, pull = eliminate_points(normal, damped)
@@ -365,11 +388,15 @@ def adjust(
         inner = inner + torch.diag(damping * inner.diagonal() + 1e-12)
         step[free] = torch.linalg.solve(inner, gradient[free])
         rest = left_pull - (left @ step)
-        moved = normal.pull_points - (
-            normal.coupling @ torch.cat((rest, step.expand(len(rest), -1)), -1)[:, None, :, None]
-        )[..., 0]
+        moved = (
+            normal.pull_points
+            - (
+                normal.coupling
+                @ torch.cat((rest, step.expand(len(rest), -1)), -1)[:, None, :, None]
+            )[..., 0]
+        )
         points = (inverse @ moved[..., None])[..., 0]
-        tried, tried_rig = _move(scene, points, rest, rig.count), move_rig(rig, step)
+        tried, tried_rig = move(scene, points, rest, rig.size), move_rig(rig, step)
         new_costs = cost(views, tried_rig, prior, size_precision, tried)
         total = new_costs[kept].sum() + shared.cost(tried_rig)
         if total <= best:

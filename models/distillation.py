@@ -13,15 +13,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from models.cameras import WeakPerspective, solve_cameras
+from models.adjustment import turn
+from models.cameras import WeakPerspective, project, solve_cameras
 from models.prior import HierarchicalPrior
 from models.refinement import MIRROR, estimate_foreshortening, first_order, settle
 
-TEACHERS = 1000  # at most; others are drawn at the next refresh
+TEACHERS = 2000  # at most; others are drawn at the next refresh
 NUMBERS = 2_000_000  # at most, in a sixth of the widest layer for all teachers together: memory
 ROUNDS = 12  # of settling; with two, teachers repeat the errors of the network they came from
 FORESHORTENED = slice(250)  # teachers that foreshortening is estimated from
 UPRIGHT = 0.1  # weight of "cameras stand upright" next to "cameras do not roll"
+NEAREST = 0.2  # of the distance to the teacher's centre: no camera stands nearer to a keypoint
 TILT = 0.1  # radians, standard deviation by which virtual cameras tilt and roll
 FEWER = 0.5  # share of the virtual frames that lose some of their views
 
@@ -46,15 +48,9 @@ def find_teachers(
 
     `keypoints` (N, K, P, 2) and `weights` (N, K, P) are normalised. None without such frames.
     """
-    frames = np.flatnonzero(((weights.sum(-1) > 0).sum(1) > 1).numpy())
-    if not frames.size:
+    drawn, places = draw_teachers(weights, most=most, widest=network.widest(weights), seed=seed)
+    if not len(drawn):
         return None
-    views, count = weights.shape[1:]
-    widest = views * max(count, len(network.encoder_thresholds[0]))
-    most = max(1, min(most, TEACHERS, NUMBERS // widest))
-    drawn = torch.from_numpy(np.random.default_rng(seed).permutation(frames)[:most])
-    places = torch.full((len(keypoints),), -1)
-    places[drawn] = torch.arange(len(drawn))
     keypoints, weights = keypoints[drawn], weights[drawn]
 
     points, _, guesses = network(keypoints, weights)
@@ -82,13 +78,74 @@ def find_teachers(
     unknown = 3 * shown.any(1).sum(-1) + 6 * seen.sum(1) - 7
     freedom = (2 * shown.sum((1, 2)) - unknown).clamp_min(0).sum()
     noise = float(((weights * squared).sum() / freedom.clamp_min(1)).sqrt()) if freedom else 0.0
+    return as_teachers(points, cameras.rotations, seen, places, foreshortening, noise)
+
+
+def draw_teachers(
+    weights: Tensor, *, most: int, widest: int, seed: list[int]
+) -> tuple[Tensor, Tensor]:
+    """Draw at most `most` of the frames with two views or more; (T,), and their places (N,)."""
+    frames = np.flatnonzero(((weights > 0).any(-1).sum(1) > 1).numpy())
+    most = max(1, min(most, TEACHERS, NUMBERS // widest))
+    drawn = torch.from_numpy(np.random.default_rng(seed).permutation(frames)[:most])
+    places = torch.full((len(weights),), -1)
+    places[drawn] = torch.arange(len(drawn))
+    return drawn, places
+
+
+def as_teachers(
+    points: Tensor,
+    rotations: Tensor,
+    seen: Tensor,
+    places: Tensor,
+    foreshortening: float,
+    noise: float,
+) -> Teachers:
+    """Make teachers of settled structures and the rotations of the cameras that saw them."""
     # Cameras hardly roll: their x axes are level, and up is what is most at right angles to all
     # of them; where they are too much alike to tell, along their y axes.
-    x, y = cameras.rotations[..., 0, :], cameras.rotations[..., 1, :]  # (T, K, 3)
+    x, y = rotations[..., 0, :], rotations[..., 1, :]  # (T, K, 3)
     level = torch.einsum("tk,tki,tkj->tij", seen, x, x)
     upright = torch.einsum("tk,tki,tkj->tij", seen, y, y)
     ups = torch.linalg.eigh(UPRIGHT * upright - level).eigenvectors[..., -1]
-    return Teachers(points, cameras.rotations, seen, ups, places, foreshortening, noise)
+    return Teachers(points, rotations, seen, ups, places, foreshortening, noise)
+
+
+def perspective_teachers(
+    points: Tensor,
+    rotations: Tensor,
+    translations: Tensor,
+    seen: Tensor,
+    places: Tensor,
+    *,
+    noise: float,
+    mirrored: bool,
+) -> Teachers:
+    """Make teachers of structures (T, P, 3) seen by perspective cameras, `x_cam = R X + t`.
+
+    Rotations are (T, K, 3, 3), translations (T, K, 3) in units of the structures; `mirrored` if the
+    network's structures are mirror images of these.
+    """
+    radius = points.square().sum(-1).mean(-1).sqrt()  # (T,)
+    distances = translations.norm(dim=-1) / radius[:, None]  # (T, K)
+    there = seen.to(points.dtype)
+    foreshortening = float((there / distances).sum() / there.sum())
+    # Weak perspective looks along the ray to the subject, not along the axis of the lens.
+    rays = torch.nn.functional.normalize(translations, dim=-1)
+    ahead = rays.new_tensor([0.0, 0.0, 1.0]).expand_as(rays)
+    axes = torch.linalg.cross(rays, ahead, dim=-1)
+    sine = axes.norm(dim=-1, keepdim=True)
+    angle = torch.atan2(sine, rays[..., 2:])
+    rotations = turn(axes / sine.clamp_min(1e-12) * angle) @ rotations
+    points = points / radius[:, None, None]
+    if mirrored:
+        # (D R D)(D X) = D R X has the same x and y; its depths, and so k, change their sign.
+        mirror = points.new_tensor(MIRROR)
+        points, rotations = points * mirror, mirror[:, None] * rotations * mirror
+        foreshortening = -foreshortening
+    return as_teachers(
+        points.float(), rotations.float(), there.float(), places, foreshortening, noise
+    )
 
 
 @torch.no_grad()
@@ -115,13 +172,15 @@ def virtual_views(
     camera = (_uniform(rng, count, views, views) * seen[:, None]).argmax(-1)  # (V, K)
     azimuth = 2 * np.pi * _uniform(rng, count, views, 1)
     tilt = TILT * _normal(rng, count, views, 3)
-    walked = teachers.rotations[drawn[:, None], camera] @ _turn(
+    walked = teachers.rotations[drawn[:, None], camera] @ turn(
         azimuth * teachers.ups[drawn][:, None]
     )
     scales = torch.ones_like(weights[..., 0])
-    cameras = WeakPerspective(_turn(tilt) @ walked, scales, torch.zeros_like(tilt[..., :2]))
-    projected, nearer = first_order(points, weights, cameras)
-    keypoints = projected + teachers.foreshortening * nearer
+    cameras = WeakPerspective(turn(tilt) @ walked, scales, torch.zeros_like(tilt[..., :2]))
+    # At unit scale a camera's distance is 1 / k: near things are larger.
+    depth = (points[:, None] @ cameras.rotations[..., 2, :, None])[..., 0]  # (V, K, P)
+    nearness = 1 + teachers.foreshortening * depth
+    keypoints = project(points[:, None], cameras) / nearness.clamp_min(NEAREST)[..., None]
     keypoints = keypoints + teachers.noise * _normal(rng, *keypoints.shape)
 
     # As in `as_observations`.
@@ -142,15 +201,6 @@ def structure_loss(points: Tensor, truth: Tensor) -> Tensor:
         u[..., -1] *= (torch.linalg.det(u) * torch.linalg.det(vt)).sign()[:, None]
         truth = truth @ (u @ vt)
     return ((points - truth).square().sum(-1).mean(-1) + 1e-8).sqrt().mean()
-
-
-def _turn(vectors: Tensor) -> Tensor:
-    """Rotations (..., 3, 3) by the angle and about the axis of vectors (..., 3)."""
-    x, y, z = vectors.unbind(-1)
-    zero = torch.zeros_like(x)
-    cross = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1)
-    rotations: Tensor = torch.linalg.matrix_exp(cross.reshape(*vectors.shape, 3))
-    return rotations
 
 
 def _uniform(rng: np.random.Generator, *shape: int) -> Tensor:

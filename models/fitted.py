@@ -1,20 +1,30 @@
 """A fitted prior: lifts 2D keypoints to structure and cameras, and travels as bytes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, fields
+from itertools import chain
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
 
 from models.cameras import project, solve_cameras
 from models.config import FitConfig, Refine
-from models.found import FoundCameras
+from models.discovery import Discovery
 from models.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS, Observations, as_observations
+from models.optics import COEFFICIENTS
+from models.perspective import (
+    array_shapes,
+    from_arrays,
+    refine_frames,
+    report,
+    to_arrays,
+)
 from models.prior import HierarchicalPrior, parameter_shapes
 from models.refinement import settle
-from models.weights import Arrays, WeightsError, pack, read_about, unpack
+from models.weights import Arrays, Shapes, WeightsError, pack, read_about, unpack
 
 Status = Literal["ok", "too_few_keypoints"]
 CAMERA_MODELS = ("weak_perspective", "perspective", "fisheye")
@@ -24,6 +34,8 @@ REASONS: dict[Status, str] = {
         f"no view shows {MIN_KEYPOINTS} keypoints or more that do not all lie at one place"
     ),
 }
+CAMERAS = "cameras."  # before the names of what was found of the cameras, in a file
+WORSE = 1.25  # times the network's reprojection error: no refinement that leads there is kept
 ACTIVATIONS = 4_000_000  # numbers in the widest layer of a slice of frames: 16 MB
 
 
@@ -71,10 +83,11 @@ class FittedPrior:
         arrays: Arrays,
         curve: tuple[CurvePoint, ...],
         foreshortening: float,
-        cameras: FoundCameras | None = None,
+        found: Discovery | None = None,
     ) -> None:
         self.config = config
-        self.cameras = cameras
+        self.cameras = None if found is None else report(found)
+        self._found = found
         self.curve = curve
         self.foreshortening = foreshortening
         self._arrays = arrays
@@ -100,50 +113,64 @@ class FittedPrior:
         Every frame is lifted on its own: neither its neighbours nor the order of the frames
         changes its answer. Structures have the handedness that the fit settled on.
 
+        Parameters
+        ----------
+        refine
+            `off`: the network and weak perspective. `full`: perspective refinement with the lenses,
+            the rig and the shapes that the fit found. `auto`: the same, save for frames whose
+            keypoints it explains worse than the network. Default: what the fit was told. A fit
+            that found no cameras refines nothing.
+        views
+            Which of the fit's views these are. Default: all of them in their order if K is their
+            number, otherwise cameras that the fit does not know.
+
         Raises
         ------
         ValueError
-            When the arrays are malformed (see `as_observations`) or P differs from the fit's.
+            When the arrays are malformed (see `as_observations`), P differs from the fit's, or
+            `views` does not name K different views of the fit.
         """
         seen = as_observations(keypoints, confidence)
-        frames, views_n, count, _ = seen.keypoints.shape
-        if count != self.keypoints_per_frame:
+        frames, count, points_count, _ = seen.keypoints.shape
+        if points_count != self.keypoints_per_frame:
             raise ValueError(
                 f"this prior was fitted to {self.keypoints_per_frame} keypoints per view,"
-                f" got {count}; give them in the order of the fit, NaN for what was not observed"
+                f" got {points_count}; give them in the order of the fit, NaN for what was not"
+                " observed"
             )
-        widest = 6 * views_n * max(self.config.dictionary_sizes[0], count)
-        slices = range(0, frames, max(1, ACTIVATIONS // widest)) or [0]
-        size = max(1, ACTIVATIONS // widest)
-        parts = [self._lift(seen, slice(start, start + size)) for start in slices]
-        points, rotations, scales, shifts, errors = (
-            np.concatenate(part) for part in zip(*parts, strict=True)
+        fitted = self._views(views, count)
+        mode = self.config.refine if refine is None else refine
+        size = max(
+            1, ACTIVATIONS // (6 * count * max(self.config.dictionary_sizes[0], points_count))
         )
-        translations = np.concatenate((shifts, np.full_like(shifts[..., :1], np.nan)), -1)
-        usable = seen.usable
-        answered: NDArray[np.bool_] = np.any(usable, axis=1)
-        points[~answered] = np.nan
-        for answer in (rotations, scales, translations, errors):
-            answer[~usable] = np.nan
-        return Lift(
-            points3d=points,
-            rotations=rotations,
-            scales=scales,
-            translations=translations,
-            focals=np.full((frames, views_n, 2), np.nan, np.float32),
-            principal_points=np.full((frames, views_n, 2), np.nan, np.float32),
-            distortions=np.full((frames, views_n, 8), np.nan, np.float32),
-            camera_models=np.where(usable, 0, -1).astype(np.int8),
-            reprojection_errors=errors,
-            keypoints_used=(seen.weights > 0).sum(-1, dtype=np.int32),
-            status=tuple("ok" if any_view else "too_few_keypoints" for any_view in answered),
-        )
+        parts = []
+        for start in range(0, max(frames, 1), size):
+            part = _slice(seen, slice(start, start + size))
+            lift = self._feed_forward(part)
+            if mode != "off" and self._found is not None and len(lift.points3d):
+                lift = _refined(lift, part, self._found, fitted, always=mode == "full")
+            parts.append(lift)
+        return join(parts)
+
+    def _views(self, views: Sequence[int] | None, count: int) -> Sequence[int] | None:
+        known = 0 if self._found is None else len(self._found.errors)
+        if views is None:
+            return range(count) if count == known else None
+        if (
+            len(views) != count
+            or len(set(views)) != count
+            or (known and not all(0 <= view < known for view in views))
+        ):
+            raise ValueError(
+                f"views must name {count} different views of the {known or 'unknown'} of the fit,"
+                f" got {list(views)}"
+            )
+        return views if known else None
 
     @torch.inference_mode()
-    def _lift(self, seen: Observations, part: slice) -> tuple[NDArray[np.float32], ...]:
-        keypoints = torch.from_numpy(seen.keypoints[part])
-        weights = torch.from_numpy(seen.weights[part])
-        sizes, centres = torch.from_numpy(seen.sizes[part]), torch.from_numpy(seen.centres[part])
+    def _feed_forward(self, seen: Observations) -> Lift:
+        keypoints, weights = torch.from_numpy(seen.keypoints), torch.from_numpy(seen.weights)
+        sizes, centres = torch.from_numpy(seen.sizes), torch.from_numpy(seen.centres)
         found = self._network(keypoints, weights)
         points, guesses = settle(
             found.points, keypoints, weights, found.guesses, self.foreshortening
@@ -152,29 +179,46 @@ class FittedPrior:
         distances = (project(points[:, None], cameras) - keypoints).norm(dim=-1)
         observed = (weights > 0).to(distances.dtype)
         mean = (distances * observed).sum(-1) / observed.sum(-1).clamp_min(1)
-        answers = (
-            points,
-            cameras.rotations,
-            cameras.scales * sizes,
-            cameras.translations * sizes[..., None] + centres,
-            mean * sizes,
+        answered: NDArray[np.bool_] = np.any(seen.usable, axis=1)
+        shifts = cameras.translations * sizes[..., None] + centres
+        unknown = torch.full_like(shifts, torch.nan)
+        lift = Lift(
+            points3d=points.numpy(),
+            rotations=cameras.rotations.numpy(),
+            scales=(cameras.scales * sizes).numpy(),
+            translations=torch.cat((shifts, unknown[..., :1]), -1).numpy(),
+            focals=unknown.numpy(),
+            principal_points=unknown.numpy().copy(),
+            distortions=np.full((*seen.sizes.shape, COEFFICIENTS), np.nan, np.float32),
+            camera_models=np.where(seen.usable, 0, -1).astype(np.int8),
+            reprojection_errors=(mean * sizes).numpy(),
+            keypoints_used=(seen.weights > 0).sum(-1, dtype=np.int32),
+            status=tuple("ok" if some else "too_few_keypoints" for some in answered),
         )
-        return tuple(answer.numpy() for answer in answers)
+        lift.points3d[~answered] = np.nan
+        for answer in (lift.rotations, lift.scales, lift.translations, lift.reprojection_errors):
+            answer[~seen.usable] = np.nan
+        return lift
 
     def to_bytes(self) -> bytes:
         """Return the prior as safetensors bytes, its configuration in the header."""
         curve = torch.tensor(self.curve, dtype=torch.float64).reshape(-1, 3)
+        about = {
+            "config": self.config.model_dump_json(),
+            "keypoints": str(self.keypoints_per_frame),
+        }
+        cameras: Arrays = {}
+        if self._found is not None:
+            cameras, about["cameras"] = to_arrays(self._found)
         return pack(
             {
                 **self._arrays,
+                **{f"{CAMERAS}{name}": value for name, value in cameras.items()},
                 "curve": curve,
                 "foreshortening": torch.tensor([self.foreshortening], dtype=torch.float64),
             },
             kind="prior",
-            about={
-                "config": self.config.model_dump_json(),
-                "keypoints": str(self.keypoints_per_frame),
-            },
+            about=about,
         )
 
     @classmethod
@@ -195,9 +239,88 @@ class FittedPrior:
             raise WeightsError("the header holds no valid configuration") from error
         if not MIN_KEYPOINTS <= keypoints <= MAX_KEYPOINTS:
             raise WeightsError(f"the header says {keypoints} keypoints per frame")
-        shapes = parameter_shapes(keypoints, config.dictionary_sizes)
+        shapes: Shapes = {**parameter_shapes(keypoints, config.dictionary_sizes)}
+        cameras = array_shapes(keypoints, None) if "cameras" in about else {}
+        for name, shape in cameras.items():
+            shapes[f"{CAMERAS}{name}"] = shape
         arrays = unpack(data, shapes={**shapes, "curve": (None, 3), "foreshortening": (1,)})
+        found = None
+        if cameras:
+            parts = {name: arrays.pop(f"{CAMERAS}{name}") for name in cameras}
+            found = from_arrays(parts, about["cameras"])
         curve = tuple(
             CurvePoint(int(s), loss, error) for s, loss, error in arrays.pop("curve").tolist()
         )
-        return cls(config, arrays, curve, arrays.pop("foreshortening").item())
+        return cls(config, arrays, curve, arrays.pop("foreshortening").item(), found)
+
+
+def join(lifts: Sequence[Lift]) -> Lift:
+    """Join lifts of the same views and keypoints, frame after frame."""
+    joined: dict[str, Any] = {}
+    for field in fields(Lift):
+        parts = [getattr(lift, field.name) for lift in lifts]
+        joined[field.name] = (
+            tuple(chain.from_iterable(parts)) if field.name == "status" else np.concatenate(parts)
+        )
+    return Lift(**joined)
+
+
+@torch.inference_mode()
+def _refined(
+    lift: Lift,
+    seen: Observations,
+    found: Discovery,
+    views: Sequence[int] | None,
+    *,
+    always: bool,
+) -> Lift:
+    """Refine with perspective what the keypoints allow; other frames stay as they are."""
+    frames = np.flatnonzero(seen.usable.any(1))
+    usable = torch.from_numpy(seen.usable[frames])
+
+    def number(array: NDArray[np.float32], without: float) -> Tensor:
+        return torch.nan_to_num(torch.from_numpy(array[frames]).double(), nan=without)
+
+    rotations = number(lift.rotations, 0)
+    rotations[~usable] = torch.eye(3, dtype=torch.float64)
+    pixels = seen.keypoints * seen.sizes[..., None, None] + seen.centres[..., None, :]
+    answer = refine_frames(
+        found,
+        number(pixels, 0),
+        number(seen.weights, 0),
+        (
+            number(lift.points3d, 0),
+            rotations,
+            number(lift.scales, 1),
+            number(lift.translations[..., :2], 0),
+        ),
+        views,
+    )
+    fine = answer.fine.numpy()
+    if not always:
+        with np.errstate(invalid="ignore"):
+            ours = np.where(usable, answer.errors.numpy(), 0).sum(1)
+            theirs = np.where(usable, lift.reprojection_errors[frames], 0).sum(1)
+            fine &= ours <= WORSE * theirs
+    chosen = frames[fine]
+    pairs = np.zeros_like(seen.usable)  # views that get a perspective camera
+    pairs[chosen] = seen.usable[chosen]
+    mine = usable.numpy() & fine[:, None]
+    lift.points3d[chosen] = answer.points.numpy()[fine]
+    depths = answer.translations[..., 2].numpy()
+    lens = answer.optics
+    focals, distortion = lens.focals.numpy(), lens.distortion.numpy()
+    _, view = np.nonzero(pairs)
+    lift.rotations[pairs] = answer.rotations.numpy()[mine]
+    lift.translations[pairs] = answer.translations.numpy()[mine]
+    lift.scales[pairs] = focals.mean(1)[view] / depths[mine]
+    lift.focals[pairs] = focals[view]
+    lift.principal_points[pairs] = lens.centres.numpy()[view]
+    lift.distortions[pairs] = distortion[view]
+    lift.camera_models[pairs] = 1 + lens.fisheye.numpy()[view]
+    lift.reprojection_errors[pairs] = answer.errors.numpy()[mine]
+    return lift
+
+
+def _slice(seen: Observations, part: slice) -> Observations:
+    return Observations(*(getattr(seen, field.name)[part] for field in fields(Observations)))

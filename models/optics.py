@@ -59,7 +59,9 @@ def image(
         flat[..., :, None] * flat[..., None, :]
     )
     off = 2 * (p1 * a + p2 * b)
-    bend = bend + torch.stack((2 * p1 * b + 6 * p2 * a, off, off, 6 * p1 * b + 2 * p2 * a), -1).unflatten(-1, (2, 2))
+    bend = bend + torch.stack(
+        (2 * p1 * b + 6 * p2 * a, off, off, 6 * p1 * b + 2 * p2 * a), -1
+    ).reshape(*bend.shape)
     # flat by points: [1 0 -a; 0 1 -b] / z.
     by_points = torch.cat((bend, -(bend @ flat[..., None])), -1) / safe[..., None]
     by_points = focals[..., None] * by_points
@@ -81,7 +83,8 @@ def _radial(squared: Tensor, k: tuple[Tensor, ...], fisheye: Tensor) -> tuple[Te
     low = 1 + squared * (k[5] + squared * (k[6] + squared * k[7]))
     gain = top / low
     slope = (
-        k[0] + squared * (2 * k[1] + 3 * squared * k[4])
+        k[0]
+        + squared * (2 * k[1] + 3 * squared * k[4])
         - gain * (k[5] + squared * (2 * k[6] + 3 * squared * k[7]))
     ) / low
     by_first = squared / low

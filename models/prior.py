@@ -47,6 +47,10 @@ class HierarchicalPrior(nn.Module):
                 fan_in = parameter.shape[1 if name.endswith("weight") else 0]
                 nn.init.normal_(parameter, std=fan_in**-0.5, generator=generator)
 
+    def widest(self, weights: Tensor) -> int:
+        """Numbers in a sixth of the widest layer for one frame of `weights` (N, K, P)."""
+        return weights.shape[1] * max(weights.shape[2], len(self.encoder_thresholds[0]))
+
     def encode(self, views: Tensor) -> tuple[Tensor, Tensor]:
         """Codes (M, B_L) and rotations (M, 3, 3) of M centred views (M, P, 2)."""
         # One ISTA step per layer, paper eq. "encoder": Psi_l = ReLU(D_l^T Psi_{l-1}; lambda_l).

@@ -1,26 +1,47 @@
 """Fitting a prior to keypoints alone: minimise the reprojection error, resumably."""
 
 import hashlib
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from models.cameras import project
+from models.cameras import project, solve_cameras
 from models.config import FitConfig
-from models.distillation import Teachers, find_teachers, structure_loss, virtual_views
+from models.discovery import (
+    Discovery,
+    ImageSizes,
+    NothingFoundError,
+    discover,
+    most_frames,
+    same_hand,
+)
+from models.distillation import (
+    Teachers,
+    draw_teachers,
+    find_teachers,
+    perspective_teachers,
+    structure_loss,
+    virtual_views,
+)
 from models.fitted import CurvePoint, FittedPrior
 from models.keypoints import Observations, as_observations
+from models.perspective import array_shapes, from_arrays, refine_frames, to_arrays
 from models.prior import HierarchicalPrior, Reconstruction
-from models.refinement import estimate_foreshortening
+from models.refinement import estimate_foreshortening, settle
 from models.weights import Arrays, Shapes, WeightsError, pack, read_about, unpack
 
+logger = logging.getLogger(__name__)
+
 CURVE_ROWS = 200
+SLICE = 256  # frames between two chances to stop
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
 REFRESHES = (0.5, 0.75)  # shares of the steps after which the network gets (new) teachers
 VIRTUAL = 0.5  # share of a batch that virtual views take from then on
@@ -37,6 +58,7 @@ class Progress:
     loss: float  # running mean over recent batches
     reprojection_error: float  # pixels, running mean over recent batches
     seconds_left: float
+    stage: Literal["training", "refining"] = "training"
 
 
 class Trainer:
@@ -52,14 +74,18 @@ class Trainer:
         config: FitConfig,
         *,
         confidence: ArrayLike | None = None,
+        image_sizes: ImageSizes | None = None,
         checkpoint: bytes | None = None,
     ) -> None:
         """Prepare a fit of `keypoints` (N, K, P, 2) pixels, from a `checkpoint` if given.
 
+        `image_sizes` are (width, height) in pixels, one per view, None where unknown.
+
         Raises
         ------
         ValueError
-            When no frame has a usable view, or the arrays are malformed (see `as_observations`).
+            When no frame has a usable view, the arrays are malformed (see `as_observations`), or
+            `image_sizes` or the configuration's calibration do not have one entry per view.
         WeightsError
             When the checkpoint is damaged, or was made for other data or another configuration.
         """
@@ -70,15 +96,23 @@ class Trainer:
                 "no frame has a usable view: a view needs at least 4 observed keypoints"
                 " that do not all lie at one place"
             )
+        views = observations.keypoints.shape[1]
+        for name, given in (("image_sizes", image_sizes), ("calibration", config.calibration)):
+            if given is not None and len(given) != views:
+                raise ValueError(f"{name} must have one entry per view ({views}), got {len(given)}")
         self.config = config
         self.step = 0
         self.seconds = 0.0
+        self._image_sizes = image_sizes
+        self._taught = -1  # the step at which there were last teachers
         self._teachers: Teachers | None = None
-        self._teacher_weights: Arrays = {}
-        self._fingerprint = _fingerprint(observations)
+        self._found: Discovery | None = None
+        self._mirrored = False  # whether the network's structures are mirror images
+        self._fingerprint = _fingerprint(observations, image_sizes)
         self._keypoints = torch.from_numpy(observations.keypoints[frames])
         self._weights = torch.from_numpy(observations.weights[frames])
         self._sizes = torch.from_numpy(observations.sizes[frames])
+        self._centres = torch.from_numpy(observations.centres[frames])
         self._loss = self._error = 0.0
         self._epoch = (-1, np.empty(0, np.int64))
         self._curve: list[CurvePoint] = []
@@ -95,6 +129,10 @@ class Trainer:
         """Take the remaining steps, yielding after each; stop iterating to pause."""
         while self.step < self.config.steps:
             started = time.perf_counter()
+            if self.step in self._refreshes() and self._taught != self.step:
+                for _ in self._teach():
+                    yield self._progress("refining")
+                self._taught = self.step
             loss, error = self._advance()
             self._loss = _running(self._loss, loss, first=self.step == 0)
             self._error = _running(self._error, error, first=self.step == 0)
@@ -103,8 +141,11 @@ class Trainer:
             if self.step % every == 0 or self.step == self.config.steps:
                 self._curve.append(CurvePoint(self.step, self._loss, self._error))
             self.seconds += time.perf_counter() - started
-            left = self.seconds / self.step * (self.config.steps - self.step)
-            yield Progress(self.step, self.config.steps, self._loss, self._error, left)
+            yield self._progress("training")
+
+    def _progress(self, stage: Literal["training", "refining"]) -> Progress:
+        left = self.seconds / max(self.step, 1) * (self.config.steps - self.step)
+        return Progress(self.step, self.config.steps, self._loss, self._error, left, stage)
 
     def result(self) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
@@ -113,11 +154,14 @@ class Trainer:
         with torch.inference_mode():
             seen = self._network(keypoints, weights)
             foreshortening = estimate_foreshortening(seen.points, keypoints, weights, seen.guesses)
+        if self._found is not None:
+            foreshortening = abs(foreshortening) * (-1 if self._mirrored else 1)
         return FittedPrior(
             config=self.config,
             arrays={name: value.detach().clone() for name, value in self._parameters.items()},
             curve=tuple(self._curve),
             foreshortening=foreshortening,
+            found=self._found,
         )
 
     def checkpoint(self) -> bytes:
@@ -125,44 +169,72 @@ class Trainer:
         arrays: Arrays = {}
         for name, parameter in self._parameters.items():
             arrays[f"weights.{name}"] = parameter.detach()
-            # As long as there are no teachers, their network is zero.
-            arrays[f"teacher.{name}"] = self._teacher_weights.get(name, torch.zeros_like(parameter))
             # Before the first step Adam has no moments: they are zero.
             moments = self._optimiser.state.get(parameter, {})
             for moment in ("exp_avg", "exp_avg_sq"):
                 arrays[f"{moment}.{name}"] = moments.get(moment, torch.zeros_like(parameter))
         arrays["curve"] = torch.tensor(self._curve, dtype=torch.float64).reshape(-1, 3)
         arrays["state"] = torch.tensor(
-            [self.step, self.seconds, self._loss, self._error], dtype=torch.float64
+            [self.step, self.seconds, self._loss, self._error, self._taught, self._mirrored],
+            dtype=torch.float64,
         )
-        return pack(
-            arrays,
-            kind="checkpoint",
-            about={"config": self.config.model_dump_json(), "data": self._fingerprint},
-        )
+        about = {"config": self.config.model_dump_json(), "data": self._fingerprint}
+        if self._teachers is not None:
+            teachers = self._teachers._asdict()
+            for name in ("foreshortening", "noise"):
+                teachers[name] = torch.tensor([teachers[name]], dtype=torch.float64)
+            teachers["places"] = teachers["places"].double()
+            arrays |= {f"teachers.{name}": value for name, value in teachers.items()}
+            about["teachers"] = str(len(teachers["points"]))
+        if self._found is not None:
+            cameras, about["cameras"] = to_arrays(self._found)
+            arrays |= {f"cameras.{name}": value for name, value in cameras.items()}
+        return pack(arrays, kind="checkpoint", about=about)
 
     def _restore(self, data: bytes) -> None:
-        shapes: Shapes = {"state": (4,), "curve": (None, 3)}
+        shapes: Shapes = {"state": (6,), "curve": (None, 3)}
         for name, parameter in self._parameters.items():
-            for group in ("weights", "teacher", "exp_avg", "exp_avg_sq"):
+            for group in ("weights", "exp_avg", "exp_avg_sq"):
                 shapes[f"{group}.{name}"] = tuple(parameter.shape)
         about = read_about(data, kind="checkpoint")
         if about.get("config") != self.config.model_dump_json():
             raise WeightsError("the checkpoint was made for another configuration; start anew")
         if about.get("data") != self._fingerprint:
             raise WeightsError("the checkpoint was made for other keypoints; start anew")
+        frames, views, count, _ = self._keypoints.shape
+        if "teachers" in about:
+            shapes |= {
+                "teachers.points": (None, count, 3),
+                "teachers.rotations": (None, views, 3, 3),
+                "teachers.seen": (None, views),
+                "teachers.ups": (None, 3),
+                "teachers.places": (frames,),
+                "teachers.foreshortening": (1,),
+                "teachers.noise": (1,),
+            }
+        if "cameras" in about:
+            for name, shape in array_shapes(count, views).items():
+                shapes[f"cameras.{name}"] = shape
         arrays = unpack(data, shapes=shapes)
-        step, self.seconds, self._loss, self._error = arrays["state"].tolist()
-        self.step = int(step)
+        step, self.seconds, self._loss, self._error, taught, mirrored = arrays["state"].tolist()
+        self.step, self._taught, self._mirrored = int(step), int(taught), mirrored > 0
         self._curve = [
             CurvePoint(int(s), loss, error) for s, loss, error in arrays["curve"].tolist()
         ]
-        refreshed = [step for step in self._refreshes() if step < self.step]
+        if "teachers" in about:
+            parts = _under("teachers.", arrays)
+            self._teachers = Teachers(
+                points=parts["points"],
+                rotations=parts["rotations"],
+                seen=parts["seen"],
+                ups=parts["ups"],
+                places=parts["places"].long(),
+                foreshortening=parts["foreshortening"].item(),
+                noise=parts["noise"].item(),
+            )
+        if "cameras" in about:
+            self._found = from_arrays(_under("cameras.", arrays), about["cameras"])
         with torch.no_grad():
-            if refreshed:
-                for name, parameter in self._parameters.items():
-                    parameter.copy_(arrays[f"teacher.{name}"])
-                self._teach(max(refreshed))
             for name, parameter in self._parameters.items():
                 parameter.copy_(arrays[f"weights.{name}"])
                 if self.step:
@@ -174,8 +246,6 @@ class Trainer:
 
     def _advance(self) -> tuple[float, float]:
         """Take one optimiser step; the loss and the reprojection error in pixels."""
-        if self.step in self._refreshes():
-            self._teach(self.step)
         frames = torch.from_numpy(self._batch())
         if self._teachers is not None:
             frames = frames[: len(frames) - int(VIRTUAL * len(frames))]
@@ -216,25 +286,89 @@ class Trainer:
         return loss, distances[: len(frames)], total
 
     def _refreshes(self) -> list[int]:
-        if not self.config.distillation:
+        if not self.config.distillation and self.config.refine == "off":
             return []
         return [int(share * self.config.steps) for share in REFRESHES]
 
-    def _teach(self, step: int) -> None:
-        """Let the network as it stands, before `step`, settle its teachers.
+    def _teach(self) -> Iterator[None]:
+        """Find out about the cameras, once, and let teachers be settled; yields now and then."""
+        seed = [self.config.seed, self.step, 2]
+        if self.config.refine == "off":
+            # A fit of few steps spends little on teachers.
+            most = self.config.steps // 3
+            self._teachers = find_teachers(
+                self._network, self._keypoints, self._weights, most=most, seed=seed
+            )
+        elif self._found is None:
+            yield from self._discover(seed)
 
-        Checkpoints hold the network of that moment, which is less than its teachers.
-        """
-        self._teacher_weights = {
-            name: value.detach().clone() for name, value in self._parameters.items()
-        }
-        self._teachers = find_teachers(
-            self._network,
-            self._keypoints,
+    def _discover(self, seed: list[int]) -> Iterator[None]:
+        drawn, places = draw_teachers(
             self._weights,
-            most=self.config.steps // 3,  # a fit of few steps spends little on teachers
-            seed=[self.config.seed, step, 2],
+            most=len(self._weights),
+            widest=self._network.widest(self._weights),
+            seed=seed,
         )
+        if not len(drawn):
+            return
+        keypoints, weights = self._keypoints[drawn], self._weights[drawn]
+        sizes, centres = self._sizes[drawn], self._centres[drawn]
+        with torch.no_grad():
+            seen = self._network(keypoints, weights)
+            k = estimate_foreshortening(seen.points, keypoints, weights, seen.guesses)
+            points, guesses = settle(seen.points, keypoints, weights, seen.guesses, k)
+            cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
+            there = (weights.sum(-1) > 0)[..., None]
+            pixels = keypoints * sizes[..., None, None] + centres[..., None, :]
+            shifts = cameras.translations * sizes[..., None] + centres
+            answers = (
+                points.double(),
+                torch.where(there[..., None], cameras.rotations, torch.eye(3)).double(),
+                torch.where(there[..., 0], cameras.scales * sizes, 1).double(),
+                torch.where(there, shifts, 0).double(),
+            )
+            few = slice(most_frames(self._keypoints.shape[1], points.shape[1]))
+            try:
+                self._found, scene = yield from discover(
+                    pixels[few].double(),
+                    weights[few].double(),
+                    (answers[0][few], answers[1][few], answers[2][few], answers[3][few]),
+                    self.config,
+                    self._image_sizes,
+                )
+            except (RuntimeError, NothingFoundError):
+                logger.warning("The cameras cannot be found from these keypoints", exc_info=True)
+                return
+            parts = []
+            for start in range(0, len(drawn), SLICE):
+                yield
+                part = slice(start, start + SLICE)
+                some = (answers[0][part], answers[1][part], answers[2][part], answers[3][part])
+                parts.append(
+                    refine_frames(
+                        self._found,
+                        pixels[part].double(),
+                        weights[part].double(),
+                        some,
+                        range(self._keypoints.shape[1]),
+                    )
+                )
+            turned = same_hand(scene.points, answers[0][few])
+            self._mirrored = (k < 0) == turned
+            if self.config.distillation:
+                fine = torch.cat([part.fine for part in parts])
+                if not fine.any():
+                    return
+                places[drawn] = torch.where(fine, fine.cumsum(0) - 1, -1)
+                self._teachers = perspective_teachers(
+                    torch.cat([part.points for part in parts])[fine],
+                    torch.cat([part.rotations for part in parts])[fine],
+                    torch.cat([part.translations for part in parts])[fine],
+                    there[fine, :, 0],
+                    places,
+                    noise=self._found.noise / float(sizes[there[..., 0]].mean()),
+                    mirrored=self._mirrored,
+                )
 
     def _batch(self) -> NDArray[np.int64]:
         """Frames of this step: epoch after epoch, each in an order of its own."""
@@ -256,10 +390,13 @@ def fit(
     config: FitConfig | None = None,
     *,
     confidence: ArrayLike | None = None,
+    image_sizes: ImageSizes | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> FittedPrior:
     """Fit a prior to `keypoints` (N, K, P, 2) pixels; see `Trainer` for pauses and errors."""
-    trainer = Trainer(keypoints, config or FitConfig(), confidence=confidence)
+    trainer = Trainer(
+        keypoints, config or FitConfig(), confidence=confidence, image_sizes=image_sizes
+    )
     for progress in trainer.run():
         if on_progress is not None:
             on_progress(progress)
@@ -284,8 +421,13 @@ def _running(mean: float, value: float, *, first: bool) -> float:
     return value if first else mean + RECENT * (value - mean)
 
 
-def _fingerprint(observations: Observations) -> str:
-    digest = hashlib.sha256()
+def _under(prefix: str, arrays: Arrays) -> Arrays:
+    """Return the arrays whose names begin with `prefix`, without it."""
+    return {n.removeprefix(prefix): value for n, value in arrays.items() if n.startswith(prefix)}
+
+
+def _fingerprint(observations: Observations, image_sizes: ImageSizes | None) -> str:
+    digest = hashlib.sha256(repr(image_sizes and [s and tuple(s) for s in image_sizes]).encode())
     for array in (observations.keypoints, observations.weights):
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array).tobytes())

@@ -1,0 +1,283 @@
+"""Lifting with perspective: what a fit found out about its cameras, applied to any frames."""
+
+import json
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from models.adjustment import OPTICS, Rig, Scene, ShapePrior, Views, place, refine
+from models.discovery import Discovery, gather, size_precision, starting_scene
+from models.found import FoundCameras
+from models.optics import COEFFICIENTS, Optics, image
+from models.shape import ShapeModel, align
+from models.weights import Arrays, Shapes, WeightsError
+
+ITERATIONS = 12
+LOST = 3.0  # noise standard deviations of a frame's mean residual that a rig at rest cannot explain
+BETTER = 0.5  # share of its cost that such a frame must do with if its cameras move
+BOUND = 10_000_000  # numbers in the normal equations of a slice of frames: 80 MB
+
+
+class Perspective(NamedTuple):
+    """Structures and cameras of N frames of K views, units of the user; NaN without an answer."""
+
+    points: Tensor  # (N, P, 3) centred
+    rotations: Tensor  # (N, K, 3, 3)
+    translations: Tensor  # (N, K, 3)
+    optics: Optics
+    errors: Tensor  # (N, K) pixels, mean over what was observed
+    fine: Tensor  # (N,) whether there is an answer
+
+
+def refine_frames(
+    found: Discovery,
+    keypoints: Tensor,
+    weights: Tensor,
+    answers: tuple[Tensor, Tensor, Tensor, Tensor],
+    views: Sequence[int] | None,
+) -> Perspective:
+    """Refine frames from the network's weak-perspective answers, as for `discover`.
+
+    `views` says which of the fit's views these are; None: cameras of which only the lenses are
+    known, as the mean of the fit's. All arrays are float64.
+    """
+    rig = sub_rig(found, views, keypoints.shape[1])
+    seen = weights.sum(-1) > 0
+    sight = Views(keypoints, weights / found.noise**2)
+    points, rotations, scales, translations = answers
+    # Into the frame of reference of the shape model.
+    aligned, moved = align(points, found.shapes.mean)
+    start = starting_scene(
+        aligned,
+        rotations @ moved.rotations[:, None],
+        scales / moved.scales[:, None],
+        translations
+        + scales[..., None] * (rotations[..., :2, :] @ moved.centres.mT[:, None])[..., 0],
+        rig,
+    )
+    prior = ShapePrior(
+        found.shapes.mean.expand_as(points),
+        found.shapes.basis,
+        points.new_full((len(points),), found.shapes.spread),
+    )
+    apart = rig._replace(
+        groups=torch.arange(len(rig.groups)),
+        rotations=torch.eye(3, dtype=points.dtype).expand_as(rig.rotations),
+        translations=torch.zeros_like(rig.translations),
+    )
+    together = rig.size < len(rig.groups)
+    scene, costs = _refine(sight, rig, prior, gather(start, rig, seen) if together else start)
+    placed = _cameras(scene, rig)
+    if together:
+        # Cameras that were bumped or moved since the fit show: such frames are lifted without it.
+        errors = _errors(scene, rig, keypoints, weights)
+        mean = (errors * seen).sum(1) / seen.sum(1).clamp_min(1)
+        lost = (mean > LOST * found.noise) & (seen.sum(1) > 1)
+        if lost.any():
+            part = Views(*(a[lost] for a in sight))
+            own = prior._replace(means=prior.means[lost], spread=prior.spread[lost])
+            free, free_costs = _refine(part, apart, own, Scene(*(a[lost] for a in start)))
+            better = torch.zeros_like(lost)
+            better[lost] = free_costs < BETTER * costs[lost]
+            chosen = better[lost]
+            for mine, theirs in zip(placed, _cameras(free, apart), strict=True):
+                mine[better] = theirs[chosen]
+            costs[better] = free_costs[chosen]
+    points, rotations, translations = placed
+    camera = points[:, None] @ rotations.mT + translations[:, :, None]
+    distances = (image(camera, rig.optics) - keypoints).norm(dim=-1)
+    there = weights > 0
+    errors = (distances * there).sum(-1) / there.sum(-1).clamp_min(1)
+    centre = points.mean(1, keepdim=True)
+    translations = translations + (rotations @ centre.mT[:, None])[..., 0]
+    fine = costs.isfinite() & errors.isfinite().all(-1)
+    return Perspective(
+        found.unit * (points - centre),
+        rotations,
+        found.unit * translations,
+        rig.optics,
+        errors,
+        fine,
+    )
+
+
+def _refine(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> tuple[Scene, Tensor]:
+    """Refine in slices, whose normal equations take bounded memory."""
+    frames, count, _ = scene.points.shape
+    size = max(1, BOUND // (3 * count * (7 * rig.size + prior.basis.shape[-1]) * 2))
+    precision = size_precision(rig)
+    parts = [
+        refine(
+            Views(*(a[start : start + size] for a in views)),
+            rig,
+            prior._replace(
+                means=prior.means[start : start + size], spread=prior.spread[start : start + size]
+            ),
+            Scene(*(a[start : start + size] for a in scene)),
+            size_precision=precision,
+            iterations=ITERATIONS,
+        )
+        for start in range(0, max(frames, 1), size)
+    ]
+    scenes = zip(*(scene for scene, _ in parts), strict=True)
+    return Scene(*(torch.cat(a) for a in scenes)), torch.cat([costs for _, costs in parts])
+
+
+def _cameras(scene: Scene, rig: Rig) -> tuple[Tensor, Tensor, Tensor]:
+    """Structures (N, P, 3) of their size, and R (N, K, 3, 3) and t (N, K, 3) of every view."""
+    size = scene.sizes[:, 0].exp()  # views that move on their own have size 1, their distance tells
+    relative = (scene.sizes.exp() / size[:, None])[:, rig.groups]  # (N, K)
+    rotations = rig.rotations @ scene.rotations[:, rig.groups]
+    shifts = (rig.rotations @ scene.translations[:, rig.groups, :, None])[..., 0] + rig.translations
+    return scene.points * size[:, None, None], rotations, shifts / relative[..., None]
+
+
+def _errors(scene: Scene, rig: Rig, keypoints: Tensor, weights: Tensor) -> Tensor:
+    camera, _, _ = place(scene, rig)
+    there = weights > 0
+    distances = (image(camera, rig.optics) - keypoints).norm(dim=-1) * there
+    mean: Tensor = distances.sum(-1) / there.sum(-1).clamp_min(1)
+    return mean
+
+
+def sub_rig(found: Discovery, views: Sequence[int] | None, count: int) -> Rig:
+    """Return the rig of some views of a fit, or of `count` cameras that it does not know."""
+    rig, optics = found.rig, found.rig.optics
+    if views is None:
+        usual = Optics(
+            optics.focals.log().mean(0, keepdim=True).exp().expand(count, -1),
+            optics.centres.mean(0, keepdim=True).expand(count, -1),
+            optics.distortion.mean(0, keepdim=True).expand(count, -1),
+            optics.fisheye[:1].expand(count),
+        )
+        eye = torch.eye(3, dtype=torch.float64).expand(count, -1, -1)
+        still = torch.zeros(count, 3, dtype=torch.float64)
+        return Rig(usual, torch.arange(count), eye, still)
+    index = torch.tensor(list(views), dtype=torch.long)
+    _, groups = torch.unique(rig.groups[index], return_inverse=True)
+    return Rig(
+        Optics(*(a[index] for a in optics)),
+        groups,
+        rig.rotations[index],
+        rig.translations[index],
+    )
+
+
+def report(found: Discovery) -> FoundCameras:
+    """Return what was found in the words and units of the user."""
+    rig, deviations = found.rig, found.deviations
+    resting = found.resting
+    focals = rig.optics.focals
+    nothing = torch.nan
+    at_rest = resting[:, None]
+    pose = deviations[:, OPTICS:]
+    arrangement = "static" if bool(resting.all()) else "mixed" if bool(resting.any()) else "moving"
+    return FoundCameras(
+        arrangement=arrangement,
+        reason=found.reason,
+        warnings=found.warnings,
+        fisheye=rig.optics.fisheye.numpy().copy(),
+        focals=focals.numpy().copy(),
+        focal_sds=(deviations[:, 0] * focals.mean(-1)).numpy(),
+        principal_points=rig.optics.centres.numpy().copy(),
+        principal_point_sds=deviations[:, 1:3].numpy().copy(),
+        distortions=rig.optics.distortion.numpy().copy(),
+        distortion_sds=deviations[:, 3].numpy().copy(),
+        resting=resting.numpy(),
+        rotations=torch.where(at_rest[..., None], rig.rotations, nothing).numpy(),
+        rotation_sds=torch.where(
+            resting, torch.rad2deg(pose[:, :3].square().sum(-1).sqrt()), nothing
+        ).numpy(),
+        translations=torch.where(at_rest, found.unit * rig.translations, nothing).numpy(),
+        translation_sds=torch.where(at_rest, found.unit * pose[:, 3:], nothing).numpy(),
+        reprojection_errors=found.errors.numpy().copy(),
+        noise=found.noise,
+    )
+
+
+def to_arrays(found: Discovery) -> tuple[Arrays, str]:
+    """Return a discovery as tensors and a line of text, for a file."""
+    optics = found.rig.optics
+    arrays = {
+        "focals": optics.focals,
+        "centres": optics.centres,
+        "distortion": optics.distortion,
+        "fisheye": optics.fisheye.to(torch.float64),
+        "groups": found.rig.groups.to(torch.float64),
+        "extrinsic_rotations": found.rig.rotations,
+        "extrinsic_translations": found.rig.translations,
+        "deviations": found.deviations,
+        "errors": found.errors,
+        "shape_mean": found.shapes.mean,
+        "shape_basis": found.shapes.basis,
+        "numbers": torch.tensor(
+            [found.shapes.spread, found.noise, found.unit], dtype=torch.float64
+        ),
+    }
+    words = json.dumps({"reason": found.reason, "warnings": found.warnings})
+    return {name: value.contiguous() for name, value in arrays.items()}, words
+
+
+def array_shapes(keypoints: int, views: int | None) -> Shapes:
+    """Shapes of what `to_arrays` returns; None stands for any length."""
+    return {
+        "focals": (views, 2),
+        "centres": (views, 2),
+        "distortion": (views, COEFFICIENTS),
+        "fisheye": (views,),
+        "groups": (views,),
+        "extrinsic_rotations": (views, 3, 3),
+        "extrinsic_translations": (views, 3),
+        "deviations": (views, 10),
+        "errors": (views,),
+        "shape_mean": (keypoints, 3),
+        "shape_basis": (keypoints, 3, None),
+        "numbers": (3,),
+    }
+
+
+def from_arrays(arrays: Arrays, words: str) -> Discovery:
+    """Read what `to_arrays` returned.
+
+    Raises
+    ------
+    WeightsError
+        When the tensors contradict each other or the text is not what was written.
+    """
+    try:
+        said = json.loads(words)
+        reason, warnings = str(said["reason"]), tuple(str(w) for w in said["warnings"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise WeightsError("the file does not say what was found of the cameras") from error
+    a = {name: value.to(torch.float64) for name, value in arrays.items()}
+    groups = a["groups"].long()
+    views = len(groups)
+    spread, noise, unit = a["numbers"].tolist()
+    consistent = (
+        views > 0
+        and all(
+            len(a[name]) == views
+            for name in array_shapes(0, 0)
+            if not name.startswith(("shape", "numbers"))
+        )
+        and torch.equal(torch.unique(groups), torch.arange(int(groups.max()) + 1))
+        and bool((a["focals"] > 0).all())
+        and min(spread, noise, unit) > 0
+        and math.isfinite(spread + noise + unit)
+    )
+    if not consistent:
+        raise WeightsError("the file contradicts itself about the cameras")
+    optics = Optics(a["focals"], a["centres"], a["distortion"], a["fisheye"] > 0.5)
+    return Discovery(
+        Rig(optics, groups, a["extrinsic_rotations"], a["extrinsic_translations"]),
+        a["deviations"],
+        ShapeModel(a["shape_mean"], a["shape_basis"], spread),
+        noise,
+        unit,
+        a["errors"],
+        reason,
+        warnings,
+    )

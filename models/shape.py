@@ -1,0 +1,88 @@
+"""The Gaussian shape model: what structures vary like, learnt from structures and their doubts."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+MOST_COMPONENTS = 40  # of a shape model; the rest of the variance is isotropic
+ALIGNMENTS = 5  # rounds of aligning to the mean and taking it anew
+
+
+class ShapeModel(NamedTuple):
+    """x = mean + B z + e with z ~ N(0, 1), e ~ N(0, spread^2); probabilistic PCA.
+
+    Tipping and Bishop, *Probabilistic Principal Component Analysis*, 1999.
+    """
+
+    mean: Tensor  # (P, 3) centred, root-mean-square radius 1
+    basis: Tensor  # (P, 3, Q)
+    spread: float
+
+
+class Similarity(NamedTuple):
+    """What takes structures to a mean: scale (x - centre) Q."""
+
+    scales: Tensor  # (N,)
+    rotations: Tensor  # (N, 3, 3) Q, acting on row vectors
+    centres: Tensor  # (N, 1, 3)
+
+
+def align(points: Tensor, mean: Tensor) -> tuple[Tensor, Similarity]:
+    """Bring structures (N, P, 3) onto `mean` (P, 3) or (N, P, 3), never mirrored, by least squares.
+
+    Umeyama, *Least-squares estimation of transformation parameters*, 1991.
+    """
+    centres = points.mean(-2, keepdim=True)
+    centred = points - centres
+    u, values, vt = torch.linalg.svd(centred.mT @ (mean - mean.mean(-2, keepdim=True)))
+    sign = (torch.linalg.det(u) * torch.linalg.det(vt)).sign()
+    u = torch.cat((u[..., :2], u[..., 2:] * sign[:, None, None]), -1)
+    rotations = u @ vt
+    overlap = values[:, 0] + values[:, 1] + sign * values[:, 2]
+    scales = overlap / centred.square().sum((1, 2)).clamp_min(1e-12)
+    return scales[:, None, None] * centred @ rotations, Similarity(scales, rotations, centres)
+
+
+def learn_shapes(points: Tensor, covariances: Tensor, *, floor: float) -> ShapeModel:
+    """Maximum likelihood of structures (N, P, 3) that are themselves known up to covariances.
+
+    `covariances` (N, 3 P, 3 P) is added to the scatter (the M-step of EM); similarities, which
+    cameras explain, are projected out; `floor` is the least standard deviation.
+    """
+    count = points.shape[1]
+    mean = points.mean(0)
+    for _ in range(ALIGNMENTS):
+        aligned, moved = align(points, mean)
+        mean = aligned.mean(0)
+        mean = mean - mean.mean(0)
+        mean = mean / mean.square().sum(-1).mean().sqrt()
+    turned = moved.rotations.mT * moved.scales[:, None, None]  # column vectors' turn
+    blocks = covariances.reshape(-1, count, 3, count, 3)
+    doubt = torch.einsum("nai,npiqj,nbj->paqb", turned, blocks, turned) / len(points)
+    offsets = (aligned - mean).flatten(1)
+    scatter = offsets.T @ offsets / len(points) + doubt.flatten(2).flatten(0, 1)
+    return _components(mean, scatter, floor)
+
+
+def learn_errors(errors: Tensor, covariances: Tensor, mean: Tensor, *, floor: float) -> ShapeModel:
+    """As `learn_shapes`, of errors (N, P, 3) of structures in the frame of `mean` (P, 3)."""
+    flat = errors.flatten(1)
+    return _components(mean, flat.T @ flat / len(errors) + covariances.mean(0), floor)
+
+
+def _components(mean: Tensor, scatter: Tensor, floor: float) -> ShapeModel:
+    count = len(mean)
+    eye = torch.eye(3, dtype=mean.dtype).expand(count, 3, 3)
+    axes = torch.cat(
+        (eye, mean[..., None], torch.linalg.cross(eye, mean[:, None].expand_as(eye), dim=-1).mT), -1
+    )
+    similarity, _ = torch.linalg.qr(axes.flatten(0, 1))  # (3 P, 7)
+    keep = torch.eye(3 * count, dtype=mean.dtype) - similarity @ similarity.T
+    values, vectors = torch.linalg.eigh(keep @ scatter @ keep)
+    values, vectors = values.flip(0)[: 3 * count - 7], vectors.flip(1)[:, : 3 * count - 7]
+    some = min(MOST_COMPONENTS, max(len(values) - 1, 0))
+    spread = max(float(values[some:].mean().clamp_min(0).sqrt()), floor)
+    kept = values[:some] > spread**2
+    basis = vectors[:, :some][:, kept] * (values[:some][kept] - spread**2).sqrt()
+    return ShapeModel(mean, basis.reshape(count, 3, -1), spread)
