@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
+from torch.linalg import LinAlgError  # type: ignore[attr-defined]
 
 from models.cameras import project, solve_cameras
 from models.config import FitConfig
@@ -336,7 +337,7 @@ class Trainer:
                     self.config,
                     self._image_sizes,
                 )
-            except (RuntimeError, NothingFoundError):
+            except (LinAlgError, NothingFoundError):
                 logger.warning("The cameras cannot be found from these keypoints", exc_info=True)
                 return
             parts = []

@@ -4,6 +4,7 @@ import logging
 import math
 import time
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import torch
 from safetensors.numpy import save
 
 from models.config import FitConfig
-from models.fitted import FittedPrior, Lift
+from models.fitted import FittedPrior, Lift, join
 from models.metrics import pa_mpjpe, pck
 from models.training import Trainer
 from models.weights import WeightsError
@@ -25,6 +26,7 @@ from worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
 
+LIFT_FRAMES = 512  # lifted between two looks at what is asked of the attempt
 CHECKPOINT_SHARE = 20  # checkpoints may take a twentieth of the time, however large they are
 
 
@@ -54,34 +56,48 @@ def _run(store: Store, pulse: Pulse, settings: WorkerSettings) -> None:
     attempt = pulse.attempt
     started = time.monotonic()
     fit = fits.get(store, attempt.fit_id)
+    dataset = datasets.get(store, fit.dataset_id)
     config = FitConfig.model_validate(fit.config)
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
-    trainer = _resume(capture, config, attempts.load_checkpoint(store, fit.id))
+    checkpoint = attempts.load_checkpoint(store, fit.id)
+    trainer = _resume(capture, dataset.image_sizes, config, checkpoint)
 
-    next_checkpoint = time.monotonic() + settings.checkpoint_seconds
-    for progress in trainer.run():
-        pulse.progress = _finite(asdict(progress))
+    def stopped() -> bool:
+        """End the attempt if it has to end now; return whether it did."""
         if pulse.lost:
             raise LeaseLostError
         if pulse.cancel:
             attempts.end(store, attempt, "cancelled")
-            return
-        if pulse.leave:
+        elif pulse.leave:
             attempts.save_checkpoint(store, attempt, trainer.checkpoint())
             attempts.release(store, attempt)
-            return
-        now = time.monotonic()
-        if now - started > settings.max_fit_seconds:
+        elif time.monotonic() - started > settings.max_fit_seconds:
             limit = settings.max_fit_seconds
             _fail(store, attempt, "timed_out", f"The fit took longer than {limit} s.")
+        else:
+            return False
+        return True
+
+    next_checkpoint = time.monotonic() + settings.checkpoint_seconds
+    for progress in trainer.run():
+        pulse.progress = _finite(asdict(progress))
+        if stopped():
             return
+        now = time.monotonic()
         if now >= next_checkpoint:
             attempts.save_checkpoint(store, attempt, trainer.checkpoint())
             took = time.monotonic() - now
             next_checkpoint = now + max(settings.checkpoint_seconds, CHECKPOINT_SHARE * took)
 
     prior = trainer.result()
-    lift = prior.lift(capture.keypoints, confidence=capture.confidence)
+    lifts = []
+    for start in range(0, capture.frames, LIFT_FRAMES):
+        if stopped():
+            return
+        part = slice(start, start + LIFT_FRAMES)
+        confidence = None if capture.confidence is None else capture.confidence[part]
+        lifts.append(prior.lift(capture.keypoints[part], confidence=confidence))
+    lift = join(lifts)
     attempts.succeed(
         store,
         attempt,
@@ -94,22 +110,26 @@ def _run(store: Store, pulse: Pulse, settings: WorkerSettings) -> None:
             "keypoints": capture.keypoints.shape[2],
             "frames": capture.frames,
             "config": fit.config,
-            "skeleton": datasets.get(store, fit.dataset_id).skeleton,
+            "skeleton": dataset.skeleton,
             "training_curve": [_finite(point._asdict()) for point in prior.curve],
             "metrics": _finite(evaluate(prior, lift, capture)),
         },
     )
 
 
-def _resume(capture: Capture, config: FitConfig, checkpoint: bytes | None) -> Trainer:
+def _resume(
+    capture: Capture, image_sizes: list[Any] | None, config: FitConfig, checkpoint: bytes | None
+) -> Trainer:
+    sizes = image_sizes and [size and tuple(size) for size in image_sizes]  # JSON has no tuples
+    make = partial(
+        Trainer, capture.keypoints, config, confidence=capture.confidence, image_sizes=sizes
+    )
     if checkpoint is not None:
         try:
-            return Trainer(
-                capture.keypoints, config, confidence=capture.confidence, checkpoint=checkpoint
-            )
+            return make(checkpoint=checkpoint)
         except WeightsError:
             logger.exception("The checkpoint cannot be used: starting anew")
-    return Trainer(capture.keypoints, config, confidence=capture.confidence)
+    return make()
 
 
 def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]:
