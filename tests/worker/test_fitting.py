@@ -1,0 +1,97 @@
+"""One attempt, in this process: it heeds what is asked of it while it lifts, too."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import load
+
+from models.fitted import FittedPrior, Lift
+from models.training import Trainer
+from store import attempts, datasets, fits
+from store.capture import Capture
+from store.database import Store
+from store.datasets import Description
+from store.records import Fit
+from tests.worker.conftest import CONFIG
+from worker import fitting
+from worker.pulse import Pulse
+from worker.settings import WorkerSettings
+
+LIFT = FittedPrior.lift
+SIZES = [[1280, 1024], None, [640, 480]]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Any:
+    store = Store(WorkerSettings(data_dir=tmp_path))
+    yield store
+    store.close()
+
+
+def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked: Any) -> Fit:
+    """Fit in slices of 16 frames; after the second slice set what is ``asked`` of the pulse."""
+    described = Description("figure", image_sizes=SIZES)
+    dataset_id = datasets.create(store, capture, described).id
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 5})
+    attempt = attempts.claim(store, fit.id, lease_seconds=60)
+    assert attempt is not None
+    pulse = Pulse(store, attempt)
+    lifted: list[int] = []
+
+    def lift(prior: FittedPrior, keypoints: Any, **more: Any) -> Lift:
+        lifted.append(len(keypoints))
+        if len(lifted) == 2:
+            vars(pulse).update(asked)
+        return LIFT(prior, keypoints, **more)
+
+    monkeypatch.setattr(fitting, "LIFT_FRAMES", 16)
+    monkeypatch.setattr(FittedPrior, "lift", lift)
+    fitting.run_attempt(store, pulse, WorkerSettings(data_dir=Path("unused")))
+    assert lifted == ([16, 16] if asked else [16, 16, 16, 12])
+    return fits.get(store, fit.id)
+
+
+def test_slices_make_the_whole(
+    store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = run(store, capture, monkeypatch)
+    assert fit.status == "succeeded"
+    found = load(fits.load_reconstruction(store, fit))
+    assert fit.model_id is not None
+    prior = FittedPrior.from_bytes(store.objects.get(f"models/{fit.model_id}/weights.safetensors"))
+    whole = LIFT(prior, capture.keypoints, confidence=capture.confidence)
+    assert len(found) == len(vars(whole)) - 1
+    for name, array in found.items():
+        np.testing.assert_allclose(array, vars(whole)[name], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("asked", "status"), [("cancel", "cancelled"), ("leave", "queued"), ("lost", "running")]
+)
+def test_what_is_asked_counts_between_two_slices(
+    store: Store,
+    capture: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+    asked: str,
+    status: str,
+) -> None:
+    fit = run(store, capture, monkeypatch, **{asked: True})
+    assert fit.status == status
+    assert fit.model_id is None
+    assert (fit.checkpoint_key is not None) == (asked == "leave")
+
+
+def test_the_trainer_is_told_the_image_sizes(
+    store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[Any] = []
+
+    def trainer(*arguments: Any, image_sizes: Any, **more: Any) -> Trainer:
+        told.append(image_sizes)
+        return Trainer(*arguments, image_sizes=image_sizes, **more)
+
+    monkeypatch.setattr(fitting, "Trainer", trainer)
+    run(store, capture, monkeypatch)
+    assert told == [[(1280, 1024), None, (640, 480)]]
