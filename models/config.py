@@ -33,7 +33,7 @@ class FitConfig(BaseModel):
         ),
     )
     steps: int = Field(
-        default=3000, ge=1, le=1_000_000, description="Optimiser steps; each sees one batch."
+        default=4500, ge=1, le=1_000_000, description="Optimiser steps; each sees one batch."
     )
     batch_size: int = Field(default=64, ge=1, le=512, description="Frames in one step.")
     learning_rate: float = Field(

@@ -35,7 +35,7 @@ from models.calibration import Camera
 from models.config import FitConfig
 from models.keypoints import MIN_KEYPOINTS
 from models.optics import COEFFICIENTS, Optics, image
-from models.refinement import MIRROR
+from models.refinement import mirrored
 from models.shape import MOST_COMPONENTS, ShapeModel, Similarity, align, learn_shapes
 
 Edges = dict[tuple[int, int], tuple[Tensor, Tensor, float]]  # see `_relative`
@@ -303,10 +303,8 @@ def size_precision(rig: Rig) -> Tensor:
 
 
 def _mirror(scene: Scene) -> Scene:
-    mirror = scene.points.new_tensor(MIRROR)
-    return scene._replace(
-        points=scene.points * mirror, rotations=mirror[:, None] * scene.rotations * mirror
-    )
+    points, rotations = mirrored(scene.points, scene.rotations)
+    return scene._replace(points=points, rotations=rotations)
 
 
 def _choose_hand(problem: Problem, scene: Scene, config: FitConfig) -> Steps[State]:

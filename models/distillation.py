@@ -16,7 +16,7 @@ from torch import Tensor
 from models.adjustment import turn
 from models.cameras import WeakPerspective, project, solve_cameras
 from models.prior import HierarchicalPrior
-from models.refinement import MIRROR, estimate_foreshortening, first_order, settle
+from models.refinement import estimate_foreshortening, first_order, mirrored, settle
 
 TEACHERS = 2000  # at most; others are drawn at the next refresh
 NUMBERS = 2_000_000  # at most, in a sixth of the widest layer for all teachers together: memory
@@ -65,8 +65,7 @@ def find_teachers(
     guesses = torch.where(pair[:, None, None, None], early[1], guesses)
     if foreshortening < 0:
         # Back to the handedness that the network is used to; the fit decides it at its end.
-        mirror = points.new_tensor(MIRROR)
-        points, guesses = points * mirror, mirror[:, None] * guesses * mirror
+        points, guesses = mirrored(points, guesses)
 
     cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
     seen = (weights.sum(-1) > 0).to(weights.dtype)
@@ -119,11 +118,11 @@ def perspective_teachers(
     places: Tensor,
     *,
     noise: float,
-    mirrored: bool,
+    reflected: bool,
 ) -> Teachers:
     """Make teachers of structures (T, P, 3) seen by perspective cameras, `x_cam = R X + t`.
 
-    Rotations are (T, K, 3, 3), translations (T, K, 3) in units of the structures; `mirrored` if the
+    Rotations are (T, K, 3, 3), translations (T, K, 3) in units of the structures; `reflected` if the
     network's structures are mirror images of these.
     """
     radius = points.square().sum(-1).mean(-1).sqrt()  # (T,)
@@ -138,11 +137,9 @@ def perspective_teachers(
     angle = torch.atan2(sine, rays[..., 2:])
     rotations = turn(axes / sine.clamp_min(1e-12) * angle) @ rotations
     points = points / radius[:, None, None]
-    if mirrored:
-        # (D R D)(D X) = D R X has the same x and y; its depths, and so k, change their sign.
-        mirror = points.new_tensor(MIRROR)
-        points, rotations = points * mirror, mirror[:, None] * rotations * mirror
-        foreshortening = -foreshortening
+    if reflected:
+        points, rotations = mirrored(points, rotations)
+        foreshortening = -foreshortening  # depths change their sign
     return as_teachers(
         points.float(), rotations.float(), there.float(), places, foreshortening, noise
     )
@@ -159,12 +156,7 @@ def virtual_views(
     """
     frames, views, _ = weights.shape
     weights = weights[torch.from_numpy(rng.integers(frames, size=count))]  # (V, K, P)
-    there = weights.sum(-1) > 0
-    # Views in random order, those that are there first; the first 1 to all of them are kept.
-    order = (_uniform(rng, count, views) - there.float()).argsort(1).argsort(1)  # (V, K)
-    keep = 1 + (_uniform(rng, count) * there.sum(1)).long()
-    keep = torch.where(_uniform(rng, count) < FEWER, keep, views)
-    weights = weights * (order < keep[:, None])[..., None]
+    weights = drop_views(weights, rng)
 
     # A camera that saw the teacher, walked round it: elevation and roll stay, azimuth is any.
     drawn = torch.from_numpy(rng.integers(len(teachers.points), size=count))
@@ -189,6 +181,17 @@ def virtual_views(
     squared = (weights[..., None] * keypoints.square()).sum((-2, -1), keepdim=True)
     keypoints = keypoints / (squared / total).clamp_min(1e-6).sqrt()
     return points, keypoints * (weights > 0)[..., None], weights
+
+
+def drop_views(weights: Tensor, rng: np.random.Generator) -> Tensor:
+    """Take views from half of the frames of `weights` (N, K, P); one of each is kept at least."""
+    frames, views, _ = weights.shape
+    there = weights.sum(-1) > 0
+    # Views in random order, those that are there first; the first 1 to all of them are kept.
+    order = (_uniform(rng, frames, views) - there.float()).argsort(1).argsort(1)  # (N, K)
+    keep = 1 + (_uniform(rng, frames) * there.sum(1)).long()
+    keep = torch.where(_uniform(rng, frames) < FEWER, keep, views)
+    return weights * (order < keep[:, None])[..., None]
 
 
 def structure_loss(points: Tensor, truth: Tensor) -> Tensor:

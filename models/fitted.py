@@ -23,7 +23,7 @@ from models.perspective import (
     to_arrays,
 )
 from models.prior import HierarchicalPrior, parameter_shapes
-from models.refinement import settle
+from models.refinement import mirrored, settle
 from models.weights import Arrays, Shapes, WeightsError, pack, read_about, unpack
 
 Status = Literal["ok", "too_few_keypoints"]
@@ -171,10 +171,12 @@ class FittedPrior:
     def _feed_forward(self, seen: Observations) -> Lift:
         keypoints, weights = torch.from_numpy(seen.keypoints), torch.from_numpy(seen.weights)
         sizes, centres = torch.from_numpy(seen.sizes), torch.from_numpy(seen.centres)
-        found = self._network(keypoints, weights)
-        points, guesses = settle(
-            found.points, keypoints, weights, found.guesses, self.foreshortening
-        )
+        points, _, guesses = self._network(keypoints, weights)
+        if self._found is None:
+            points, guesses = settle(points, keypoints, weights, guesses, self.foreshortening)
+        elif self.foreshortening < 0:
+            # Taught with perspective, the network knows better than least squares without.
+            points, guesses = mirrored(points, guesses)
         cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
         distances = (project(points[:, None], cameras) - keypoints).norm(dim=-1)
         observed = (weights > 0).to(distances.dtype)

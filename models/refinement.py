@@ -83,6 +83,13 @@ def settle(
     return points / radius[:, None, None], guesses
 
 
+def mirrored(points: Tensor, rotations: Tensor) -> tuple[Tensor, Tensor]:
+    """Turn structures (N, P, 3) into their mirror images, seen alike by rotations (N, K, 3, 3)."""
+    mirror = points.new_tensor(MIRROR)
+    # (D R D)(D X) = D R X has the same x and y; D R D is a rotation again.
+    return points * mirror, mirror[:, None] * rotations * mirror
+
+
 def estimate_foreshortening(
     points: Tensor, keypoints: Tensor, weights: Tensor, guesses: Tensor, *, rounds: int = ROUNDS
 ) -> float:

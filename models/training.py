@@ -27,6 +27,7 @@ from models.discovery import (
 from models.distillation import (
     Teachers,
     draw_teachers,
+    drop_views,
     find_teachers,
     perspective_teachers,
     structure_loss,
@@ -44,9 +45,12 @@ logger = logging.getLogger(__name__)
 CURVE_ROWS = 200
 SLICE = 256  # frames between two chances to stop
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
-REFRESHES = (0.5, 0.75)  # shares of the steps after which the network gets (new) teachers
-VIRTUAL = 0.5  # share of a batch that virtual views take from then on
+REFRESHES = (0.5, 0.75)  # shares of the steps after which settled teachers are (re)made
+DISCOVERY = 1 / 3  # share of the steps after which the cameras are found, and teachers with them
+SECOND_RATE = 0.5  # learning rate that the network starts anew with then
+VIRTUAL = (0.1, 0.5)  # shares of a batch that virtual views take, if all frames are taught or none
 STRUCTURE = 3.0  # weight of the distance to the teachers next to the reprojection error
+TAUGHT = 0.02  # weight of the (weak-perspective) reprojection error where teachers know perspective
 RECENT = 0.05  # weight of the newest batch in the running means
 
 
@@ -249,47 +253,61 @@ class Trainer:
         """Take one optimiser step; the loss and the reprojection error in pixels."""
         frames = torch.from_numpy(self._batch())
         if self._teachers is not None:
-            frames = frames[: len(frames) - int(VIRTUAL * len(frames))]
-        keypoints, weights = self._keypoints[frames], self._weights[frames]
-        rate = (
-            self.config.learning_rate / 2 * (1 + math.cos(math.pi * self.step / self.config.steps))
-        )
+            taught = float((self._teachers.places >= 0).double().mean())
+            virtual = VIRTUAL[1] + (VIRTUAL[0] - VIRTUAL[1]) * taught if self._found else VIRTUAL[1]
+            frames = frames[: len(frames) - int(virtual * len(frames))]
         for group in self._optimiser.param_groups:
-            group["lr"] = rate
+            group["lr"] = self._rate()
+        keypoints, weights = self._keypoints[frames], self._weights[frames]
         if self._teachers is None:
-            loss, distances = _loss(self._network(keypoints, weights), keypoints, weights)
-            total = loss
+            norms, distances = _distances(self._network(keypoints, weights), keypoints, weights)
+            total = loss = norms.nanmean()
         else:
             loss, distances, total = self._distil(self._teachers, frames)
         self._optimiser.zero_grad()
         torch.autograd.backward(total)
         self._optimiser.step()
-        seen = weights > 0
-        pixels = (distances.detach() * self._sizes[frames][..., None])[seen]
+        pixels = (distances.detach() * self._sizes[frames][..., None])[weights > 0]
         return loss.item(), pixels.mean().item()
+
+    def _rate(self) -> float:
+        """Return the learning rate: half a cosine, two if the cameras are found on the way."""
+        start, end, rate = 0, self.config.steps, self.config.learning_rate
+        if self._found is not None:
+            start, rate = self._taught, SECOND_RATE * rate
+        return rate / 2 * (1 + math.cos(math.pi * (self.step - start) / (end - start)))
 
     def _distil(self, teachers: Teachers, frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Reprojection loss, its distances in `frames`, and the sum with the structure loss."""
         rng = np.random.default_rng([self.config.seed, self.step, 1])
         count = min(self.config.batch_size, len(self._keypoints)) - len(frames)
         structures, virtual, shown = virtual_views(teachers, self._weights, count, rng)
-        keypoints = torch.cat((self._keypoints[frames], virtual))
-        weights = torch.cat((self._weights[frames], shown))
-        seen = self._network(keypoints, weights)
-        loss, distances = _loss(seen, keypoints, weights)
+        own = self._weights[frames]
         places = teachers.places[frames]
         taught = places >= 0
+        if self._found is not None:
+            own = torch.where(taught[:, None, None], drop_views(own, rng), own)
+        keypoints = torch.cat((self._keypoints[frames], virtual))
+        weights = torch.cat((own, shown))
+        seen = self._network(keypoints, weights)
+        norms, distances = _distances(seen, keypoints, weights)
+        loss = norms.nanmean()
         total = loss
         if count or taught.any():
             points = torch.cat((seen.points[: len(frames)][taught], seen.points[len(frames) :]))
             truth = torch.cat((teachers.points[places[taught]], structures))
-            total = loss + STRUCTURE * structure_loss(points, truth)
+            if self._found is not None:
+                known = torch.cat((taught, torch.ones(count, dtype=torch.bool)))
+                total = (norms * torch.where(known, TAUGHT, 1.0)[:, None]).nanmean()
+            total = total + STRUCTURE * structure_loss(points, truth)
+        # The views that were taken away are measured all the same, so that the curve goes on.
         return loss, distances[: len(frames)], total
 
     def _refreshes(self) -> list[int]:
         if not self.config.distillation and self.config.refine == "off":
             return []
-        return [int(share * self.config.steps) for share in REFRESHES]
+        shares = REFRESHES if self.config.refine == "off" else (DISCOVERY,)
+        return [int(share * self.config.steps) for share in shares]
 
     def _teach(self) -> Iterator[None]:
         """Find out about the cameras, once, and let teachers be settled; yields now and then."""
@@ -368,7 +386,7 @@ class Trainer:
                     there[fine, :, 0],
                     places,
                     noise=self._found.noise / float(sizes[there[..., 0]].mean()),
-                    mirrored=self._mirrored,
+                    reflected=self._mirrored,
                 )
 
     def _batch(self) -> NDArray[np.int64]:
@@ -404,18 +422,17 @@ def fit(
     return trainer.result()
 
 
-def _loss(seen: Reconstruction, keypoints: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Paper eq. "final_loss", and the distances (N, K, P) it is made of.
+def _distances(seen: Reconstruction, keypoints: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+    """Terms (N, K) of the paper's eq. "final_loss", and the distances (N, K, P) they are made of.
 
     The Frobenius norm of each view's reprojection error, as a weighted root mean square so that
-    views with gaps count the same; the mean over the views that are there.
+    views with gaps count the same; NaN for views that are not there.
     """
     squared = (project(seen.points[:, None], seen.cameras) - keypoints).square().sum(-1)
     total = weights.sum(-1)  # (N, K)
     # The small constant keeps the root's gradient finite where a view is met exactly.
     norms = ((weights * squared).sum(-1) / total.clamp_min(1e-6) + 1e-8).sqrt()
-    there = (total > 0).to(norms.dtype)
-    return (norms * there).sum() / there.sum(), squared.detach().sqrt()
+    return torch.where(total > 0, norms, torch.nan), squared.detach().sqrt()
 
 
 def _running(mean: float, value: float, *, first: bool) -> float:
