@@ -122,8 +122,8 @@ def perspective_teachers(
 ) -> Teachers:
     """Make teachers of structures (T, P, 3) seen by perspective cameras, `x_cam = R X + t`.
 
-    Rotations are (T, K, 3, 3), translations (T, K, 3) in units of the structures; `reflected` if the
-    network's structures are mirror images of these.
+    Rotations are (T, K, 3, 3), translations (T, K, 3) in units of the structures; `reflected` if
+    the network's structures are mirror images of these.
     """
     radius = points.square().sum(-1).mean(-1).sqrt()  # (T,)
     distances = translations.norm(dim=-1) / radius[:, None]  # (T, K)

@@ -1,0 +1,324 @@
+"""What the benchmark of fidelity measures: a function per case, and what they share."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.report import TRNG, Curve, Report, Row
+from benchmarks.rig import Rig, add_noise, hide, miscalibrate
+from models.config import FitConfig, Refine
+from models.fitted import FittedPrior
+from models.keypoints import as_observations
+from models.metrics import Accuracy, pa_mpjpe, pck
+from models.training import fit
+from models.triangulation import triangulate
+
+PCK_MM = 100.0  # the paper's threshold
+THRESHOLDS_MM = [float(mm) for mm in range(5, 155, 5)]
+SEEN = 0.7  # share of the frames that a fit sees where the others are to be unseen
+ALL = "fitted to all views"
+ALONE = "fitted to these views alone"
+Float = NDArray[np.floating[Any]]
+Views = tuple[int, ...]
+Key = tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted prior and how long it took."""
+
+    prior: FittedPrior
+    seconds: float
+
+
+@dataclass
+class Bench:
+    """A capture, what is asked of it, and the fits made so far."""
+
+    keypoints: Float  # (N, K, P, 2) pixels
+    given_confidence: Float | None  # (N, K, P)
+    truth: Float  # (N, P, 3)
+    sizes: list[tuple[int, int]] | None  # of the images, one per view
+    config: FitConfig
+    metre: float  # in the unit of the truth
+    pair: Views
+    full: bool
+    report: Report
+    rig: Rig | None
+    fits: dict[Key, Fit] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        seen = as_observations(self.keypoints, self.given_confidence)
+        self.usable: NDArray[np.bool_] = seen.usable  # (N, K), before anything is spoilt
+        self.views: Views = tuple(range(self.usable.shape[1]))
+        self.sets = [self.pair, self.views] if len(self.views) > 2 else [self.views]
+
+    def fit(
+        self,
+        seed: int,
+        views: Views,
+        *,
+        keypoints: Float | None = None,
+        frames: NDArray[np.int64] | None = None,
+        sized: bool = True,
+        key: str = "",
+        **changes: Any,
+    ) -> Fit:
+        """Fit to some views; `key` tells keypoints and frames apart that are not the capture's."""
+        name: Key = (seed, views, key, sized, *sorted(changes.items()))
+        if name not in self.fits:
+            pixels = self.keypoints if keypoints is None else keypoints
+            which = slice(None) if frames is None else frames
+            config = self.config.model_copy(update={"seed": seed, **changes})
+            sizes = None if self.sizes is None or not sized else [self.sizes[v] for v in views]
+            started = time.perf_counter()
+            prior = fit(
+                pixels[which][:, views],
+                config,
+                confidence=self.confidence(views, which),
+                image_sizes=sizes,
+            )
+            self.fits[name] = Fit(prior, time.perf_counter() - started)
+        return self.fits[name]
+
+    def confidence(self, views: Views, which: slice | NDArray[np.int64]) -> Float | None:
+        """Return the confidence of some views in some frames."""
+        all_of_it = self.given_confidence
+        return None if all_of_it is None else all_of_it[which][:, views]
+
+    def lift(
+        self,
+        fitted: Fit,
+        views: Views,
+        *,
+        keypoints: Float | None = None,
+        known_as: Views | None = None,
+        refine: Refine | None = None,
+    ) -> Float:
+        """Lift every frame from some views; `known_as` are their numbers in the fit."""
+        pixels = self.keypoints if keypoints is None else keypoints
+        return fitted.prior.lift(
+            pixels[:, views],
+            confidence=self.confidence(views, slice(None)),
+            views=views if known_as is None else known_as,
+            refine=refine,
+        ).points3d
+
+    def showing(self, views: Views, least: int) -> NDArray[np.bool_]:
+        """Return which frames (N,) show at least so many of these views."""
+        return np.asarray(self.usable[:, views].sum(1) >= least)
+
+    def score(
+        self,
+        case: str,
+        how: str,
+        views: Views,
+        points: Float,
+        which: NDArray[np.bool_],
+        *,
+        seed: int,
+        level: float | None = None,
+        fitted: Fit | None = None,
+    ) -> Accuracy | None:
+        """Add a row for the frames that are asked for, if any has an answer."""
+        accuracy = pa_mpjpe(points[which], self.truth[which], reflection="never")
+        frames = int(np.isfinite(accuracy.per_frame).sum())
+        if not frames:
+            return None
+        self.report.add(
+            Row(
+                case=case,
+                how=how,
+                views=views,
+                level=level,
+                seed=seed,
+                error_mm=1000 / self.metre * accuracy.mean,
+                pck=pck(accuracy, PCK_MM * self.metre / 1000),
+                frames=frames,
+                fit_seconds=None if fitted is None else fitted.seconds,
+            )
+        )
+        return accuracy
+
+    def triangulated(self, views: Views, projections: Float, keypoints: Float) -> Float:
+        """Return what TRNG makes of some views of calibrated cameras."""
+        return triangulate(keypoints[:, views], projections).points3d
+
+
+def error_by_views(bench: Bench, seed: int) -> None:
+    """Every subset of the views: the rig known from a fit to all of them, and not known."""
+    everything = bench.fit(seed, bench.views)
+    for count in range(len(bench.views), 0, -1):
+        for views in combinations(bench.views, count):
+            which = bench.showing(views, count)
+            points = bench.lift(everything, views)
+            bench.score("views", ALL, views, points, which, seed=seed, fitted=everything)
+    if not bench.usable.all():
+        points = bench.lift(everything, bench.views)
+        shown = bench.usable.sum(1)
+        for view in bench.views:
+            how = f"{ALL}, lifted with all: frames of view {view}"
+            which = bench.usable[:, view]
+            bench.score("views", how, bench.views, points, which, seed=seed, fitted=everything)
+        for count in range(1, len(bench.views) + 1):
+            how = f"{ALL}, lifted with all: {count} shown"
+            bench.score(
+                "views", how, bench.views, points, shown == count, seed=seed, fitted=everything
+            )
+    for count in (3, 2) if bench.full else (2,):
+        subsets = combinations(bench.views, count) if bench.full else [bench.pair]
+        for views in (views for views in subsets if views != bench.views):
+            alone = bench.fit(seed, views)
+            points = bench.lift(alone, views, known_as=tuple(range(count)))
+            which = bench.showing(views, count)
+            bench.score("views", ALONE, views, points, which, seed=seed, fitted=alone)
+
+
+def noise(bench: Bench, seed: int) -> None:
+    """Gaussian noise on every 2D coordinate, and TRNG with exact cameras beside it."""
+    for sigma in (0, 5, 15, 25, 35) if bench.full else (0, 15, 35):
+        spoilt = add_noise(bench.keypoints, sigma, seed)
+        for views in bench.sets if bench.full else [bench.pair]:
+            which = bench.showing(views, 2)
+            key = f"noise {sigma}" if sigma else ""  # without noise: the fit of the other cases
+            fitted = bench.fit(seed, views, keypoints=spoilt, key=key)
+            points = bench.lift(fitted, views, keypoints=spoilt, known_as=tuple(range(len(views))))
+            bench.score("noise", ALONE, views, points, which, seed=seed, level=sigma, fitted=fitted)
+            if bench.rig is not None:
+                points = bench.triangulated(views, bench.rig.projections[list(views)], spoilt)
+                how = f"{TRNG}, exact calibration"
+                bench.score("noise", how, views, points, which, seed=seed, level=sigma)
+
+
+def miscalibration(bench: Bench, seed: int) -> None:
+    """TRNG whose calibration is off, beside a fit that is told nothing of the cameras."""
+    if bench.rig is None:
+        return
+    keypoints = bench.keypoints
+    for views in bench.sets:
+        which = bench.showing(views, 2)
+        cameras = bench.rig.projections[list(views)]
+        exact = bench.triangulated(views, cameras, keypoints)
+        bench.score("trng", f"{TRNG}, exact calibration", views, exact, which, seed=seed, level=0)
+        for part in ("extrinsics", "intrinsics"):
+            for sigma in (0.1, 0.5, 0.9):
+                wrong = miscalibrate(cameras, part, sigma, len(keypoints), bench.metre, seed)
+                points = bench.triangulated(views, wrong, keypoints)
+                how = f"{TRNG}, {part} off"
+                bench.score("trng", how, views, points, which, seed=seed, level=sigma)
+        fitted = bench.fit(seed, views)
+        points = bench.lift(fitted, views, known_as=tuple(range(len(views))))
+        bench.score("trng", ALONE, views, points, which, seed=seed, fitted=fitted)
+
+
+def unseen(bench: Bench, seed: int) -> None:
+    """Frames that the fit did not see: the end of the capture, and some drawn at random."""
+    count = len(bench.keypoints)
+    cut = round(SEEN * count)
+    shuffled = np.random.default_rng(seed).permutation(count)
+    ways = {"first 70 %, lifts the rest": np.arange(cut)}
+    ways["random 70 %, lifts the rest"] = np.sort(shuffled[:cut])
+    for way, frames in ways.items():
+        fitted = bench.fit(seed, bench.views, frames=frames, key=way)
+        rest = np.ones(count, bool)
+        rest[frames] = False
+        for views in (bench.views, bench.pair, bench.pair[:1]):
+            points = bench.lift(fitted, views)
+            for part, which in (("unseen", rest), ("seen", ~rest)):
+                shown = which & bench.showing(views, 1)
+                how = f"{way}: {part}"
+                bench.score("unseen", how, views, points, shown, seed=seed, fitted=fitted)
+
+
+def missing(bench: Bench, seed: int) -> None:
+    """Keypoints hidden at random, from the fit and from the lift; all of them are scored."""
+    for share in (0.1, 0.3, 0.5) if bench.full else (0.3,):
+        gappy = hide(bench.keypoints, share, seed)
+        for views in bench.sets if bench.full else [bench.views]:
+            fitted = bench.fit(seed, views, keypoints=gappy, key=f"missing {share}")
+            points = bench.lift(fitted, views, keypoints=gappy, known_as=tuple(range(len(views))))
+            which = bench.showing(views, 1)
+            bench.score(
+                "missing", ALONE, views, points, which, seed=seed, level=share, fitted=fitted
+            )
+
+
+def correct_keypoints(bench: Bench, seed: int) -> None:
+    """PCK against the number of views, over all subsets of so many, and against the threshold."""
+    everything = bench.fit(seed, bench.views)
+    for count in range(1, len(bench.views) + 1):
+        ours, theirs = [], []
+        for views in combinations(bench.views, count):
+            which = bench.showing(views, count)
+            truth = bench.truth[which]
+            points = bench.lift(everything, views)[which]
+            ours.append(pa_mpjpe(points, truth, reflection="never").errors)
+            if bench.rig is not None and count > 1:
+                cameras = bench.rig.projections[list(views)]
+                points = bench.triangulated(views, cameras, bench.keypoints)[which]
+                theirs.append(pa_mpjpe(points, truth, reflection="never").errors)
+        for label, errors in ((ALL, ours), (f"{TRNG}, exact calibration", theirs)):
+            _add_curve(bench, f"{label}, {count} of them", count, errors, seed, everything)
+
+
+def _add_curve(
+    bench: Bench, label: str, count: int, parts: Sequence[Float], seed: int, fitted: Fit
+) -> None:
+    """Add a curve over thresholds, and a row at the paper's; means over keypoints."""
+    mm = 1000 / bench.metre * np.concatenate([part.ravel() for part in parts] or [np.empty(0)])
+    mm = mm[np.isfinite(mm)]
+    if not mm.size:
+        return
+    shares = [float((mm < threshold).mean()) for threshold in THRESHOLDS_MM]
+    bench.report.curves.append(Curve(label, seed, THRESHOLDS_MM, shares))
+    bench.report.add(
+        Row(
+            case="pck",
+            how=label,
+            views=bench.views,
+            level=count,
+            seed=seed,
+            error_mm=float(mm.mean()),
+            pck=float((mm < PCK_MM).mean()),
+            frames=sum(len(part) for part in parts),
+            fit_seconds=None if label.startswith(TRNG) else fitted.seconds,
+        )
+    )
+
+
+def ablations(bench: Bench, seed: int) -> None:
+    """One switch of the configuration at a time against the default."""
+    lifted: list[tuple[str, Refine | None, dict[str, Any]]] = [
+        ("the default", None, {}),
+        ("lifted with refine full", "full", {}),
+        ("lifted with refine off", "off", {}),
+        ("refine off, also in the fit", None, {"refine": "off"}),
+        ("distillation off", None, {"distillation": False}),
+        ("distillation and refine off", None, {"distillation": False, "refine": "off"}),
+        ("cameras moving", None, {"cameras": "moving"}),
+        ("cameras static", None, {"cameras": "static"}),
+    ]
+    if bench.sizes is not None:
+        lifted.append(("image sizes not given", None, {"sized": False}))
+    for how, refine, changes in lifted if bench.full else lifted[:6]:
+        fitted = bench.fit(seed, bench.views, **changes)
+        for views in (bench.views, bench.pair, bench.pair[:1]):
+            points = bench.lift(fitted, views, refine=refine)
+            which = bench.showing(views, 1)
+            bench.score("ablations", how, views, points, which, seed=seed, fitted=fitted)
+
+
+CASES: dict[str, Callable[[Bench, int], None]] = {
+    "views": error_by_views,
+    "noise": noise,
+    "trng": miscalibration,
+    "pck": correct_keypoints,
+    "unseen": unseen,
+    "missing": missing,
+    "ablations": ablations,
+}

@@ -1,0 +1,156 @@
+"""Cameras found from a ground truth, and what spoils them and the keypoints they see.
+
+Only the benchmark of fidelity uses this: a fit never sees a calibration or a truth.
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from models.keypoints import as_observations
+
+Float64 = NDArray[np.float64]
+Part = Literal["extrinsics", "intrinsics"]
+
+LEAST_POINTS = 50  # six would do without noise
+OUTLIER = 3.0  # times the median residual: left out when the camera is found again
+RESTS = 0.1  # residual, as a share of the subject's size in the image, of a camera at rest
+
+
+class Rig(NamedTuple):
+    """Cameras at rest, found from the truth."""
+
+    projections: Float64  # (K, 3, 4): pixels ~ projection @ (X, 1)
+    residuals: Float64  # (K,) pixels, median over the keypoints
+
+
+def find_rig(keypoints: ArrayLike, points3d: ArrayLike) -> Rig | None:
+    """Find every view's projection from the truth; None where a view does not rest.
+
+    The direct linear transform (Hartley & Zisserman, *Multiple View Geometry*, ch. 7) over all
+    frames and keypoints of a view, in normalised coordinates, and again without what lies more
+    than three median residuals off. Lens distortion stays in the residuals.
+    """
+    pixels, truth = np.asarray(keypoints, np.float64), np.asarray(points3d, np.float64)
+    seen = as_observations(pixels)
+    projections, residuals = [], []
+    for view in range(pixels.shape[1]):
+        known = np.isfinite(pixels[:, view]).all(-1) & np.isfinite(truth).all(-1)
+        image, world = pixels[:, view][known], truth[known]
+        if len(image) < LEAST_POINTS:
+            return None
+        distances = np.zeros(len(image))
+        for _ in range(2):
+            near = distances <= OUTLIER * np.median(distances)
+            projection = _linear(image[near], world[near])
+            distances = np.linalg.norm(_project(projection, world) - image, axis=-1)
+        size = float(np.median(seen.sizes[seen.usable[:, view], view]))
+        if not np.median(distances) < RESTS * size:
+            return None
+        projections.append(projection)
+        residuals.append(float(np.median(distances)))
+    return Rig(np.array(projections), np.array(residuals))
+
+
+def miscalibrate(
+    projections: Float64, part: Part, sigma: float, frames: int, metre: float, seed: int
+) -> Float64:
+    """Return projections (N, K, 3, 4) whose extrinsics or intrinsics are off, anew in each frame.
+
+    Extrinsics: each camera is turned about its own centre by a rotation vector of standard
+    deviation `sigma` radians along each axis, and its translation moved by `sigma` metres along
+    each (`metre` of them in the unit of the truth). Intrinsics: both focal lengths and both
+    coordinates of the principal point are multiplied by exp(e), e of standard deviation `sigma`.
+    """
+    rng = np.random.default_rng([seed, round(1000 * sigma), part == "intrinsics"])
+    shape = (frames, len(projections))
+    lenses, poses = (
+        np.broadcast_to(array, (frames, *array.shape)) for array in _decompose(projections)
+    )
+    if part == "intrinsics":
+        factors = np.exp(sigma * rng.standard_normal((*shape, 4)))
+        lenses = lenses.copy()
+        for place, (row, column) in enumerate(((0, 0), (1, 1), (0, 2), (1, 2))):
+            lenses[..., row, column] *= factors[..., place]
+    else:
+        poses = _rotations(sigma * rng.standard_normal((*shape, 3))) @ poses
+        poses[..., 3] += sigma * metre * rng.standard_normal((*shape, 3))
+    return lenses @ poses
+
+
+def add_noise(keypoints: ArrayLike, sigma: float, seed: int) -> Float64:
+    """Move every coordinate by Gaussian noise of `sigma` pixels."""
+    pixels = np.asarray(keypoints, np.float64)
+    rng = np.random.default_rng([seed, round(1000 * sigma)])
+    return pixels + sigma * rng.standard_normal(pixels.shape)
+
+
+def hide(keypoints: ArrayLike, share: float, seed: int) -> Float64:
+    """Hide a share of the keypoints of every view, drawn one by one."""
+    pixels = np.array(keypoints, np.float64)
+    pixels[np.random.default_rng([seed, round(1000 * share)]).random(pixels.shape[:3]) < share] = (
+        np.nan
+    )
+    return pixels
+
+
+def _linear(image: Float64, world: Float64) -> Float64:
+    """Return the projection (3, 4) of least algebraic error, by normalised DLT."""
+    to_image, to_world = _normaliser(image), _normaliser(world)
+    x = _homogeneous(image) @ to_image.T
+    points = _homogeneous(world) @ to_world.T
+    zero = np.zeros_like(points)
+    rows = np.concatenate(
+        (
+            np.concatenate((points, zero, -x[:, :1] * points), -1),
+            np.concatenate((zero, points, -x[:, 1:2] * points), -1),
+        )
+    )
+    solution = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 4)
+    projection: Float64 = np.linalg.inv(to_image) @ solution @ to_world
+    # Points in front of the camera have a positive depth.
+    depth = _homogeneous(world) @ projection[2]
+    projection *= np.sign(np.median(depth)) / np.linalg.norm(projection[2, :3])
+    return projection
+
+
+def _normaliser(points: Float64) -> Float64:
+    """Return what moves points (N, D) to mean 0 and mean square radius D."""
+    mean, count = points.mean(0), points.shape[1]
+    scale = np.sqrt(count / np.square(points - mean).sum(-1).mean())
+    matrix = np.eye(count + 1)
+    matrix[:count] *= scale
+    matrix[:count, count] = -scale * mean
+    return matrix
+
+
+def _homogeneous(points: Float64) -> Float64:
+    return np.concatenate((points, np.ones((*points.shape[:-1], 1))), -1)
+
+
+def _project(projection: Float64, world: Float64) -> Float64:
+    image = _homogeneous(world) @ projection.T
+    pixels: Float64 = image[..., :2] / image[..., 2:]
+    return pixels
+
+
+def _decompose(projections: Float64) -> tuple[Float64, Float64]:
+    """Return lenses (K, 3, 3), upper triangular with positive diagonal, and poses (K, 3, 4)."""
+    flipped = projections[:, ::-1, :3].mT  # RQ of a matrix is QR of its flipped transpose
+    q, r = np.linalg.qr(flipped)
+    lenses, rotations = r.mT[:, ::-1, ::-1], q.mT[:, ::-1]
+    signs = np.sign(np.diagonal(lenses, axis1=1, axis2=2))
+    lenses, rotations = lenses * signs[:, None], rotations * signs[..., None]
+    translations = np.linalg.solve(lenses, projections[..., 3:])
+    return lenses, np.concatenate((rotations, translations), -1)
+
+
+def _rotations(vectors: Float64) -> Float64:
+    """Rotations (..., 3, 3) by the angle and about the axis of vectors (..., 3): Rodrigues."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vectors / np.maximum(angle[..., 0], 1e-12), -1, 0)
+    zero = np.zeros_like(x)
+    cross = np.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).reshape(*x.shape, 3, 3)
+    rotations: Float64 = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+    return rotations
