@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from models.cameras import nearest_rotation
-from models.config import FitConfig
+from models.config import FitConfig, Refine
 from models.distillation import Teachers, find_teachers, structure_loss, virtual_views
 from models.keypoints import as_observations
 from models.metrics import pa_mpjpe
@@ -16,9 +16,9 @@ from models.training import Trainer, fit
 Tensor = torch.Tensor
 
 
-def _mostly_single_views() -> SyntheticCapture:
-    capture = synthetic_capture(frames=400, views=3, seed=21)
-    capture.keypoints[np.arange(400) % 3 > 0, 1:] = np.nan
+def _mostly_single_views(frames: int = 400) -> SyntheticCapture:
+    capture = synthetic_capture(frames=frames, views=3, seed=21)
+    capture.keypoints[np.arange(frames) % 3 > 0, 1:] = np.nan
     return capture
 
 
@@ -40,12 +40,15 @@ def _teachers(keypoints: Tensor, weights: Tensor, *, most: int = 50) -> Teachers
     return found
 
 
-def test_frames_with_one_view_learn_from_frames_with_several() -> None:
-    capture = _mostly_single_views()
-    single = np.arange(400) % 3 > 0
+@pytest.mark.parametrize(("refine", "frames", "steps"), [("off", 400, 600), ("auto", 240, 450)])
+def test_frames_with_one_view_learn_from_frames_with_several(
+    refine: Refine, frames: int, steps: int
+) -> None:
+    capture = _mostly_single_views(frames)
+    single = np.arange(frames) % 3 > 0
 
     def error(*, distillation: bool) -> float:
-        config = FitConfig(steps=600, distillation=distillation)
+        config = FitConfig(steps=steps, distillation=distillation, refine=refine)
         lift = fit(capture.keypoints, config).lift(capture.keypoints)
         return float(pa_mpjpe(lift.points3d, capture.points3d).per_frame[single].mean())
 
@@ -95,7 +98,7 @@ def test_structure_loss_forgives_turns_but_no_mirror_image() -> None:
 @pytest.mark.parametrize("stop", [14, 15, 16, 22, 23, 25])
 def test_a_fit_resumes_bit_for_bit_around_its_refreshes(stop: int) -> None:
     capture = synthetic_capture(frames=21, views=2, noise=2, hidden_views=0.2, seed=3)
-    config = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8)
+    config = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8, refine="off")
     whole = Trainer(capture.keypoints, config)
     data = b""
     for progress in whole.run():
