@@ -17,7 +17,7 @@ import pytest
 from models.synthetic import synthetic_capture
 from tests.service.conftest import BYTES, Live, descendants, processes, to_npz, wait_for
 
-SLOW = {"steps": 1500}
+SLOW = {"steps": 800, "refine": "off"}
 Start = Callable[[], Live]
 
 
