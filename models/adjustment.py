@@ -18,7 +18,7 @@ from torch import Tensor
 
 from models.optics import Optics, image
 
-POSE = 7  # rotation vector, translation, log size
+POSE = SIMILARITY = 7  # rotation vector, translation, log size
 OPTICS = 4  # log focal length, principal point, first radial coefficient
 EXTRINSICS = 6  # rotation vector, translation
 VIEW = OPTICS + EXTRINSICS  # what all frames share of a view
@@ -43,28 +43,47 @@ class Rig(NamedTuple):
 
 
 class ShapePrior(NamedTuple):
-    """Gaussian about a mean per frame: x = mean + B z + e, z ~ N(0, 1), e ~ N(0, spread^2)."""
+    """About a mean per frame: x = mean + s (B z + e), z ~ N(0, 1), e ~ N(0, spread^2).
+
+    With `heavy` tails the scale of a frame is s or, if its structure says so, more: the density is
+    the profile of the Gaussian over all scales from s on.
+    """
 
     means: Tensor  # (N, P, 3)
     basis: Tensor  # (P, 3, Q) columns scaled by their standard deviations
-    spread: Tensor  # (N,)
+    spread: float
+    scales: Tensor  # (N,) s
+    heavy: bool = False
 
-    def whitened(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Prior precision times (points - means), (N, P, 3), and minus twice the log density."""
+    def of(self, frames: Tensor | slice) -> "ShapePrior":
+        """Return the prior of some of the frames."""
+        return self._replace(means=self.means[frames], scales=self.scales[frames])
+
+    def whitened(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Prior precision times (points - means), (N, P, 3); minus twice the log density, (N,).
+
+        The last is the inverse variance (N,) of a unit of e.
+        """
         offset = points - self.means
-        inner = self.inner()
         pulled = torch.einsum("piq,npi->nq", self.basis, offset)
-        z = torch.cholesky_solve(pulled[..., None], torch.linalg.cholesky(inner))[..., 0]
-        pull = (offset - torch.einsum("piq,nq->npi", self.basis, z)) / self.spread[
-            :, None, None
-        ].square()
-        return pull, (pull * offset).sum((1, 2))
+        z = torch.cholesky_solve(pulled.T, torch.linalg.cholesky(self.inner())).T
+        inverse = 1 / (self.scales * self.spread).square()
+        pull = (offset - torch.einsum("piq,nq->npi", self.basis, z)) * inverse[:, None, None]
+        squared = (pull * offset).sum((1, 2))
+        if not self.heavy:
+            return pull, squared, inverse
+        freedom = offset[0].numel() - SIMILARITY
+        share = (freedom / squared.clamp_min(1e-12)).clamp_max(1)
+        return (
+            pull * share[:, None, None],
+            freedom * (1 / share).log() + squared * share,
+            (inverse * share),
+        )
 
     def inner(self) -> Tensor:
-        """B^T B + spread^2 1, (N, Q, Q)."""
+        """B^T B + spread^2 1, (Q, Q)."""
         flat = self.basis.flatten(0, 1)
-        eye = torch.eye(flat.shape[1], dtype=flat.dtype)
-        return flat.T @ flat + self.spread[:, None, None].square() * eye
+        return flat.T @ flat + self.spread**2 * torch.eye(flat.shape[1], dtype=flat.dtype)
 
 
 class Views(NamedTuple):
@@ -153,8 +172,8 @@ def normal_equations(
     pose[..., -1, -1] += size_precision
     pull_pose[..., -1] -= size_precision * scene.sizes
 
-    inverse = prior.spread.square().reciprocal()[:, None, None]  # (N, 1, 1)
-    pull_points = pull_points - prior.whitened(scene.points)[0]
+    pull, _, inverse = prior.whitened(scene.points)
+    pull_points, inverse = pull_points - pull, inverse[:, None, None]
     points = points + inverse[..., None] * torch.eye(3, dtype=points.dtype)
 
     size = POSE * groups + basis
@@ -210,7 +229,7 @@ def refine(
             break
         part = Views(*(a[active] for a in views))
         here = Scene(*(a[active] for a in scene))
-        local = prior._replace(means=prior.means[active], spread=prior.spread[active])
+        local = prior.of(active)
         normal = normal_equations(part, rig, local, size_precision, here, shared=False)
         step = _solve(normal, damping[active])
         tried = move(here, *step, rig.size)
@@ -263,7 +282,7 @@ def structure_covariances(
 ) -> Tensor:
     """Covariances (N, 3 P, 3 P) of the structures about their best values (Laplace)."""
     normal = normal_equations(views, rig, prior, size_precision, scene, shared=False)
-    inverse, reduced, _ = eliminate_points(normal, torch.full_like(prior.spread, 1e-9))
+    inverse, reduced, _ = eliminate_points(normal, torch.full_like(prior.scales, 1e-9))
     carried = (inverse @ normal.coupling).flatten(1, 2)  # (N, 3 P, R)
     factor, _ = torch.linalg.cholesky_ex(reduced)
     covariances = carried @ torch.cholesky_solve(carried.mT, factor)

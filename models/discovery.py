@@ -36,7 +36,15 @@ from models.config import FitConfig
 from models.keypoints import MIN_KEYPOINTS
 from models.optics import COEFFICIENTS, Optics, image
 from models.refinement import mirrored
-from models.shape import MOST_COMPONENTS, ShapeModel, Similarity, align, learn_shapes
+from models.shape import (
+    MOST_COMPONENTS,
+    Doubts,
+    ShapeModel,
+    Similarity,
+    align,
+    learn_shapes,
+    no_doubts,
+)
 
 Edges = dict[tuple[int, int], tuple[Tensor, Tensor, float]]  # see `_relative`
 T = TypeVar("T")
@@ -54,6 +62,7 @@ LEAST_SPREAD = 0.02
 FAINT = 0.005  # of a view's size: less noise than that, and lenses need no help of the shape model
 FIRST_NOISE = 0.03  # of a keypoint, as a share of its view's size
 LEAST_NOISE = 3e-4  # of the image's side: what lens models leave
+LEAST_MEASURED = 3e-5  # of the image's side
 COOLING = 0.25  # the noise falls no faster in a round
 MOST_FRAMES, LEAST_FRAMES = 400, 20
 OPERATIONS = 1_000_000_000  # in one iteration
@@ -75,6 +84,7 @@ class Discovery:
     rig: Rig
     deviations: Tensor  # (K, 10) standard deviations of what `adjustment.VIEW` numbers; 0 if kept
     shapes: ShapeModel
+    doubts: Doubts
     noise: float  # pixels, of a coordinate of confidence 1
     unit: float  # what a unit of the structure is in the user's unit; 1 without one
     errors: Tensor  # (K,) pixels, mean reprojection error
@@ -114,6 +124,7 @@ class State(NamedTuple):
     prior: ShapePrior
     shapes: ShapeModel
     noise: float
+    measured: float  # noise, without the least that is reckoned with
     faint: bool  # the keypoints are so clear that they can do without a shape model
     information: Tensor  # (10 K, 10 K)
 
@@ -245,7 +256,8 @@ def discover(
         best.rig,
         _deviations(problem, best),
         best.shapes,
-        best.noise,
+        no_doubts(keypoints.shape[2]),
+        best.measured,
         1.0 if unit is None else unit,
         errors,
         reason,
@@ -270,8 +282,8 @@ def _find(
             return state, unit, "the poses of the cameras were given", ()
         worst = _worst(problem, moving, state, posed)
         warnings = (
-            f"the given poses do not fit the keypoints: noise {state.noise:.3g} px with them,"
-            f" {moving.noise:.3g} px without; view {worst} fits worst, its camera may have been"
+            f"the given poses do not fit the keypoints: noise {state.measured:.3g} px with them,"
+            f" {moving.measured:.3g} px without; view {worst} fits worst, its camera may have been"
             " moved since. They were not used",
         )
     if config.cameras == "moving":
@@ -344,7 +356,7 @@ def _choose_hand(problem: Problem, scene: Scene, config: FitConfig) -> Steps[Sta
     shapes = learn_shapes(best.points[fine], covariances, floor=LEAST_SPREAD)
     faint = factor * noise < FAINT * problem.size
     nothing = torch.zeros(0, 0)
-    return State(rig, best, prior, shapes, noise, faint, nothing)
+    return State(rig, best, prior, shapes, noise, noise, faint, nothing)
 
 
 def _volume(points: Tensor, corners: tuple[int, int, int, int]) -> float:
@@ -358,7 +370,8 @@ def _loose(scene: Scene) -> ShapePrior:
     return ShapePrior(
         scene.points,
         scene.points.new_zeros(count, 3, 0),
-        scene.points.new_full((frames,), FIRST_SPREAD),
+        FIRST_SPREAD,
+        scene.points.new_ones(frames),
     )
 
 
@@ -367,7 +380,7 @@ def _learn(problem: Problem, state: State, *, loose: bool) -> Steps[State]:
 
     `loose` keeps the network's structures as the prior, in place of the shape model.
     """
-    rig, scene, prior, shapes, noise, faint, information = state
+    rig, scene, prior, shapes, noise, measured, faint, information = state
     floor = LEAST_NOISE * problem.side
     precision = size_precision(rig)
     least = FAINT_SPREAD if faint else LEAST_SPREAD
@@ -389,6 +402,7 @@ def _learn(problem: Problem, state: State, *, loose: bool) -> Steps[State]:
         yield
         fine = costs.isfinite()
         covariances, factor = _doubts(views, rig, prior, scene, precision, fine)
+        measured = max(factor * noise, LEAST_MEASURED * problem.side)
         noise = max(factor * noise, 0 if faint else COOLING * noise, floor)
         shapes = learn_shapes(scene.points[fine], covariances, floor=least)
         if loose:
@@ -396,14 +410,15 @@ def _learn(problem: Problem, state: State, *, loose: bool) -> Steps[State]:
         points, moved = align(scene.points, shapes.mean)
         scene = regauge(scene, points, moved, rig)
         prior = _about(shapes, len(points))
-    return State(rig, scene, prior, shapes, noise, faint, information)
+    return State(rig, scene, prior, shapes, noise, measured, faint, information)
 
 
 def _about(shapes: ShapeModel, frames: int) -> ShapePrior:
     return ShapePrior(
         shapes.mean.expand(frames, -1, -1),
         shapes.basis,
-        shapes.mean.new_full((frames,), shapes.spread),
+        shapes.spread,
+        shapes.mean.new_ones(frames),
     )
 
 
@@ -436,10 +451,10 @@ def _evidence(problem: Problem, state: State) -> Steps[float]:
     inverse, reduced, _ = eliminate_points(normal, torch.zeros_like(costs))
     volume = torch.linalg.slogdet(reduced)[1] - torch.linalg.slogdet(inverse)[1].sum(1)
     # The components z stand beside the points in these equations: their own volume does not count.
-    squared, inner = prior.spread.square(), prior.inner()
-    components = inner.shape[-1]
-    volume = volume - torch.linalg.slogdet(inner)[1] + components * squared.log()
-    spread = (3 * points.shape[1] - components) * squared.log() + torch.linalg.slogdet(inner)[1]
+    inner, logarithm = prior.inner(), 2 * math.log(prior.spread)
+    components = len(inner)
+    volume = volume - torch.linalg.slogdet(inner)[1] + components * logarithm
+    spread = (3 * points.shape[1] - components) * logarithm + torch.linalg.slogdet(inner)[1]
     present = (problem.weights.sum(-1) > 0).to(inner) @ _members(rig) > 0  # (N, G)
     focal = rig.optics.focals.log().mean()
     flat = ((3 * scene.translations[..., 2].abs().log() - 2 * focal) * present).sum(-1)
@@ -477,7 +492,7 @@ def _doubts(
         frames = (
             Views(*(a[part] for a in views)),
             rig,
-            prior._replace(means=prior.means[part], spread=prior.spread[part]),
+            prior.of(part),
             Scene(*(a[part] for a in scene)),
         )
         covariances = structure_covariances(*frames, size_precision=precision)
@@ -496,10 +511,10 @@ def _noise_terms(
     robust = (OUTLIER / squared.clamp_min(1e-12).sqrt()).clamp_max(1) * squared
     # Of the structure's unknowns the data determine as many as the prior does not.
     flat = prior.basis.flatten(0, 1)
-    inner = torch.linalg.solve(prior.inner(), flat.T.expand(len(squared), -1, -1))  # (N, Q, 3 P)
+    inner = torch.linalg.solve(prior.inner(), flat.T)  # (Q, 3 P)
     trace = covariances.diagonal(dim1=1, dim2=2).sum(-1)
-    trace = trace - (inner.mT * (covariances @ flat)).sum((1, 2))
-    structure = flat.shape[0] - trace / prior.spread.square()
+    trace = trace - (inner.T * (covariances @ flat)).sum((1, 2))
+    structure = flat.shape[0] - trace / (prior.scales * prior.spread).square()
     members = _members(rig)
     there = (seen.any(-1).to(squared) @ members > 0).to(squared)  # (N, G)
     poses = there @ torch.where(members.sum(0) > 1, 7.0, 6.0).to(squared)
@@ -636,7 +651,8 @@ def _find_rest(
     while len(members) > 1:
         state = yield from _learn(problem, _at_rest(moving, edges, members, seen), loose=loose)
         figures = (
-            f"noise {state.noise:.3g} px if views {members} rest, {moving.noise:.3g} px if all move"
+            f"noise {state.measured:.3g} px if views {members} rest,"
+            f" {moving.measured:.3g} px if all move"
         )
         if declared:
             return state, f"the cameras were declared static; {figures}"

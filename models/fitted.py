@@ -1,5 +1,6 @@
 """A fitted prior: lifts 2D keypoints to structure and cameras, and travels as bytes."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from itertools import chain
@@ -94,6 +95,11 @@ class FittedPrior:
         self._network = HierarchicalPrior(arrays["first"].shape[0], config.dictionary_sizes)
         self._network.load_state_dict(arrays)
         self._network.requires_grad_(requires_grad=False)
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a keypoint's coordinate in pixels; NaN if no cameras were found."""
+        return math.nan if self._found is None else self._found.noise
 
     @property
     def keypoints_per_frame(self) -> int:
@@ -267,6 +273,28 @@ def join(lifts: Sequence[Lift]) -> Lift:
     return Lift(**joined)
 
 
+def weak_perspective(
+    lift: Lift, frames: NDArray[np.int64] | slice = slice(None)
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Structures, rotations, scales and translations (x, y) of some frames in float64.
+
+    Harmless numbers stand where there is no answer.
+    """
+    none = ~torch.from_numpy(np.isfinite(lift.scales[frames]))
+
+    def number(array: NDArray[np.float32], without: float) -> Tensor:
+        return torch.nan_to_num(torch.from_numpy(array[frames]).double(), nan=without)
+
+    rotations = number(lift.rotations, 0)
+    rotations[none] = torch.eye(3, dtype=torch.float64)
+    return (
+        number(lift.points3d, 0),
+        rotations,
+        number(lift.scales, 1),
+        number(lift.translations[..., :2], 0),
+    )
+
+
 @torch.inference_mode()
 def _refined(
     lift: Lift,
@@ -279,23 +307,12 @@ def _refined(
     """Refine with perspective what the keypoints allow; other frames stay as they are."""
     frames = np.flatnonzero(seen.usable.any(1))
     usable = torch.from_numpy(seen.usable[frames])
-
-    def number(array: NDArray[np.float32], without: float) -> Tensor:
-        return torch.nan_to_num(torch.from_numpy(array[frames]).double(), nan=without)
-
-    rotations = number(lift.rotations, 0)
-    rotations[~usable] = torch.eye(3, dtype=torch.float64)
     pixels = seen.keypoints * seen.sizes[..., None, None] + seen.centres[..., None, :]
     answer = refine_frames(
         found,
-        number(pixels, 0),
-        number(seen.weights, 0),
-        (
-            number(lift.points3d, 0),
-            rotations,
-            number(lift.scales, 1),
-            number(lift.translations[..., :2], 0),
-        ),
+        torch.from_numpy(np.nan_to_num(pixels[frames])).double(),
+        torch.from_numpy(seen.weights[frames]).double(),
+        weak_perspective(lift, frames),
         views,
     )
     fine = answer.fine.numpy()

@@ -12,7 +12,7 @@ from models.adjustment import OPTICS, Rig, Scene, ShapePrior, Views, place, refi
 from models.discovery import Discovery, gather, size_precision, starting_scene
 from models.found import FoundCameras
 from models.optics import COEFFICIENTS, Optics, image
-from models.shape import ShapeModel, align
+from models.shape import Doubts, ShapeModel, align
 from models.weights import Arrays, Shapes, WeightsError
 
 ITERATIONS = 12
@@ -58,11 +58,7 @@ def refine_frames(
         + scales[..., None] * (rotations[..., :2, :] @ moved.centres.mT[:, None])[..., 0],
         rig,
     )
-    prior = ShapePrior(
-        found.shapes.mean.expand_as(points),
-        found.shapes.basis,
-        points.new_full((len(points),), found.shapes.spread),
-    )
+    prior = _shape_prior(found, aligned, seen)
     apart = rig._replace(
         groups=torch.arange(len(rig.groups)),
         rotations=torch.eye(3, dtype=points.dtype).expand_as(rig.rotations),
@@ -78,8 +74,9 @@ def refine_frames(
         lost = (mean > LOST * found.noise) & (seen.sum(1) > 1)
         if lost.any():
             part = Views(*(a[lost] for a in sight))
-            own = prior._replace(means=prior.means[lost], spread=prior.spread[lost])
-            free, free_costs = _refine(part, apart, own, Scene(*(a[lost] for a in start)))
+            free, free_costs = _refine(
+                part, apart, prior.of(lost), Scene(*(a[lost] for a in start))
+            )
             better = torch.zeros_like(lost)
             better[lost] = free_costs < BETTER * costs[lost]
             chosen = better[lost]
@@ -104,6 +101,16 @@ def refine_frames(
     )
 
 
+def _shape_prior(found: Discovery, points: Tensor, seen: Tensor) -> ShapePrior:
+    """Say what is believed of the structures of frames where the network answered `points`."""
+    doubts = found.doubts
+    if not len(doubts.scales):
+        mean, ones = found.shapes.mean.expand_as(points), points.new_ones(len(points))
+        return ShapePrior(mean, found.shapes.basis, found.shapes.spread, ones)
+    scales = doubts.scales[seen.sum(1).clamp(1, len(doubts.scales)) - 1]
+    return ShapePrior(points, doubts.basis, doubts.spread, scales, heavy=True)
+
+
 def _refine(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> tuple[Scene, Tensor]:
     """Refine in slices, whose normal equations take bounded memory."""
     frames, count, _ = scene.points.shape
@@ -113,9 +120,7 @@ def _refine(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> tuple[Sc
         refine(
             Views(*(a[start : start + size] for a in views)),
             rig,
-            prior._replace(
-                means=prior.means[start : start + size], spread=prior.spread[start : start + size]
-            ),
+            prior.of(slice(start, start + size)),
             Scene(*(a[start : start + size] for a in scene)),
             size_precision=precision,
             iterations=ITERATIONS,
@@ -158,11 +163,12 @@ def sub_rig(found: Discovery, views: Sequence[int] | None, count: int) -> Rig:
         return Rig(usual, torch.arange(count), eye, still)
     index = torch.tensor(list(views), dtype=torch.long)
     _, groups = torch.unique(rig.groups[index], return_inverse=True)
+    alone = (torch.bincount(groups)[groups] == 1)[:, None]  # such a view is its own group's frame
     return Rig(
         Optics(*(a[index] for a in optics)),
         groups,
-        rig.rotations[index],
-        rig.translations[index],
+        torch.where(alone[..., None], torch.eye(3, dtype=torch.float64), rig.rotations[index]),
+        torch.where(alone, 0.0, rig.translations[index]),
     )
 
 
@@ -213,8 +219,11 @@ def to_arrays(found: Discovery) -> tuple[Arrays, str]:
         "errors": found.errors,
         "shape_mean": found.shapes.mean,
         "shape_basis": found.shapes.basis,
+        "doubt_basis": found.doubts.basis,
+        "doubt_scales": found.doubts.scales,
         "numbers": torch.tensor(
-            [found.shapes.spread, found.noise, found.unit], dtype=torch.float64
+            [found.shapes.spread, found.doubts.spread, found.noise, found.unit],
+            dtype=torch.float64,
         ),
     }
     words = json.dumps({"reason": found.reason, "warnings": found.warnings})
@@ -235,7 +244,9 @@ def array_shapes(keypoints: int, views: int | None) -> Shapes:
         "errors": (views,),
         "shape_mean": (keypoints, 3),
         "shape_basis": (keypoints, 3, None),
-        "numbers": (3,),
+        "doubt_basis": (keypoints, 3, None),
+        "doubt_scales": (None,),
+        "numbers": (4,),
     }
 
 
@@ -255,18 +266,19 @@ def from_arrays(arrays: Arrays, words: str) -> Discovery:
     a = {name: value.to(torch.float64) for name, value in arrays.items()}
     groups = a["groups"].long()
     views = len(groups)
-    spread, noise, unit = a["numbers"].tolist()
+    spread, doubt, noise, unit = a["numbers"].tolist()
     consistent = (
         views > 0
         and all(
             len(a[name]) == views
             for name in array_shapes(0, 0)
-            if not name.startswith(("shape", "numbers"))
+            if not name.startswith(("shape", "doubt", "numbers"))
         )
         and torch.equal(torch.unique(groups), torch.arange(int(groups.max()) + 1))
         and bool((a["focals"] > 0).all())
-        and min(spread, noise, unit) > 0
-        and math.isfinite(spread + noise + unit)
+        and bool((a["doubt_scales"] > 0).all())
+        and min(spread, doubt, noise, unit) > 0
+        and math.isfinite(spread + doubt + noise + unit)
     )
     if not consistent:
         raise WeightsError("the file contradicts itself about the cameras")
@@ -275,6 +287,7 @@ def from_arrays(arrays: Arrays, words: str) -> Discovery:
         Rig(optics, groups, a["extrinsic_rotations"], a["extrinsic_translations"]),
         a["deviations"],
         ShapeModel(a["shape_mean"], a["shape_basis"], spread),
+        Doubts(a["doubt_basis"], doubt, a["doubt_scales"]),
         noise,
         unit,
         a["errors"],

@@ -1,11 +1,14 @@
 """The Gaussian shape model: what structures vary like, learnt from structures and their doubts."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 MOST_COMPONENTS = 40  # of a shape model; the rest of the variance is isotropic
+LEAST_DOUBT = 1e-3  # root-mean-square error that no network falls below
+LEAST_SHARE = 0.05  # of it, in each coordinate that is not along a component
 ALIGNMENTS = 5  # rounds of aligning to the mean and taking it anew
 
 
@@ -18,6 +21,17 @@ class ShapeModel(NamedTuple):
     mean: Tensor  # (P, 3) centred, root-mean-square radius 1
     basis: Tensor  # (P, 3, Q)
     spread: float
+
+
+class Doubts(NamedTuple):
+    """How far the network's structures are off: by s (B z + e), s for the number of views it saw.
+
+    Empty scales stand for doubts that were not learnt.
+    """
+
+    basis: Tensor  # (P, 3, Q)
+    spread: float
+    scales: Tensor  # (V,) for one view, two, ... V or more; root-mean-square distances
 
 
 class Similarity(NamedTuple):
@@ -65,10 +79,19 @@ def learn_shapes(points: Tensor, covariances: Tensor, *, floor: float) -> ShapeM
     return _components(mean, scatter, floor)
 
 
-def learn_errors(errors: Tensor, covariances: Tensor, mean: Tensor, *, floor: float) -> ShapeModel:
-    """As `learn_shapes`, of errors (N, P, 3) of structures in the frame of `mean` (P, 3)."""
-    flat = errors.flatten(1)
-    return _components(mean, flat.T @ flat / len(errors) + covariances.mean(0), floor)
+def no_doubts(keypoints: int) -> Doubts:
+    """Return doubts that were not learnt."""
+    nothing = torch.zeros(0, dtype=torch.float64)
+    return Doubts(nothing.expand(keypoints, 3, 0), 1.0, nothing)
+
+
+def learn_doubts(errors: Sequence[Tensor], mean: Tensor) -> Doubts:
+    """Learn doubts from errors (N, P, 3) in the frame of `mean` (P, 3), a tensor per view count."""
+    scales = torch.stack([part.square().sum(-1).mean().sqrt() for part in errors])
+    scales = scales.clamp_min(LEAST_DOUBT)
+    flat = torch.cat([part / s for part, s in zip(errors, scales, strict=True)]).flatten(1)
+    model = _components(mean, flat.T @ flat / len(flat), LEAST_SHARE)
+    return Doubts(model.basis, model.spread, scales)
 
 
 def _components(mean: Tensor, scatter: Tensor, floor: float) -> ShapeModel:

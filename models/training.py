@@ -5,7 +5,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.linalg import LinAlgError  # type: ignore[attr-defined]
 
-from models.cameras import project, solve_cameras
+from models.cameras import project
 from models.config import FitConfig
 from models.discovery import (
     Discovery,
@@ -33,11 +33,12 @@ from models.distillation import (
     structure_loss,
     virtual_views,
 )
-from models.fitted import CurvePoint, FittedPrior
+from models.fitted import CurvePoint, FittedPrior, join, weak_perspective
 from models.keypoints import Observations, as_observations
-from models.perspective import array_shapes, from_arrays, refine_frames, to_arrays
+from models.perspective import array_shapes, from_arrays, to_arrays
 from models.prior import HierarchicalPrior, Reconstruction
-from models.refinement import estimate_foreshortening, settle
+from models.refinement import estimate_foreshortening
+from models.shape import align, learn_doubts, no_doubts
 from models.weights import Arrays, Shapes, WeightsError, pack, read_about, unpack
 
 logger = logging.getLogger(__name__)
@@ -46,7 +47,12 @@ CURVE_ROWS = 200
 SLICE = 256  # frames between two chances to stop
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
 REFRESHES = (0.5, 0.75)  # shares of the steps after which settled teachers are (re)made
-DISCOVERY = 1 / 3  # share of the steps after which the cameras are found, and teachers with them
+# Shares of the steps after which the cameras are found, and teachers with them, and after which the
+# teachers are made anew, with the network in place of the shape model.
+DISCOVERY = (1 / 3, 2 / 3)
+DOUBT_FRAMES = 600  # plenty to learn what the network's errors are like
+LEAST_DOUBTED = 5  # of these frames
+MOST_DOUBTED = 8  # views; with more it errs as with so many
 SECOND_RATE = 0.5  # learning rate that the network starts anew with then
 VIRTUAL = (0.1, 0.5)  # shares of a batch that virtual views take, if all frames are taught or none
 STRUCTURE = 3.0  # weight of the distance to the teachers next to the reprojection error
@@ -154,19 +160,22 @@ class Trainer:
 
     def result(self) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
+        return self._as_prior(None if self._found is None else self._doubted(self._found))
+
+    def _as_prior(self, found: Discovery | None) -> FittedPrior:
         every = slice(None, None, math.ceil(len(self._keypoints) / HANDEDNESS_FRAMES))
         keypoints, weights = self._keypoints[every], self._weights[every]
         with torch.inference_mode():
             seen = self._network(keypoints, weights)
             foreshortening = estimate_foreshortening(seen.points, keypoints, weights, seen.guesses)
-        if self._found is not None:
+        if found is not None:
             foreshortening = abs(foreshortening) * (-1 if self._mirrored else 1)
         return FittedPrior(
             config=self.config,
             arrays={name: value.detach().clone() for name, value in self._parameters.items()},
             curve=tuple(self._curve),
             foreshortening=foreshortening,
-            found=self._found,
+            found=found,
         )
 
     def checkpoint(self) -> bytes:
@@ -274,7 +283,7 @@ class Trainer:
         """Return the learning rate: half a cosine, two if the cameras are found on the way."""
         start, end, rate = 0, self.config.steps, self.config.learning_rate
         if self._found is not None:
-            start, rate = self._taught, SECOND_RATE * rate
+            start, rate = self._refreshes()[0], SECOND_RATE * rate
         return rate / 2 * (1 + math.cos(math.pi * (self.step - start) / (end - start)))
 
     def _distil(self, teachers: Teachers, frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -306,11 +315,11 @@ class Trainer:
     def _refreshes(self) -> list[int]:
         if not self.config.distillation and self.config.refine == "off":
             return []
-        shares = REFRESHES if self.config.refine == "off" else (DISCOVERY,)
+        shares = REFRESHES if self.config.refine == "off" else DISCOVERY
         return [int(share * self.config.steps) for share in shares]
 
     def _teach(self) -> Iterator[None]:
-        """Find out about the cameras, once, and let teachers be settled; yields now and then."""
+        """Let teachers be settled, and find the cameras first if need be; yields now and then."""
         seed = [self.config.seed, self.step, 2]
         if self.config.refine == "off":
             # A fit of few steps spends little on teachers.
@@ -318,76 +327,101 @@ class Trainer:
             self._teachers = find_teachers(
                 self._network, self._keypoints, self._weights, most=most, seed=seed
             )
-        elif self._found is None:
-            yield from self._discover(seed)
-
-    def _discover(self, seed: list[int]) -> Iterator[None]:
+            return
+        widest = self._network.widest(self._weights)
         drawn, places = draw_teachers(
-            self._weights,
-            most=len(self._weights),
-            widest=self._network.widest(self._weights),
-            seed=seed,
+            self._weights, most=len(self._weights), widest=widest, seed=seed
         )
         if not len(drawn):
             return
-        keypoints, weights = self._keypoints[drawn], self._weights[drawn]
-        sizes, centres = self._sizes[drawn], self._centres[drawn]
-        with torch.no_grad():
-            seen = self._network(keypoints, weights)
-            k = estimate_foreshortening(seen.points, keypoints, weights, seen.guesses)
-            points, guesses = settle(seen.points, keypoints, weights, seen.guesses, k)
-            cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
-            there = (weights.sum(-1) > 0)[..., None]
-            pixels = keypoints * sizes[..., None, None] + centres[..., None, :]
-            shifts = cameras.translations * sizes[..., None] + centres
-            answers = (
-                points.double(),
-                torch.where(there[..., None], cameras.rotations, torch.eye(3)).double(),
-                torch.where(there[..., 0], cameras.scales * sizes, 1).double(),
-                torch.where(there, shifts, 0).double(),
-            )
-            few = slice(most_frames(self._keypoints.shape[1], points.shape[1]))
-            try:
-                self._found, scene = yield from discover(
-                    pixels[few].double(),
-                    weights[few].double(),
-                    (answers[0][few], answers[1][few], answers[2][few], answers[3][few]),
-                    self.config,
-                    self._image_sizes,
-                )
-            except (LinAlgError, NothingFoundError):
-                logger.warning("The cameras cannot be found from these keypoints", exc_info=True)
+        if self._found is None:
+            yield from self._discover(drawn)
+            if self._found is None:
                 return
-            parts = []
-            for start in range(0, len(drawn), SLICE):
-                yield
-                part = slice(start, start + SLICE)
-                some = (answers[0][part], answers[1][part], answers[2][part], answers[3][part])
-                parts.append(
-                    refine_frames(
-                        self._found,
-                        pixels[part].double(),
-                        weights[part].double(),
-                        some,
-                        range(self._keypoints.shape[1]),
-                    )
-                )
-            turned = same_hand(scene.points, answers[0][few])
-            self._mirrored = (k < 0) == turned
-            if self.config.distillation:
-                fine = torch.cat([part.fine for part in parts])
-                if not fine.any():
-                    return
-                places[drawn] = torch.where(fine, fine.cumsum(0) - 1, -1)
-                self._teachers = perspective_teachers(
-                    torch.cat([part.points for part in parts])[fine],
-                    torch.cat([part.rotations for part in parts])[fine],
-                    torch.cat([part.translations for part in parts])[fine],
-                    there[fine, :, 0],
-                    places,
-                    noise=self._found.noise / float(sizes[there[..., 0]].mean()),
-                    reflected=self._mirrored,
-                )
+        else:
+            self._found = self._doubted(self._found)
+        if self.config.distillation:
+            yield from self._refine_teachers(drawn, places)
+
+    def _discover(self, frames: Tensor) -> Iterator[None]:
+        """Find the cameras from frames with two views or more."""
+        frames = frames[: most_frames(*self._keypoints.shape[1:3])]
+        pixels, weights = self._pixels(frames), self._weights[frames]
+        prior = self._as_prior(None)
+        answers = weak_perspective(prior.lift(pixels, confidence=weights))
+        try:
+            self._found, scene = yield from discover(
+                pixels, weights.double(), answers, self.config, self._image_sizes
+            )
+        except (LinAlgError, NothingFoundError):
+            logger.warning("The keypoints do not say what the cameras are", exc_info=True)
+            return
+        turned = not same_hand(scene.points, answers[0])
+        self._mirrored = (prior.foreshortening < 0) != turned
+
+    def _refine_teachers(self, frames: Tensor, places: Tensor) -> Iterator[None]:
+        """Make teachers of `frames`, whose places among all frames are `places`."""
+        prior = self._as_prior(self._found)
+        parts = []
+        for some in torch.split(frames, SLICE):
+            yield
+            parts.append(
+                prior.lift(self._pixels(some), confidence=self._weights[some], refine="full")
+            )
+        lift = join(parts)
+        there = torch.from_numpy(lift.camera_models > 0)
+        fine = there.any(1)
+        if not fine.any():
+            return
+        places[frames] = torch.where(fine, fine.cumsum(0) - 1, -1)
+        sizes = self._sizes[frames][fine][there[fine]]
+        rotations, translations = (
+            torch.from_numpy(lift.rotations),
+            torch.from_numpy(lift.translations),
+        )
+        self._teachers = perspective_teachers(
+            torch.from_numpy(lift.points3d)[fine],
+            torch.where(there[..., None, None], rotations, torch.eye(3))[fine],
+            torch.where(there[..., None], translations, 1.0)[fine],
+            there[fine],
+            places,
+            noise=prior.noise / float(sizes.mean()),
+            reflected=self._mirrored,
+        )
+
+    def _doubted(self, found: Discovery) -> Discovery:
+        """Learn how far the network is off with one view, two, and so on.
+
+        The measure is what refinement with the shape model alone makes of all views: one that
+        trusts the network would find it ever more trustworthy.
+        """
+        there = (self._weights > 0).any(-1)
+        several = (there.sum(1) > 1).nonzero()[:, 0]
+        frames = several[:: math.ceil(max(len(several), 1) / DOUBT_FRAMES)]
+        pixels, weights, there = self._pixels(frames), self._weights[frames], there[frames]
+        prior = self._as_prior(replace(found, doubts=no_doubts(pixels.shape[2])))
+        refined = torch.from_numpy(
+            prior.lift(pixels, confidence=weights, refine="full").points3d
+        ).double()
+        known = refined.isfinite().all(-1).all(-1)
+        rng = np.random.default_rng([self.config.seed, self.step, 3])
+        errors = []
+        for count in range(1, min(pixels.shape[1], MOST_DOUBTED) + 1):
+            which = known & (there.sum(1) >= count)
+            if which.sum() < LEAST_DOUBTED:
+                break
+            order = (torch.from_numpy(rng.random(there.shape)) - there.double()).argsort(1)
+            shown = weights * (order.argsort(1) < count)[..., None]
+            answer = prior.lift(pixels[which], confidence=shown[which], refine="off").points3d
+            aligned, _ = align(torch.from_numpy(answer).double(), found.shapes.mean)
+            errors.append(align(refined[which], aligned)[0] - aligned)
+        doubts = learn_doubts(errors, found.shapes.mean) if errors else found.doubts
+        return replace(found, doubts=doubts)
+
+    def _pixels(self, frames: Tensor) -> Tensor:
+        """Keypoints (T, K, P, 2) of some frames in pixels."""
+        sizes, centres = self._sizes[frames].double(), self._centres[frames].double()
+        return self._keypoints[frames] * sizes[..., None, None] + centres[..., None, :]
 
     def _batch(self) -> NDArray[np.int64]:
         """Frames of this step: epoch after epoch, each in an order of its own."""
