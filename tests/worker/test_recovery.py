@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pydantic import RedisDsn
@@ -43,7 +44,11 @@ def undisturbed(capture: Capture) -> bytes:
 
 @pytest.fixture
 def queued(store: Store, redis: Redis, dataset_id: str) -> Fit:
-    fit = fits.create(store, dataset_id=dataset_id, name="f", config=SLOW)
+    return queue(store, redis, dataset_id, SLOW)
+
+
+def queue(store: Store, redis: Redis, dataset_id: str, config: dict[str, Any]) -> Fit:
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=config)
     enqueue(open_queue(redis), fit)
     return fit
 
@@ -85,6 +90,24 @@ def test_the_work_horse_is_killed(
     assert worker.poll() is None
 
 
+def test_the_work_horse_is_killed_while_it_seeks_the_cameras(
+    store: Store, redis: Redis, dataset_id: str, capture: Capture, start_worker: StartWorker
+) -> None:
+    fit = queue(store, redis, dataset_id, CONFIG)
+    worker = start_worker()
+
+    def refining() -> bool:
+        progress = fits.get(store, fit.id).progress
+        return progress is not None and progress["stage"] == "refining"
+
+    wait_for(refining, "the cameras to be sought")
+    kill(work_horse(worker))
+    config = FitConfig.model_validate(CONFIG)
+    undisturbed = fit_here(capture.keypoints, config, confidence=capture.confidence)
+    assert undisturbed.cameras is not None
+    assert_as_if_nothing_had_happened(store, fit, undisturbed.to_bytes())
+
+
 def test_the_worker_is_told_to_leave(
     store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
@@ -114,18 +137,20 @@ def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
 
 
 def test_the_queue_forgets_everything(
-    store: Store, redis: Redis, queued: Fit, start_worker: StartWorker
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
 ) -> None:
+    queued = queue(store, redis, dataset_id, CONFIG)
     redis.flushall()
     start_worker()
     assert wait_until(store, queued.id, "succeeded", "failed").error is None
 
 
 def test_a_job_stuck_between_queue_and_worker_is_put_back(
-    store: Store, redis: Redis, queued: Fit, start_worker: StartWorker
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
 ) -> None:
-    queue = Queue("fits", connection=redis)
-    redis.lmove(queue.key, queue.intermediate_queue_key)  # a worker took it and was killed
+    queued = queue(store, redis, dataset_id, CONFIG)
+    jobs = Queue("fits", connection=redis)
+    redis.lmove(jobs.key, jobs.intermediate_queue_key)  # a worker took it and was killed
     start_worker()
     assert wait_until(store, queued.id, "succeeded", "failed").error is None
 
