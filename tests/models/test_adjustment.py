@@ -41,6 +41,7 @@ VIEWS = len(GROUPS)
 OWN = 3 * POINTS + POSE * 2  # unknowns of a frame: its points, and a pose per group
 NOISE = 1.5  # pixels
 HUBER = 3.0  # standard deviations
+FREEDOM = 3 * POINTS - 7  # of a structure, similarities aside
 MISSING = ((0, 0, 2), (0, 3, 5), (1, 2), (2, 1))  # two keypoints, the moving view, one of the rig
 
 
@@ -130,7 +131,7 @@ def make(
             tensor(np.stack([mean] * FRAMES)),
             tensor(basis),
             0.05,
-            tensor(np.array([1.0, 2.0, 0.5]) if heavy else np.ones(FRAMES)),
+            tensor(np.array([1.0, 8.0, 0.3]) if heavy else np.ones(FRAMES)),
             heavy=heavy,
         ),
         start,
@@ -199,11 +200,10 @@ def residuals(problem: Problem, step: Float64) -> Float64:
     robust = np.where(size > HUBER, np.sqrt(outside), size)
     parts = [error * robust / size]
 
-    basis = problem.prior.basis.numpy().reshape(3 * POINTS, COMPONENTS)
-    covariance = basis @ basis.T + problem.prior.spread**2 * np.eye(3 * POINTS)
-    whitening = np.linalg.cholesky(np.linalg.inv(covariance))
-    offset = (scene.points - problem.prior.means).numpy().reshape(FRAMES, -1)
-    parts += [offset @ whitening, np.sqrt(problem.precision.numpy()) * scene.sizes.numpy()]
+    parts += [
+        whitened(problem.prior, scene) / scales_of(problem)[:, None],
+        np.sqrt(problem.precision.numpy()) * scene.sizes.numpy(),
+    ]
     if len(step) > FRAMES * OWN:
         ours, mean = rig.optics, problem.shared.reference.optics
         lens = np.concatenate(
@@ -217,6 +217,24 @@ def residuals(problem: Problem, step: Float64) -> Float64:
         held = problem.shared.precision.diagonal().numpy().reshape(VIEWS, VIEW)[:, :4]
         parts.append(np.sqrt(held) * lens)
     return np.concatenate([part.ravel() for part in parts])
+
+
+def whitened(prior: ShapePrior, scene: Scene) -> Float64:
+    """Offsets from the mean, (N, 3 P), that are independent and of variance 1 for scale 1."""
+    basis = prior.basis.numpy().reshape(3 * POINTS, COMPONENTS)
+    covariance = basis @ basis.T + prior.spread**2 * np.eye(3 * POINTS)
+    offset: Float64 = (scene.points - prior.means).numpy().reshape(FRAMES, -1)
+    independent: Float64 = offset @ np.linalg.cholesky(np.linalg.inv(covariance))
+    return independent
+
+
+def scales_of(problem: Problem) -> Float64:
+    """Scales of the prior, (N,): with heavy tails those that a frame's structure asks for."""
+    scales = problem.prior.scales.numpy()
+    if not problem.prior.heavy:
+        return scales
+    squared = np.square(whitened(problem.prior, problem.scene)).sum(1)
+    return np.maximum(scales, np.sqrt(squared / FREEDOM))
 
 
 def differences(function: Callable[[Float64], Float64], size: int, step: float = 1e-6) -> Float64:
@@ -286,6 +304,25 @@ def test_the_cost_is_the_sum_of_the_squares(*, outliers: bool) -> None:
     found = of(problem, problem.scene, problem.rig)
     squares = np.square(residuals(problem, np.zeros(FRAMES * OWN)))
     assert found.sum() == pytest.approx(squares.sum(), rel=1e-10)
+
+
+def test_heavy_tails_are_the_best_of_all_wider_gaussians() -> None:
+    problem = make(heavy=True)
+    pulls, found, inverse = problem.prior.whitened(problem.scene.points)
+    squared = np.square(whitened(problem.prior, problem.scene)).sum(1)
+    for frame, scale in enumerate(problem.prior.scales.tolist()):
+        wider = scale * np.geomspace(1, 100, 100_001)
+        costs = squared[frame] / wider**2 + 2 * FREEDOM * np.log(wider / scale)
+        best = wider[costs.argmin()]
+        assert float(found[frame]) == pytest.approx(costs.min(), rel=1e-6)
+        assert float(inverse[frame]) == pytest.approx(
+            1 / (best * problem.prior.spread) ** 2, rel=1e-3
+        )
+        offset = problem.scene.points[frame] - problem.prior.means[frame]
+        along = float((pulls[frame] * offset).sum())
+        assert along == pytest.approx(squared[frame] / best**2, rel=1e-3)
+    heavy = scales_of(problem) > problem.prior.scales.numpy()
+    assert set(heavy) == {True, False}  # both sides of the bound were met
 
 
 @pytest.mark.parametrize("heavy", [False, True])
@@ -420,8 +457,9 @@ def test_a_frame_behind_a_camera_has_no_cost_and_stays() -> None:
     assert not torch.equal(scene.points[0], start.points[0])
 
 
-def test_covariances_are_the_inverse_of_the_dense_equations() -> None:
-    problem = make(off=0)
+@pytest.mark.parametrize("heavy", [False, True])
+def test_covariances_are_the_inverse_of_the_dense_equations(*, heavy: bool) -> None:
+    problem = make(off=0, heavy=heavy)
     found = structure_covariances(
         problem.views, problem.rig, problem.prior, problem.scene, size_precision=problem.precision
     )
