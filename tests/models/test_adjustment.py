@@ -230,11 +230,12 @@ def whitened(prior: ShapePrior, scene: Scene) -> Float64:
 
 def scales_of(problem: Problem) -> Float64:
     """Scales of the prior, (N,): with heavy tails those that a frame's structure asks for."""
-    scales = problem.prior.scales.numpy()
+    scales: Float64 = problem.prior.scales.numpy()
     if not problem.prior.heavy:
         return scales
     squared = np.square(whitened(problem.prior, problem.scene)).sum(1)
-    return np.maximum(scales, np.sqrt(squared / FREEDOM))
+    wider: Float64 = np.maximum(scales, np.sqrt(squared / FREEDOM))
+    return wider
 
 
 def differences(function: Callable[[Float64], Float64], size: int, step: float = 1e-6) -> Float64:
