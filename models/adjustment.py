@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from models.optics import Optics, image
+from models.segments import Segments
 
 POSE = SIMILARITY = 7  # rotation vector, translation, log size
 OPTICS = 4  # log focal length, principal point, first radial coefficient
@@ -277,6 +278,36 @@ def eliminate_points(normal: Normal, damping: Tensor) -> tuple[Tensor, Tensor, T
     return inverse, reduced, pull
 
 
+class Reduced(NamedTuple):
+    """What remains of N frames' normal equations for what they share, and their answer to it."""
+
+    information: Tensor  # (N, T, T)
+    gradient: Tensor  # (N, T) minus the gradient
+    points: Tensor  # (N, P, 3) step of the points if nothing shared moves
+    points_by_shared: Tensor  # (N, P, 3, T) and how it changes if it does
+    rest: Tensor  # (N, R) likewise
+    rest_by_shared: Tensor  # (N, R, T)
+
+
+def eliminate_frames(normal: Normal, size: int, damping: Tensor) -> Reduced:
+    """Eliminate points, then the other `size` = R unknowns of each frame."""
+    inverse, reduced, pull = eliminate_points(normal, damping)
+    factor, _ = torch.linalg.cholesky_ex(reduced[:, :size, :size])
+    link = reduced[:, :size, size:]  # (N, R, T)
+    solved = torch.cholesky_solve(torch.cat((link, pull[:, :size, None]), -1), factor)
+    left, rest = solved[..., :-1], solved[..., -1]
+    rest_coupling, shared_coupling = normal.coupling[..., :size], normal.coupling[..., size:]
+    alone = normal.pull_points - (rest_coupling @ rest[:, None, :, None])[..., 0]
+    return Reduced(
+        reduced[:, size:, size:] - link.mT @ left,
+        pull[:, size:] - (link.mT @ rest[..., None])[..., 0],
+        (inverse @ alone[..., None])[..., 0],
+        inverse @ (rest_coupling @ left[:, None] - shared_coupling),
+        rest,
+        -left,
+    )
+
+
 def structure_covariances(
     views: Views, rig: Rig, prior: ShapePrior, scene: Scene, *, size_precision: Tensor
 ) -> Tensor:
@@ -375,17 +406,24 @@ def adjust(
     *,
     size_precision: Tensor,
     shared: SharedPrior,
+    segments: Segments | None = None,
     iterations: int = 20,
 ) -> Generator[None, None, tuple[Rig, Scene, Tensor, Tensor]]:
     """Adjust frames and rig together, yielding after each iteration.
 
     Returns the rig, the scene, the cost per frame (N,) and the information (T, T): the inverse of
-    the covariance of what is shared, frames marginalised.
+    the covariance of what is shared, frames marginalised. `segments` of the subject have a say in
+    what is shared; frames follow as their keypoints and the shape prior have it.
     """
     costs = cost(views, rig, prior, size_precision, scene)
     kept = costs.isfinite()
     views = views._replace(weights=views.weights * kept[:, None, None])
-    best = costs[kept].sum() + shared.cost(rig)
+
+    def total_cost(costs: Tensor, scene: Scene, rig: Rig) -> Tensor:
+        total = costs[kept].sum() + shared.cost(rig)
+        return total if segments is None else total + segments.cost(scene.points[kept]).sum()
+
+    best = total_cost(costs, scene, rig)
     damping = FIRST_DAMPING
     information = shared.precision
     size = POSE * rig.size + prior.basis.shape[-1]
@@ -393,31 +431,26 @@ def adjust(
         yield
         normal = normal_equations(views, rig, prior, size_precision, scene, shared=True)
         damped = torch.full_like(costs, damping)
-        inverse, reduced, pull = eliminate_points(normal, damped)
-        factor, _ = torch.linalg.cholesky_ex(reduced[:, :size, :size])
-        link = reduced[:, :size, size:]  # (N, R, T)
-        solved = torch.cholesky_solve(torch.cat((link, pull[:, :size, None]), -1), factor)
-        left, left_pull = solved[..., :-1], solved[..., -1]
-        information = (reduced[:, size:, size:] - link.mT @ left).sum(0) + shared.precision
-        gradient = (pull[:, size:] - (link.mT @ left_pull[..., None])[..., 0]).sum(0)
+        reduced = eliminate_frames(normal, size, damped)
+        information = reduced.information.sum(0) + shared.precision
+        gradient = reduced.gradient.sum(0)
         gradient = gradient - shared.precision @ shared.offset(rig)
+        if segments is not None:
+            offsets = segments.offsets(scene.points + reduced.points)
+            derived = segments.derivatives(scene.points, reduced.points_by_shared)
+            weighted = (segments.precision(offsets) * kept[:, None])[..., None] * derived
+            information = information + weighted.flatten(0, 1).T @ derived.flatten(0, 1)
+            gradient = gradient - weighted.flatten(0, 1).T @ offsets.flatten()
         step = torch.zeros_like(gradient)
         free = shared.free
         inner = information[free][:, free]
         inner = inner + torch.diag(damping * inner.diagonal() + 1e-12)
         step[free] = torch.linalg.solve(inner, gradient[free])
-        rest = left_pull - (left @ step)
-        moved = (
-            normal.pull_points
-            - (
-                normal.coupling
-                @ torch.cat((rest, step.expand(len(rest), -1)), -1)[:, None, :, None]
-            )[..., 0]
-        )
-        points = (inverse @ moved[..., None])[..., 0]
+        points = reduced.points + reduced.points_by_shared @ step
+        rest = reduced.rest + reduced.rest_by_shared @ step
         tried, tried_rig = move(scene, points, rest, rig.size), move_rig(rig, step)
         new_costs = cost(views, tried_rig, prior, size_precision, tried)
-        total = new_costs[kept].sum() + shared.cost(tried_rig)
+        total = total_cost(new_costs, tried, tried_rig)
         if total <= best:
             gained = (best - total) / best.clamp_min(1e-9)
             scene, rig, best, costs = tried, tried_rig, total, new_costs

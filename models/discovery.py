@@ -24,8 +24,6 @@ from models.adjustment import (
     SharedPrior,
     Views,
     adjust,
-    eliminate_points,
-    normal_equations,
     place,
     refine,
     structure_covariances,
@@ -36,6 +34,7 @@ from models.config import FitConfig
 from models.keypoints import MIN_KEYPOINTS
 from models.optics import COEFFICIENTS, Optics, image
 from models.refinement import mirrored
+from models.segments import find_segments
 from models.shape import (
     MOST_COMPONENTS,
     Doubts,
@@ -67,9 +66,10 @@ COOLING = 0.25  # the noise falls no faster in a round
 MOST_FRAMES, LEAST_FRAMES = 400, 20
 OPERATIONS = 1_000_000_000  # in one iteration
 ROUNDS = 4  # of expectation maximisation
+SEGMENTED_ROUNDS = 8
 WARM, ADJUSTMENTS, REFINEMENTS = 15, 10, 15  # iterations
 LIKELY_REST = 12.0  # degrees, median scatter of a relative rotation beyond which cameras move
-FAINT_SPREAD = 0.1  # LEAST_SPREAD for such keypoints
+SEGMENTED_SPREAD = 0.1  # LEAST_SPREAD for such keypoints
 DECISIVE = 0.5  # share of its cost that a frame of the other handedness must do with
 MISFIT = 0.05  # of two statements about one length
 REST_NOISE = 1.4  # times the noise of the moving model: more, and the cameras do not rest
@@ -125,7 +125,6 @@ class State(NamedTuple):
     shapes: ShapeModel
     noise: float
     measured: float  # noise, without the least that is reckoned with
-    faint: bool  # the keypoints are so clear that they can do without a shape model
     information: Tensor  # (10 K, 10 K)
 
 
@@ -223,19 +222,11 @@ def discover(
     problem = Problem(keypoints, weights, side, size, reference, calibration)
     start = yield from _choose_hand(problem, starting_scene(*answers, reference), config)
 
-    found = yield from _find(problem, start, config, loose=False)
-    if found[0].noise < FAINT * size:
-        # The lens under which shapes look most alike need not be the true one. Where keypoints are
-        # this clear a weaker shape model, or the network's structures, serve as well: the evidence
-        # decides.
-        rivals = [] if start.faint else [False]
-        least = yield from _evidence(problem, found[0])
-        for loose in (*rivals, True):
-            rival = yield from _find(problem, start._replace(faint=True), config, loose=loose)
-            evidence = yield from _evidence(problem, rival[0])
-            if evidence < least:
-                found, least = rival, evidence
-    best, unit, reason, warnings = found
+    best, unit, reason, warnings = yield from _find(problem, start, config)
+    if best.noise < FAINT * size and find_segments(best.scene.points).steady:
+        # The lens under which shapes look most alike need not be the true one, and with two views
+        # it is not; with a wrong one, segments grow and shrink as they turn.
+        best = yield from _learn(problem, best, segmented=True)
     if config.known_length is not None:
         a, b = config.known_length.keypoints
         lengths = (best.scene.points[:, a] - best.scene.points[:, b]).norm(dim=-1)
@@ -267,17 +258,17 @@ def discover(
 
 
 def _find(
-    problem: Problem, start: State, config: FitConfig, *, loose: bool
+    problem: Problem, start: State, config: FitConfig
 ) -> Steps[tuple[State, float | None, str, tuple[str, ...]]]:
     """Try moving cameras, then what rests: solution, unit if one was given, reason, warnings."""
-    moving = yield from _learn(problem, start, loose=loose)
+    moving = yield from _learn(problem, start)
     warnings: tuple[str, ...] = ()
     posed = [
         k for k, c in enumerate(problem.calibration) if c is not None and c.rotation is not None
     ]
     if len(posed) > 1:
         state, unit = _calibrated(problem, moving, posed)
-        state = yield from _learn(problem, state, loose=loose)
+        state = yield from _learn(problem, state)
         if state.noise <= WRONG * moving.noise + REST_SLACK * problem.side:
             return state, unit, "the poses of the cameras were given", ()
         worst = _worst(problem, moving, state, posed)
@@ -288,7 +279,7 @@ def _find(
         )
     if config.cameras == "moving":
         return moving, None, "the cameras were declared moving", warnings
-    state, reason = yield from _find_rest(problem, moving, config, loose=loose)
+    state, reason = yield from _find_rest(problem, moving, config)
     return state, None, reason, warnings
 
 
@@ -352,11 +343,10 @@ def _choose_hand(problem: Problem, scene: Scene, config: FitConfig) -> Steps[Sta
         means=torch.where(turned[:, None, None], best.points, start.points)
     )
     fine = torch.minimum(*costs).isfinite()
-    covariances, factor = _doubts(views, rig, prior, best, precision, fine)
+    covariances, _ = _doubts(views, rig, prior, best, precision, fine)
     shapes = learn_shapes(best.points[fine], covariances, floor=LEAST_SPREAD)
-    faint = factor * noise < FAINT * problem.size
     nothing = torch.zeros(0, 0)
-    return State(rig, best, prior, shapes, noise, noise, faint, nothing)
+    return State(rig, best, prior, shapes, noise, noise, nothing)
 
 
 def _volume(points: Tensor, corners: tuple[int, int, int, int]) -> float:
@@ -375,16 +365,16 @@ def _loose(scene: Scene) -> ShapePrior:
     )
 
 
-def _learn(problem: Problem, state: State, *, loose: bool) -> Steps[State]:
+def _learn(problem: Problem, state: State, *, segmented: bool = False) -> Steps[State]:
     """Maximise expectations: adjust, then learn the noise and the shape model, and again.
 
-    `loose` keeps the network's structures as the prior, in place of the shape model.
+    `segmented`: segments have a say, too, and the shape model less of it.
     """
-    rig, scene, prior, shapes, noise, measured, faint, information = state
+    rig, scene, prior, shapes, noise, measured, information = state
     floor = LEAST_NOISE * problem.side
     precision = size_precision(rig)
-    least = FAINT_SPREAD if faint else LEAST_SPREAD
-    for _ in range(ROUNDS):
+    least = SEGMENTED_SPREAD if segmented else LEAST_SPREAD
+    for _ in range(SEGMENTED_ROUNDS if segmented else ROUNDS):
         views = problem.views(noise)
         rig, scene, _, information = yield from adjust(
             views,
@@ -393,6 +383,7 @@ def _learn(problem: Problem, state: State, *, loose: bool) -> Steps[State]:
             scene,
             size_precision=precision,
             shared=shared_prior(problem, rig),
+            segments=find_segments(scene.points) if segmented else None,
             iterations=ADJUSTMENTS,
         )
         yield
@@ -403,14 +394,12 @@ def _learn(problem: Problem, state: State, *, loose: bool) -> Steps[State]:
         fine = costs.isfinite()
         covariances, factor = _doubts(views, rig, prior, scene, precision, fine)
         measured = max(factor * noise, LEAST_MEASURED * problem.side)
-        noise = max(factor * noise, 0 if faint else COOLING * noise, floor)
+        noise = max(factor * noise, COOLING * noise, floor)
         shapes = learn_shapes(scene.points[fine], covariances, floor=least)
-        if loose:
-            continue
         points, moved = align(scene.points, shapes.mean)
         scene = regauge(scene, points, moved, rig)
         prior = _about(shapes, len(points))
-    return State(rig, scene, prior, shapes, noise, measured, faint, information)
+    return State(rig, scene, prior, shapes, noise, measured, information)
 
 
 def _about(shapes: ShapeModel, frames: int) -> ShapePrior:
@@ -420,45 +409,6 @@ def _about(shapes: ShapeModel, frames: int) -> ShapePrior:
         shapes.spread,
         shapes.mean.new_ones(frames),
     )
-
-
-def _evidence(problem: Problem, state: State) -> Steps[float]:
-    """Minus twice the log evidence (Laplace) of a rig, shapes learnt for it, up to a constant.
-
-    MacKay, *Information Theory, Inference, and Learning Algorithms*, ch. 27 and 28. The poses'
-    prior is flat in where the subject appears in the image and in the log of its distance.
-    """
-    rig, noise = state.rig, LEAST_NOISE * problem.side
-    views, precision = problem.views(noise), size_precision(rig)
-    shapes, scene = state.shapes, state.scene
-    costs = scene.points.new_zeros(len(scene.points))
-    for _ in range(ROUNDS):
-        yield
-        points, moved = align(scene.points, shapes.mean)
-        prior = _about(shapes, len(points))
-        scene, costs = refine(
-            views,
-            rig,
-            prior,
-            regauge(scene, points, moved, rig),
-            size_precision=precision,
-            iterations=REFINEMENTS,
-        )
-        fine = costs.isfinite()
-        covariances, _ = _doubts(views, rig, prior, scene, precision, fine)
-        shapes = learn_shapes(scene.points[fine], covariances, floor=LEAST_SPREAD)
-    normal = normal_equations(views, rig, prior, precision, scene, shared=False)
-    inverse, reduced, _ = eliminate_points(normal, torch.zeros_like(costs))
-    volume = torch.linalg.slogdet(reduced)[1] - torch.linalg.slogdet(inverse)[1].sum(1)
-    # The components z stand beside the points in these equations: their own volume does not count.
-    inner, logarithm = prior.inner(), 2 * math.log(prior.spread)
-    components = len(inner)
-    volume = volume - torch.linalg.slogdet(inner)[1] + components * logarithm
-    spread = (3 * points.shape[1] - components) * logarithm + torch.linalg.slogdet(inner)[1]
-    present = (problem.weights.sum(-1) > 0).to(inner) @ _members(rig) > 0  # (N, G)
-    focal = rig.optics.focals.log().mean()
-    flat = ((3 * scene.translations[..., 2].abs().log() - 2 * focal) * present).sum(-1)
-    return float((costs + volume + spread + 2 * flat)[fine].mean())
 
 
 def _members(rig: Rig) -> Tensor:
@@ -632,9 +582,7 @@ def _angle(rotations: Tensor) -> Tensor:
     return angles
 
 
-def _find_rest(
-    problem: Problem, moving: State, config: FitConfig, *, loose: bool
-) -> Steps[tuple[State, str]]:
+def _find_rest(problem: Problem, moving: State, config: FitConfig) -> Steps[tuple[State, str]]:
     """Join views that rest relative to each other, as far as the keypoints bear it."""
     views = len(moving.rig.groups)
     seen = (problem.weights > 0).sum(-1) >= MIN_KEYPOINTS
@@ -649,7 +597,7 @@ def _find_rest(
     bound = max(REST_NOISE * moving.noise, moving.noise + REST_SLACK * problem.side)
     reason = f"no two views turn together within {LIKELY_REST:g} degrees"
     while len(members) > 1:
-        state = yield from _learn(problem, _at_rest(moving, edges, members, seen), loose=loose)
+        state = yield from _learn(problem, _at_rest(moving, edges, members, seen))
         figures = (
             f"noise {state.measured:.3g} px if views {members} rest,"
             f" {moving.measured:.3g} px if all move"
