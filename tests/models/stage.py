@@ -46,6 +46,16 @@ class Stage:
     translations: Float64  # (N, K, 3) metres
     lenses: tuple[Lens, ...]
 
+    def part(self, frames: slice) -> "Stage":
+        """Return some of the frames."""
+        return Stage(
+            self.keypoints[frames],
+            self.points3d[frames],
+            self.rotations[frames],
+            self.translations[frames],
+            self.lenses,
+        )
+
     @property
     def weights(self) -> Tensor:
         """1 where a keypoint was observed, (N, K, P)."""
@@ -120,7 +130,7 @@ def make_stage(
 ) -> Stage:
     """Make a capture of a figure that walks about; views `moving` go round it from frame to frame.
 
-    Lenses repeat if they are fewer than the views.
+    Lenses repeat if they are fewer than the views. The figure does the same whatever the cameras.
     """
     rng = np.random.default_rng(seed)
     figure = synthetic_capture(frames=frames, views=1, seed=seed).points3d.astype(np.float64)
