@@ -46,6 +46,8 @@ from models.shape import (
 )
 
 Edges = dict[tuple[int, int], tuple[Tensor, Tensor, float]]  # see `_relative`
+# Structures (N, P, 3), rotations (N, K, 3, 3), scales (N, K) and translations (N, K, 2).
+Answers = tuple[Tensor, Tensor, Tensor, Tensor]
 T = TypeVar("T")
 Steps = Generator[None, None, T]  # yields between iterations, so that a fit can be stopped there
 ImageSizes = Sequence[tuple[int, int] | None]
@@ -191,7 +193,7 @@ def starting_scene(
 def discover(
     keypoints: Tensor,
     weights: Tensor,
-    answers: tuple[Tensor, Tensor, Tensor, Tensor],
+    answers: Answers,
     config: FitConfig,
     image_sizes: ImageSizes | None,
 ) -> Steps[tuple[Discovery, Scene]]:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from models.cameras import project, solve_cameras
 from models.config import FitConfig, Refine
-from models.discovery import Discovery
+from models.discovery import Answers, Discovery
 from models.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS, Observations, as_observations
 from models.optics import COEFFICIENTS
 from models.perspective import (
@@ -273,9 +273,7 @@ def join(lifts: Sequence[Lift]) -> Lift:
     return Lift(**joined)
 
 
-def weak_perspective(
-    lift: Lift, frames: NDArray[np.int64] | slice = slice(None)
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def weak_perspective(lift: Lift, frames: NDArray[np.int64] | slice = slice(None)) -> Answers:
     """Structures, rotations, scales and translations (x, y) of some frames in float64.
 
     Harmless numbers stand where there is no answer.

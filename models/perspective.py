@@ -8,10 +8,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from models.adjustment import OPTICS, Rig, Scene, ShapePrior, Views, place, refine
-from models.discovery import Discovery, gather, size_precision, starting_scene
+from models.adjustment import OPTICS, Rig, Scene, ShapePrior, Views, refine
+from models.discovery import Answers, Discovery, gather, size_precision, starting_scene
 from models.found import FoundCameras
 from models.optics import COEFFICIENTS, Optics, image
+from models.refinement import mirrored
 from models.shape import Doubts, ShapeModel, align
 from models.weights import Arrays, Shapes, WeightsError
 
@@ -19,6 +20,9 @@ ITERATIONS = 12
 LOST = 3.0  # noise standard deviations of a frame's mean residual that a rig at rest cannot explain
 BETTER = 0.5  # share of its cost that such a frame must do with if its cameras move
 BOUND = 10_000_000  # numbers in the normal equations of a slice of frames: 80 MB
+
+
+Placed = tuple[Tensor, Tensor, Tensor]  # structures, and every view's R and t
 
 
 class Perspective(NamedTuple):
@@ -36,7 +40,7 @@ def refine_frames(
     found: Discovery,
     keypoints: Tensor,
     weights: Tensor,
-    answers: tuple[Tensor, Tensor, Tensor, Tensor],
+    answers: Answers,
     views: Sequence[int] | None,
 ) -> Perspective:
     """Refine frames from the network's weak-perspective answers, as for `discover`.
@@ -45,49 +49,29 @@ def refine_frames(
     known, as the mean of the fit's. All arrays are float64.
     """
     rig = sub_rig(found, views, keypoints.shape[1])
+    apart = _apart(rig)
     seen = weights.sum(-1) > 0
     sight = Views(keypoints, weights / found.noise**2)
-    points, rotations, scales, translations = answers
-    # Into the frame of reference of the shape model.
-    aligned, moved = align(points, found.shapes.mean)
-    start = starting_scene(
-        aligned,
-        rotations @ moved.rotations[:, None],
-        scales / moved.scales[:, None],
-        translations
-        + scales[..., None] * (rotations[..., :2, :] @ moved.centres.mT[:, None])[..., 0],
-        rig,
-    )
-    prior = _shape_prior(found, aligned, seen)
-    apart = rig._replace(
-        groups=torch.arange(len(rig.groups)),
-        rotations=torch.eye(3, dtype=points.dtype).expand_as(rig.rotations),
-        translations=torch.zeros_like(rig.translations),
-    )
-    together = rig.size < len(rig.groups)
-    scene, costs = _refine(sight, rig, prior, gather(start, rig, seen) if together else start)
-    placed = _cameras(scene, rig)
-    if together:
-        # Cameras that were bumped or moved since the fit show: such frames are lifted without it.
-        errors = _errors(scene, rig, keypoints, weights)
-        mean = (errors * seen).sum(1) / seen.sum(1).clamp_min(1)
-        lost = (mean > LOST * found.noise) & (seen.sum(1) > 1)
-        if lost.any():
+    hands = [answers, (*mirrored(*answers[:2]), *answers[2:])]
+
+    placed, costs = _attempt(found, sight, hands[0], rig)
+    # Frames that the network sees mirrored show, and cameras that were bumped or moved since.
+    mean = (_errors(placed, rig.optics, sight) * seen).sum(1) / seen.sum(1).clamp_min(1)
+    lost = ((mean > LOST * found.noise) & (seen.sum(1) > 1)).nonzero()[:, 0]
+    for cameras in (rig, apart) if rig.size < len(rig.groups) else (rig,):
+        for hand in hands:
+            if not len(lost) or (cameras is rig and hand is hands[0]):
+                continue
             part = Views(*(a[lost] for a in sight))
-            free, free_costs = _refine(
-                part, apart, prior.of(lost), Scene(*(a[lost] for a in start))
+            other, other_costs = _attempt(
+                found, part, (hand[0][lost], hand[1][lost], hand[2][lost], hand[3][lost]), cameras
             )
-            better = torch.zeros_like(lost)
-            better[lost] = free_costs < BETTER * costs[lost]
-            chosen = better[lost]
-            for mine, theirs in zip(placed, _cameras(free, apart), strict=True):
-                mine[better] = theirs[chosen]
-            costs[better] = free_costs[chosen]
+            better = other_costs < BETTER * costs[lost]
+            for mine, theirs in zip(placed, other, strict=True):
+                mine[lost[better]] = theirs[better]
+            costs[lost[better]] = other_costs[better]
     points, rotations, translations = placed
-    camera = points[:, None] @ rotations.mT + translations[:, :, None]
-    distances = (image(camera, rig.optics) - keypoints).norm(dim=-1)
-    there = weights > 0
-    errors = (distances * there).sum(-1) / there.sum(-1).clamp_min(1)
+    errors = _errors(placed, rig.optics, sight)
     centre = points.mean(1, keepdim=True)
     translations = translations + (rotations @ centre.mT[:, None])[..., 0]
     fine = costs.isfinite() & errors.isfinite().all(-1)
@@ -99,6 +83,26 @@ def refine_frames(
         errors,
         fine,
     )
+
+
+def _attempt(found: Discovery, sight: Views, answers: Answers, rig: Rig) -> tuple[Placed, Tensor]:
+    """Refine from the network's answers; also minus twice the log posterior of each frame (N,)."""
+    points, rotations, scales, translations = answers
+    seen = sight.weights.sum(-1) > 0
+    # Into the frame of reference of the shape model.
+    aligned, moved = align(points, found.shapes.mean)
+    start = starting_scene(
+        aligned,
+        rotations @ moved.rotations[:, None],
+        scales / moved.scales[:, None],
+        translations
+        + scales[..., None] * (rotations[..., :2, :] @ moved.centres.mT[:, None])[..., 0],
+        rig,
+    )
+    if rig.size < len(rig.groups):
+        start = gather(start, rig, seen)
+    scene, costs = _refine(sight, rig, _shape_prior(found, aligned, seen), start)
+    return _cameras(scene, rig), costs
 
 
 def _shape_prior(found: Discovery, points: Tensor, seen: Tensor) -> ShapePrior:
@@ -131,7 +135,7 @@ def _refine(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> tuple[Sc
     return Scene(*(torch.cat(a) for a in scenes)), torch.cat([costs for _, costs in parts])
 
 
-def _cameras(scene: Scene, rig: Rig) -> tuple[Tensor, Tensor, Tensor]:
+def _cameras(scene: Scene, rig: Rig) -> Placed:
     """Structures (N, P, 3) of their size, and R (N, K, 3, 3) and t (N, K, 3) of every view."""
     size = scene.sizes[:, 0].exp()  # views that move on their own have size 1, their distance tells
     relative = (scene.sizes.exp() / size[:, None])[:, rig.groups]  # (N, K)
@@ -140,12 +144,22 @@ def _cameras(scene: Scene, rig: Rig) -> tuple[Tensor, Tensor, Tensor]:
     return scene.points * size[:, None, None], rotations, shifts / relative[..., None]
 
 
-def _errors(scene: Scene, rig: Rig, keypoints: Tensor, weights: Tensor) -> Tensor:
-    camera, _, _ = place(scene, rig)
-    there = weights > 0
-    distances = (image(camera, rig.optics) - keypoints).norm(dim=-1) * there
+def _errors(placed: Placed, optics: Optics, sight: Views) -> Tensor:
+    points, rotations, translations = placed
+    camera = points[:, None] @ rotations.mT + translations[:, :, None]
+    there = sight.weights > 0
+    distances = (image(camera, optics) - sight.keypoints).norm(dim=-1) * there
     mean: Tensor = distances.sum(-1) / there.sum(-1).clamp_min(1)
     return mean
+
+
+def _apart(rig: Rig) -> Rig:
+    """Let every view of a rig move on its own."""
+    return rig._replace(
+        groups=torch.arange(len(rig.groups)),
+        rotations=torch.eye(3, dtype=torch.float64).expand_as(rig.rotations),
+        translations=torch.zeros_like(rig.translations),
+    )
 
 
 def sub_rig(found: Discovery, views: Sequence[int] | None, count: int) -> Rig:

@@ -87,9 +87,15 @@ def no_doubts(keypoints: int) -> Doubts:
 
 def learn_doubts(errors: Sequence[Tensor], mean: Tensor) -> Doubts:
     """Learn doubts from errors (N, P, 3) in the frame of `mean` (P, 3), a tensor per view count."""
-    scales = torch.stack([part.square().sum(-1).mean().sqrt() for part in errors])
-    scales = scales.clamp_min(LEAST_DOUBT)
-    flat = torch.cat([part / s for part, s in zip(errors, scales, strict=True)]).flatten(1)
+    own = [part.square().sum(-1).mean(-1).sqrt() for part in errors]  # of every frame
+    scales = torch.stack([part.median() for part in own]).clamp_min(LEAST_DOUBT)
+    # A frame that is off by far counts no more than others; it is what heavy tails are for.
+    flat = torch.cat(
+        [
+            part / alone.clamp_min(scale)[:, None, None]
+            for part, alone, scale in zip(errors, own, scales, strict=True)
+        ]
+    ).flatten(1)
     model = _components(mean, flat.T @ flat / len(flat), LEAST_SHARE)
     return Doubts(model.basis, model.spread, scales)
 
