@@ -8,9 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from models.found import FoundCameras
 from service.wire import Distortion, Rotation, Vector2, Vector3
 
-NOT_SOUGHT = (
-    "This model was fitted without refinement (refine: off), or by an older Fewview: its views "
-    "are weak perspective, with a camera of their own in every frame."
+UNKNOWN = (
+    "This model was fitted without refinement (refine: off), or by an older Fewview, or to "
+    "keypoints that say nothing of cameras, such as those of a single view: its views are weak "
+    "perspective, with a camera of their own in every frame."
 )
 
 
@@ -117,7 +118,7 @@ class ModelCameras(BaseModel):
             return cls(
                 model=model_id,
                 arrangement="unknown",
-                reason=NOT_SOUGHT,
+                reason=UNKNOWN,
                 warnings=[],
                 noise=None,
                 views=[],

@@ -14,7 +14,7 @@ from models.config import FitConfig
 from models.fitted import FittedPrior
 from models.found import FoundCameras
 from models.metrics import pa_mpjpe, pck
-from models.synthetic import SyntheticCapture
+from models.synthetic import SyntheticCapture, synthetic_capture
 from service.engine import Engine
 from service.settings import Settings
 from store import models
@@ -120,6 +120,17 @@ def test_without_refinement_no_cameras_are_found(live: Live, api: TestClient) ->
     assert (found["arrangement"], found["views"], found["noise"]) == ("unknown", [], None)
     assert "refine: off" in found["reason"]
     problem(api.get("/models/mdl_no/cameras"), 404, "not_found")
+
+
+def test_one_view_tells_nothing_of_cameras(live: Live) -> None:
+    seen = synthetic_capture(frames=20, views=1)
+    body = {"keypoints": frames_of(seen.keypoints)}
+    made = live.http.post("/datasets", content=orjson.dumps(body), headers=JSON).json()
+    fit = live.finished(live.fit(made["id"], steps=5, refine="full")["id"])
+    assert fit["status"] == "succeeded", fit["error"]
+    found = live.get(f"/models/{fit['model_id']}/cameras")
+    assert (found["arrangement"], found["views"]) == ("unknown", [])
+    assert "a single view" in found["reason"]
 
 
 def test_the_cameras_of_a_capture_are_found(
