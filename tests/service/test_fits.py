@@ -88,7 +88,43 @@ def test_a_wrong_config_is_named(api: TestClient, config: Any, pointer: str) -> 
     problem(api.post("/fits", json=body), 422, "invalid_input", pointer)
 
 
-CAMERA = {"intrinsics": {"fx": 900, "fy": 900, "cx": 640, "cy": 512, "distortion": [0.1, 0.01]}}
+LENS = {"fx": 900, "fy": 900, "cx": 640, "cy": 512}
+CAMERA = {"intrinsics": LENS | {"distortion": [0.1, 0.01]}}
+UPRIGHT = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+MIRRORED = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]
+
+
+@pytest.mark.parametrize(
+    ("camera", "pointer"),
+    [
+        ({"lens": 50}, "/lens"),
+        ({"intrinsics": 900}, "/intrinsics"),
+        ({"intrinsics": {"fx": 900, "cx": 640, "cy": 512}}, "/intrinsics/fy"),
+        ({"intrinsics": LENS | {"fx": 0}}, "/intrinsics/fx"),
+        ({"intrinsics": LENS | {"fy": -900}}, "/intrinsics/fy"),
+        ({"intrinsics": LENS | {"cx": "NaN"}}, "/intrinsics/cx"),
+        ({"intrinsics": LENS | {"model": "orthographic"}}, "/intrinsics/model"),
+        ({"intrinsics": LENS | {"focal_sd": 2}}, "/intrinsics/focal_sd"),
+        ({"intrinsics": LENS | {"distortion": [0.1] * 3}}, "/intrinsics"),
+        ({"intrinsics": LENS | {"distortion": [0.1] * 9}}, "/intrinsics/distortion"),
+        ({"intrinsics": LENS | {"distortion": [0.1, 1e3]}}, "/intrinsics/distortion/1"),
+        ({"intrinsics": LENS | {"model": "fisheye", "distortion": [0.1] * 2}}, "/intrinsics"),
+        ({"rotation": UPRIGHT}, ""),
+        ({"translation": [0, 0, 1]}, ""),
+        ({"rotation": MIRRORED, "translation": [0, 0, 1]}, ""),
+        ({"rotation": [[2, 0, 0], [0, 2, 0], [0, 0, 2]], "translation": [0, 0, 1]}, ""),
+        ({"rotation": [[1, 0], [0, 1]], "translation": [0, 0, 1]}, "/rotation/2"),
+        ({"rotation": UPRIGHT, "translation": [0, 0]}, "/translation/2"),
+        ({"rotation": UPRIGHT, "translation": [0, 0, "far"]}, "/translation/2"),
+    ],
+)
+@pytest.mark.usefixtures("unchanged")
+def test_what_is_wrong_with_a_calibration_is_named(
+    api: TestClient, camera: dict[str, Any], pointer: str
+) -> None:
+    body = {"dataset_id": "ds_any", "config": {"calibration": [None, camera]}}
+    response = api.post("/fits", json=body)
+    problem(response, 422, "invalid_input", f"/config/calibration/1{pointer}")
 
 
 @pytest.mark.parametrize(
@@ -102,7 +138,22 @@ CAMERA = {"intrinsics": {"fx": 900, "fy": 900, "cx": 640, "cy": 512, "distortion
             "/config/calibration/1",
         ),
         ({"known_length": {"keypoints": [0, 16], "length": 0.4}}, "/config/known_length"),
+        ({"known_length": {"keypoints": [5, 5], "length": 0.4}}, "/config/known_length"),
+        (
+            {"known_length": {"keypoints": [0, -1], "length": 0.4}},
+            "/config/known_length/keypoints/1",
+        ),
+        ({"known_length": {"keypoints": [0, 1, 2], "length": 1}}, "/config/known_length/keypoints"),
         ({"known_length": {"keypoints": [0, 1], "length": 0}}, "/config/known_length/length"),
+        ({"known_length": {"keypoints": [0, 1], "length": "NaN"}}, "/config/known_length/length"),
+        ({"known_length": {"keypoints": [0, 1]}}, "/config/known_length/length"),
+        ({"known_length": 0.4}, "/config/known_length"),
+        ({"calibration": []}, "/config/calibration"),
+        ({"calibration": [None] * 65}, "/config/calibration"),
+        ({"calibration": CAMERA}, "/config/calibration"),
+        ({"handedness": [0, 1, 2]}, "/config/handedness/3"),
+        ({"handedness": [0, 1, 2, -3]}, "/config/handedness/3"),
+        ({"handedness": "right"}, "/config/handedness"),
         ({"handedness": [0, 1, 2, 2]}, "/config/handedness"),
         ({"handedness": [0, 1, 2, 16]}, "/config/handedness"),
     ],

@@ -219,18 +219,30 @@ def test_files_need_the_model_in_the_query(api: TestClient, capture: SyntheticCa
 def test_the_cameras_of_perspective_reproject_the_structure(
     api: TestClient, model: str, capture: SyntheticCapture
 ) -> None:
-    """W = f (x, y) / z + c with x = R X + t; the lenses of these cameras do not distort."""
+    """W = f d(x, y) / z + c with x = R X + t and OpenCV's distortion d."""
+    checked = 0
     frames = lift(api, model, frames_of(capture.keypoints), refine="full")
-    cameras = [camera for frame in frames for camera in frame["views"] if camera is not None]
-    assert sum(camera["camera"] == "perspective" for camera in cameras) > 0.9 * len(cameras)
     for frame, pixels in zip(frames, capture.keypoints.astype(np.float64), strict=True):
+        structure = np.array(frame["points3d"])
         for camera, seen in zip(frame["views"], pixels, strict=True):
-            if camera is None or camera["camera"] != "perspective" or any(camera["distortion"]):
+            if camera is None or camera["camera"] != "perspective":
                 continue
-            x = np.array(frame["points3d"]) @ np.array(camera["rotation"]).T + camera["translation"]
-            image = camera["focal"] * x[:, :2] / x[:, 2:] + camera["principal_point"]
+            rotation = np.array(camera["rotation"])
+            np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+            camera_frame = structure @ rotation.T + camera["translation"]
+            assert (camera_frame[:, 2] > 0).all()
+            flat = camera_frame[:, :2] / camera_frame[:, 2:]
+            k1, k2, p1, p2, k3, *more = camera["distortion"]
+            assert (p1, p2, *more) == (0,) * 5
+            squared = np.square(flat).sum(-1, keepdims=True)
+            bent = flat * (1 + k1 * squared + k2 * squared**2 + k3 * squared**3)
+            image = camera["focal"] * bent + camera["principal_point"]
             error = np.nanmean(np.linalg.norm(image - seen, axis=-1))
-            assert error == pytest.approx(camera["reprojection_error"], rel=1e-2, abs=0.1)
+            assert error == pytest.approx(camera["reprojection_error"], rel=1e-3, abs=0.02)
+            scale = np.mean(camera["focal"]) / camera["translation"][2]
+            assert camera["scale"] == pytest.approx(scale, rel=1e-4)
+            checked += 1
+    assert checked > 0.9 * 60 * 3
 
 
 def test_every_kind_of_camera_on_the_wire() -> None:
@@ -291,6 +303,8 @@ def test_which_views_and_how_to_refine_can_be_said_of_json_and_of_bytes(
         ({"views": []}, "/views", "one index per view"),
         ({"views": [0, -1]}, "/views/1", "greater than or equal to 0"),
         ({"views": [0, 1.5]}, "/views/1", "integer"),
+        ({"views": [0, "one"]}, "/views/1", "integer"),
+        ({"views": [0, 2**62]}, "/views", "views of the fit, 0 to 2"),
         ({"refine": "some"}, "/refine", "'auto', 'off' or 'full'"),
     ],
 )
@@ -314,6 +328,40 @@ def test_what_is_wrong_with_views_and_refine_is_named(
             headers=BYTES,
         )
         assert said in problem(response, 422, "invalid_input", pointer)
+
+
+@pytest.mark.parametrize("views", [1, "0,1", {"0": 1}, [[0], [1]], [0, None], True])
+def test_views_are_a_list_of_numbers(
+    api: TestClient, model: str, capture: SyntheticCapture, views: Any
+) -> None:
+    body = {"model": model, "frames": frames_of(capture.keypoints[:2, :2]), "views": views}
+    response = api.post("/lift", content=orjson.dumps(body), headers=JSON)
+    problem(response, 422, "invalid_input")
+    assert response.json()["errors"][0]["pointer"].startswith("/views")
+
+
+def test_named_views_keep_their_lenses_and_may_come_in_any_order(
+    api: TestClient, model: str, capture: SyntheticCapture
+) -> None:
+    plain = lift(api, model, frames_of(capture.keypoints[:5]), refine="full")
+    turned = lift(api, model, frames_of(capture.keypoints[:5, [2, 0]]), refine="full", views=[2, 0])
+    checked = 0
+    for frame, other in zip(plain, turned, strict=True):
+        for view, mine in ((2, other["views"][0]), (0, other["views"][1])):
+            camera = frame["views"][view]
+            if camera["camera"] == mine["camera"] == "perspective":
+                assert camera["focal"] == mine["focal"]
+                assert camera["principal_point"] == mine["principal_point"]
+                checked += 1
+    assert checked > 5
+    # The query says the same of bytes.
+    response = api.post(
+        "/lift",
+        params={"model": model, "views": [2, 0], "refine": "full", "format": "json"},
+        content=to_npz(frames=capture.keypoints[:5, [2, 0]]),
+        headers=BYTES,
+    )
+    assert response.json()["frames"] == turned
 
 
 def test_views_must_be_the_fits(api: TestClient, model: str, capture: SyntheticCapture) -> None:
