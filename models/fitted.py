@@ -178,10 +178,9 @@ class FittedPrior:
         keypoints, weights = torch.from_numpy(seen.keypoints), torch.from_numpy(seen.weights)
         sizes, centres = torch.from_numpy(seen.sizes), torch.from_numpy(seen.centres)
         points, _, guesses = self._network(keypoints, weights)
-        if self._found is None:
+        if self._found is None or self._found.settled:
             points, guesses = settle(points, keypoints, weights, guesses, self.foreshortening)
         elif self.foreshortening < 0:
-            # Taught with perspective, the network knows better than least squares without.
             points, guesses = mirrored(points, guesses)
         cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
         distances = (project(points[:, None], cameras) - keypoints).norm(dim=-1)

@@ -236,7 +236,7 @@ def to_arrays(found: Discovery) -> tuple[Arrays, str]:
         "doubt_basis": found.doubts.basis,
         "doubt_scales": found.doubts.scales,
         "numbers": torch.tensor(
-            [found.shapes.spread, found.doubts.spread, found.noise, found.unit],
+            [found.shapes.spread, found.doubts.spread, found.settled, found.noise, found.unit],
             dtype=torch.float64,
         ),
     }
@@ -260,7 +260,7 @@ def array_shapes(keypoints: int, views: int | None) -> Shapes:
         "shape_basis": (keypoints, 3, None),
         "doubt_basis": (keypoints, 3, None),
         "doubt_scales": (None,),
-        "numbers": (4,),
+        "numbers": (5,),
     }
 
 
@@ -280,7 +280,7 @@ def from_arrays(arrays: Arrays, words: str) -> Discovery:
     a = {name: value.to(torch.float64) for name, value in arrays.items()}
     groups = a["groups"].long()
     views = len(groups)
-    spread, doubt, noise, unit = a["numbers"].tolist()
+    spread, doubt, settled, noise, unit = a["numbers"].tolist()
     consistent = (
         views > 0
         and all(
@@ -302,6 +302,7 @@ def from_arrays(arrays: Arrays, words: str) -> Discovery:
         a["deviations"],
         ShapeModel(a["shape_mean"], a["shape_basis"], spread),
         Doubts(a["doubt_basis"], doubt, a["doubt_scales"]),
+        settled > 0,
         noise,
         unit,
         a["errors"],

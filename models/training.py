@@ -390,7 +390,7 @@ class Trainer:
         )
 
     def _doubted(self, found: Discovery) -> Discovery:
-        """Learn how far the network is off with one view, two, and so on.
+        """Learn how far the network is off with one view, two, and so on, settled or as it is.
 
         The measure is what refinement with the shape model alone makes of all views: one that
         trusts the network would find it ever more trustworthy.
@@ -399,24 +399,28 @@ class Trainer:
         several = (there.sum(1) > 1).nonzero()[:, 0]
         frames = several[:: math.ceil(max(len(several), 1) / DOUBT_FRAMES)]
         pixels, weights, there = self._pixels(frames), self._weights[frames], there[frames]
-        prior = self._as_prior(replace(found, doubts=no_doubts(pixels.shape[2])))
-        refined = torch.from_numpy(
-            prior.lift(pixels, confidence=weights, refine="full").points3d
-        ).double()
-        known = refined.isfinite().all(-1).all(-1)
+        found = replace(found, doubts=no_doubts(pixels.shape[2]), settled=True)
+        lift = self._as_prior(found).lift(pixels, confidence=weights, refine="full")
+        truth = torch.from_numpy(lift.points3d).double()
+        known = truth.isfinite().all(-1).all(-1)
         rng = np.random.default_rng([self.config.seed, self.step, 3])
-        errors = []
-        for count in range(1, min(pixels.shape[1], MOST_DOUBTED) + 1):
-            which = known & (there.sum(1) >= count)
-            if which.sum() < LEAST_DOUBTED:
-                break
-            order = (torch.from_numpy(rng.random(there.shape)) - there.double()).argsort(1)
-            shown = weights * (order.argsort(1) < count)[..., None]
-            answer = prior.lift(pixels[which], confidence=shown[which], refine="off").points3d
-            aligned, _ = align(torch.from_numpy(answer).double(), found.shapes.mean)
-            errors.append(align(refined[which], aligned)[0] - aligned)
-        doubts = learn_doubts(errors, found.shapes.mean) if errors else found.doubts
-        return replace(found, doubts=doubts)
+        order = (torch.from_numpy(rng.random(there.shape)) - there.double()).argsort(1).argsort(1)
+        candidates = [found]
+        for settled in (False, True):
+            prior = self._as_prior(replace(found, settled=settled))
+            errors = []
+            for count in range(1, min(pixels.shape[1], MOST_DOUBTED) + 1):
+                which = known & (there.sum(1) >= count)
+                if which.sum() < LEAST_DOUBTED:
+                    break
+                shown = (weights * (order < count)[..., None])[which]
+                answer = prior.lift(pixels[which], confidence=shown, refine="off").points3d
+                aligned, _ = align(torch.from_numpy(answer).double(), found.shapes.mean)
+                errors.append(align(truth[which], aligned)[0] - aligned)
+            if errors:
+                doubts = learn_doubts(errors, found.shapes.mean)
+                candidates.append(replace(found, doubts=doubts, settled=settled))
+        return min(candidates[1:] or candidates, key=lambda c: float(c.doubts.scales.sum()))
 
     def _pixels(self, frames: Tensor) -> Tensor:
         """Keypoints (T, K, P, 2) of some frames in pixels."""
