@@ -34,10 +34,10 @@ def test_human36m_is_lifted_to_within_20_mm_by_weak_perspective(
     assert pa_mpjpe(found.points3d, truth, reflection="never").mean < 0.020
 
 
-def test_a_tenth_of_human36m_is_lifted_to_within_5_mm_by_perspective(
+def test_a_twentieth_of_human36m_is_lifted_to_within_5_mm_by_perspective(
     human36m: dict[str, NDArray[Any]],
 ) -> None:
-    keypoints, truth = human36m["keypoints"][::10], human36m["points3d"][::10]
+    keypoints, truth = human36m["keypoints"][::20], human36m["points3d"][::20]
     prior = fit(keypoints, FitConfig(steps=300))
     assert prior.cameras is not None
     assert prior.cameras.arrangement == "static"

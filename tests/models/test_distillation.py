@@ -40,7 +40,7 @@ def _teachers(keypoints: Tensor, weights: Tensor, *, most: int = 50) -> Teachers
     return found
 
 
-@pytest.mark.parametrize(("refine", "frames", "steps"), [("off", 400, 600), ("auto", 240, 450)])
+@pytest.mark.parametrize(("refine", "frames", "steps"), [("off", 400, 600), ("auto", 150, 300)])
 def test_frames_with_one_view_learn_from_frames_with_several(
     refine: Refine, frames: int, steps: int
 ) -> None:

@@ -17,7 +17,7 @@ import pytest
 from models.synthetic import synthetic_capture
 from tests.service.conftest import BYTES, Live, descendants, processes, to_npz, wait_for
 
-SLOW = {"steps": 800, "refine": "off"}
+SLOW = {"steps": 500, "refine": "off"}
 Start = Callable[[], Live]
 
 
@@ -90,7 +90,7 @@ def test_a_part_is_killed_in_the_middle_of_a_fit(start: Start, victim: tuple[str
     live = start()
     dataset_id = upload(live)
     fit = live.fit(dataset_id, **SLOW)
-    waiting = live.fit(dataset_id, steps=5)
+    waiting = live.fit(dataset_id, steps=5, refine="off")
     wait_for_step(live, fit["id"], 100)
     pid = part(live, *victim)
     os.kill(pid, signal.SIGKILL)

@@ -32,7 +32,7 @@ from tests.worker.conftest import (
 from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
 
-SLOW = CONFIG | {"steps": 800, "refine": "off"}
+SLOW = CONFIG | {"steps": 500, "refine": "off"}
 
 
 @pytest.fixture(scope="module")
