@@ -87,7 +87,7 @@ class Discovery:
     deviations: Tensor  # (K, 10) standard deviations of what `adjustment.VIEW` numbers; 0 if kept
     shapes: ShapeModel
     doubts: Doubts
-    settled: bool  # whether least squares (`models.refinement`) improve the network's answers
+    trusted: float  # misfit up to which the network's answers do better than settled ones
     noise: float  # pixels, of a coordinate of confidence 1
     unit: float  # what a unit of the structure is in the user's unit; 1 without one
     errors: Tensor  # (K,) pixels, mean reprojection error
@@ -251,7 +251,7 @@ def discover(
         _deviations(problem, best),
         best.shapes,
         no_doubts(keypoints.shape[2]),
-        True,
+        0.0,
         best.measured,
         1.0 if unit is None else unit,
         errors,

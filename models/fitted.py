@@ -24,7 +24,7 @@ from models.perspective import (
     to_arrays,
 )
 from models.prior import HierarchicalPrior, parameter_shapes
-from models.refinement import mirrored, settle
+from models.refinement import mirrored, misfit, settle
 from models.weights import Arrays, Shapes, WeightsError, pack, read_about, unpack
 
 Status = Literal["ok", "too_few_keypoints"]
@@ -178,10 +178,18 @@ class FittedPrior:
         keypoints, weights = torch.from_numpy(seen.keypoints), torch.from_numpy(seen.weights)
         sizes, centres = torch.from_numpy(seen.sizes), torch.from_numpy(seen.centres)
         points, _, guesses = self._network(keypoints, weights)
-        if self._found is None or self._found.settled:
-            points, guesses = settle(points, keypoints, weights, guesses, self.foreshortening)
-        elif self.foreshortening < 0:
-            points, guesses = mirrored(points, guesses)
+        odd = torch.ones(len(points), dtype=torch.bool)
+        if self._found is not None:
+            plain = (points, guesses) if self.foreshortening >= 0 else mirrored(points, guesses)
+            odd = misfit(plain[0], keypoints, weights, plain[1]) > self._found.trusted
+        if odd.any():
+            settled = settle(
+                points[odd], keypoints[odd], weights[odd], guesses[odd], self.foreshortening
+            )
+        if self._found is not None:
+            points, guesses = plain
+        if odd.any():
+            points[odd], guesses[odd] = settled
         cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
         distances = (project(points[:, None], cameras) - keypoints).norm(dim=-1)
         observed = (weights > 0).to(distances.dtype)

@@ -236,7 +236,7 @@ def to_arrays(found: Discovery) -> tuple[Arrays, str]:
         "doubt_basis": found.doubts.basis,
         "doubt_scales": found.doubts.scales,
         "numbers": torch.tensor(
-            [found.shapes.spread, found.doubts.spread, found.settled, found.noise, found.unit],
+            [found.shapes.spread, found.doubts.spread, found.trusted, found.noise, found.unit],
             dtype=torch.float64,
         ),
     }
@@ -280,7 +280,7 @@ def from_arrays(arrays: Arrays, words: str) -> Discovery:
     a = {name: value.to(torch.float64) for name, value in arrays.items()}
     groups = a["groups"].long()
     views = len(groups)
-    spread, doubt, settled, noise, unit = a["numbers"].tolist()
+    spread, doubt, trusted, noise, unit = a["numbers"].tolist()
     consistent = (
         views > 0
         and all(
@@ -292,7 +292,8 @@ def from_arrays(arrays: Arrays, words: str) -> Discovery:
         and bool((a["focals"] > 0).all())
         and bool((a["doubt_scales"] > 0).all())
         and min(spread, doubt, noise, unit) > 0
-        and math.isfinite(spread + doubt + noise + unit)
+        and trusted >= 0
+        and math.isfinite(spread + doubt + trusted + noise + unit)
     )
     if not consistent:
         raise WeightsError("the file contradicts itself about the cameras")
@@ -302,7 +303,7 @@ def from_arrays(arrays: Arrays, words: str) -> Discovery:
         a["deviations"],
         ShapeModel(a["shape_mean"], a["shape_basis"], spread),
         Doubts(a["doubt_basis"], doubt, a["doubt_scales"]),
-        settled > 0,
+        trusted,
         noise,
         unit,
         a["errors"],

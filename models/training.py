@@ -33,7 +33,7 @@ from models.distillation import (
     structure_loss,
     virtual_views,
 )
-from models.fitted import CurvePoint, FittedPrior, join, weak_perspective
+from models.fitted import CurvePoint, FittedPrior, Lift, join, weak_perspective
 from models.keypoints import Observations, as_observations
 from models.perspective import array_shapes, from_arrays, to_arrays
 from models.prior import HierarchicalPrior, Reconstruction
@@ -51,9 +51,10 @@ REFRESHES = (0.5, 0.75)  # shares of the steps after which settled teachers are 
 # teachers are made anew, with the network in place of the shape model.
 DISCOVERY = (1 / 3, 2 / 3)
 DOUBT_FRAMES = 600  # plenty to learn what the network's errors are like
+TRUSTED = 0.95  # share of these frames that are like the others
+MOST_MISFIT = 1e9
 LEAST_DOUBTED = 5  # of these frames
 MOST_DOUBTED = 8  # views; with more it errs as with so many
-SECOND_RATE = 0.5  # learning rate that the network starts anew with then
 VIRTUAL = (0.1, 0.5)  # shares of a batch that virtual views take, if all frames are taught or none
 STRUCTURE = 3.0  # weight of the distance to the teachers next to the reprojection error
 TAUGHT = 0.02  # weight of the (weak-perspective) reprojection error where teachers know perspective
@@ -283,7 +284,7 @@ class Trainer:
         """Return the learning rate: half a cosine, two if the cameras are found on the way."""
         start, end, rate = 0, self.config.steps, self.config.learning_rate
         if self._found is not None:
-            start, rate = self._refreshes()[0], SECOND_RATE * rate
+            start = self._refreshes()[0]
         return rate / 2 * (1 + math.cos(math.pi * (self.step - start) / (end - start)))
 
     def _distil(self, teachers: Teachers, frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -399,27 +400,30 @@ class Trainer:
         several = (there.sum(1) > 1).nonzero()[:, 0]
         frames = several[:: math.ceil(max(len(several), 1) / DOUBT_FRAMES)]
         pixels, weights, there = self._pixels(frames), self._weights[frames], there[frames]
-        found = replace(found, doubts=no_doubts(pixels.shape[2]), settled=True)
+        found = replace(found, doubts=no_doubts(pixels.shape[2]), trusted=0.0)
         lift = self._as_prior(found).lift(pixels, confidence=weights, refine="full")
         truth = torch.from_numpy(lift.points3d).double()
         known = truth.isfinite().all(-1).all(-1)
         rng = np.random.default_rng([self.config.seed, self.step, 3])
         order = (torch.from_numpy(rng.random(there.shape)) - there.double()).argsort(1).argsort(1)
         candidates = [found]
-        for settled in (False, True):
-            prior = self._as_prior(replace(found, settled=settled))
-            errors = []
+        for trusted in (0.0, MOST_MISFIT):
+            prior = self._as_prior(replace(found, trusted=trusted))
+            errors, misfits = [], []
             for count in range(1, min(pixels.shape[1], MOST_DOUBTED) + 1):
                 which = known & (there.sum(1) >= count)
                 if which.sum() < LEAST_DOUBTED:
                     break
                 shown = (weights * (order < count)[..., None])[which]
-                answer = prior.lift(pixels[which], confidence=shown, refine="off").points3d
-                aligned, _ = align(torch.from_numpy(answer).double(), found.shapes.mean)
+                answer = prior.lift(pixels[which], confidence=shown, refine="off")
+                points = torch.from_numpy(answer.points3d).double()
+                aligned, _ = align(points, found.shapes.mean)
                 errors.append(align(truth[which], aligned)[0] - aligned)
+                misfits.append(_misfits(answer))
             if errors:
                 doubts = learn_doubts(errors, found.shapes.mean)
-                candidates.append(replace(found, doubts=doubts, settled=settled))
+                limit = np.quantile(np.concatenate(misfits), TRUSTED) if trusted else 0.0
+                candidates.append(replace(found, doubts=doubts, trusted=float(limit)))
         return min(candidates[1:] or candidates, key=lambda c: float(c.doubts.scales.sum()))
 
     def _pixels(self, frames: Tensor) -> Tensor:
@@ -471,6 +475,13 @@ def _distances(seen: Reconstruction, keypoints: Tensor, weights: Tensor) -> tupl
     # The small constant keeps the root's gradient finite where a view is met exactly.
     norms = ((weights * squared).sum(-1) / total.clamp_min(1e-6) + 1e-8).sqrt()
     return torch.where(total > 0, norms, torch.nan), squared.detach().sqrt()
+
+
+def _misfits(lift: Lift) -> NDArray[np.float64]:
+    """Reprojection error (N,) in units of the structure, as `models.refinement.misfit`."""
+    used = lift.keypoints_used
+    total = np.nansum(used * lift.reprojection_errors / lift.scales, axis=1)
+    return np.asarray(total / used.sum(1), np.float64)
 
 
 def _running(mean: float, value: float, *, first: bool) -> float:
