@@ -23,6 +23,7 @@ THRESHOLDS_MM = [float(mm) for mm in range(5, 155, 5)]
 SEEN = 0.7  # share of the frames that a fit sees where the others are to be unseen
 ALL = "fitted to all views"
 ALONE = "fitted to these views alone"
+REFINES: tuple[Refine, ...] = ("off", "auto")
 Float = NDArray[np.floating[Any]]
 Views = tuple[int, ...]
 Key = tuple[Any, ...]
@@ -34,6 +35,12 @@ class Fit:
 
     prior: FittedPrior
     seconds: float
+
+    @property
+    def focal(self) -> float | None:
+        """The mean focal length that it found, pixels."""
+        cameras = self.prior.cameras
+        return None if cameras is None else float(cameras.focals.mean())
 
 
 @dataclass
@@ -70,11 +77,11 @@ class Bench:
         **changes: Any,
     ) -> Fit:
         """Fit to some views; `key` tells keypoints and frames apart that are not the capture's."""
-        name: Key = (seed, views, key, sized, *sorted(changes.items()))
+        config = self.config.model_copy(update={"seed": seed, **changes})
+        name: Key = (views, key, sized, config)
         if name not in self.fits:
             pixels = self.keypoints if keypoints is None else keypoints
             which = slice(None) if frames is None else frames
-            config = self.config.model_copy(update={"seed": seed, **changes})
             sizes = None if self.sizes is None or not sized else [self.sizes[v] for v in views]
             started = time.perf_counter()
             prior = fit(
@@ -98,14 +105,18 @@ class Bench:
         *,
         keypoints: Float | None = None,
         known_as: Views | None = None,
+        unknown: bool = False,
         refine: Refine | None = None,
     ) -> Float:
-        """Lift every frame from some views; `known_as` are their numbers in the fit."""
+        """Lift every frame from some views; `known_as` are their numbers in the fit.
+
+        `unknown`: as cameras that the fit does not know.
+        """
         pixels = self.keypoints if keypoints is None else keypoints
         return fitted.prior.lift(
             pixels[:, views],
             confidence=self.confidence(views, slice(None)),
-            views=views if known_as is None else known_as,
+            views=None if unknown else views if known_as is None else known_as,
             refine=refine,
         ).points3d
 
@@ -141,6 +152,7 @@ class Bench:
                 pck=pck(accuracy, PCK_MM * self.metre / 1000),
                 frames=frames,
                 fit_seconds=None if fitted is None else fitted.seconds,
+                focal=None if fitted is None else fitted.focal,
             )
         )
         return accuracy
@@ -151,13 +163,20 @@ class Bench:
 
 
 def error_by_views(bench: Bench, seed: int) -> None:
-    """Every subset of the views: the rig known from a fit to all of them, and not known."""
+    """Every subset of the views: feed-forward, and refined with the rig known and not known."""
     everything = bench.fit(seed, bench.views)
     for count in range(len(bench.views), 0, -1):
         for views in combinations(bench.views, count):
             which = bench.showing(views, count)
-            points = bench.lift(everything, views)
-            bench.score("views", ALL, views, points, which, seed=seed, fitted=everything)
+            ways = {
+                f"{ALL}, feed-forward": bench.lift(everything, views, refine="off"),
+                f"{ALL}, refined": bench.lift(everything, views),
+            }
+            if views != bench.views:
+                unknown = bench.lift(everything, views, unknown=True)
+                ways[f"{ALL}, refined, cameras unknown"] = unknown
+            for how, points in ways.items():
+                bench.score("views", how, views, points, which, seed=seed, fitted=everything)
     if not bench.usable.all():
         points = bench.lift(everything, bench.views)
         shown = bench.usable.sum(1)
@@ -173,10 +192,11 @@ def error_by_views(bench: Bench, seed: int) -> None:
     for count in (3, 2) if bench.full else (2,):
         subsets = combinations(bench.views, count) if bench.full else [bench.pair]
         for views in (views for views in subsets if views != bench.views):
-            alone = bench.fit(seed, views)
-            points = bench.lift(alone, views, known_as=tuple(range(count)))
             which = bench.showing(views, count)
-            bench.score("views", ALONE, views, points, which, seed=seed, fitted=alone)
+            for how, cameras in ((ALONE, "auto"), (f"{ALONE}, declared moving", "moving")):
+                alone = bench.fit(seed, views, cameras=cameras)
+                points = bench.lift(alone, views, known_as=tuple(range(count)))
+                bench.score("views", how, views, points, which, seed=seed, fitted=alone)
 
 
 def noise(bench: Bench, seed: int) -> None:
@@ -228,11 +248,12 @@ def unseen(bench: Bench, seed: int) -> None:
         rest = np.ones(count, bool)
         rest[frames] = False
         for views in (bench.views, bench.pair, bench.pair[:1]):
-            points = bench.lift(fitted, views)
-            for part, which in (("unseen", rest), ("seen", ~rest)):
-                shown = which & bench.showing(views, 1)
-                how = f"{way}: {part}"
-                bench.score("unseen", how, views, points, shown, seed=seed, fitted=fitted)
+            for refine in REFINES:
+                points = bench.lift(fitted, views, refine=refine)
+                for part, which in (("unseen", rest), ("seen", ~rest)):
+                    shown = which & bench.showing(views, 1)
+                    how = f"{way}: {part}{_refined(refine)}"
+                    bench.score("unseen", how, views, points, shown, seed=seed, fitted=fitted)
 
 
 def missing(bench: Bench, seed: int) -> None:
@@ -241,11 +262,19 @@ def missing(bench: Bench, seed: int) -> None:
         gappy = hide(bench.keypoints, share, seed)
         for views in bench.sets if bench.full else [bench.views]:
             fitted = bench.fit(seed, views, keypoints=gappy, key=f"missing {share}")
-            points = bench.lift(fitted, views, keypoints=gappy, known_as=tuple(range(len(views))))
-            which = bench.showing(views, 1)
-            bench.score(
-                "missing", ALONE, views, points, which, seed=seed, level=share, fitted=fitted
-            )
+            which, known_as = bench.showing(views, 1), tuple(range(len(views)))
+            for refine in REFINES:
+                points = bench.lift(
+                    fitted, views, keypoints=gappy, known_as=known_as, refine=refine
+                )
+                how = ALONE + _refined(refine)
+                bench.score(
+                    "missing", how, views, points, which, seed=seed, level=share, fitted=fitted
+                )
+
+
+def _refined(refine: Refine) -> str:
+    return ", feed-forward" if refine == "off" else ", refined"
 
 
 def correct_keypoints(bench: Bench, seed: int) -> None:
@@ -287,6 +316,7 @@ def _add_curve(
             pck=float((mm < PCK_MM).mean()),
             frames=sum(len(part) for part in parts),
             fit_seconds=None if label.startswith(TRNG) else fitted.seconds,
+            focal=None if label.startswith(TRNG) else fitted.focal,
         )
     )
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-HEAD = f"{'case':<10}{'how':<46}{'views':<14}{'level':>6}{'seed':>6}{'mm':>8}{'PCK':>7}"
-HEAD += f"{'frames':>8}{'fit s':>8}"
+HEAD = f"{'case':<10}{'how':<50}{'views':<14}{'level':>6}{'seed':>6}{'mm':>8}{'PCK':>7}"
+HEAD += f"{'frames':>8}{'fit s':>8}{'focal':>8}"
 TRNG = "TRNG"
 DPI = 150
 
@@ -27,14 +27,16 @@ class Row:
     pck: float  # share of the keypoints within the threshold
     frames: int  # that were scored
     fit_seconds: float | None  # of the fit behind it, which rows share; None without one
+    focal: float | None  # pixels, mean of what the fit found
 
     def line(self) -> str:
         """Return the row as text, in the columns of `HEAD`."""
         level = "" if self.level is None else f"{self.level:g}"
         seconds = "" if self.fit_seconds is None else f"{self.fit_seconds:.1f}"
+        focal = "" if self.focal is None else f"{self.focal:.0f}"
         return (
-            f"{self.case:<10}{self.how:<46}{names(self.views):<14}{level:>6}{self.seed:>6}"
-            f"{self.error_mm:>8.1f}{100 * self.pck:>7.1f}{self.frames:>8}{seconds:>8}"
+            f"{self.case:<10}{self.how:<50}{names(self.views):<14}{level:>6}{self.seed:>6}"
+            f"{self.error_mm:>8.2f}{100 * self.pck:>7.1f}{self.frames:>8}{seconds:>8}{focal:>8}"
         )
 
 
@@ -72,6 +74,7 @@ class Report:
         for (case, how, views, level), rows in groups.items():
             errors = [row.error_mm for row in rows]
             seconds = [row.fit_seconds for row in rows if row.fit_seconds is not None]
+            focals = [row.focal for row in rows if row.focal is not None]
             answer.append(
                 {
                     "case": case,
@@ -85,6 +88,7 @@ class Report:
                     "pck": round(median(row.pck for row in rows), 4),
                     "frames": rows[0].frames,
                     "fit_seconds": round(median(seconds), 1) if seconds else None,
+                    "focal": round(median(focals), 1) if focals else None,
                 }
             )
         return answer
@@ -93,7 +97,7 @@ class Report:
         """Return rows, medians and curves."""
         rows = [asdict(row) for row in self.rows]
         for row in rows:
-            for name in ("error_mm", "pck", "fit_seconds"):
+            for name in ("error_mm", "pck", "fit_seconds", "focal"):
                 row[name] = None if row[name] is None else round(row[name], 4)
         curves = [asdict(curve) for curve in self.curves]
         return {"medians": self.medians(), "rows": rows, "curves": curves}
@@ -111,18 +115,20 @@ def markdown(medians: list[dict[str, Any]]) -> str:
         lines = [
             f"### {case}",
             "",
-            "| how | views | level | PA-MPJPE, mm | least to most | PCK, % | frames | fit, s |",
-            "|---|---|---|---|---|---|---|---|",
+            "| how | views | level | PA-MPJPE, mm | least to most | PCK, % | frames | fit, s"
+            " | focal, px |",
+            "|---|---|---|---|---|---|---|---|---|",
         ]
         for row in medians:
             if row["case"] != case:
                 continue
             level = "" if row["level"] is None else f"{row['level']:g}"
-            span = f"{row['least_mm']:.1f} to {row['most_mm']:.1f}" if len(row["seeds"]) > 1 else ""
+            span = f"{row['least_mm']:.2f} to {row['most_mm']:.2f}" if len(row["seeds"]) > 1 else ""
             seconds = "" if row["fit_seconds"] is None else f"{row['fit_seconds']:.0f}"
+            focal = "" if row["focal"] is None else f"{row['focal']:.0f}"
             lines.append(
-                f"| {row['how']} | {names(row['views'])} | {level} | {row['error_mm']:.1f}"
-                f" | {span} | {100 * row['pck']:.1f} | {row['frames']} | {seconds} |"
+                f"| {row['how']} | {names(row['views'])} | {level} | {row['error_mm']:.2f}"
+                f" | {span} | {100 * row['pck']:.1f} | {row['frames']} | {seconds} | {focal} |"
             )
         parts.append("\n".join(lines) + "\n")
     return "\n".join(parts)

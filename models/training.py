@@ -49,7 +49,7 @@ HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
 REFRESHES = (0.5, 0.75)  # shares of the steps after which settled teachers are (re)made
 # Shares of the steps after which the cameras are found, and teachers with them, and after which the
 # teachers are made anew, with the network in place of the shape model.
-DISCOVERY = (1 / 3, 2 / 3)
+DISCOVERY = (1 / 3, 1 / 2, 2 / 3, 5 / 6)
 DOUBT_FRAMES = 600  # plenty to learn what the network's errors are like
 TRUSTED = 0.95  # share of these frames that are like the others
 MOST_MISFIT = 1e9
