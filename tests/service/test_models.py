@@ -15,6 +15,7 @@ from models.fitted import FittedPrior
 from models.found import FoundCameras
 from models.metrics import pa_mpjpe, pck
 from models.synthetic import SyntheticCapture, synthetic_capture
+from models.training import fit
 from service.engine import Engine
 from service.settings import Settings
 from store import models
@@ -122,13 +123,12 @@ def test_without_refinement_no_cameras_are_found(live: Live, api: TestClient) ->
     problem(api.get("/models/mdl_no/cameras"), 404, "not_found")
 
 
-def test_one_view_tells_nothing_of_cameras(live: Live) -> None:
+def test_one_view_tells_nothing_of_cameras(api: TestClient) -> None:
     seen = synthetic_capture(frames=20, views=1)
-    body = {"keypoints": frames_of(seen.keypoints)}
-    made = live.http.post("/datasets", content=orjson.dumps(body), headers=JSON).json()
-    fit = live.finished(live.fit(made["id"], steps=5, refine="full")["id"])
-    assert fit["status"] == "succeeded", fit["error"]
-    found = live.get(f"/models/{fit['model_id']}/cameras")
+    config = FitConfig.model_validate(CONFIG | {"steps": 5, "refine": "full"})
+    weights = fit(seen.keypoints, config).to_bytes()
+    model = api.post("/models", content=weights, headers=BYTES).json()["id"]
+    found = api.get(f"/models/{model}/cameras").json()
     assert (found["arrangement"], found["views"]) == ("unknown", [])
     assert "a single view" in found["reason"]
 
