@@ -76,6 +76,8 @@ DECISIVE = 0.5  # share of its cost that a frame of the other handedness must do
 MISFIT = 0.05  # of two statements about one length
 REST_NOISE = 1.4  # times the noise of the moving model: more, and the cameras do not rest
 REST_SLACK = 1e-4  # of the image's side, on top
+BARREL = -0.1  # radial coefficient from which a lens may be a fisheye
+PLAINLY = 0.95  # share of the noise that lenses must do with to be taken for fisheyes
 WRONG = 1.5  # times the noise without a calibration: more, and it is wrong
 
 
@@ -226,6 +228,12 @@ def discover(
     start = yield from _choose_hand(problem, starting_scene(*answers, reference), config)
 
     best, unit, reason, warnings = yield from _find(problem, start, config)
+    bent = _as_fisheye(problem, best)
+    if bent is not None:
+        trial = yield from _learn(*bent)
+        if trial.measured < PLAINLY * best.measured:
+            problem, best = bent[0], trial
+            reason = f"{reason}; fisheye lenses explain the keypoints better"
     if best.noise < FAINT * size and find_segments(best.scene.points).steady:
         # The lens under which shapes look most alike need not be the true one, and with two views
         # it is not; with a wrong one, segments grow and shrink as they turn.
@@ -285,6 +293,28 @@ def _find(
         return moving, None, "the cameras were declared moving", warnings
     state, reason = yield from _find_rest(problem, moving, config)
     return state, None, reason, warnings
+
+
+def _as_fisheye(problem: Problem, state: State) -> tuple[Problem, State] | None:
+    """Replace unknown lenses by fisheyes (Kannala & Brandt, 2006) where they bend enough inwards.
+
+    A fisheye looks like a pinhole with a radial coefficient of -1/3, near its axis.
+    """
+    lens = state.rig.optics
+    unknown = torch.tensor([c is None or c.intrinsics is None for c in problem.calibration])
+    if not unknown.any() or lens.distortion[unknown, 0].mean() > BARREL:
+        return None
+    fisheye = lens.fisheye | unknown
+    reference = problem.reference.optics
+    straight = torch.where(unknown[:, None], 0.0, lens.distortion)
+    return (
+        problem._replace(
+            reference=problem.reference._replace(optics=reference._replace(fisheye=fisheye))
+        ),
+        state._replace(
+            rig=state.rig._replace(optics=lens._replace(distortion=straight, fisheye=fisheye))
+        ),
+    )
 
 
 def most_frames(views: int, keypoints: int) -> int:
