@@ -1,12 +1,13 @@
 # make demo   set up, then run the main job end to end: `make demo CAPTURE=file.npz` for your own
 # make test   set up, then lint, type-check and test
+# make fidelity   measure errors: `make fidelity CAPTURE=file.npz`, else on the example
 # make serve  set up, then run the service on http://127.0.0.1:8000
 
 PYTHON ?= python3
 BIN := .venv/bin
 CAPTURE ?=
 
-.PHONY: demo test serve openapi benchmark clean
+.PHONY: demo test serve openapi benchmark fidelity clean
 
 demo: .venv/ready
 	$(BIN)/python examples/demo.py $(if $(CAPTURE),"$(CAPTURE)")
@@ -22,6 +23,9 @@ serve: .venv/ready
 
 benchmark: .venv/ready
 	$(BIN)/python benchmarks/lift.py
+
+fidelity: .venv/ready
+	$(BIN)/python benchmarks/fidelity.py $(if $(CAPTURE),"$(CAPTURE)")
 
 openapi: .venv/ready
 	$(BIN)/python -m service.openapi > docs/openapi.json
