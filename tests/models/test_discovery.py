@@ -323,6 +323,17 @@ def test_a_fisheye_lens_is_taken_as_it_is_given() -> None:
     assert wrong.noise > 2 * found.noise
 
 
+def test_a_fisheye_lens_is_found() -> None:
+    lens = Lens(focal=330, fisheye=True)
+    stage = make_stage(AZIMUTHS, frames=40, lenses=(lens,), distance=1.5, noise=0.5)
+    found, scene = found_by(stage)
+    cameras = report(found)
+    assert cameras.fisheye.all()
+    assert "fisheye" in cameras.reason
+    np.testing.assert_allclose(cameras.focals, 330, rtol=0.05)
+    assert error(stage, scene) < 0.02
+
+
 def test_keypoints_that_say_nothing_are_named_as_such(static: Stage) -> None:
     points, rotations, scales, shifts = static.answers()
     behind = discover(
