@@ -66,9 +66,10 @@ LEAST_NOISE = 3e-4  # of the image's side: what lens models leave
 LEAST_MEASURED = 3e-5  # of the image's side
 COOLING = 0.25  # the noise falls no faster in a round
 MOST_FRAMES, LEAST_FRAMES = 400, 20
-OPERATIONS = 1_000_000_000  # in one iteration
+OPERATIONS = 300_000_000  # in one iteration
 ROUNDS = 4  # of expectation maximisation
-SEGMENTED_ROUNDS = 8
+SEGMENTED_ROUNDS = 8  # at most: until no focal length changes
+FOUND = 3e-4  # by more than this share
 WARM, ADJUSTMENTS, REFINEMENTS = 15, 10, 15  # iterations
 LIKELY_REST = 12.0  # degrees, median scatter of a relative rotation beyond which cameras move
 SEGMENTED_SPREAD = 0.1  # LEAST_SPREAD for such keypoints
@@ -318,7 +319,7 @@ def _as_fisheye(problem: Problem, state: State) -> tuple[Problem, State] | None:
 
 
 def most_frames(views: int, keypoints: int) -> int:
-    """Say how many frames a discovery can look at in bounded time: a second an iteration."""
+    """Say how many frames a discovery can look at in bounded time: half a second an iteration."""
     unknowns = (POSE + VIEW) * views + MOST_COMPONENTS
     return max(LEAST_FRAMES, min(MOST_FRAMES, OPERATIONS // (3 * keypoints * unknowns**2)))
 
@@ -406,7 +407,7 @@ def _learn(problem: Problem, state: State, *, segmented: bool = False) -> Steps[
     """
     rig, scene, prior, shapes, noise, measured, information = state
     floor = LEAST_NOISE * problem.side
-    precision = size_precision(rig)
+    precision, focals = size_precision(rig), rig.optics.focals
     least = SEGMENTED_SPREAD if segmented else LEAST_SPREAD
     for _ in range(SEGMENTED_ROUNDS if segmented else ROUNDS):
         views = problem.views(noise)
@@ -433,6 +434,9 @@ def _learn(problem: Problem, state: State, *, segmented: bool = False) -> Steps[
         points, moved = align(scene.points, shapes.mean)
         scene = regauge(scene, points, moved, rig)
         prior = _about(shapes, len(points))
+        change, focals = (rig.optics.focals / focals).log().abs().max(), rig.optics.focals
+        if segmented and change < FOUND:
+            break
     return State(rig, scene, prior, shapes, noise, measured, information)
 
 

@@ -21,7 +21,7 @@ from store.datasets import Description
 from store.records import Fit
 from worker.settings import WorkerSettings
 
-CONFIG = {"dictionary_sizes": [16, 8], "steps": 100, "batch_size": 16}
+CONFIG = {"dictionary_sizes": [16, 8], "steps": 60, "batch_size": 16}
 LONG = CONFIG | {"steps": 1_000_000}
 
 StartWorker = Callable[[], "subprocess.Popen[bytes]"]

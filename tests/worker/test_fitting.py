@@ -54,7 +54,9 @@ def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked
 
     monkeypatch.setattr(fitting, "LIFT_FRAMES", 16)
     monkeypatch.setattr(Trainer, "result", result)
-    fitting.run_attempt(store, pulse, WorkerSettings(data_dir=Path("unused")))
+    # Checkpoints by the clock would depend on how busy the machine is.
+    settings = WorkerSettings(data_dir=Path("unused"), checkpoint_seconds=3600)
+    fitting.run_attempt(store, pulse, settings)
     assert lifted == ([16, 16] if asked else [16, 16, 16, 12])
     return fits.get(store, fit.id)
 
