@@ -49,6 +49,13 @@ class FitConfig(BaseModel):
             " Off: the paper's fit, from the reprojection error alone."
         ),
     )
+    denoising: bool = Field(
+        default=True,
+        description=(
+            "Remove noise from the keypoints before anything else, in the fit and in lifts, where"
+            " the capture shows that it is white and strong (cameras at rest, many frames)."
+        ),
+    )
     refine: Refine = Field(
         default="auto",
         description=(

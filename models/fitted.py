@@ -13,6 +13,7 @@ from torch import Tensor
 
 from models.cameras import project, solve_cameras
 from models.config import FitConfig, Refine
+from models.denoising import ViewModel
 from models.discovery import Answers, Discovery
 from models.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS, Observations, as_observations
 from models.optics import COEFFICIENTS
@@ -35,6 +36,7 @@ REASONS: dict[Status, str] = {
         f"no view shows {MIN_KEYPOINTS} keypoints or more that do not all lie at one place"
     ),
 }
+DENOISER = "denoiser."  # before those of the model of noisy views
 CAMERAS = "cameras."  # before the names of what was found of the cameras, in a file
 WORSE = 1.25  # times the network's reprojection error: no refinement that leads there is kept
 ACTIVATIONS = 4_000_000  # numbers in the widest layer of a slice of frames: 16 MB
@@ -65,7 +67,8 @@ class Lift:
     principal_points: NDArray[np.float32]  # (N, K, 2) pixels; NaN for weak perspective
     distortions: NDArray[np.float32]  # (N, K, 8) OpenCV's order; NaN for weak perspective
     camera_models: NDArray[np.int8]  # (N, K) index into CAMERA_MODELS, -1 without a camera
-    reprojection_errors: NDArray[np.float32]  # (N, K) pixels, mean over the observed keypoints
+    # (N, K): pixels, mean over the observed keypoints, as they were denoised if they were.
+    reprojection_errors: NDArray[np.float32]
     keypoints_used: NDArray[np.int32]  # (N, K)
     status: tuple[Status, ...]  # N
 
@@ -85,8 +88,10 @@ class FittedPrior:
         curve: tuple[CurvePoint, ...],
         foreshortening: float,
         found: Discovery | None = None,
+        denoiser: ViewModel | None = None,
     ) -> None:
         self.config = config
+        self._denoiser = denoiser
         self.cameras = None if found is None else report(found)
         self._found = found
         self.curve = curve
@@ -145,6 +150,8 @@ class FittedPrior:
                 " observed"
             )
         fitted = self._views(views, count)
+        if self._denoiser is not None and fitted is not None:
+            seen = self._denoiser.denoise(seen, fitted)
         mode = self.config.refine if refine is None else refine
         size = max(
             1, ACTIVATIONS // (6 * count * max(self.config.dictionary_sizes[0], points_count))
@@ -160,6 +167,7 @@ class FittedPrior:
 
     def _views(self, views: Sequence[int] | None, count: int) -> Sequence[int] | None:
         known = 0 if self._found is None else len(self._found.errors)
+        known = known if self._denoiser is None else len(self._denoiser.mean)
         if views is None:
             return range(count) if count == known else None
         if (
@@ -225,10 +233,18 @@ class FittedPrior:
         cameras: Arrays = {}
         if self._found is not None:
             cameras, about["cameras"] = to_arrays(self._found)
+        denoiser: Arrays = {}
+        if self._denoiser is not None:
+            about["denoiser"] = str(len(self._denoiser.mean))
+            denoiser = {
+                name: torch.from_numpy(np.array(value, np.float64, ndmin=1, order="C"))
+                for name, value in self._denoiser._asdict().items()
+            }
         return pack(
             {
                 **self._arrays,
                 **{f"{CAMERAS}{name}": value for name, value in cameras.items()},
+                **{f"{DENOISER}{name}": value for name, value in denoiser.items()},
                 "curve": curve,
                 "foreshortening": torch.tensor([self.foreshortening], dtype=torch.float64),
             },
@@ -258,7 +274,17 @@ class FittedPrior:
         cameras = array_shapes(keypoints, None) if "cameras" in about else {}
         for name, shape in cameras.items():
             shapes[f"{CAMERAS}{name}"] = shape
+        if "denoiser" in about:
+            shapes[f"{DENOISER}mean"] = (None, keypoints, 2)
+            shapes[f"{DENOISER}basis"] = (None, keypoints, 2, None)
+            shapes[f"{DENOISER}noise"] = (1,)
         arrays = unpack(data, shapes={**shapes, "curve": (None, 3), "foreshortening": (1,)})
+        denoiser = None
+        if "denoiser" in about:
+            mean, basis, noise = (arrays.pop(f"{DENOISER}{n}") for n in ViewModel._fields)
+            denoiser = ViewModel(mean.numpy(), basis.numpy(), noise.item())
+            if len(mean) != len(basis) or not denoiser.noise > 0:
+                raise WeightsError("the file contradicts itself about the noise")
         found = None
         if cameras:
             parts = {name: arrays.pop(f"{CAMERAS}{name}") for name in cameras}
@@ -266,7 +292,7 @@ class FittedPrior:
         curve = tuple(
             CurvePoint(int(s), loss, error) for s, loss, error in arrays.pop("curve").tolist()
         )
-        return cls(config, arrays, curve, arrays.pop("foreshortening").item(), found)
+        return cls(config, arrays, curve, arrays.pop("foreshortening").item(), found, denoiser)
 
 
 def join(lifts: Sequence[Lift]) -> Lift:

@@ -16,6 +16,7 @@ from torch.linalg import LinAlgError  # type: ignore[attr-defined]
 
 from models.cameras import project
 from models.config import FitConfig
+from models.denoising import ViewModel, learn_views
 from models.discovery import (
     Discovery,
     ImageSizes,
@@ -121,6 +122,9 @@ class Trainer:
         self._found: Discovery | None = None
         self._mirrored = False  # whether the network's structures are mirror images
         self._fingerprint = _fingerprint(observations, image_sizes)
+        self._denoiser = learn_views(observations) if config.denoising else None
+        if self._denoiser is not None:
+            observations = self._denoiser.denoise(observations, range(views))
         self._keypoints = torch.from_numpy(observations.keypoints[frames])
         self._weights = torch.from_numpy(observations.weights[frames])
         self._sizes = torch.from_numpy(observations.sizes[frames])
@@ -161,9 +165,10 @@ class Trainer:
 
     def result(self) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
-        return self._as_prior(None if self._found is None else self._doubted(self._found))
+        found = None if self._found is None else self._doubted(self._found)
+        return self._as_prior(found, self._denoiser)
 
-    def _as_prior(self, found: Discovery | None) -> FittedPrior:
+    def _as_prior(self, found: Discovery | None, denoiser: ViewModel | None = None) -> FittedPrior:
         every = slice(None, None, math.ceil(len(self._keypoints) / HANDEDNESS_FRAMES))
         keypoints, weights = self._keypoints[every], self._weights[every]
         with torch.inference_mode():
@@ -177,6 +182,7 @@ class Trainer:
             curve=tuple(self._curve),
             foreshortening=foreshortening,
             found=found,
+            denoiser=denoiser,
         )
 
     def checkpoint(self) -> bytes:
@@ -357,6 +363,10 @@ class Trainer:
         except (LinAlgError, NothingFoundError):
             logger.warning("The keypoints do not say what the cameras are", exc_info=True)
             return
+        if self._denoiser is not None:
+            reason = f"{self._found.reason}; {self._denoiser.noise:.3g} px of noise were removed"
+            noise = max(self._found.noise, self._denoiser.left)
+            self._found = replace(self._found, reason=reason, noise=noise)
         turned = not same_hand(scene.points, answers[0])
         self._mirrored = (prior.foreshortening < 0) != turned
 
