@@ -5,7 +5,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 import zipfile
 from collections.abc import Callable, Iterator
@@ -27,6 +26,7 @@ from models.synthetic import SyntheticCapture, synthetic_capture
 from models.training import Trainer
 from service.app import create_app
 from service.settings import Settings
+from tests.processes import free_port, tied
 
 JSON = {"Content-Type": "application/json"}
 BYTES = {"Content-Type": "application/octet-stream"}
@@ -112,7 +112,7 @@ def weights(capture: SyntheticCapture) -> bytes:
 
 @pytest.fixture(scope="session")
 def valkey() -> Iterator[ValkeyServer]:
-    with ValkeyServer() as server:
+    with ValkeyServer(port=free_port()) as server:
         yield server
 
 
@@ -228,7 +228,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
     """Run ``fewview serve`` with its defaults; stop it with SIGTERM, and nothing may stay."""
     folder = tmp_path_factory.mktemp("live")
     process = subprocess.Popen(
-        [sys.executable, "-m", "service.cli", "serve", "--port", "0", "--data-dir", str(folder)],
+        tied("-m", "service.cli", "serve", "--port", "0", "--data-dir", str(folder)),
         env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")},
         stdout=subprocess.PIPE,
         text=True,

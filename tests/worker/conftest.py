@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +18,7 @@ from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
 from store.records import Fit
+from tests.processes import free_port, tied
 from worker.settings import WorkerSettings
 
 CONFIG = {"dictionary_sizes": [16, 8], "steps": 60, "batch_size": 16}
@@ -29,7 +29,7 @@ StartWorker = Callable[[], "subprocess.Popen[bytes]"]
 
 @pytest.fixture(scope="session")
 def valkey() -> Iterator[ValkeyServer]:
-    with ValkeyServer() as server:
+    with ValkeyServer(port=free_port()) as server:
         yield server
 
 
@@ -76,7 +76,7 @@ def start_worker(settings: WorkerSettings) -> Iterator[StartWorker]:
 
     def start() -> "subprocess.Popen[bytes]":
         process = subprocess.Popen(
-            [sys.executable, "-m", "service.cli", "worker"],
+            tied("-m", "service.cli", "worker"),
             env=os.environ | settings.to_environment(),
         )
         started.append(process)

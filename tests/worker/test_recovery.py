@@ -2,7 +2,6 @@
 
 import signal
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from store import fits, housekeeping, models
 from store.capture import Capture
 from store.database import Store
 from store.records import Fit
+from tests.processes import free_port, tied
 from tests.worker.conftest import (
     CONFIG,
     LONG,
@@ -158,9 +158,9 @@ def test_a_job_stuck_between_queue_and_worker_is_put_back(
 def test_redis_dies_under_a_running_fit(
     store: Store, settings: WorkerSettings, dataset_id: str, tmp_path: Path
 ) -> None:
-    server = ValkeyServer(data_dir=tmp_path / "valkey", persist=True, appendonly="yes")
+    port = free_port()
+    server = ValkeyServer(port=port, data_dir=tmp_path / "valkey", persist=True, appendonly="yes")
     server.start()
-    port = server.port
     url = RedisDsn(f"redis://127.0.0.1:{port}/0")
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=SLOW)
     waiting = fits.create(store, dataset_id=dataset_id, name="g", config=CONFIG)
@@ -168,7 +168,7 @@ def test_redis_dies_under_a_running_fit(
         for record in (fit, waiting):
             enqueue(open_queue(client), record)
     environment = settings.model_copy(update={"redis_url": url}).to_environment()
-    worker = subprocess.Popen([sys.executable, "-m", "service.cli", "worker"], env=environment)
+    worker = subprocess.Popen(tied("-m", "service.cli", "worker"), env=environment)
     try:
         wait_for_step(store, fit.id, 100)
         server.terminate()
@@ -233,7 +233,7 @@ def test_a_fit_that_takes_too_long_fails(
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=LONG)
     enqueue(open_queue(redis), fit)
     environment = settings.model_copy(update={"max_fit_seconds": 1}).to_environment()
-    with subprocess.Popen([sys.executable, "-m", "service.cli", "worker"], env=environment) as w:
+    with subprocess.Popen(tied("-m", "service.cli", "worker"), env=environment) as w:
         record = wait_until(store, fit.id, "failed")
         w.terminate()
     assert record.error is not None
