@@ -1,6 +1,7 @@
 """The worker process: waits for fits and runs each in a process of its own."""
 
 import logging
+import multiprocessing
 import os
 import signal
 import time
@@ -35,6 +36,7 @@ CANCEL_PATIENCE_SECONDS = 0.7  # before a fit that does not heed a cancel loses 
 TIMEOUT_SLACK_SECONDS = 300  # the fit ends itself; RQ's timeout is for one that hangs
 REDIS_RETRIES = 12
 SWEEP_SECONDS = 3600
+FORK = multiprocessing.get_context("fork")
 
 
 class FitWorker(Worker):
@@ -85,11 +87,12 @@ class FitWorker(Worker):
                 self.kill_horse()
             if time.monotonic() - self._swept_at > SWEEP_SECONDS or not self._swept_at:
                 self._swept_at = time.monotonic()
-                housekeeping.sweep(self._store)
+                # Not here: the object store's threads would not live on in a forked work-horse,
+                # which would wait for them forever.
+                sweeping = FORK.Process(target=_sweep, args=(self._store, os.getpid()), daemon=True)
+                sweeping.start()
         except SQLAlchemyError:
             logger.exception("The records cannot be reached")
-        except (ObjectStoreError, OSError):
-            logger.exception("The objects cannot be swept")
 
     def execute_job(self, job: Job, queue: Queue) -> None:
         """Run a job in a process of its own, whatever limits its producer set or left out."""
@@ -114,6 +117,14 @@ class FitWorker(Worker):
         self.stopping = True
         if self.horse_pid:
             os.kill(self.horse_pid, signal.SIGTERM)
+
+
+def _sweep(store: Store, parent: int) -> None:
+    die_with_parent(parent)
+    try:
+        housekeeping.sweep(store)
+    except (SQLAlchemyError, ObjectStoreError, OSError):
+        logger.exception("The objects cannot be swept")
 
 
 def run(settings: WorkerSettings) -> None:
