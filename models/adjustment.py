@@ -73,7 +73,7 @@ class ShapePrior(NamedTuple):
         squared = (pull * offset).sum((1, 2))
         if not self.heavy:
             return pull, squared, inverse
-        freedom = offset[0].numel() - SIMILARITY
+        freedom = 3 * offset.shape[1] - SIMILARITY
         share = (freedom / squared.clamp_min(1e-12)).clamp_max(1)
         return (
             pull * share[:, None, None],
