@@ -91,6 +91,7 @@ class FitWorker(Worker):
                 # which would wait for them forever.
                 sweeping = FORK.Process(target=_sweep, args=(self._store, os.getpid()), daemon=True)
                 sweeping.start()
+                sweeping.join()
         except SQLAlchemyError:
             logger.exception("The records cannot be reached")
 
