@@ -1,11 +1,13 @@
 # make demo   set up, then run the main job end to end: `make demo CAPTURE=file.npz` for your own
 # make test   set up, then lint, type-check and test
 # make fidelity   measure errors: `make fidelity CAPTURE=file.npz`, else on the example
+# make benchmark  time lifts; benchmark-load, -fit, -scaling, -runtimes: see benchmarks/README.md
 # make serve  set up, then run the service on http://127.0.0.1:8000
 
 PYTHON ?= python3
 BIN := .venv/bin
 CAPTURE ?=
+ARGUMENTS ?=
 
 .PHONY: demo test serve openapi benchmark fidelity clean
 
@@ -22,7 +24,10 @@ serve: .venv/ready
 	$(BIN)/fewview serve
 
 benchmark: .venv/ready
-	$(BIN)/python benchmarks/lift.py
+	$(BIN)/python benchmarks/lift.py $(ARGUMENTS)
+
+benchmark-%: .venv/ready
+	$(BIN)/python benchmarks/$*.py $(ARGUMENTS)
 
 fidelity: .venv/ready
 	$(BIN)/python benchmarks/fidelity.py $(if $(CAPTURE),"$(CAPTURE)")

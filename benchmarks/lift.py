@@ -1,179 +1,255 @@
-"""How long one lift takes: over HTTP as JSON and as safetensors, and in this process.
+"""How long lifts take: in this process, and over HTTP as JSON and as safetensors.
 
-    python benchmarks/lift.py [--model-keypoints 17] [--views 4] [--lifts 1000] [--json FILE]
+    python benchmarks/lift.py [--capture FILE.npz | --views 4 --keypoints 17] [--model FILE]
+                              [--batches 1 32 1000] [--seconds 15] [--json FILE]
 
-The three take turns, one lift each, so that a machine that gets slower gets slower for all.
+The ways take turns, one call each, so that a machine that gets slower gets slower for all.
+README.md says what each row is.
 """
 
 import argparse
-import json
-import sys
+import asyncio
+import gc
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Any, get_args
 
-import httpx2
-import numpy as np
+from benchmarks.captures import (  # first: it says how many threads the libraries may take
+    Float32,
+    add_options,
+    from_options,
+    model_from_options,
+)
+
+import numpy as np  # isort: skip
+import orjson
 import torch
-from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
-from safetensors.numpy import load, save
+from safetensors.numpy import save
 
+from benchmarks.figures import Bar, Results, Row, command, spread
+from benchmarks.service_rig import BYTES, Service, service
+from benchmarks.wire import Connection, post
+from models.config import Refine
 from models.fitted import FittedPrior
-from models.synthetic import synthetic_capture
 
-sys.path.append(str(Path(__file__).parents[1] / "examples"))  # where `embedded` lies
-from embedded import running_service
+JSON = "application/json"
+IN_PROCESS, HTTP_JSON, HTTP_BINARY = "in process", "HTTP, JSON", "HTTP, binary"
+PARSING = "parsing the JSON"  # orjson.loads and numpy.asarray of the body
+FEWEST, MOST = 5, 2000  # turns
+WARM_UP = 3  # turns that do not count
+DIFFERENT = 2000  # frames that a row's calls go through
+REFINES: tuple[Refine, ...] = ("off", "auto")
+NAMES = {"off": "feed-forward", "auto": "refined", "full": "refined, always"}
 
-FRAMES = 200
-FIT_STEPS = 200  # a lift takes the same time however good the fit is
-WARM_UP = 50
-BAR_MS = 10.0  # the median of HTTP JSON should not be above it
-BYTES = "application/octet-stream"
+Way = Callable[[int], Awaitable[object]]  # lifts the i-th batch
 
-Float32 = NDArray[np.float32]
+
+@dataclass(frozen=True)
+class Timing:
+    """What the turns of one way took."""
+
+    refine: Refine
+    batch: int
+    way: str
+    seconds: list[float]
+
+    @property
+    def p50(self) -> float:
+        """Median, milliseconds."""
+        return spread(self.seconds)["p50 ms"]
+
+    @property
+    def p99(self) -> float:
+        """99th percentile, milliseconds."""
+        return spread(self.seconds)["p99 ms"]
+
+    @property
+    def frames_per_second(self) -> float:
+        """Throughput over all turns."""
+        return self.batch * len(self.seconds) / sum(self.seconds)
 
 
 def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
     torch.set_num_threads(1)  # as in the service
-    keypoints = make_keypoints(arguments.model_keypoints, arguments.views)
-    with (
-        running_service() as address,
-        httpx2.Client(base_url=address, timeout=120, trust_env=False) as client,
-    ):
-        model = fit(client, keypoints)
-        ways = ways_to_lift(client, model, keypoints[:1])
-        milliseconds = take_turns(ways, arguments.lifts)
-    figures = summarise(milliseconds) | {
-        "views": arguments.views,
-        "keypoints": arguments.model_keypoints,
-        "lifts": arguments.lifts,
-    }
-    show(figures)
-    line = json.dumps(figures)
-    if arguments.json is not None:
-        arguments.json.write_text(line + "\n")
-    print(line)
+    gc.collect()
+    gc.freeze()  # JSON makes so many lists that all else would be searched again and again
+    capture = from_options(arguments)
+    prior = model_from_options(arguments, capture)
+    with service() as running:
+        timings = asyncio.run(measure(running, prior, capture.keypoints, arguments))
+    Results("lift", vars(arguments), {"Lifts": rows(timings)}, bars(timings)).publish(
+        arguments.json
+    )
 
 
 def parse_arguments() -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description="Time the lift of one frame.")
-    parser.add_argument("--model-keypoints", type=int, default=17, help="default: %(default)s")
-    parser.add_argument("--views", type=int, default=4, help="default: %(default)s")
-    parser.add_argument("--lifts", type=int, default=1000, help="of each kind: %(default)s")
-    parser.add_argument("--json", type=Path, help="also write the last line to this file")
+    parser = command("Time lifts in this process and through the service.")
+    add_options(parser)
+    parser.add_argument("--batches", type=int, nargs="+", default=[1, 32, 1000], help="frames")
+    parser.add_argument("--refine", nargs="+", choices=get_args(Refine), default=list(REFINES))
+    parser.add_argument("--seconds", type=float, default=15, help="for each batch size: 15")
     return parser.parse_args()
 
 
-def make_keypoints(count: int, views: int) -> Float32:
-    """Return frames (N, K, count, 2) of a synthetic figure.
+async def measure(
+    running: Service, prior: FittedPrior, keypoints: Float32, arguments: argparse.Namespace
+) -> list[Timing]:
+    """Time every way for every size of batch."""
+    model = running.import_model(prior)
+    connection = await Connection.open(running.host, running.port)
+    timings = []
+    for refine in arguments.refine:
+        for size in arguments.batches:
+            batches = cut(keypoints, size)
+            ways = ways_to_lift(connection, model, prior, batches, refine)
+            seconds = await take_turns(ways, len(batches), arguments.seconds)
+            timings += [Timing(refine, size, way, times) for way, times in seconds.items()]
+    await connection.close()
+    return timings
 
-    Beyond the figure's own keypoints, there are as many means of some of them as are asked for.
-    """
-    keypoints = synthetic_capture(frames=FRAMES, views=views, noise=1.0).keypoints
-    extra = max(0, count - keypoints.shape[2])
-    shares = np.random.default_rng(0).dirichlet(np.full(keypoints.shape[2], 0.3), extra)
-    means = np.einsum("ep,nkpc->nkec", shares, keypoints)
-    return np.concatenate((keypoints, means), axis=2)[:, :, :count].astype(np.float32)
 
-
-def fit(client: httpx2.Client, keypoints: Float32) -> str:
-    """Fit a model over HTTP and return its identifier."""
-    dataset = client.post(
-        "/datasets", content=save({"keypoints": keypoints}), headers={"Content-Type": BYTES}
-    )
-    job = client.post(
-        "/fits",
-        json={
-            "dataset_id": dataset.raise_for_status().json()["id"],
-            "config": {"steps": FIT_STEPS},
-        },
-    )
-    path = f"/fits/{job.raise_for_status().json()['id']}"
-    while (found := client.get(path).json())["status"] in ("queued", "running"):
-        time.sleep(0.2)
-    if found["status"] != "succeeded":
-        sys.exit(f"The fit {found['status']}: {found['error']}")
-    return str(found["model_id"])
+def cut(keypoints: Float32, size: int) -> list[Float32]:
+    """Return different batches (size, K, P, 2) of a capture's frames."""
+    count = max(1, min(len(keypoints), DIFFERENT) // size)
+    return np.split(keypoints[np.arange(count * size) % len(keypoints)], count)
 
 
 def ways_to_lift(
-    client: httpx2.Client, model: str, frame: Float32
-) -> dict[str, Callable[[], object]]:
-    """Return functions that lift the frame (1, K, P, 2), all from the array to the answer."""
-    weights = client.get(f"/models/{model}/weights").raise_for_status().content
-    prior = FittedPrior.from_bytes(weights)
-
-    def http_json() -> Any:
-        body = {"model": model, "frames": frame.tolist()}
-        return client.post("/lift", json=body).raise_for_status().json()
-
-    def http_safetensors() -> dict[str, NDArray[Any]]:
-        answer = client.post(
-            "/lift",
-            params={"model": model},
-            content=save({"frames": frame}),
-            headers={"Content-Type": BYTES, "Accept": BYTES},
+    connection: Connection, model: str, prior: FittedPrior, batches: list[Float32], refine: Refine
+) -> dict[str, Way]:
+    """Return functions that lift a batch; what a client makes of arrays is made before."""
+    texts = [
+        orjson.dumps(
+            {"model": model, "frames": frames, "refine": refine},
+            option=orjson.OPT_SERIALIZE_NUMPY,
         )
-        return load(answer.raise_for_status().content)
+        for frames in batches
+    ]
+    lists = [orjson.dumps(frames, option=orjson.OPT_SERIALIZE_NUMPY) for frames in batches]
+    in_json = [post("/lift", text, content=JSON, accept=JSON) for text in texts]
+    path = f"/lift?model={model}&refine={refine}"
+    in_bytes = [
+        post(path, save({"frames": frames}), content=BYTES, accept=BYTES) for frames in batches
+    ]
 
-    def in_process() -> object:
-        return prior.lift(frame)
+    async def in_process(turn: int) -> object:
+        return prior.lift(batches[turn], refine=refine)
+
+    async def http_json(turn: int) -> object:
+        return await ask(connection, in_json[turn])
+
+    async def http_binary(turn: int) -> object:
+        return await ask(connection, in_bytes[turn])
+
+    async def parsing(turn: int) -> object:
+        return np.asarray(orjson.loads(lists[turn]), np.float32)
 
     return {
-        "http_json": http_json,
-        "http_safetensors": http_safetensors,
-        "in_process": in_process,
+        IN_PROCESS: in_process,
+        HTTP_JSON: http_json,
+        HTTP_BINARY: http_binary,
+        PARSING: parsing,
     }
 
 
-def take_turns(ways: dict[str, Callable[[], object]], lifts: int) -> dict[str, list[float]]:
-    """Return the milliseconds of each lift, the first few of each kind left out."""
-    milliseconds: dict[str, list[float]] = {name: [] for name in ways}
-    for _ in range(WARM_UP + lifts):
+async def ask(connection: Connection, request: bytes) -> bytes:
+    """Return the body of an answer that must be 200."""
+    answer = await connection.ask(request)
+    if answer.status != 200:
+        raise RuntimeError(f"POST /lift answered {answer.status}: {answer.body[:500]!r}")
+    return answer.body
+
+
+async def take_turns(
+    ways: dict[str, Way], batches: int, seconds_in_all: float
+) -> dict[str, list[float]]:
+    """Call the ways in turns until the time is up; return the seconds that each call took."""
+    seconds: dict[str, list[float]] = {name: [] for name in ways}
+    ends = time.perf_counter() + seconds_in_all
+    turn = 0
+    while turn < WARM_UP + FEWEST or (turn < WARM_UP + MOST and time.perf_counter() < ends):
         for name, way in ways.items():
             started = time.perf_counter()
-            way()
-            milliseconds[name].append(1000 * (time.perf_counter() - started))
-    return {name: times[WARM_UP:] for name, times in milliseconds.items()}
+            await way(turn % batches)
+            seconds[name].append(time.perf_counter() - started)
+        turn += 1
+    return {name: times[WARM_UP:] for name, times in seconds.items()}
 
 
-def summarise(milliseconds: dict[str, list[float]]) -> dict[str, Any]:
-    """Return percentiles and means, how many times as long HTTP takes, and whether that will do."""
-    figures: dict[str, Any] = {}
-    for name, times in milliseconds.items():
-        for share in (50, 90, 99):
-            figures[f"{name}_ms_p{share}"] = round(float(np.percentile(times, share)), 3)
-        figures[f"{name}_ms_mean"] = round(float(np.mean(times)), 3)
-    for name in ("http_json", "http_safetensors"):
-        ratio = figures[f"{name}_ms_p50"] / figures["in_process_ms_p50"]
-        figures[f"{name}_ratio"] = round(ratio, 3)
-    figures["bar_ms"] = BAR_MS
-    figures["within_bar"] = figures["http_json_ms_p50"] <= BAR_MS
-    return figures
+def rows(timings: list[Timing]) -> list[Row]:
+    """Return a row for each timing."""
+    answer = []
+    for timing in timings:
+        lifts = timing.way != PARSING
+        base = find(timings, timing.refine, timing.batch, IN_PROCESS)
+        rate = timing.frames_per_second
+        answer.append(
+            {
+                "lift": NAMES[timing.refine],
+                "frames": timing.batch,
+                "way": timing.way,
+                "p50 ms": timing.p50,
+                "p99 ms": timing.p99,
+                "frames/s": rate if lifts else None,
+                "% of in process": 100 * rate / base.frames_per_second if lifts else None,
+                "turns": len(timing.seconds),
+            }
+        )
+    return answer
 
 
-def show(figures: dict[str, Any]) -> None:
-    """Print the figures as a table."""
-    title = f"One frame of {figures['views']} views x {figures['keypoints']} keypoints, ms"
-    columns = ("p50", "p90", "p99", "mean")
-    table = Table("", *columns, "p50 / in process", title=title)
-    for name, label in (
-        ("http_json", "HTTP, JSON"),
-        ("http_safetensors", "HTTP, safetensors"),
-        ("in_process", "in process"),
-    ):
-        times = [f"{figures[f'{name}_ms_{column}']:.2f}" for column in columns]
-        table.add_row(label, *times, f"{figures.get(f'{name}_ratio', 1):.2f}")
-    console = Console(highlight=False)
-    console.print(table)
-    verdict = "within" if figures["within_bar"] else "above"
-    console.print(f"The median of HTTP, JSON is {verdict} the bar of {BAR_MS:g} ms.")
+def find(timings: list[Timing], refine: str, batch: int, way: str) -> Timing:
+    """Return the timing of one row."""
+    return next(t for t in timings if (t.refine, t.batch, t.way) == (refine, batch, way))
+
+
+def bars(timings: list[Timing]) -> list[Bar]:
+    """Return the bars that the measured sizes allow to judge."""
+    answer: list[Bar] = []
+
+    def at(refine: Refine, batch: int, way: str) -> Any:
+        return find(timings, refine, batch, way)
+
+    have = {(timing.refine, timing.batch) for timing in timings}
+    if ("off", 1) in have:
+        ours, http = at("off", 1, IN_PROCESS), at("off", 1, HTTP_JSON)
+        answer += [
+            Bar("in process, feed-forward, one frame, p50", 0.3, ours.p50, "ms"),
+            Bar("HTTP, one frame, p50 beyond in process", 2, http.p50 - ours.p50, "ms"),
+            Bar("HTTP, one frame, p99 / p50", 4, http.p99 / http.p50, "x"),
+        ]
+    if ("off", 1000) in have:
+        ours = at("off", 1000, IN_PROCESS)
+        share = 100 * at("off", 1000, HTTP_BINARY).frames_per_second / ours.frames_per_second
+        beyond = at("off", 1000, HTTP_JSON).p50 - ours.p50
+        answer += [
+            Bar(
+                "in process, feed-forward, batches of 1000",
+                50_000,
+                ours.frames_per_second,
+                "frames/s",
+                least=True,
+            ),
+            Bar("HTTP binary, batches of 1000, of in process", 60, share, "%", least=True),
+            Bar(
+                "HTTP JSON, batches of 1000, p50 beyond in process / parsing",
+                2,
+                beyond / at("off", 1000, PARSING).p50,
+                "x",
+            ),
+        ]
+    if ("auto", 1) in have:
+        answer.append(Bar("HTTP, refined, one frame, p50", 8, at("auto", 1, HTTP_JSON).p50, "ms"))
+    if ("auto", 1000) in have:
+        rate = at("auto", 1000, HTTP_BINARY).frames_per_second
+        answer.append(
+            Bar("HTTP binary, refined, batches of 1000", 1000, rate, "frames/s", least=True)
+        )
+    return answer
 
 
 if __name__ == "__main__":

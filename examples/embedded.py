@@ -15,8 +15,10 @@ STOP_SECONDS = 60.0
 
 
 @contextmanager
-def running_service() -> Iterator[str]:
+def running_service(*options: str) -> Iterator[str]:
     """Run ``fewview serve`` on a free port, its data in a temporary folder; yield its address.
+
+    `options` are further ones of ``fewview serve``.
 
     However the block is left, the service is stopped and its data are gone.
 
@@ -34,6 +36,7 @@ def running_service() -> Iterator[str]:
                     "serve",
                     *("--port", "0"),
                     *("--data-dir", str(Path(folder, "data"))),
+                    *options,
                 ],
                 # Settings of another Fewview must not lead this one to that one's data.
                 env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")},

@@ -1,0 +1,109 @@
+"""A Fewview of the benchmark's own, and what it is asked to do before anything is timed."""
+
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx2
+
+from models.fitted import FittedPrior
+
+sys.path.append(str(Path(__file__).parents[1] / "examples"))  # where `embedded` and `capture` lie
+from capture import Capture
+from embedded import running_service
+
+BYTES = "application/octet-stream"
+POLL_SECONDS = 0.02
+
+
+@dataclass(frozen=True)
+class Service:
+    """A running service."""
+
+    address: str
+    client: httpx2.Client  # convenient and slow: not for what is timed
+
+    @property
+    def host(self) -> str:
+        """The name that it listens on."""
+        return httpx2.URL(self.address).host
+
+    @property
+    def port(self) -> int:
+        """The port that it listens on."""
+        return httpx2.URL(self.address).port or 80
+
+    def import_model(self, prior: FittedPrior) -> str:
+        """Store a model and return its identifier."""
+        answer = self.client.post(
+            "/models", content=prior.to_bytes(), headers={"Content-Type": BYTES}
+        )
+        return str(answer.raise_for_status().json()["id"])
+
+    def upload(self, capture: Capture) -> str:
+        """Store a capture without its truth and return the dataset's identifier."""
+        body = capture.npz("keypoints", "confidence", "image_sizes")
+        answer = self.client.post("/datasets", content=body, headers={"Content-Type": BYTES})
+        return str(answer.raise_for_status().json()["id"])
+
+    def run(self, path: str, body: dict[str, Any]) -> tuple[dict[str, Any], float]:
+        """Make a job, wait for its end, return its record and the seconds from first to last."""
+        started = time.perf_counter()
+        made = self.client.post(path, json=body).raise_for_status().json()
+        while True:
+            found = self.client.get(f"{path}/{made['id']}").raise_for_status().json()
+            if found["status"] not in ("queued", "running"):
+                break
+            time.sleep(POLL_SECONDS)
+        seconds = time.perf_counter() - started
+        if found["status"] != "succeeded":
+            sys.exit(f"{path}/{made['id']} {found['status']}: {json.dumps(found['error'])}")
+        return found, seconds
+
+
+@contextmanager
+def service(*options: str) -> Iterator[Service]:
+    """Run a service with everything embedded; `options` are those of ``fewview serve``."""
+    with (
+        running_service(*options) as address,
+        httpx2.Client(base_url=address, timeout=600, trust_env=False) as client,
+    ):
+        yield Service(address, client)
+
+
+def api_process() -> int:
+    """Return the process that answers requests of the one service that runs below this process.
+
+    Raises
+    ------
+    RuntimeError
+        If there is none, or no /proc to look for it.
+    """
+    waiting = [os.getpid()]
+    while waiting:
+        process = waiting.pop()
+        try:
+            command = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
+            threads = list(Path(f"/proc/{process}/task").iterdir())
+            waiting += [
+                int(child)
+                for thread in threads
+                for child in (thread / "children").read_text().split()
+            ]
+        except OSError:  # it has just ended
+            continue
+        if b"service.app" in command:
+            return process
+    raise RuntimeError("found no process of the API below this one in /proc")
+
+
+def resident_bytes(process: int) -> int:
+    """Return how much memory a process has in use."""
+    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
