@@ -108,7 +108,7 @@ async def measure(
             ways = ways_to_lift(connection, model, prior, batches, refine)
             seconds = await take_turns(ways, len(batches), arguments.seconds)
             timings += [Timing(refine, size, way, times) for way, times in seconds.items()]
-    await connection.close()
+    connection.close()
     return timings
 
 

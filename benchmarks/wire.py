@@ -1,43 +1,69 @@
 """A lean client: what is timed is the service, so a request costs this side next to nothing."""
 
 import asyncio
-from dataclasses import dataclass
+from typing import NamedTuple
 
-BUFFER = 4 * 1024 * 1024  # bytes that may come before the reader pauses the socket
+LENGTH = b"\r\ncontent-length:"
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """What came back."""
 
     status: int
     body: bytes
 
 
-class Connection:
+class Connection(asyncio.Protocol):
     """One HTTP/1.1 connection that is kept open. Requests are bytes, made once by `post`."""
 
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._reader, self._writer = reader, writer
+    def __init__(self) -> None:
+        self._transport: asyncio.Transport | None = None
+        self._waiting: asyncio.Future[Answer] | None = None
+        self._come = bytearray()
+        self._head = self._whole = 0  # lengths, once the head has come
 
     @classmethod
     async def open(cls, host: str, port: int) -> "Connection":
         """Connect."""
-        return cls(*await asyncio.open_connection(host, port, limit=BUFFER))
+        _, connection = await asyncio.get_running_loop().create_connection(cls, host, port)
+        return connection
 
     async def ask(self, request: bytes) -> Answer:
         """Send a request and wait for the whole answer, which must say its length."""
-        self._writer.write(request)
-        head = await self._reader.readuntil(b"\r\n\r\n")
-        lowered = head.lower()
-        start = lowered.index(b"\r\ncontent-length:") + 17
-        length = int(lowered[start : lowered.index(b"\r\n", start)])
-        return Answer(int(head[9:12]), await self._reader.readexactly(length))
+        assert self._transport is not None
+        self._waiting = asyncio.get_running_loop().create_future()
+        self._transport.write(request)
+        return await self._waiting
 
-    async def close(self) -> None:
+    def close(self) -> None:
         """Disconnect."""
-        self._writer.close()
-        await self._writer.wait_closed()
+        assert self._transport is not None
+        self._transport.close()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Keep what writes."""
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        """Collect an answer; when it is whole, hand it to who waits."""
+        self._come += data
+        if not self._whole:
+            self._head = self._come.find(b"\r\n\r\n") + 4
+            if self._head < 4:
+                return
+            head = bytes(self._come[: self._head]).lower()
+            start = head.index(LENGTH) + len(LENGTH)
+            self._whole = self._head + int(head[start : head.index(b"\r\n", start)])
+        if len(self._come) >= self._whole and self._waiting is not None:
+            answer = Answer(int(self._come[9:12]), bytes(self._come[self._head :]))
+            self._come, self._whole = bytearray(), 0
+            self._waiting.set_result(answer)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """Do not let anyone wait for ever."""
+        if self._waiting is not None and not self._waiting.done():
+            self._waiting.set_exception(error or ConnectionError("the service hung up"))
 
 
 def post(path: str, body: bytes, *, content: str, accept: str) -> bytes:
