@@ -29,13 +29,15 @@ class Bar:
 
     what: str
     limit: float
-    reached: float
+    reached: float | None  # None: never
     unit: str
     least: bool = False  # whether `limit` is the least that will do, rather than the most
 
     @property
     def held(self) -> bool:
         """Whether the bar was reached."""
+        if self.reached is None:
+            return False
         return self.reached >= self.limit if self.least else self.reached <= self.limit
 
     def row(self) -> Row:
@@ -44,7 +46,7 @@ class Bar:
         return {
             "bar": self.what,
             "asked": f"{sign} {show(self.limit)} {self.unit}".rstrip(),
-            "reached": f"{show(self.reached)} {self.unit}".rstrip(),
+            "reached": f"{show(self.reached)} {self.unit}" if self.reached is not None else "never",
             "held": "yes" if self.held else "no",
         }
 
