@@ -16,6 +16,16 @@ from models.training import fit
 sys.path.append(str(Path(__file__).parents[1] / "examples"))  # where `capture` lies
 from capture import Capture, CaptureError, read_capture
 
+__all__ = [
+    "Capture",
+    "Float32",
+    "add_options",
+    "fitted",
+    "from_options",
+    "model_from_options",
+    "studio",
+]
+
 Float32 = NDArray[np.float32]
 FRAMES = 600
 NOISE = 1.0  # pixels

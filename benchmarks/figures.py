@@ -5,11 +5,12 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,8 +19,10 @@ from rich.table import Table
 
 PACKAGES = ("fewview", "numpy", "torch")
 DPI = 150
+FEWEST_TURNS = 4
 
 Row = dict[str, Any]
+Key = TypeVar("Key", bound=Hashable)
 console = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
 
 
@@ -87,6 +90,20 @@ def command(about: str) -> argparse.ArgumentParser:
     return parser
 
 
+def take_turns(ways: dict[Key, Callable[[], object]], seconds: float) -> dict[Key, list[float]]:
+    """Call the ways in turns until the time is up; return the seconds that each call took."""
+    times: dict[Key, list[float]] = {key: [] for key in ways}
+    ends = time.perf_counter() + seconds
+    turn = 0
+    while turn < FEWEST_TURNS or time.perf_counter() < ends:
+        for key, way in ways.items():
+            started = time.perf_counter()
+            way()
+            times[key].append(time.perf_counter() - started)
+        turn += 1
+    return {key: those[1:] for key, those in times.items()}  # the first one warms up
+
+
 def spread(seconds: Sequence[float]) -> dict[str, float]:
     """Return median and 99th percentile in milliseconds."""
     p50, p99 = np.percentile(seconds, (50, 99)) if len(seconds) else (np.nan, np.nan)
@@ -140,13 +157,12 @@ def draw_lines(
     *,
     title: str,
     labels: dict[str, tuple[str, str]],
-    linear: bool = False,
-    log: bool = True,
+    linear: Sequence[str] = (),
 ) -> None:
     """Draw a panel of lines each, the points of a line by its name.
 
-    `linear` adds to each line what it would be if it grew in proportion to x from its first point.
-    `labels` has those of the x and y axis for each panel.
+    `labels` has those of the x and y axis for each panel. Panels named in `linear` get, beside
+    each line, what it would be if it grew in proportion to x from its first point.
     """
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
@@ -157,13 +173,13 @@ def draw_lines(
         for label, points in lines.items():
             x, y = np.array(sorted(points), float).T
             (line,) = ax.plot(x, y, marker="o", markersize=4, label=label)
-            if linear:
+            if name in linear:
                 ax.plot(x, y[0] * x / x[0], ":", color=line.get_color(), alpha=0.5)
-        if log:
-            ax.set(xscale="log", yscale="log")
-        else:
-            ax.set_ylim(0)
         ax.set(title=name, xlabel=labels[name][0], ylabel=labels[name][1])
+        ax.set(xscale="log", yscale="log")
+        for axis in (ax.xaxis, ax.yaxis):
+            axis.set_major_formatter(lambda value, _: show(value))
+            axis.set_minor_formatter("")
         ax.grid(alpha=0.3, which="both")
         ax.legend(fontsize=7)
     for ax in axes[len(panels) :]:

@@ -15,16 +15,13 @@ from typing import Any
 
 from safetensors.numpy import load
 
-from benchmarks.captures import from_options
+from benchmarks.captures import Capture, from_options
 from benchmarks.figures import Bar, Results, Row, command, console, draw_lines
 from benchmarks.service_rig import BYTES, Service, service
 from models.config import FitConfig
 from models.metrics import pa_mpjpe
 
 ROOT = Path(__file__).parents[1]
-sys.path.append(str(ROOT / "examples"))  # where `capture` lies
-from capture import Capture  # noqa: E402
-
 MILLIMETRES = {"m": 1000.0, "cm": 10.0, "mm": 1.0}
 BAR_SECONDS = (12.0, 45.0)  # for the two targets, feed-forward and refined
 STEPS_PER_SECOND = 80  # about, where a fit cannot be told seconds

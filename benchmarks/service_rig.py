@@ -11,15 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import httpx2
+import numpy as np
+from safetensors.numpy import save
 
+from benchmarks.captures import Capture, Float32
 from models.fitted import FittedPrior
 
-sys.path.append(str(Path(__file__).parents[1] / "examples"))  # where `embedded` and `capture` lie
-from capture import Capture
+sys.path.append(str(Path(__file__).parents[1] / "examples"))  # where `embedded` lies
 from embedded import running_service
 
 BYTES = "application/octet-stream"
 POLL_SECONDS = 0.02
+UPLOAD_FRAMES = 50_000  # in one request
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,17 @@ class Service:
         body = capture.npz("keypoints", "confidence", "image_sizes")
         answer = self.client.post("/datasets", content=body, headers={"Content-Type": BYTES})
         return str(answer.raise_for_status().json()["id"])
+
+    def upload_many(self, keypoints: Float32, frames: int) -> str:
+        """Store so many frames, those of `keypoints` (N, K, P, 2) again and again."""
+        path = "/datasets"
+        for start in range(0, frames, UPLOAD_FRAMES):
+            which = np.arange(start, min(start + UPLOAD_FRAMES, frames)) % len(keypoints)
+            body = save({"keypoints": keypoints[which]})
+            answer = self.client.post(path, content=body, headers={"Content-Type": BYTES})
+            dataset = answer.raise_for_status().json()["id"]
+            path = f"/datasets/{dataset}/frames"
+        return str(dataset)
 
     def run(self, path: str, body: dict[str, Any]) -> tuple[dict[str, Any], float]:
         """Make a job, wait for its end, return its record and the seconds from first to last."""
