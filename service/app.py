@@ -49,12 +49,15 @@ def create_app(settings: Settings) -> FastAPI:
         )
         app.state.queue = open_queue(connection)
         app.state.large_uploads = asyncio.Semaphore(LARGE_AT_A_TIME)
-        app.state.engine = Engine(app.state.store, max_bytes=settings.warm_model_bytes)
+        app.state.engine = Engine(
+            app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
+        )
         # Libraries stay: the lists of a JSON batch must not have all of them searched for garbage
         # again and again, which takes five times as long as the lift.
         gc.collect()
         gc.freeze()
         yield
+        await asyncio.to_thread(app.state.engine.close)
         app.state.store.close()
         app.state.queue.connection.close()
 
@@ -71,7 +74,11 @@ def create_app(settings: Settings) -> FastAPI:
     for module in RESOURCES:
         app.include_router(module.router)
     errors.install(app)
-    app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes)
+    app.add_middleware(
+        BodyLimit,
+        max_bytes=settings.max_body_bytes,
+        max_pending_bytes=settings.max_pending_bytes,
+    )
     _describe(app)
     return app
 
@@ -104,6 +111,18 @@ def _describe(app: FastAPI) -> None:
     app.openapi = openapi  # type: ignore[method-assign]
 
 
+def server_config(settings: Settings) -> uvicorn.Config:
+    """Return how uvicorn serves the application."""
+    return uvicorn.Config(
+        create_app(settings),
+        loop="uvloop",
+        http="httptools",
+        log_level="warning",
+        timeout_graceful_shutdown=3,
+        server_header=False,
+    )
+
+
 def main() -> None:
     """Serve the API as a child of ``fewview serve``, with the settings in the environment.
 
@@ -113,12 +132,7 @@ def main() -> None:
     parent, listener = (int(argument) for argument in sys.argv[1:])
     die_with_parent(parent)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
-    config = uvicorn.Config(
-        create_app(Settings()),
-        log_level="warning",
-        timeout_graceful_shutdown=3,
-        server_header=False,
-    )
+    config = server_config(Settings())
     uvicorn.Server(config).run(sockets=[socket.socket(fileno=listener)])
 
 

@@ -7,6 +7,7 @@ import io
 import math
 import zipfile
 import zlib
+from itertools import chain
 from typing import IO, Any
 
 import numpy as np
@@ -148,7 +149,7 @@ def from_nested(
         422, naming the first list that has the wrong length or holds something else than numbers.
     """
     with np.errstate(over="ignore"):
-        values = _from_regular(value, len(axes))
+        values = _from_regular(value, len(axes), max_bytes)
         if values is None:
             values = _from_gapped(value, pointer, axes, sizes, max_bytes)
     if np.isinf(values).any():
@@ -156,15 +157,31 @@ def from_nested(
     return values
 
 
-def _from_regular(value: object, axes: int) -> NDArray[np.float32] | None:
-    """Convert lists that are null, if anywhere, in single numbers: the fast path."""
-    try:
-        array = np.array(value, dtype=object)  # of its own accord numpy takes true for 1
-    except ValueError:  # ragged, as it is when a whole point or view is null
+def _from_regular(value: object, axes: int, max_bytes: int) -> NDArray[np.float32] | None:
+    """Convert lists that have one length per axis: the fast path, in steps of whole axes.
+
+    Returns None for what :func:`_from_gapped` has to complete, or to refuse with its place.
+    """
+    level: list[Any] = [value]
+    shape: list[int] = []
+    for _ in range(axes):
+        kinds = set(map(type, level))
+        if kinds == {list, type(None)}:
+            found = next(len(item) for item in level if item is not None)
+            if 4 * len(level) * found > max_bytes:
+                return None
+            nulls = [None] * found
+            level = [nulls if item is None else item for item in level]
+        elif kinds != {list}:
+            return None
+        lengths = set(map(len, level))
+        if len(lengths) > 1:
+            return None
+        shape.append(lengths.pop())
+        level = list(chain.from_iterable(level))
+    if not set(map(type, level)) <= {int, float, type(None)}:
         return None
-    if array.ndim != axes or not set(map(type, array.flat)) <= {int, float, type(None)}:
-        return None
-    return array.astype(np.float32)
+    return np.array(level, np.float32).reshape(shape)
 
 
 def _from_gapped(

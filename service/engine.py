@@ -1,67 +1,258 @@
-"""The lifting engine: fitted models, read once and kept warm."""
+"""The lifting engine: a few threads that lift what many clients ask for.
 
+Whatever was asked of the same model in the same way while the threads were busy is lifted together.
+A call that comes alone waits for nothing, and no call waits for company. What has more frames than
+a slice is cut, and its slices take turns with everything else, so that nobody waits for more than a
+slice or two of the others' frames.
+"""
+
+import asyncio
 import threading
-from collections import OrderedDict
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from itertools import accumulate
+from typing import NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from models.fitted import FittedPrior
-from store import models
+from models.config import Refine
+from models.fitted import FittedPrior, Lift, join
+from service.warm import WarmModels
 from store.database import Store
-from store.errors import NotFoundError
-from store.records import Model
+
+SLICE_FRAMES = 256  # lifted by the network alone, which takes some 20 us a frame
+REFINED_FRAMES = 32  # refined, which takes some 1 ms a frame
+
+Float32 = NDArray[np.float32]
+_FIELDS = tuple(field.name for field in fields(Lift))
+
+
+class Way(NamedTuple):
+    """How frames are lifted. Only those of one way, and of one shape, can be lifted together."""
+
+    model_id: str
+    refine: Refine | None
+    views: tuple[int, ...] | None
+    shape: tuple[int, ...]  # (K, P, 2) of a frame
+    weighted: bool  # whether there is a confidence
+    follows: bool  # whether there are answers to frames before
+
+
+@dataclass(eq=False, slots=True)
+class _Call:
+    """One client's frames, on their way through the engine."""
+
+    way: Way
+    keypoints: Float32
+    confidence: Float32 | None
+    previous: Lift | None
+    slice_size: int  # frames that are lifted in one go
+    answer: "asyncio.Future[Lift]"
+    missing: int  # frames without an answer yet
+    taken: int = 0  # frames that a thread has taken
+    parts: dict[int, Lift] = field(default_factory=dict)  # answers by their first frame
+
+
+class _Piece(NamedTuple):
+    """What of a call is lifted in one go."""
+
+    call: _Call
+    start: int
+    stop: int
+
+
+_Outcome = Lift | Exception
 
 
 class Engine:
-    """Models in memory, the least recently used given up first. Safe to use from many threads."""
+    """Lifts with warm models in threads of its own."""
 
-    def __init__(self, store: Store, *, max_bytes: int) -> None:
-        """Keep up to ``max_bytes`` of weights, and always the model used last."""
-        self._store = store
-        self._max_bytes = max_bytes
-        self._warm: OrderedDict[str, tuple[FittedPrior, int]] = OrderedDict()
-        self._lock = threading.Lock()
-        self._loading: dict[str, threading.Lock] = {}
-        # Requests run side by side in threads of their own: one core each beats all cores for one.
-        torch.set_num_threads(1)
+    def __init__(self, store: Store, *, max_bytes: int, threads: int = 1) -> None:
+        """Keep up to ``max_bytes`` of weights warm, and lift with that many threads."""
+        self._models = WarmModels(store, max_bytes=max_bytes)
+        self.prior = self._models.prior
+        self.remembered = self._models.remembered
+        # Calls of up to a slice, by their ways, which take turns. Larger ones take turns singly.
+        self._small: dict[Way, deque[_Call]] = {}
+        self._large: deque[_Call] = deque()
+        self._large_next = False
+        self._closed = False
+        self._changed = threading.Condition()
+        torch.set_num_threads(1)  # batches are spread over the cores, not the parts of one
+        self._threads = [
+            threading.Thread(target=self._work, name=f"lift-{n}", daemon=True)
+            for n in range(threads)
+        ]
+        for thread in self._threads:
+            thread.start()
 
-    def prior(self, model_id: str) -> FittedPrior:
-        """Return the fitted prior of a model; only the first call of many reads its weights.
+    def close(self) -> None:
+        """Stop the threads; they finish what they have in hand."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for thread in self._threads:
+            thread.join()
+
+    def lift(
+        self,
+        model_id: str,
+        keypoints: Float32,
+        *,
+        confidence: Float32 | None = None,
+        refine: Refine | None = None,
+        views: Sequence[int] | None = None,
+        previous: Lift | None = None,
+    ) -> "asyncio.Future[Lift]":
+        """Lift frames (N, K, P, 2) as ``FittedPrior.lift`` does, together with those of others.
+
+        Called in the event loop. A future that is cancelled gives its place in the queue up.
 
         Raises
         ------
         NotFoundError
-            If there is no such model, or no longer: the record is asked every time.
+            From the future: if there is no such model, or no longer.
         """
-        try:
-            record = models.get(self._store, model_id)
-        except NotFoundError:
-            with self._lock:
-                self._warm.pop(model_id, None)
-            raise
-        prior = self._lookup(model_id)
-        if prior is None:
-            with self._lock:
-                loading = self._loading.setdefault(model_id, threading.Lock())
-            with loading:
-                prior = self._lookup(model_id) or self._load(record)
-        return prior
+        way = Way(
+            model_id,
+            refine,
+            None if views is None else tuple(views),
+            keypoints.shape[1:],
+            confidence is not None,
+            previous is not None,
+        )
+        answer: asyncio.Future[Lift] = asyncio.get_running_loop().create_future()
+        size = self._slice_size(model_id, refine)
+        call = _Call(way, keypoints, confidence, previous, size, answer, missing=len(keypoints))
+        with self._changed:
+            if len(keypoints) > size:
+                self._large.append(call)
+            else:
+                self._small.setdefault(way, deque()).append(call)
+            self._changed.notify()
+        return answer
 
-    def _lookup(self, model_id: str) -> FittedPrior | None:
-        with self._lock:
-            if model_id not in self._warm:
+    def _slice_size(self, model_id: str, refine: Refine | None) -> int:
+        prior = self.remembered(model_id)
+        if prior is None or prior.cameras is None or (refine or prior.config.refine) == "off":
+            return SLICE_FRAMES
+        return REFINED_FRAMES
+
+    # In the threads:
+
+    def _work(self) -> None:
+        while pieces := self._take():
+            outcomes = zip(pieces, self._lift(pieces), strict=True)
+            finished = [
+                (piece.call.answer, outcome)
+                for piece, part in outcomes
+                if (outcome := self._finished(piece, part)) is not None
+            ]
+            if finished:
+                try:
+                    finished[0][0].get_loop().call_soon_threadsafe(_deliver, finished)
+                except RuntimeError:  # the loop is closed: nobody waits any more
+                    return
+
+    def _take(self) -> list[_Piece]:
+        """Wait for work and return what is lifted next; nothing once the engine is closed."""
+        with self._changed:
+            while not self._closed:
+                if not self._large and not self._small:
+                    self._changed.wait()
+                    continue
+                large = bool(self._large) and (self._large_next or not self._small)
+                self._large_next = not large
+                pieces = self._take_large() if large else self._take_small()
+                if self._large or self._small:
+                    self._changed.notify()  # another thread can go on with the rest
+                if pieces:
+                    return pieces
+        return []
+
+    def _take_large(self) -> list[_Piece]:
+        """Take a slice of the call whose turn it is."""
+        call = self._large.popleft()
+        if call.answer.done():  # given up
+            return []
+        start, call.taken = call.taken, min(call.taken + call.slice_size, len(call.keypoints))
+        if call.taken < len(call.keypoints):
+            self._large.append(call)
+        return [_Piece(call, start, call.taken)]
+
+    def _take_small(self) -> list[_Piece]:
+        """Take the calls of the way whose turn it is, up to a slice."""
+        way = next(iter(self._small))
+        waiting = self._small.pop(way)
+        pieces: list[_Piece] = []
+        room = waiting[0].slice_size
+        while waiting and len(waiting[0].keypoints) <= room:
+            call = waiting.popleft()
+            if not call.answer.done():
+                pieces.append(_Piece(call, 0, len(call.keypoints)))
+                room -= len(call.keypoints)
+        if waiting:
+            self._small[way] = waiting  # at the end
+        return pieces
+
+    def _lift(self, pieces: list[_Piece]) -> list[_Outcome]:
+        try:
+            prior = self.prior(pieces[0].call.way.model_id)
+        except Exception as error:  # noqa: BLE001 - those who wait are told
+            return [error] * len(pieces)
+        try:
+            return _lift_together(prior, pieces)
+        except Exception as error:  # noqa: BLE001 - those who wait are told
+            if len(pieces) == 1:
+                return [error]
+        return [outcome for piece in pieces for outcome in self._lift([piece])]  # one is at fault
+
+    def _finished(self, piece: _Piece, part: _Outcome) -> _Outcome | None:
+        """Return the outcome of a whole call if this was the last part of it, or an error."""
+        call = piece.call
+        frames = piece.stop - piece.start
+        if isinstance(part, Exception) or frames == len(call.keypoints):
+            return part
+        with self._changed:
+            call.parts[piece.start] = part
+            call.missing -= frames
+            if call.missing:
                 return None
-            self._warm.move_to_end(model_id)
-            return self._warm[model_id][0]
+        return join([call.parts[start] for start in sorted(call.parts)])
 
-    def _load(self, record: Model) -> FittedPrior:
-        try:
-            prior = FittedPrior.from_bytes(models.load_weights(self._store, record))
-        finally:
-            with self._lock:
-                self._loading.pop(record.id, None)
-        with self._lock:
-            self._warm[record.id] = (prior, record.weights_bytes)
-            while len(self._warm) > 1 and sum(b for _, b in self._warm.values()) > self._max_bytes:
-                self._warm.popitem(last=False)
-        return prior
+
+def _lift_together(prior: FittedPrior, pieces: list[_Piece]) -> list[_Outcome]:
+    way = pieces[0].call.way
+    confidence = [c.confidence[start:stop] for c, start, stop in pieces if c.confidence is not None]
+    previous = [part_of(c.previous, start, stop) for c, start, stop in pieces if c.previous]
+    more = {"previous": join(previous)} if previous else {}
+    lift = prior.lift(
+        np.concatenate([call.keypoints[start:stop] for call, start, stop in pieces]),
+        confidence=np.concatenate(confidence) if confidence else None,
+        refine=way.refine,
+        views=way.views,
+        **more,
+    )
+    stops = accumulate(stop - start for _, start, stop in pieces)
+    return [
+        part_of(lift, end - stop + start, end)
+        for (_, start, stop), end in zip(pieces, stops, strict=True)
+    ]
+
+
+def part_of(lift: Lift, start: int, stop: int) -> Lift:
+    """Return some frames of a lift."""
+    return Lift(**{name: getattr(lift, name)[start:stop] for name in _FIELDS})
+
+
+def _deliver(finished: list[tuple["asyncio.Future[Lift]", _Outcome]]) -> None:
+    for answer, outcome in finished:
+        if answer.done():  # given up meanwhile
+            continue
+        if isinstance(outcome, Exception):
+            answer.set_exception(outcome)
+        else:
+            answer.set_result(outcome)

@@ -41,11 +41,12 @@ PROBLEMS = {
     "idempotency_key_reused": (422, "The idempotency key was used for another request"),
     "too_many_fits": (429, "Too many fits are waiting"),
     "internal_error": (500, "Something went wrong inside"),
+    "overloaded": (503, "Too many requests are in hand"),
     "unavailable": (503, "A part of the service cannot be reached"),
 }
 
 # What can be wrong with a body that carries arrays.
-BODY_PROBLEMS = ("malformed_body", "body_too_large", "unsupported_media_type")
+BODY_PROBLEMS = ("malformed_body", "body_too_large", "unsupported_media_type", "overloaded")
 
 
 class FieldError(BaseModel):
@@ -150,7 +151,8 @@ def from_validation(error: ValidationError | RequestValidationError) -> ApiError
 def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
     """Return the OpenAPI responses of an operation that can end in these problems.
 
-    All can end in ``invalid_input`` (of a parameter at least), ``internal_error``, ``unavailable``.
+    All can end in ``invalid_input`` (of a parameter at least), ``internal_error``, ``unavailable``;
+    those that read a body in ``overloaded``.
     """
     described: dict[int | str, dict[str, Any]] = {}
     for code in dict.fromkeys((*codes, "invalid_input", "internal_error", "unavailable")):
@@ -211,6 +213,7 @@ def install(app: FastAPI) -> None:
         detail = str(error.detail)
         if detail == HTTPStatus(error.status_code).phrase:  # Starlette's own say no more
             detail = f"{detail}: {request.method} {request.url.path}"
+        # Of several codes of a status, the first is what is raised in this form.
         codes = {status: code for code, (status, _) in reversed(PROBLEMS.items())}
         code = codes.get(error.status_code, "malformed_body")
         return ApiError(code, detail, headers=dict(error.headers or {})).response()

@@ -1,22 +1,31 @@
 """Lifting: 2D keypoints to 3D structure and cameras, in real time."""
 
-from typing import Annotated
+import asyncio
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 from fastapi import APIRouter, Query, Request
+from fastapi.routing import APIRoute
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
+from models import fitted
 from models.config import Index, Refine
 from models.fitted import FittedPrior
 from service.bodies import request_body
-from service.deps import EngineDep, SettingsDep
+from service.engine import Engine
 from service.errors import BODY_PROBLEMS, invalid, problems
 from service.representations import FormatQuery, arrays_response, binary_responses
 from service.settings import Settings
-from service.uploads import Upload, UploadBody, read_arrays, to_capture
+from service.uploads import LARGE_BYTES, Upload, read_arrays, read_body, to_capture
 from service.wire import CONFIDENCE, KEYPOINTS, LIFTED_FRAME, LiftedFrame, lift_arrays
+from store.capture import Capture
 
-router = APIRouter(tags=["lift"])
+TINY_BYTES = 32 * 1024  # worked on in less time than it takes to switch threads, or not much more
+PATIENCE_SECONDS = 0.1  # before it is looked whether a client still waits
+
+Result = TypeVar("Result")
 
 REFINE = (
     "Perspective refinement: `auto` where the residuals say that it helps, `full` wherever it can "
@@ -78,19 +87,82 @@ ViewsQuery = Annotated[
 ]
 
 
-def _read(upload: Upload, model: str | None, settings: Settings) -> LiftRequest:
+class _Asked(NamedTuple):
+    model: str
+    capture: Capture
+    refine: Refine | None
+    views: list[int] | None
+
+
+def _understand(
+    upload: Upload,
+    model: str | None,
+    refine: Refine | None,
+    views: list[int] | None,
+    settings: Settings,
+    prior_of: Callable[[str], FittedPrior | None],
+) -> _Asked | None:
+    """Return what the body asks for, and the query where it is silent.
+
+    None if ``prior_of`` has no such model.
+    """
     if upload.is_json:
-        return upload.json(LiftRequest)
-    if model is None:
-        raise invalid("/model", "expected the model's identifier in the query: /lift?model=mdl_...")
-    found = read_arrays(upload, settings, frozenset({"frames", "keypoints", "confidence"}))
-    frames = found.get("frames", found.get("keypoints"))
-    if frames is None:
-        raise invalid("/frames", "expected an array of this name: (frames, views, keypoints, 2)")
-    return LiftRequest(model=model, frames=frames, confidence=found.get("confidence"))
+        asked = upload.json(LiftRequest)
+    else:
+        if model is None:
+            raise invalid(
+                "/model", "expected the model's identifier in the query: /lift?model=mdl_..."
+            )
+        found = read_arrays(upload, settings, frozenset({"frames", "keypoints", "confidence"}))
+        frames = found.get("frames", found.get("keypoints"))
+        if frames is None:
+            raise invalid(
+                "/frames", "expected an array of this name: (frames, views, keypoints, 2)"
+            )
+        asked = LiftRequest(model=model, frames=frames, confidence=found.get("confidence"))
+    views = views if asked.views is None else asked.views
+    prior = prior_of(asked.model)
+    if prior is None:
+        return None
+    capture = to_frames(asked.frames, asked.confidence, views, prior, settings)
+    return _Asked(asked.model, capture, asked.refine or refine, views)
 
 
-def _check_views(views: list[int], prior: FittedPrior, came: int) -> None:
+def to_frames(
+    frames: object,
+    confidence: object,
+    views: list[int] | None,
+    prior: FittedPrior,
+    settings: Settings,
+) -> Capture:
+    """Return frames that the prior can lift, from nested lists or arrays.
+
+    Raises
+    ------
+    ApiError
+        422 for whatever does not make frames, or not of the keypoints and views of the fit.
+    """
+    expected = prior.keypoints_per_frame
+    capture = to_capture(
+        frames,
+        confidence,
+        settings=settings,
+        keypoints_field="frames",
+        expected_keypoints=expected,
+    )
+    _, came_views, came, _ = capture.keypoints.shape
+    if came != expected:
+        raise invalid(
+            "/frames",
+            f"expected {expected} keypoints as in the model, got {came}; keep the order of the "
+            "fitted capture and write null for what was not observed",
+        )
+    if views is not None:
+        check_views(views, prior, came_views)
+    return capture
+
+
+def check_views(views: list[int], prior: FittedPrior, came: int) -> None:
     """Raise ``ApiError`` unless ``views`` says of each view that came which of the fit's it is."""
     if len(views) != came:
         raise invalid("/views", f"expected one index per view: {came}, got {len(views)}")
@@ -99,6 +171,25 @@ def _check_views(views: list[int], prior: FittedPrior, came: int) -> None:
     fitted = None if prior.cameras is None else len(prior.cameras.resting)
     if fitted is not None and max(views) >= fitted:
         raise invalid("/views", f"expected views of the fit, 0 to {fitted - 1}, got {max(views)}")
+
+
+class DirectRoute(APIRoute):
+    """Calls its endpoint with the request alone where there is no query: half of FastAPI's time."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return the function that answers a request."""
+        solve, endpoint = super().get_route_handler(), self.endpoint
+
+        async def handle(request: Request) -> Response:
+            if request.scope["query_string"]:
+                return await solve(request)
+            answer: Response = await endpoint(request)
+            return answer
+
+        return handle
+
+
+router = APIRouter(tags=["lift"], route_class=DirectRoute)
 
 
 @router.post(
@@ -113,10 +204,7 @@ def _check_views(views: list[int], prior: FittedPrior, came: int) -> None:
         "keypoints, 2) and optionally `confidence`; the query says the rest.",
     ),
 )
-def lift(
-    upload: UploadBody,
-    engine: EngineDep,
-    settings: SettingsDep,
+async def lift(
     request: Request,
     model: ModelQuery = None,
     refine: RefineQuery = None,
@@ -131,33 +219,61 @@ def lift(
     lifted on its own. Structures come in the model's canonical frame, with the handedness that
     the fit settled on. Each view's `camera` says by which camera model it was explained.
     """
-    asked = _read(upload, model, settings)
-    if asked.views is not None:
-        views = asked.views
-    prior = engine.prior(asked.model)
-    expected = prior.keypoints_per_frame
-    capture = to_capture(
-        asked.frames,
-        asked.confidence,
-        settings=settings,
-        keypoints_field="frames",
-        expected_keypoints=expected,
+    engine: Engine = request.app.state.engine
+    upload = await read_body(request)
+    understand = partial(_understand, upload, model, refine, views, request.app.state.settings)
+    run = partial(_run, request, len(upload.data))
+    asked = await run(understand, engine.remembered)
+    if asked is None:  # the model is cold, or there is none
+        asked = await _run(request, LARGE_BYTES, understand, engine.prior)
+        assert asked is not None  # noqa: S101
+    lifted = await _unless_gone(
+        request,
+        engine.lift(
+            asked.model,
+            asked.capture.keypoints,
+            confidence=asked.capture.confidence,
+            refine=asked.refine,
+            views=asked.views,
+        ),
     )
-    came = capture.keypoints.shape[2]
-    if came != expected:
-        raise invalid(
-            "/frames",
-            f"expected {expected} keypoints as in the model, got {came}; keep the order of the "
-            "fitted capture and write null for what was not observed",
-        )
-    if views is not None:
-        _check_views(views, prior, capture.keypoints.shape[1])
-    lifted = prior.lift(
-        capture.keypoints,
-        confidence=capture.confidence,
-        refine=asked.refine or refine,
-        views=views,
+    if lifted is None:
+        return Response(status_code=499)  # which nobody reads
+    return await run(
+        partial(arrays_response, format=format, filename="lift"),
+        request,
+        lift_arrays(lifted),
+        {"model": asked.model},
     )
-    return arrays_response(
-        request, lift_arrays(lifted), {"model": asked.model}, format=format, filename="lift"
-    )
+
+
+async def _run(
+    request: Request, size: int, work: Callable[..., Result], *arguments: object
+) -> Result:
+    """Do work on a body here if it is tiny, else in a thread; large ones take turns."""
+    if size <= TINY_BYTES:
+        return work(*arguments)
+    if size < LARGE_BYTES:
+        return await asyncio.to_thread(work, *arguments)
+    async with request.app.state.large_uploads:
+        return await asyncio.to_thread(work, *arguments)
+
+
+async def _unless_gone(
+    request: Request, answer: "asyncio.Future[fitted.Lift]"
+) -> fitted.Lift | None:
+    """Wait for the answer; if the client goes away meanwhile, give it up and return None."""
+    try:
+        await asyncio.wait((answer,), timeout=PATIENCE_SECONDS)
+        if not answer.done():
+            gone = asyncio.create_task(_disconnected(request))
+            await asyncio.wait((answer, gone), return_when=asyncio.FIRST_COMPLETED)
+            gone.cancel()
+        return await answer if answer.done() else None
+    finally:
+        answer.cancel()
+
+
+async def _disconnected(request: Request) -> None:
+    while (await request.receive())["type"] != "http.disconnect":
+        pass

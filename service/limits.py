@@ -1,20 +1,25 @@
-"""The limit on request bodies, held while they stream in."""
+"""The limits on request bodies, held while they stream in."""
 
-from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.errors import ApiError
 
+SMALL_BYTES = 64 * 1024  # what a request takes at least, and what bodies may grow to in the reserve
+RESERVE = 4  # one part in so many is kept for small bodies: large ones cannot lock them out
+RETRY_SECONDS = "1"
+
 
 class BodyLimit:
-    """Refuses a body that says it is too long before reading it, any other as soon as it is.
+    """Refuses a body that is too long, and any while those in hand fill the room for them.
 
-    FastAPI's own ``max_body_size`` answers the former in plain text, whatever the error handlers.
+    One that says how long it is is refused before it is read, any other as soon as it is too long.
+    FastAPI's own ``max_body_size`` answers in plain text, whatever the error handlers.
     """
 
-    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
-        self._app, self._max_bytes = app, max_bytes
+    def __init__(self, app: ASGIApp, max_bytes: int, max_pending_bytes: int) -> None:
+        self._app, self._max_bytes, self._room = app, max_bytes, max_pending_bytes
+        self._reserve = max_pending_bytes // RESERVE
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -25,17 +30,33 @@ class BodyLimit:
             f"Bodies may have {self._max_bytes} bytes at most. Send the frames in parts: "
             "POST /datasets/{id}/frames."
         )
-        if int(Headers(scope=scope).get("content-length", 0)) > self._max_bytes:
+        length = next((value for name, value in scope["headers"] if name == b"content-length"), 0)
+        if int(length) > self._max_bytes:
             await ApiError("body_too_large", detail).response()(scope, receive, send)
             return
-        came = 0
+        came = taken = 0
 
         async def counted() -> Message:
-            nonlocal came
+            nonlocal came, taken
             message = await receive()
-            came += len(message.get("body", b""))
-            if came > self._max_bytes:
-                raise HTTPException(413, detail)  # of this type, to pass through FastAPI
+            size = len(message.get("body", b""))
+            if size:
+                came += size
+                if came > self._max_bytes:
+                    raise HTTPException(413, detail)  # of this type, to pass through FastAPI
+                needed = max(came, SMALL_BYTES) - taken
+                if needed > self._room - (self._reserve if came > SMALL_BYTES else 0):
+                    raise HTTPException(
+                        503,
+                        "The requests in hand fill the memory set aside for them; try again "
+                        f"in {RETRY_SECONDS} s.",
+                        {"Retry-After": RETRY_SECONDS},
+                    )
+                self._room -= needed
+                taken += needed
             return message
 
-        await self._app(scope, counted, send)
+        try:
+            await self._app(scope, counted, send)
+        finally:
+            self._room += taken

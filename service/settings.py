@@ -1,6 +1,9 @@
 """How the service listens and what it accepts."""
 
-from pydantic import Field
+import os
+from typing import Self
+
+from pydantic import Field, model_validator
 
 from models.keypoints import MAX_KEYPOINTS, MAX_VIEWS
 from worker.settings import WorkerSettings
@@ -28,6 +31,13 @@ class Settings(WorkerSettings):
         ge=1024,
         description="Largest JSON body. Larger captures travel as safetensors or npz.",
     )
+    max_pending_bytes: int = Field(
+        512 * MEBIBYTE,
+        ge=1024,
+        description="Bytes of bodies in hand at a time: coming in, waiting, being answered. A body "
+        "counts as 64 KiB at least, and a quarter is kept for those that have no more. "
+        "Beyond that a request is refused with 503.",
+    )
     max_frames: int = Field(
         100_000, ge=1, description="Most frames in one request, be it an upload or a lift."
     )
@@ -39,6 +49,21 @@ class Settings(WorkerSettings):
     max_queued_fits: int = Field(
         1000, ge=1, description="Fits that may wait at a time; POST /fits answers 429 beyond that."
     )
+    lift_threads: int = Field(
+        default_factory=lambda: min(8, len(os.sched_getaffinity(0))),
+        ge=1,
+        le=64,
+        description="Threads that lift in the API process. Default: the CPUs there are, up to 8.",
+    )
     warm_model_bytes: int = Field(
         512 * MEBIBYTE, ge=0, description="Weights to keep in memory for lifting."
     )
+
+    @model_validator(mode="after")
+    def _has_room(self) -> Self:
+        if 3 * self.max_pending_bytes < 4 * self.max_body_bytes:
+            raise ValueError(
+                "expected max_pending_bytes to be 4/3 of max_body_bytes at least: "
+                f"{self.max_body_bytes * 4 // 3}, got {self.max_pending_bytes}"
+            )
+        return self

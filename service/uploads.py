@@ -100,7 +100,7 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
     Working on a body takes many times its size in memory. Large ones take turns at that, a few at
     a time, and so leave the threads to the small ones.
     """
-    upload = await _read(request)
+    upload = await read_body(request)
     if len(upload.data) < LARGE_BYTES:
         yield upload
     else:
@@ -108,7 +108,14 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
             yield upload
 
 
-async def _read(request: Request) -> Upload:
+async def read_body(request: Request) -> Upload:
+    """Return a body of any of the accepted types; the size limits hold while it streams in.
+
+    Raises
+    ------
+    ApiError
+        413 for JSON that is too long, 415 for another type, 422 for a form without a file.
+    """
     settings: Settings = request.app.state.settings
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type == "multipart/form-data":

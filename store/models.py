@@ -2,9 +2,10 @@
 
 import hashlib
 import time
+from collections.abc import Callable
 from typing import Any
 
-from sqlalchemy import select, update
+from sqlalchemy import bindparam, select, update
 
 from store.database import Store
 from store.errors import NotFoundError
@@ -55,6 +56,23 @@ def get(store: Store, model_id: str) -> Model:
     if model is None:
         raise NotFoundError("model", model_id)
     return model
+
+
+def weights_keys(store: Store) -> Callable[[str], str]:
+    """Return a quick way to ask where a model's weights lie; it is asked at every lift.
+
+    The function raises ``NotFoundError`` if there is no such model, or no longer.
+    """
+    read = store.reader(select(Model.weights_key).where(Model.id == bindparam("model_id")))
+
+    def weights_key(model_id: str) -> str:
+        row = read({"model_id": model_id})
+        if row is None:
+            raise NotFoundError("model", model_id)
+        key: str = row[0]
+        return key
+
+    return weights_key
 
 
 def load_weights(store: Store, model: Model) -> bytes:

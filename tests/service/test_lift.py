@@ -274,7 +274,7 @@ def test_every_kind_of_camera_on_the_wire() -> None:
             status=("ok",),
         )
     )
-    frames = frames_json(arrays)
+    frames = orjson.loads(orjson.dumps(frames_json(arrays)))
     check_json(frames, arrays)
     TypeAdapter(list[LiftedFrame]).validate_python(frames)
     assert len(frames[0]["views"][0]["translation"]) == 2

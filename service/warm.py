@@ -1,0 +1,85 @@
+"""Fitted models, read once and kept warm."""
+
+import threading
+from collections import OrderedDict
+from typing import NamedTuple
+
+from models.fitted import FittedPrior
+from store import models
+from store.database import Store
+from store.errors import NotFoundError
+
+
+class _Warm(NamedTuple):
+    prior: FittedPrior
+    weights_key: str
+    weights_bytes: int
+
+
+class WarmModels:
+    """Models in memory, the least recently used given up first. Safe to use from many threads."""
+
+    def __init__(self, store: Store, *, max_bytes: int) -> None:
+        """Keep up to ``max_bytes`` of weights, and always the model used last."""
+        self._store = store
+        self._weights_key = models.weights_keys(store)
+        self._max_bytes = max_bytes
+        self._warm: OrderedDict[str, _Warm] = OrderedDict()
+        self._lock = threading.Lock()
+        self._loading: dict[str, threading.Lock] = {}
+
+    def prior(self, model_id: str) -> FittedPrior:
+        """Return the fitted prior of a model; only the first call of many reads its weights.
+
+        The record is asked every time, so that a model is not served that was deleted, by whatever
+        process, nor other weights than it has.
+
+        Raises
+        ------
+        NotFoundError
+            If there is no such model, or no longer.
+        """
+        try:
+            key = self._weights_key(model_id)
+        except NotFoundError:
+            with self._lock:
+                self._warm.pop(model_id, None)
+            raise
+        prior = self._lookup(model_id, key)
+        if prior is None:
+            with self._lock:
+                loading = self._loading.setdefault(model_id, threading.Lock())
+            with loading:
+                prior = self._lookup(model_id, key) or self._load(model_id)
+        return prior
+
+    def remembered(self, model_id: str) -> FittedPrior | None:
+        """Return a model that is warm without asking whether it is still there."""
+        with self._lock:
+            warm = self._warm.get(model_id)
+        return None if warm is None else warm.prior
+
+    def _lookup(self, model_id: str, key: str) -> FittedPrior | None:
+        with self._lock:
+            warm = self._warm.get(model_id)
+            if warm is None or warm.weights_key != key:
+                return None
+            self._warm.move_to_end(model_id)
+            return warm.prior
+
+    def _load(self, model_id: str) -> FittedPrior:
+        try:
+            record = models.get(self._store, model_id)
+            prior = FittedPrior.from_bytes(models.load_weights(self._store, record))
+        finally:
+            with self._lock:
+                self._loading.pop(model_id, None)
+        with self._lock:
+            self._warm[model_id] = _Warm(prior, record.weights_key, record.weights_bytes)
+            self._warm.move_to_end(model_id)
+            while len(self._warm) > 1 and self._bytes() > self._max_bytes:
+                self._warm.popitem(last=False)
+        return prior
+
+    def _bytes(self) -> int:
+        return sum(warm.weights_bytes for warm in self._warm.values())

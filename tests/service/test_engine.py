@@ -1,0 +1,185 @@
+"""The lifting engine: answers as the model's own, whoever else asks for what at the same time."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from models.fitted import FittedPrior, Lift
+from models.synthetic import SyntheticCapture
+from service.engine import REFINED_FRAMES, SLICE_FRAMES, Engine
+from service.settings import Settings
+from service.wire import lift_arrays
+from store import models
+from store.database import Store
+from store.errors import NotFoundError
+from store.records import Model
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    opened = Store(Settings(data_dir=tmp_path))
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def model(store: Store, weights: bytes) -> str:
+    return stored(store, weights).id
+
+
+@pytest.fixture(params=[1, 3], ids=["one thread", "three threads"])
+def engine(store: Store, request: pytest.FixtureRequest) -> Iterator[Engine]:
+    opened = Engine(store, max_bytes=2**30, threads=request.param)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def one_thread(store: Store) -> Iterator[Engine]:
+    opened = Engine(store, max_bytes=2**30, threads=1)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture(scope="module")
+def prior(weights: bytes) -> FittedPrior:
+    return FittedPrior.from_bytes(weights)
+
+
+def stored(store: Store, weights: bytes) -> Model:
+    about: dict[str, Any] = {"name": "figure", "views": 3, "keypoints": 16, "frames": 60}
+    return models.create(store, weights, config={}, training_curve=[], metrics={}, **about)
+
+
+def run(clients: Callable[[], Awaitable[Any]]) -> Any:
+    async def main() -> Any:
+        return await clients()
+
+    return asyncio.run(main())
+
+
+def check(found: Lift, expected: Lift) -> None:
+    assert found.status == expected.status
+    for name, array in lift_arrays(found).items():
+        known = lift_arrays(expected)[name]
+        np.testing.assert_allclose(array, known, rtol=1e-3, atol=1e-4, err_msg=name)
+
+
+def test_everyone_gets_his_own_answer(
+    engine: Engine, model: str, prior: FittedPrior, capture: SyntheticCapture
+) -> None:
+    """Clients that ask all at once, of one, two or three frames, in a few different ways."""
+    asked: list[tuple[slice, dict[str, Any]]] = []
+    for start in range(50):
+        frames = slice(start, start + 1 + start % 3)
+        refine = ("off", "full", "auto")[start % 7 % 3]
+        views = [2, 0] if start % 5 == 0 else [0, 1, 2]
+        weighted = start % 2 == 0
+        asked.append((frames, {"refine": refine, "views": views, "weighted": weighted}))
+
+    def arguments(frames: slice, refine: str, views: list[int], weighted: bool) -> dict[str, Any]:
+        confidence = capture.confidence[frames][:, views] if weighted else None
+        return {"refine": refine, "views": views, "confidence": confidence}
+
+    def pixels(frames: slice, how: dict[str, Any]) -> Any:
+        return capture.keypoints[frames][:, how["views"]]
+
+    async def clients() -> list[Lift]:
+        return await asyncio.gather(
+            *(
+                engine.lift(model, pixels(frames, how), **arguments(frames, **how))
+                for frames, how in asked
+            )
+        )
+
+    for (frames, how), found in zip(asked, run(clients), strict=True):
+        check(found, prior.lift(pixels(frames, how), **arguments(frames, **how)))
+
+
+@pytest.mark.parametrize("refine", ["off", "full"])
+def test_slices_are_put_together_in_their_order(
+    engine: Engine, model: str, prior: FittedPrior, capture: SyntheticCapture, refine: Any
+) -> None:
+    frames = 2 * SLICE_FRAMES + 5 if refine == "off" else 2 * REFINED_FRAMES + 5
+    keypoints = np.resize(capture.keypoints, (frames, *capture.keypoints.shape[1:]))
+
+    async def client() -> Lift:
+        return await engine.lift(model, keypoints, refine=refine)
+
+    check(run(client), prior.lift(keypoints, refine=refine))
+
+
+def test_small_calls_overtake_large_ones(
+    one_thread: Engine, model: str, capture: SyntheticCapture
+) -> None:
+    ended: list[str] = []
+
+    async def clients() -> None:
+        def ask(name: str, frames: int) -> Any:
+            shape = (frames, *capture.keypoints.shape[1:])
+            answer = one_thread.lift(model, np.resize(capture.keypoints, shape), refine="off")
+            answer.add_done_callback(lambda _: ended.append(name))
+            return answer
+
+        asked = [ask("huge", 40 * SLICE_FRAMES), ask("large", 3 * SLICE_FRAMES)]
+        asked += [ask("small", 1), ask("small", 2)]
+        await asyncio.gather(*asked)
+
+    run(clients)
+    assert ended == ["small", "small", "large", "huge"]
+
+
+def test_one_bad_call_spoils_no_others(
+    one_thread: Engine, model: str, prior: FittedPrior, capture: SyntheticCapture
+) -> None:
+    keypoints = capture.keypoints[:1]
+
+    async def clients() -> list[Any]:
+        asked = [one_thread.lift(model, pixels) for pixels in (keypoints, keypoints * 1e9) * 4]
+        return await asyncio.gather(*asked, return_exceptions=True)
+
+    found = run(clients)
+    for good, bad in zip(found[::2], found[1::2], strict=True):
+        check(good, prior.lift(keypoints))
+        assert isinstance(bad, ValueError)
+
+
+def test_a_deleted_model_is_served_no_more(
+    engine: Engine, model: str, store: Store, tmp_path: Path, capture: SyntheticCapture
+) -> None:
+    """However warm it is, and whoever deleted it."""
+    replica = Store(Settings(data_dir=tmp_path))
+
+    async def clients() -> None:
+        await engine.lift(model, capture.keypoints)
+        models.delete(replica, model)
+        for _ in range(2):
+            with pytest.raises(NotFoundError):
+                await engine.lift(model, capture.keypoints[:1])
+
+    run(clients)
+    replica.close()
+
+
+def test_other_weights_are_read_anew(
+    engine: Engine,
+    model: str,
+    store: Store,
+    tmp_path: Path,
+    weights: bytes,
+    capture: SyntheticCapture,
+) -> None:
+    replica = Store(Settings(data_dir=tmp_path))
+    first = engine.prior(model)
+    assert engine.prior(model) is first
+    other = stored(replica, weights)
+    with replica.writing() as session:
+        record = session.get(Model, model)
+        assert record is not None
+        record.weights_key = other.weights_key
+    assert engine.prior(model) is not first
+    replica.close()

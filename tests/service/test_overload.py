@@ -1,0 +1,103 @@
+"""What is in hand is bounded: beyond that clients are told to come back, and places are freed."""
+
+import select
+import socket
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import httpx2
+import numpy as np
+import orjson
+import pytest
+
+from models.synthetic import SyntheticCapture
+from service.settings import Settings
+from tests.service.conftest import BYTES, JSON, frames_of, problem, served, to_safetensors, wait_for
+
+KIB = 1024
+PLACES = 4  # small bodies that there is room for
+
+
+@pytest.fixture(scope="module")
+def narrow(settings: Settings) -> Iterator[httpx2.Client]:
+    room = {"max_body_bytes": 128 * KIB, "max_pending_bytes": PLACES * 64 * KIB}
+    with served(settings.model_copy(update=room)) as http:
+        yield http
+
+
+def begin(http: httpx2.Client, sent: int, promised: int) -> socket.socket:
+    """Send the first part of a body and leave it at that."""
+    return send(http, "/lift", "application/json", b" " * sent, promised)
+
+
+def send(http: httpx2.Client, url: str, kind: str, body: bytes, length: int) -> socket.socket:
+    """Send a request and do not wait for an answer."""
+    connection = socket.create_connection((http.base_url.host, http.base_url.port or 0))
+    head = f"POST {url} HTTP/1.1\r\nHost: x\r\nContent-Type: {kind}\r\nContent-Length: {length}"
+    connection.sendall(head.encode() + b"\r\n\r\n" + body)
+    return connection
+
+
+def refused(http: httpx2.Client, body: bytes) -> bool:
+    response = http.post("/lift", content=body, headers=JSON)
+    if response.status_code != 503:
+        assert response.status_code == 200, response.text
+        return False
+    problem(response, 503, "overloaded")
+    assert int(response.headers["retry-after"]) > 0
+    return True
+
+
+def test_beyond_the_room_requests_are_refused_until_somebody_leaves(
+    narrow: httpx2.Client, model: str, capture: SyntheticCapture
+) -> None:
+    body = orjson.dumps({"model": model, "frames": frames_of(capture.keypoints[:1])})
+    with ExitStack() as stack:
+        waiting = [
+            stack.enter_context(begin(narrow, sent=10, promised=1000)) for _ in range(PLACES)
+        ]
+        wait_for(lambda: refused(narrow, body), "a refusal")
+        assert narrow.get("/health/live").status_code == 200
+        waiting[0].close()
+        wait_for(lambda: not refused(narrow, body), "the place of the one who left")
+    wait_for(lambda: not refused(narrow, body), "all the places")
+
+
+def test_large_bodies_leave_room_for_small_ones(
+    narrow: httpx2.Client, model: str, capture: SyntheticCapture
+) -> None:
+    small = orjson.dumps({"model": model, "frames": frames_of(capture.keypoints[:1])})
+    large = small + b" " * 96 * KIB
+    with begin(narrow, sent=100 * KIB, promised=120 * KIB):
+        wait_for(lambda: refused(narrow, large), "a refusal")
+        for _ in range(3):
+            assert not refused(narrow, small)
+    wait_for(lambda: not refused(narrow, large), "the room")
+
+
+def test_who_leaves_is_lifted_no_further(
+    settings: Settings, model: str, capture: SyntheticCapture
+) -> None:
+    """Refining so many frames takes much longer than this test waits for their place."""
+    frames = np.resize(capture.keypoints, (100_000, *capture.keypoints.shape[1:]))
+    body = to_safetensors(frames=frames)
+    room = {
+        "max_frames": 100_000,
+        "max_body_bytes": len(body),
+        "max_pending_bytes": 4 * len(body) // 3 + 1,
+    }
+    small = orjson.dumps({"model": model, "frames": frames_of(capture.keypoints[:1])})
+    large = small + b" " * (512 * KIB)
+    url = f"/lift?model={model}&refine=full"
+    with served(settings.model_copy(update=room)) as http:
+
+        def occupied() -> socket.socket | None:
+            connection = send(http, url, BYTES["Content-Type"], body, len(body))
+            while not select.select([connection], [], [], 0)[0]:
+                if refused(http, large):
+                    return connection
+            connection.close()  # it was refused itself, for the large one was first
+            return None
+
+        wait_for(occupied, "the room to be full").close()
+        wait_for(lambda: not refused(http, large), "the place of the one who left", seconds=15)
