@@ -2,9 +2,9 @@
 
 Where a frame has two views or more, least squares over them knows better than the network
 (`models.refinement`). Such settled structures become teachers: they supervise the network on the
-frames they come from, and on *virtual views*: a teacher seen by made-up cameras like those of the
-capture, often few of them, with the noise and the gaps of the capture. No 3D enters from outside:
-teachers are a function of the keypoints and of the network's weights at the time.
+frames they come from, and on *virtual views* (`models.virtual`): a teacher seen by made-up cameras
+like those of the capture, often few of them, with the noise and the gaps of the capture. No 3D
+enters from outside: teachers are a function of the keypoints and of the network's weights.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from models.adjustment import turn
-from models.cameras import WeakPerspective, project, solve_cameras
+from models.cameras import solve_cameras
 from models.prior import HierarchicalPrior
 from models.refinement import estimate_foreshortening, first_order, mirrored, settle
 
@@ -23,9 +23,6 @@ NUMBERS = 2_000_000  # at most, in a sixth of the widest layer for all teachers 
 ROUNDS = 12  # of settling; with two, teachers repeat the errors of the network they came from
 FORESHORTENED = slice(250)  # teachers that foreshortening is estimated from
 UPRIGHT = 0.1  # weight of "cameras stand upright" next to "cameras do not roll"
-NEAREST = 0.2  # of the distance to the teacher's centre: no camera stands nearer to a keypoint
-TILT = 0.1  # radians, standard deviation by which virtual cameras tilt and roll
-FEWER = 0.5  # share of the virtual frames that lose some of their views
 
 
 class Teachers(NamedTuple):
@@ -143,72 +140,3 @@ def perspective_teachers(
     return as_teachers(
         points.float(), rotations.float(), there.float(), places, foreshortening, noise
     )
-
-
-@torch.no_grad()
-def virtual_views(
-    teachers: Teachers, weights: Tensor, count: int, rng: np.random.Generator
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Draw `count` teachers (V, P, 3) and normalised views of them: (V, K, P, 2) and (V, K, P).
-
-    Gaps are those of frames of the capture, whose `weights` (N, K, P) are given; half of the
-    frames lose more views, so that priors learn to do with fewer than the capture mostly has.
-    """
-    frames, views, _ = weights.shape
-    weights = weights[torch.from_numpy(rng.integers(frames, size=count))]  # (V, K, P)
-    weights = drop_views(weights, rng)
-
-    # A camera that saw the teacher, walked round it: elevation and roll stay, azimuth is any.
-    drawn = torch.from_numpy(rng.integers(len(teachers.points), size=count))
-    points, seen = teachers.points[drawn], teachers.seen[drawn]
-    camera = (_uniform(rng, count, views, views) * seen[:, None]).argmax(-1)  # (V, K)
-    azimuth = 2 * np.pi * _uniform(rng, count, views, 1)
-    tilt = TILT * _normal(rng, count, views, 3)
-    walked = teachers.rotations[drawn[:, None], camera] @ turn(
-        azimuth * teachers.ups[drawn][:, None]
-    )
-    scales = torch.ones_like(weights[..., 0])
-    cameras = WeakPerspective(turn(tilt) @ walked, scales, torch.zeros_like(tilt[..., :2]))
-    # At unit scale a camera's distance is 1 / k: near things are larger.
-    depth = (points[:, None] @ cameras.rotations[..., 2, :, None])[..., 0]  # (V, K, P)
-    nearness = 1 + teachers.foreshortening * depth
-    keypoints = project(points[:, None], cameras) / nearness.clamp_min(NEAREST)[..., None]
-    keypoints = keypoints + teachers.noise * _normal(rng, *keypoints.shape)
-
-    # As in `as_observations`.
-    total = weights.sum(-1)[..., None, None].clamp_min(1e-6)
-    keypoints = keypoints - (weights[..., None] * keypoints).sum(-2, keepdim=True) / total
-    squared = (weights[..., None] * keypoints.square()).sum((-2, -1), keepdim=True)
-    keypoints = keypoints / (squared / total).clamp_min(1e-6).sqrt()
-    return points, keypoints * (weights > 0)[..., None], weights
-
-
-def drop_views(weights: Tensor, rng: np.random.Generator) -> Tensor:
-    """Take views from half of the frames of `weights` (N, K, P); one of each is kept at least."""
-    frames, views, _ = weights.shape
-    there = weights.sum(-1) > 0
-    # Views in random order, those that are there first; the first 1 to all of them are kept.
-    order = (_uniform(rng, frames, views) - there.float()).argsort(1).argsort(1)  # (N, K)
-    keep = 1 + (_uniform(rng, frames) * there.sum(1)).long()
-    keep = torch.where(_uniform(rng, frames) < FEWER, keep, views)
-    return weights * (order < keep[:, None])[..., None]
-
-
-def structure_loss(points: Tensor, truth: Tensor) -> Tensor:
-    """Root-mean-square distance of (N, P, 3) from `truth` after turning it (Kabsch), mean over N.
-
-    The best turn needs no gradient: at the optimum the distance does not change with it.
-    """
-    with torch.no_grad():
-        u, _, vt = torch.linalg.svd(truth.mT @ points)
-        u[..., -1] *= (torch.linalg.det(u) * torch.linalg.det(vt)).sign()[:, None]
-        truth = truth @ (u @ vt)
-    return ((points - truth).square().sum(-1).mean(-1) + 1e-8).sqrt().mean()
-
-
-def _uniform(rng: np.random.Generator, *shape: int) -> Tensor:
-    return torch.from_numpy(rng.random(shape, np.float32))
-
-
-def _normal(rng: np.random.Generator, *shape: int) -> Tensor:
-    return torch.from_numpy(rng.standard_normal(shape, np.float32))

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from models.cameras import WeakPerspective, nearest_rotation, project, solve_cameras
+from models.cameras import WeakPerspective, nearest_rotation, solve_cameras
+from models.gradients import fill, reproject
 
 
 class Reconstruction(NamedTuple):
@@ -52,7 +53,7 @@ class HierarchicalPrior(nn.Module):
         return weights.shape[1] * max(weights.shape[2], len(self.encoder_thresholds[0]))
 
     def encode(self, views: Tensor) -> tuple[Tensor, Tensor]:
-        """Codes (M, B_L) and rotations (M, 3, 3) of M centred views (M, P, 2)."""
+        """Codes (M, B_L) of M centred views (M, P, 2), and matrices (M, 2, 3) near rotations."""
         # One ISTA step per layer, paper eq. "encoder": Psi_l = ReLU(D_l^T Psi_{l-1}; lambda_l).
         # The six numbers of an atom's 2x3 block are rows of their own, so that a layer is one
         # product; addmm with relu_ halves the memory traffic that dominates on a CPU.
@@ -66,50 +67,72 @@ class HierarchicalPrior(nn.Module):
             block = torch.relu_(torch.addmm(-threshold, block, dictionary))  # (6 M, B_l)
         # Rotation factorisation: one linear layer reads the unrotated code, one the rotation.
         flat = block.reshape(len(views), 6 * block.shape[-1])  # (M, 6 B_L)
-        rotations, _ = nearest_rotation(self.rotate(flat).reshape(-1, 2, 3))
-        code: Tensor = self.unrotate(flat)
-        return code, rotations
+        return self.unrotate(flat), self.rotate(flat).reshape(-1, 2, 3)
 
     def decode(self, code: Tensor) -> Tensor:
-        """Canonical structures (N, P, 3), centred, root-mean-square radius 1, of codes (N, B_L)."""
+        """Canonical structures (N, P, 3) of codes (N, B_L), of any size and place."""
         # Paper eq. "decoder": phi_{l-1} = ReLU(D_l phi_l; lambda_l), S = D_1 phi_1.
         for dictionary, threshold in zip(
             reversed(self.dictionaries), reversed(self.decoder_thresholds), strict=True
         ):
             code = torch.relu_(torch.addmm(-threshold, code, dictionary.T))  # (N, B_{l-1})
         atoms = self.first.reshape(3 * self.keypoints, -1)  # (3 P, B_1)
-        points = (code @ atoms.T).reshape(-1, self.keypoints, 3)
-        points = points - points.mean(-2, keepdim=True)
-        radius = points.square().sum(-1).mean(-1).clamp_min(1e-12).sqrt()
-        return points / radius[:, None, None]
+        return (code @ atoms.T).reshape(-1, self.keypoints, 3)
 
     def forward(self, keypoints: Tensor, weights: Tensor) -> Reconstruction:
         """Reconstruct frames from normalised keypoints (N, K, P, 2) with weights (N, K, P)."""
-        result = self._reconstruct(keypoints, keypoints, weights)
-        hidden = (weights < 1) & (weights.sum(-1, keepdim=True) > 0)
-        if hidden.any():
-            # What is hidden is filled with its reprojection and the views are read once more.
-            filled = weights[..., None] * keypoints + (1 - weights[..., None]) * project(
-                result.points[:, None], result.cameras
-            )
-            filled = filled - filled.mean(-2, keepdim=True)
-            size = filled.square().sum(-1).mean(-1).clamp_min(1e-12).sqrt()
-            filled = filled / size[..., None, None]
-            result = self._reconstruct(filled, keypoints, weights)
-        return result
-
-    def _reconstruct(self, seen: Tensor, keypoints: Tensor, weights: Tensor) -> Reconstruction:
-        frames, views = seen.shape[:2]
-        codes, guesses = self.encode(seen.flatten(0, 1))
-        guesses = guesses.reshape(frames, views, 3, 3)
-        # Pooling, paper eq. "pool", as a mean over the views that are there, weighted by how much
-        # of the object each one shows: a sum would shrink the code when a view is missing.
-        votes = weights.sum(-1)  # (N, K)
-        votes = votes / votes.sum(-1, keepdim=True).clamp_min(1e-6)
-        code = (votes[..., None] * codes.reshape(frames, views, codes.shape[-1])).sum(1)  # (N, B_L)
-        points = self.decode(code)
+        points, _, turns = self.reproject(keypoints, weights)
+        guesses, _ = nearest_rotation(turns)
         cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
         return Reconstruction(points, cameras, guesses)
+
+    def reproject(self, keypoints: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Reconstruct frames as `forward` does, as far as training needs it.
+
+        Returns
+        -------
+        tuple
+            Structures (N, P, 3), their projections (N, K, P, 2), and matrices (N, K, 2, 3) whose
+            nearest rotations are the guesses.
+        """
+        votes = weights.sum(-1)  # (N, K)
+        there = votes > 0
+        # Pooling, paper eq. "pool", as a mean over the views that are there, weighted by how much
+        # of the object each one shows: a sum would shrink the code when a view is missing.
+        votes = (votes / votes.sum(-1, keepdim=True).clamp_min(1e-6))[:, None]  # (N, 1, K)
+
+        nothing = keypoints.new_zeros
+        codes = nothing(*there.shape, len(self.unrotate.bias))
+        turns = nothing(*there.shape, 2, 3)
+        codes, turns = self._read(keypoints, there, codes, turns)
+        points, projected = self._geometry(votes, codes, turns, keypoints, weights)
+        hidden = (weights < 1).any(-1) & there
+        if hidden.any():
+            # What is hidden is filled with its reprojection and the views are read once more.
+            filled = fill(projected, keypoints, weights)
+            codes, turns = self._read(filled, hidden, codes, turns)
+            points, projected = self._geometry(votes, codes, turns, keypoints, weights)
+        return points, projected, turns
+
+    def _read(
+        self, seen: Tensor, which: Tensor, codes: Tensor, turns: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Renew codes (N, K, B_L) and matrices (N, K, 2, 3) of the views `which` (N, K)."""
+        views = seen.flatten(0, 1)
+        if which.all():
+            new_codes, new_turns = self.encode(views)
+        else:
+            places = which.flatten().nonzero()[:, 0]
+            parts = self.encode(views[places])
+            new_codes = codes.flatten(0, 1).index_copy(0, places, parts[0])
+            new_turns = turns.flatten(0, 1).index_copy(0, places, parts[1])
+        return new_codes.view_as(codes), new_turns.view_as(turns)
+
+    def _geometry(
+        self, votes: Tensor, codes: Tensor, turns: Tensor, keypoints: Tensor, weights: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        pooled = (votes @ codes)[:, 0]  # (N, B_L)
+        return reproject(self.decode(pooled), turns, keypoints, weights)
 
 
 def parameter_shapes(keypoints: int, sizes: tuple[int, ...]) -> dict[str, tuple[int, ...]]:
