@@ -146,12 +146,13 @@ class Trainer:
     def checkpoint(self) -> bytes:
         """Return everything needed to go on, as safetensors bytes."""
         # Before the first step Adam has no moments: they are zero.
-        moments = self._optimiser.state.get(self._weights, {})
+        state = self._optimiser.state.get(self._weights, {})
         nothing = torch.zeros_like(self._weights)
+        moments = state.get("exp_avg", nothing), state.get("exp_avg_sq", nothing.clone())
         return checkpoints.write(
             Checkpoint(
                 weights=self._weights.detach(),
-                moments=(moments.get("exp_avg", nothing), moments.get("exp_avg_sq", nothing)),
+                moments=moments,
                 state={
                     "step": self.step,
                     "seconds": self.seconds,
