@@ -14,7 +14,7 @@ import uvicorn
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
-from service import datasets, errors, fits, health, lift, models, reconstructions
+from service import datasets, errors, fits, health, lift, lifts, models, reconstructions
 from service.bodies import registered_schemas
 from service.engine import Engine
 from service.limits import BodyLimit
@@ -24,7 +24,7 @@ from store.database import Store
 from worker.process import die_with_parent
 from worker.queue import connect, open_queue
 
-RESOURCES = (datasets, fits, reconstructions, models, lift, health)
+RESOURCES = (datasets, fits, reconstructions, models, lift, lifts, health)
 
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 
@@ -102,9 +102,10 @@ def _describe(app: FastAPI) -> None:
             for name, kind in ((n, k) for module in RESOURCES for n, k in vars(module).items()):
                 if "example" in schemas.get(name, {}):  # FastAPI has taken its nulls out
                     schemas[name]["example"] = kind.model_config["json_schema_extra"]["example"]
-            events = schema["paths"]["/fits/{fit_id}/events"]["get"]["responses"]["200"]
-            # FastAPI writes what only OpenAPI 3.2 knows into a document of version 3.1.
-            events["content"]["text/event-stream"] = {"schema": {"type": "string"}}
+            for path in ("/fits/{fit_id}/events", "/lifts/{lift_id}/events"):
+                events = schema["paths"][path]["get"]["responses"]["200"]
+                # FastAPI writes what only OpenAPI 3.2 knows into a document of version 3.1.
+                events["content"]["text/event-stream"] = {"schema": {"type": "string"}}
         assert app.openapi_schema is not None  # noqa: S101
         return app.openapi_schema
 

@@ -18,7 +18,9 @@ from store.errors import (
     CaptureError,
     ConfigError,
     ConflictError,
+    InputError,
     KeyReusedError,
+    LiftError,
     NotFoundError,
     QueueFullError,
 )
@@ -40,6 +42,7 @@ PROBLEMS = {
     "invalid_input": (422, "The request is not valid"),
     "idempotency_key_reused": (422, "The idempotency key was used for another request"),
     "too_many_fits": (429, "Too many fits are waiting"),
+    "too_many_lifts": (429, "Too many lifts are waiting"),
     "internal_error": (500, "Something went wrong inside"),
     "overloaded": (503, "Too many requests are in hand"),
     "unavailable": (503, "A part of the service cannot be reached"),
@@ -189,7 +192,8 @@ def install(app: FastAPI) -> None:
         return ApiError("conflict", str(error)).response()
 
     @app.exception_handler(CaptureError)
-    async def on_capture_error(_request: Request, error: CaptureError) -> Response:
+    @app.exception_handler(LiftError)
+    async def on_input_error(_request: Request, error: InputError) -> Response:
         return invalid(f"/{error.field}", str(error)).response()
 
     @app.exception_handler(ConfigError)
@@ -203,7 +207,7 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(QueueFullError)
     async def on_queue_full(_request: Request, error: QueueFullError) -> Response:
         return ApiError(
-            "too_many_fits",
+            f"too_many_{error.kind}s",
             f"{error} Try again when some have run.",
             headers={"Retry-After": "60"},
         ).response()

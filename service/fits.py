@@ -1,15 +1,14 @@
 """Fits: jobs that turn a dataset into a model."""
 
-import asyncio
 import logging
 from collections.abc import AsyncIterator
 from contextlib import suppress
 from datetime import datetime
+from functools import partial
 from typing import Annotated, Literal, Self
 
 import redis.exceptions
-from fastapi import APIRouter, Depends, Header, Query, Request, Response, status
-from fastapi.concurrency import run_in_threadpool
+from fastapi import APIRouter, Depends, Query, Request, Response, status
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -26,19 +25,15 @@ from service.deps import (
     cursor_of,
 )
 from service.errors import BODY_PROBLEMS, problems
+from service.events import JobStatus, LastEventId, job_events
 from service.idempotency import idempotency
 from service.uploads import UploadBody
-from store import fits, records
-from store.errors import NotFoundError
+from store import fits, jobs, records
 from worker.queue import enqueue
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
 logger = logging.getLogger(__name__)
-
-POLL_SECONDS = 0.25
-
-Status = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 
 
 class FitCreate(BaseModel):
@@ -123,7 +118,7 @@ class Fit(BaseModel):
 
     id: str
     name: str
-    status: Status
+    status: JobStatus
     dataset_id: str
     frames: int = Field(description="Frames the dataset had when the fit was made: those it sees.")
     config: FitConfig | None = Field(
@@ -224,13 +219,19 @@ def list_fits(
     store: StoreDep,
     limit: Limit = 50,
     cursor: Annotated[str | None, cursor_of("fit")] = None,
-    status: Annotated[Status | None, Query()] = None,
+    status: Annotated[JobStatus | None, Query()] = None,
     dataset_id: Annotated[str | None, Query(max_length=200)] = None,
     job_id: Annotated[str | None, Query(max_length=200)] = None,
 ) -> FitPage:
     """List fits, newest first; `job_id` finds the fit of a job you queued yourself."""
-    found = fits.page(
-        store, limit=limit + 1, after=cursor, status=status, dataset_id=dataset_id, job_id=job_id
+    found = jobs.page(
+        store,
+        records.Fit,
+        limit=limit + 1,
+        after=cursor,
+        status=status,
+        dataset_id=dataset_id,
+        job_id=job_id,
     )
     return FitPage(
         items=[Fit.of(record) for record in found[:limit]],
@@ -278,27 +279,12 @@ def cancel_fit(fit_id: Identifier, store: StoreDep, queue: QueueDep, response: R
 async def stream_fit_events(
     fit: FitDep,
     store: StoreDep,
-    last_event_id: Annotated[
-        int | None, Header(description="The last event you have; only newer ones are sent.")
-    ] = None,
+    last_event_id: LastEventId = None,
 ) -> AsyncIterator[ServerSentEvent]:
     """Follow a fit: server-sent events `progress` while it goes on, then one `end`.
 
     The data of every event is the fit as `GET /fits/{fit_id}` gives it, its id grows with every
     change. Close the stream on `end`.
     """
-    seen = last_event_id or 0
-    while True:
-        ended = fit.status in fits.TERMINAL
-        if ended or fit.revision > seen:
-            seen = fit.revision
-            yield ServerSentEvent(
-                data=Fit.of(fit), event="end" if ended else "progress", id=str(seen)
-            )
-        if ended:
-            return
-        await asyncio.sleep(POLL_SECONDS)
-        try:
-            fit = await run_in_threadpool(fits.get, store, fit.id)
-        except NotFoundError:  # it ended and was deleted since
-            return
+    async for event in job_events(fit, partial(fits.get, store, fit.id), Fit.of, last_event_id):
+        yield event

@@ -231,8 +231,13 @@ def import_model(
 
 
 @router.delete(
-    "/{model_id}", status_code=status.HTTP_204_NO_CONTENT, responses=problems("not_found")
+    "/{model_id}",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems("not_found", "conflict"),
 )
 def delete_model(model_id: Identifier, store: StoreDep) -> None:
-    """Delete a model and its weights; the fit that made it keeps its reconstruction."""
+    """Delete a model and its weights; the fit that made it keeps its reconstruction.
+
+    Lifts of datasets that are not done yet need it: cancel them first.
+    """
     models.delete(store, model_id)

@@ -2,34 +2,39 @@
 
 import hashlib
 import re
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Iterator, Mapping
+from typing import Annotated, Any, Literal, TypeVar
 
 import orjson
 from fastapi import Query, Request
 from numpy.typing import NDArray
-from starlette.responses import Response
+from starlette.responses import Response, StreamingResponse
 
 from service import arrays
 from service.errors import ApiError
 from service.wire import frames_json
 
 Format = Literal["json", "safetensors", "npz"]
+AnyFormat = TypeVar("AnyFormat", bound=str)
 FormatQuery = Annotated[
     Format | None,
     Query(description="Representation; without it the `Accept` header decides."),
 ]
 
+OCTETS = "application/octet-stream"
+NPZ = "application/x-npz"
+BINARY_FORMATS: dict[str, Literal["safetensors", "npz"]] = {
+    OCTETS: "safetensors",
+    "application/vnd.safetensors": "safetensors",
+    NPZ: "npz",
+    "application/zip": "npz",
+}
 _JSON = "application/json"
-_SAFETENSORS = "application/vnd.safetensors"
-_NPZ = "application/x-npz"
 _FORMATS: dict[str, Format] = {
     "*/*": "json",
     "application/*": "json",
     _JSON: "json",
-    "application/octet-stream": "safetensors",
-    _SAFETENSORS: "safetensors",
-    _NPZ: "npz",
-    "application/zip": "npz",
+    **BINARY_FORMATS,
 }
 
 
@@ -45,8 +50,15 @@ def binary_responses(description: str) -> dict[int | str, dict[str, Any]]:
     }
 
 
-def accepted_format(request: Request, asked: Format | None) -> Format:
+def accepted_format(
+    request: Request, asked: AnyFormat | None, formats: Mapping[str, AnyFormat]
+) -> AnyFormat:
     """Return what the client wants: the query's word, or the first known type it accepts.
+
+    Parameters
+    ----------
+    formats
+        What a client may accept, by media type.
 
     Raises
     ------
@@ -65,12 +77,12 @@ def accepted_format(request: Request, asked: Format | None) -> Format:
         except ValueError:
             continue
     for weight, _, media_type in sorted(ranked):
-        if weight < 0 and media_type in _FORMATS:
-            return _FORMATS[media_type]
+        if weight < 0 and media_type in formats:
+            return formats[media_type]
     raise ApiError(
         "not_acceptable",
-        f"expected Accept to hold application/json, application/octet-stream (safetensors) or "
-        f"{_NPZ}, got {accept[:200]!r}",
+        f"expected Accept to hold {next(t for t in formats if '*' not in t)}, "
+        f"{OCTETS} (safetensors) or {NPZ}, got {accept[:200]!r}",
     )
 
 
@@ -86,19 +98,19 @@ def arrays_response(
 
     ``about`` goes into the JSON object beside ``frames``, or into the safetensors metadata.
     """
-    chosen = accepted_format(request, format)
+    chosen = accepted_format(request, format, _FORMATS)
     if chosen == "json":
         body = orjson.dumps({**about, "frames": frames_json(found)})
         return bytes_response(request, body, media_type=_JSON, filename=None)
     if chosen == "npz":
         return bytes_response(
-            request, arrays.to_npz(found), media_type=_NPZ, filename=f"{filename}.npz"
+            request, arrays.to_npz(found), media_type=NPZ, filename=f"{filename}.npz"
         )
     metadata = {name: value for name, value in about.items() if value is not None}
     return bytes_response(
         request,
         arrays.to_safetensors(found, metadata),
-        media_type="application/octet-stream",
+        media_type=OCTETS,
         filename=f"{filename}.safetensors",
     )
 
@@ -115,12 +127,37 @@ def bytes_response(
 
     Only a GET has these; other answers go out as they are.
     """
-    headers = {"Vary": "Accept"}
-    if filename is not None:
-        headers["Content-Disposition"] = f'attachment; filename="{filename}"'
     if request.method != "GET":
-        return Response(body, media_type=media_type, headers=headers)
-    etag = f'"{checksum or hashlib.sha256(body).hexdigest()}"'
+        return Response(body, media_type=media_type, headers=_headers(filename))
+    return ranged_response(
+        request,
+        len(body),
+        lambda start, end: body[start:end],
+        media_type=media_type,
+        filename=filename,
+        checksum=checksum or hashlib.sha256(body).hexdigest(),
+    )
+
+
+def ranged_response(
+    request: Request,
+    size: int,
+    read: Callable[[int, int], bytes | Iterator[bytes]],
+    *,
+    media_type: str,
+    filename: str | None,
+    checksum: str,
+) -> Response:
+    """Answer a GET with a file of ``size`` bytes, or with the range of it that is asked for.
+
+    Parameters
+    ----------
+    read
+        Gives the bytes from a start up to an end, whole or in pieces to be streamed.
+    checksum
+        Of the file as it is in this format: its entity tag.
+    """
+    headers, etag = _headers(filename), f'"{checksum}"'
     headers |= {"ETag": etag, "Accept-Ranges": "bytes"}
     matches = [
         tag.strip().removeprefix("W/")
@@ -129,14 +166,25 @@ def bytes_response(
     if etag in matches or "*" in matches:
         return Response(status_code=304, headers=headers)
     wanted = request.headers.get("range")
-    if wanted is None or request.headers.get("if-range", etag) != etag:
-        return Response(body, media_type=media_type, headers=headers)
-    span = _parse_range(wanted, len(body))
-    if span is None:
-        return Response(body, media_type=media_type, headers=headers)
-    start, end = span
-    headers["Content-Range"] = f"bytes {start}-{end - 1}/{len(body)}"
-    return Response(body[start:end], status_code=206, media_type=media_type, headers=headers)
+    span = None
+    if wanted is not None and request.headers.get("if-range", etag) == etag:
+        span = _parse_range(wanted, size)
+    start, end = span or (0, size)
+    if span is not None:
+        headers["Content-Range"] = f"bytes {start}-{end - 1}/{size}"
+    status_code = 200 if span is None else 206
+    body = read(start, end)
+    if isinstance(body, bytes):
+        return Response(body, status_code, headers, media_type)
+    headers["Content-Length"] = str(end - start)
+    return StreamingResponse(body, status_code, headers, media_type)
+
+
+def _headers(filename: str | None) -> dict[str, str]:
+    headers = {"Vary": "Accept"}
+    if filename is not None:
+        headers["Content-Disposition"] = f'attachment; filename="{filename}"'
+    return headers
 
 
 def _parse_range(header: str, size: int) -> tuple[int, int] | None:

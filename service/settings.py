@@ -55,6 +55,9 @@ class Settings(WorkerSettings):
         le=64,
         description="Threads that lift in the API process. Default: the CPUs there are, up to 8.",
     )
+    max_queued_lifts: int = Field(
+        100, ge=1, description="Lifts that may wait at a time; POST /lifts answers 429 beyond that."
+    )
     warm_model_bytes: int = Field(
         512 * MEBIBYTE, ge=0, description="Weights to keep in memory for lifting."
     )

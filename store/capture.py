@@ -1,6 +1,8 @@
 """A capture's arrays, checked, and the bytes they are stored as."""
 
 import hashlib
+import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -97,6 +99,33 @@ class Capture:
         """Read back what :meth:`to_bytes` wrote."""
         arrays = load(data)
         return cls(arrays["keypoints"], arrays.get("confidence"), arrays.get("points3d"))
+
+    @classmethod
+    def frames_from(cls, read: Callable[[int, int], bytes], frames: slice) -> "Capture":
+        """Read some frames of what :meth:`to_bytes` wrote, without the ground truth.
+
+        Parameters
+        ----------
+        read
+            Gives the bytes from a start up to an end.
+        frames
+            Which frames, from a start up to a stop that is not beyond the last.
+        """
+        size = int.from_bytes(read(0, 8), "little")
+        header = json.loads(read(8, 8 + size))
+
+        def rows(name: str) -> Float32 | None:
+            if name not in header:
+                return None
+            shape = header[name]["shape"][1:]
+            first = 8 + size + header[name]["data_offsets"][0]
+            each = 4 * math.prod(shape)
+            data = read(first + each * frames.start, first + each * frames.stop)
+            return np.frombuffer(data, "<f4").reshape(-1, *shape)
+
+        keypoints = rows("keypoints")
+        assert keypoints is not None  # noqa: S101 (every capture has them)
+        return cls(keypoints, rows("confidence"))
 
 
 def concatenate(captures: list[Capture]) -> Capture:

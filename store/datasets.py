@@ -2,17 +2,19 @@
 
 import time
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from sqlalchemy import delete as sql_delete
-from sqlalchemy import select, update
+from sqlalchemy import func, select, update
 
+from store import jobs
 from store.capture import Capture, concatenate, extend_checksum
 from store.database import Store
-from store.errors import CaptureError, ConflictError, NotFoundError
+from store.errors import CaptureError, NotFoundError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
-from store.records import Chunk, Dataset, Fit
+from store.records import Chunk, Dataset, Fit, Lift
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,44 @@ def load(store: Store, dataset_id: str, *, frames: int | None = None) -> Capture
     return capture
 
 
+def load_frames(store: Store, dataset_id: str, start: int, stop: int) -> Capture:
+    """Read the frames from ``start`` up to ``stop``, and no others, without the ground truth.
+
+    Raises ``NotFoundError`` if there is no such dataset, or if it has not all of these frames.
+    """
+    before = select(func.max(Chunk.first_frame)).where(
+        Chunk.dataset_id == dataset_id, Chunk.first_frame <= start
+    )
+    query = (
+        select(Chunk)
+        .where(
+            Chunk.dataset_id == dataset_id,
+            Chunk.first_frame >= before.scalar_subquery(),
+            Chunk.first_frame < stop,
+        )
+        .order_by(Chunk.first_frame)
+    )
+    with store.reading() as session:
+        chunks = list(session.scalars(query))
+    if not chunks or chunks[-1].first_frame + chunks[-1].frames < stop:
+        raise NotFoundError("dataset", dataset_id)
+    try:
+        return concatenate(
+            [
+                Capture.frames_from(
+                    partial(store.objects.get_range, chunk.key),
+                    slice(
+                        max(start - chunk.first_frame, 0),
+                        min(stop - chunk.first_frame, chunk.frames),
+                    ),
+                )
+                for chunk in chunks
+            ]
+        )
+    except FileNotFoundError as error:
+        raise NotFoundError("dataset", dataset_id) from error
+
+
 def delete(store: Store, dataset_id: str) -> None:
     """Delete a dataset and its arrays.
 
@@ -185,19 +225,11 @@ def delete(store: Store, dataset_id: str) -> None:
     NotFoundError
         If there is no such dataset.
     ConflictError
-        If a fit of it is queued or running.
+        If a fit or a lift of it is queued or running.
     """
     with store.writing() as session:
-        busy = session.scalars(
-            select(Fit.id).where(
-                Fit.dataset_id == dataset_id, Fit.status.in_(("queued", "running"))
-            )
-        ).all()
-        if busy:
-            raise ConflictError(
-                f"Dataset {dataset_id!r} is in use by {', '.join(busy)}: "
-                "cancel these fits or wait for them to end."
-            )
+        for column in (Fit.dataset_id, Lift.dataset_id):
+            jobs.refuse_if_used(session, "Dataset", column, dataset_id)
         keys = session.scalars(select(Chunk.key).where(Chunk.dataset_id == dataset_id)).all()
         gone = session.execute(
             sql_delete(Dataset).where(Dataset.id == dataset_id).returning(Dataset.id)

@@ -1,13 +1,15 @@
 """What can go wrong in the store, in terms its callers can act on.
 
 StoreError
-├── NotFoundError          no such dataset, fit or model
+├── NotFoundError          no such dataset, fit, model or lift
 ├── ConflictError          the record's state does not allow it
-├── CaptureError           arrays that are no capture; names the field
-├── ConfigError            a configuration that its dataset does not allow; names the field
-├── QueueFullError         as many fits wait as may
+├── InputError             names the field at fault
+│   ├── CaptureError       arrays that are no capture
+│   ├── ConfigError        a configuration that its dataset does not allow
+│   └── LiftError          a dataset, or views of it, that the model cannot lift
+├── QueueFullError         as many fits, or lifts, wait as may
 ├── KeyReusedError         an idempotency key came back with another request
-└── LeaseLostError         a stale attempt tried to write; another attempt owns the fit
+└── LeaseLostError         a stale attempt tried to write; its work belongs to another by now
 """
 
 
@@ -28,13 +30,13 @@ class ConflictError(StoreError):
     """The record exists, but its state does not allow what was asked."""
 
 
-class CaptureError(StoreError):
-    """Arrays that do not make a capture.
+class InputError(StoreError):
+    """One field of what came is at fault.
 
     Parameters
     ----------
     field
-        The array at fault, as the caller named it: ``keypoints``, ``confidence``, ``points3d``, ...
+        As the caller named it: ``keypoints``, ``confidence``, ``calibration``, ...
     message
         What was expected, what came, and how to mend it.
     """
@@ -44,24 +46,24 @@ class CaptureError(StoreError):
         self.field = field
 
 
-class ConfigError(StoreError):
-    """A fit's configuration that speaks of views or keypoints which its dataset has not.
+class CaptureError(InputError):
+    """Arrays that do not make a capture."""
 
-    Parameters
-    ----------
-    field
-        The field of the configuration at fault: ``calibration``, ``known_length``, ...
-    message
-        What was expected, what came, and how to mend it.
-    """
 
-    def __init__(self, field: str, message: str) -> None:
-        super().__init__(message)
-        self.field = field
+class ConfigError(InputError):
+    """A fit's configuration that speaks of views or keypoints which its dataset has not."""
+
+
+class LiftError(InputError):
+    """A lift of a dataset that its model cannot lift so."""
 
 
 class QueueFullError(StoreError):
-    """As many fits wait as may."""
+    """As many jobs of a kind wait as may."""
+
+    def __init__(self, kind: str, limit: int) -> None:
+        super().__init__(f"{limit} {kind}s are waiting already.")
+        self.kind = kind
 
 
 class KeyReusedError(StoreError):
@@ -69,4 +71,4 @@ class KeyReusedError(StoreError):
 
 
 class LeaseLostError(StoreError):
-    """The attempt no longer owns its fit, which was cancelled, finished or taken over."""
+    """The work is no longer this attempt's: it was cancelled, finished or taken over."""

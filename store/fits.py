@@ -12,16 +12,14 @@ work to workers and nothing more: what it says of a job is never asked.
 import time
 from typing import Any
 
-from sqlalchemy import func, select, update
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
 
+from store import jobs
 from store.database import Store
-from store.errors import ConfigError, ConflictError, NotFoundError, QueueFullError
-from store.idempotency import Idempotency, remember, replayed
-from store.ids import new_id
+from store.errors import ConfigError, ConflictError, NotFoundError
+from store.idempotency import Idempotency
 from store.records import Dataset, Fit, Model
-
-TERMINAL = ("succeeded", "failed", "cancelled")
-MAX_CRASHES = 5
 
 
 def create(
@@ -48,31 +46,25 @@ def create(
     QueueFullError
         If ``max_queued`` fits wait already.
     """
-    fit_id = new_id("fit")
-    with store.writing() as session:
-        earlier = replayed(session, idempotency)
-        if earlier is None and job_id is not None:
-            earlier = session.scalar(select(Fit.id).where(Fit.job_id == job_id))
-        if earlier is None:
-            waiting = select(func.count()).select_from(Fit).where(Fit.status == "queued")
-            if max_queued is not None and (session.scalar(waiting) or 0) >= max_queued:
-                raise QueueFullError(f"{max_queued} fits are waiting already.")
-            # Locked against deletion, so that no fit is queued of a dataset that is gone.
-            dataset = session.get(Dataset, dataset_id, with_for_update=True)
-            if dataset is None:
-                raise NotFoundError("dataset", dataset_id)
-            _check(config, dataset)
-            fit = _new(
-                id=fit_id,
-                name=name,
-                dataset_id=dataset_id,
-                frames=dataset.frames,
-                config=config,
-                job_id=job_id or fit_id,
-            )
-            session.add(fit)
-            remember(session, idempotency, fit_id)
-    return fit if earlier is None else get(store, earlier)
+
+    def make(session: Session, fit_id: str) -> Fit:
+        # Locked against deletion, so that no fit is queued of a dataset that is gone.
+        dataset = session.get(Dataset, dataset_id, with_for_update=True)
+        if dataset is None:
+            raise NotFoundError("dataset", dataset_id)
+        _check(config, dataset)
+        return _new(
+            id=fit_id,
+            name=name,
+            dataset_id=dataset_id,
+            frames=dataset.frames,
+            config=config,
+            job_id=job_id or fit_id,
+        )
+
+    return jobs.create(
+        store, Fit, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
+    )
 
 
 def _check(config: dict[str, Any], dataset: Dataset) -> None:
@@ -106,64 +98,28 @@ def refuse(
     error: dict[str, Any],
 ) -> str:
     """Record a job that can never run, so that whoever queued it can read why; return the fit."""
-    with store.writing() as session:
-        known = session.scalar(select(Fit.id).where(Fit.job_id == job_id))
-        if known is not None:
-            return known
-        fit = _new(
-            id=new_id("fit"),
-            name=name,
-            dataset_id=dataset_id,
-            frames=0,
-            config=config,
-            job_id=job_id,
+
+    def make(_: Session, fit_id: str) -> Fit:
+        return _new(
+            id=fit_id, name=name, dataset_id=dataset_id, frames=0, config=config, job_id=job_id
         )
-        fit.status, fit.error, fit.finished_at = "failed", error, fit.created_at
-        session.add(fit)
-    return fit.id
+
+    return jobs.refuse(store, Fit, make, job_id=job_id, error=error)
 
 
 def _new(**columns: Any) -> Fit:
-    return Fit(created_at=time.time(), status="queued", revision=1, attempt=0, crashes=0, **columns)
+    return Fit(**jobs.new_columns(), attempt=0, crashes=0, **columns)
 
 
 def get(store: Store, fit_id: str) -> Fit:
     """Return the record of a fit; raise ``NotFoundError`` if there is none."""
-    with store.reading() as session:
-        fit = session.get(Fit, fit_id)
-    if fit is None:
-        raise NotFoundError("fit", fit_id)
-    return fit
+    return jobs.get(store, Fit, fit_id)
 
 
 def by_job(store: Store, job_id: str) -> Fit | None:
     """Return the fit that a queue job carries, or None."""
     with store.reading() as session:
         return session.scalar(select(Fit).where(Fit.job_id == job_id))
-
-
-def page(
-    store: Store,
-    *,
-    limit: int,
-    after: str | None,
-    status: str | None = None,
-    dataset_id: str | None = None,
-    job_id: str | None = None,
-) -> list[Fit]:
-    """Return up to ``limit`` fits, newest first, older than ``after`` if it is given."""
-    query = select(Fit).order_by(Fit.id.desc()).limit(limit)
-    if after is not None:
-        query = query.where(Fit.id < after)
-    for column, value in (
-        (Fit.status, status),
-        (Fit.dataset_id, dataset_id),
-        (Fit.job_id, job_id),
-    ):
-        if value is not None:
-            query = query.where(column == value)
-    with store.reading() as session:
-        return list(session.scalars(query))
 
 
 def request_cancel(store: Store, fit_id: str) -> Fit:
@@ -180,11 +136,7 @@ def request_cancel(store: Store, fit_id: str) -> Fit:
     """
     now = time.time()
     with store.writing() as session:
-        fit = session.get(Fit, fit_id, with_for_update=True)
-        if fit is None:
-            raise NotFoundError("fit", fit_id)
-        if fit.status in ("succeeded", "failed"):
-            raise ConflictError(f"Fit {fit_id!r} has already {fit.status}; it cannot be cancelled.")
+        fit = jobs.lock_to_cancel(session, Fit, fit_id)
         if fit.status != "cancelled" and fit.cancel_requested_at is None:
             fit.cancel_requested_at = now
             fit.revision += 1
@@ -219,7 +171,7 @@ def _lose(fit: Fit, now: float) -> None:
     fit.lease_expires_at = None
     if fit.cancel_requested_at is not None:
         _end(fit, "cancelled", now)
-    elif fit.crashes >= MAX_CRASHES:
+    elif fit.crashes >= jobs.MAX_CRASHES:
         _end(fit, "failed", now)
         fit.error = {
             "code": "worker_lost",
@@ -266,11 +218,7 @@ def delete(store: Store, fit_id: str) -> None:
         If it is queued or running.
     """
     with store.writing() as session:
-        fit = session.get(Fit, fit_id, with_for_update=True)
-        if fit is None:
-            raise NotFoundError("fit", fit_id)
-        if fit.status not in TERMINAL:
-            raise ConflictError(f"Fit {fit_id!r} is {fit.status}: cancel it first.")
+        fit = jobs.lock_to_delete(session, Fit, fit_id)
         session.execute(update(Model).where(Model.fit_id == fit_id).values(fit_id=None))
         session.delete(fit)
     store.objects.delete(fit.reconstruction_key, fit.checkpoint_key)

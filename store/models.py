@@ -7,11 +7,12 @@ from typing import Any
 
 from sqlalchemy import bindparam, select, update
 
+from store import jobs
 from store.database import Store
 from store.errors import NotFoundError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
-from store.records import Fit, Model
+from store.records import Fit, Lift, Model
 
 
 def new_record(store: Store, weights: bytes, **columns: Any) -> Model:
@@ -93,8 +94,17 @@ def page(store: Store, *, limit: int, after: str | None) -> list[Model]:
 
 
 def delete(store: Store, model_id: str) -> None:
-    """Delete a model and its weights; raise ``NotFoundError`` if there is none."""
+    """Delete a model and its weights.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such model.
+    ConflictError
+        If a lift with it is queued or running.
+    """
     with store.writing() as session:
+        jobs.refuse_if_used(session, "Model", Lift.model_id, model_id)
         model = session.get(Model, model_id, with_for_update=True)
         if model is None:
             raise NotFoundError("model", model_id)

@@ -40,6 +40,15 @@ class Objects:
         """Return the bytes under ``key``; raise ``FileNotFoundError`` if there are none."""
         return bytes(obstore.get(self._store, key).bytes())
 
+    def get_range(self, key: str, start: int, end: int) -> bytes:
+        """Return the bytes from ``start`` up to ``end`` of an object that holds them.
+
+        Raises ``FileNotFoundError`` if there is no such object.
+        """
+        if start == end:
+            return b""  # which the object store takes for a mistake
+        return bytes(obstore.get_range(self._store, key, start=start, end=end))
+
     def delete(self, *keys: str | None) -> None:
         """Delete what is there of ``keys``; what is gone already is no error."""
         for key in keys:

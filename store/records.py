@@ -51,15 +51,11 @@ class Chunk(Record):
     key: Mapped[str]
 
 
-class Fit(Record):
-    """A fit job. ``status`` is the one truth about it; the queue only carries the work.
+class Job:
+    """Columns of what the queue carries. ``status`` is the one truth about it.
 
-    ``attempt`` is the fencing token: it grows with every claim, and a write that carries an older
-    one changes nothing. ``revision`` grows with every visible change.
+    ``revision`` grows with every visible change.
     """
-
-    __tablename__ = "fits"
-    __table_args__ = (Index("fits_by_status", "status"),)
 
     id: Mapped[str] = mapped_column(primary_key=True)
     name: Mapped[str]
@@ -67,11 +63,24 @@ class Fit(Record):
     started_at: Mapped[float | None]
     finished_at: Mapped[float | None]
     dataset_id: Mapped[str] = mapped_column(index=True)
-    frames: Mapped[int] = mapped_column(BigInteger)  # of the dataset when the fit was made
-    config: Mapped[dict[str, Any]]
+    frames: Mapped[int] = mapped_column(BigInteger)  # of the dataset when the job was made
     job_id: Mapped[str] = mapped_column(unique=True)
     status: Mapped[str]  # queued, running, succeeded, failed, cancelled
     revision: Mapped[int]
+    error: Mapped[dict[str, Any] | None]
+
+
+class Fit(Job, Record):
+    """A fit job.
+
+    ``attempt`` is the fencing token: it grows with every claim, and a write that carries an older
+    one changes nothing.
+    """
+
+    __tablename__ = "fits"
+    __table_args__ = (Index("fits_by_status", "status"),)
+
+    config: Mapped[dict[str, Any]]
     progress: Mapped[dict[str, Any] | None]
     cancel_requested_at: Mapped[float | None]
     attempt: Mapped[int]
@@ -80,7 +89,46 @@ class Fit(Record):
     checkpoint_key: Mapped[str | None]
     reconstruction_key: Mapped[str | None]
     model_id: Mapped[str | None]
-    error: Mapped[dict[str, Any] | None]
+
+
+class Lift(Job, Record):
+    """The lift of a whole dataset. ``helpers`` counts the queue jobs that have worked at it."""
+
+    __tablename__ = "lifts"
+    __table_args__ = (Index("lifts_by_status", "status"),)
+
+    model_id: Mapped[str] = mapped_column(index=True)
+    refine: Mapped[str | None]
+    views: Mapped[list[Any] | None]
+    helpers: Mapped[int]
+    chunks: Mapped[int]
+    chunks_done: Mapped[int]
+    frames_done: Mapped[int] = mapped_column(BigInteger)
+    seconds_left: Mapped[float | None]
+    layout: Mapped[list[Any] | None]  # of a frame's arrays, see store.lift_files
+
+
+class LiftChunk(Record):
+    """Consecutive frames of a lift.
+
+    ``holder`` is the fencing token: who holds the lease. A write of anyone else changes nothing.
+    """
+
+    __tablename__ = "lift_chunks"
+
+    lift_id: Mapped[str] = mapped_column(
+        ForeignKey("lifts.id", ondelete="CASCADE"), primary_key=True
+    )
+    first_frame: Mapped[int] = mapped_column(BigInteger, primary_key=True)
+    frames: Mapped[int]
+    holder: Mapped[str | None]
+    lease_expires_at: Mapped[float | None]
+    crashes: Mapped[int]
+    finished_at: Mapped[float | None]  # None: still to be done
+    arrays_key: Mapped[str | None]
+    lines_key: Mapped[str | None]
+    lines_bytes: Mapped[int | None]
+    checksums: Mapped[dict[str, Any] | None]  # CRC-32 of each array's bytes
 
 
 class Model(Record):

@@ -30,16 +30,15 @@ LIFT_FRAMES = 512  # lifted between two looks at what is asked of the attempt
 CHECKPOINT_SHARE = 20  # checkpoints may take a twentieth of the time, however large they are
 
 
-def run_attempt(store: Store, pulse: Pulse, settings: WorkerSettings) -> None:
+def run_attempt(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings) -> None:
     """Run a claimed fit until it succeeds, fails, is cancelled, or this process must leave.
 
     The outcome is in the fit's record. Whatever else ends the attempt is recorded as a failure and
     raised again, RQ's own timeout included.
     """
-    attempt = pulse.attempt
     torch.set_num_threads(settings.fit_threads)
     try:
-        _run(store, pulse, settings)
+        _run(store, attempt, pulse, settings)
     except LeaseLostError:
         logger.warning("Fit %s is no longer ours: leaving it alone", attempt.fit_id)
     except NotFoundError as error:
@@ -52,8 +51,7 @@ def run_attempt(store: Store, pulse: Pulse, settings: WorkerSettings) -> None:
         raise
 
 
-def _run(store: Store, pulse: Pulse, settings: WorkerSettings) -> None:
-    attempt = pulse.attempt
+def _run(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings) -> None:
     started = time.monotonic()
     fit = fits.get(store, attempt.fit_id)
     dataset = datasets.get(store, fit.dataset_id)

@@ -1,16 +1,22 @@
-"""The job that people put on the queue."""
+"""The jobs on the queue: those that people put there, and the call for help with a lift."""
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from rq import get_current_job
 
-from store import attempts, fits
+from store import attempts, fits, lift_chunks, lifts
 from store.database import Store
+from store.errors import NotFoundError
+from store.records import Fit, Lift
 from worker.pulse import Pulse
-from worker.queue import FitJob
+from worker.queue import KnownJob, open_queue
 from worker.reconciler import adopt
 from worker.settings import WorkerSettings
+from worker.turn import Turn
 
 logger = logging.getLogger(__name__)
 
@@ -41,24 +47,100 @@ def fit(
     RuntimeError
         If the fit failed: its code and message, as in the record.
     """
-    job = get_current_job()
-    assert isinstance(job, FitJob)  # noqa: S101 (RQ runs this function in a job)
-    settings = WorkerSettings()
-    store = Store(settings)
-    try:
+    with _opened() as (job, store, settings):
         known = fits.by_job(store, job.id)
-        fit_id = adopt(store, job) if known is None else known.id
+        fit_id = adopt(store, job, settings) if known is None else known.id
         attempt = attempts.claim(store, fit_id, lease_seconds=settings.lease_seconds)
         if attempt is not None:
             logger.info("Fit %s: attempt %d starts", fit_id, attempt.number)
-            with Pulse(store, attempt) as pulse:
+            with Pulse(partial(attempts.beat, store, attempt)) as pulse:
                 from worker.fitting import run_attempt  # noqa: PLC0415 (torch takes seconds)
 
-                run_attempt(store, pulse, settings)
+                run_attempt(store, attempt, pulse, settings)
         record = fits.get(store, fit_id)
-        logger.info("Fit %s: %s", fit_id, record.status)
-    finally:
-        store.close()
+        _report(record)
+    return {"fit_id": record.id, "status": record.status, "model_id": record.model_id}
+
+
+def lift(
+    model_id: str,
+    dataset_id: str,
+    name: str | None = None,
+    refine: str | None = None,
+    views: list[int] | None = None,
+) -> dict[str, str | None]:
+    """Lift a dataset; the body of ``Queue("fits").enqueue("worker.jobs.lift", ...)``.
+
+    Parameters
+    ----------
+    model_id, dataset_id
+        A fitted model, a stored dataset of the same keypoints.
+    name
+        For people to tell lifts apart.
+    refine, views
+        As in ``POST /lift``.
+
+    Returns
+    -------
+    dict
+        ``lift_id`` and ``status``, as ``GET /lifts/{id}`` gives them. The job may end before its
+        lift does: other jobs carry on with it.
+
+    Raises
+    ------
+    RuntimeError
+        If the lift failed: its code and message, as in the record.
+    """
+    with _opened() as (job, store, settings):
+        known = lifts.by_job(store, job.id)
+        lift_id = adopt(store, job, settings) if known is None else known.id
+        return _help(job, store, settings, lift_id)
+
+
+def help_lift(lift_id: str) -> dict[str, str | None]:
+    """Do chunks of a recorded lift until none is left, or others have waited long enough.
+
+    While there are more chunks than helpers, one such job waits on the queue. Whoever takes it
+    puts the next one there, and so every worker that has nothing else to do helps.
+    """
+    with _opened() as (job, store, settings):
+        return _help(job, store, settings, lift_id)
+
+
+def _help(
+    job: KnownJob, store: Store, settings: WorkerSettings, lift_id: str
+) -> dict[str, str | None]:
+    helper = lift_chunks.join(lift_id, lease_seconds=settings.lease_seconds)
+    chunk = lift_chunks.claim(store, helper)
+    if chunk is not None:
+        turn = Turn(open_queue(job.connection), settings, lift_id)
+        turn.call_next(store, job.id)
+        with Pulse(partial(lift_chunks.beat, store, helper)) as pulse:
+            from worker.lifting import do_chunks  # noqa: PLC0415 (torch takes seconds)
+
+            do_chunks(store, helper, chunk, pulse, settings, turn)
+    try:
+        record = lifts.get(store, lift_id)
+    except NotFoundError:  # deleted since the job was queued
+        return {"lift_id": lift_id, "status": None}
+    _report(record)
+    return {"lift_id": lift_id, "status": record.status}
+
+
+def _report(record: Fit | Lift) -> None:
+    """Say how a job ended; raise ``RuntimeError`` for one that failed, for RQ to see."""
+    logger.info("%s: %s", record.id, record.status)
     if record.error is not None:
         raise RuntimeError(f"{record.error['code']}: {record.error['message']}")
-    return {"fit_id": record.id, "status": record.status, "model_id": record.model_id}
+
+
+@contextmanager
+def _opened() -> Iterator[tuple[KnownJob, Store, WorkerSettings]]:
+    job = get_current_job()
+    assert isinstance(job, KnownJob)  # noqa: S101 (RQ runs these functions in a job)
+    settings = WorkerSettings()
+    store = Store(settings)
+    try:
+        yield job, store, settings
+    finally:
+        store.close()

@@ -3,14 +3,12 @@
 import logging
 import signal
 import threading
+from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from store import attempts
-from store.attempts import Attempt
-from store.database import Store
 from store.errors import LeaseLostError
 
 logger = logging.getLogger(__name__)
@@ -19,7 +17,7 @@ BEAT_SECONDS = 0.25
 
 
 class Pulse:
-    """Keeps an attempt's lease and publishes its progress, from a thread.
+    """Keeps the lease of what this process works at and publishes its progress, from a thread.
 
     So the lease lives however long loading the libraries, or one step, may take.
 
@@ -28,18 +26,25 @@ class Pulse:
     progress
         To be published with the next beat.
     cancel
-        The user asked to stop the fit.
+        The user asked to stop.
     leave
-        SIGTERM came: checkpoint, give the fit back to the queue, and go.
+        SIGTERM came: save what there is, give the work back to the queue, and go.
     lost
-        The fit belongs to somebody else by now: do nothing more.
+        The work has ended, or belongs to somebody else by now: do nothing more.
     """
 
-    def __init__(self, store: Store, attempt: Attempt) -> None:
-        self.attempt = attempt
+    def __init__(self, beat: Callable[[dict[str, Any] | None], bool | None]) -> None:
+        """Prepare to beat.
+
+        Parameters
+        ----------
+        beat
+            Keeps the lease and publishes progress, if there is any news; returns whether the user
+            asked to stop; raises ``LeaseLostError``.
+        """
         self.progress: dict[str, Any] | None = None
         self.cancel = self.leave = self.lost = False
-        self._store = store
+        self._keep = beat
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._beat, name="pulse", daemon=True)
 
@@ -68,9 +73,7 @@ class Pulse:
         while not self._stop.wait(BEAT_SECONDS):
             progress = self.progress
             try:
-                self.cancel = attempts.beat(
-                    self._store, self.attempt, None if progress is published else progress
-                )
+                self.cancel = bool(self._keep(None if progress is published else progress))
                 published = progress
             except LeaseLostError:
                 self.lost = True

@@ -5,17 +5,22 @@ import json
 import pickle
 from typing import Any
 
+from pydantic import BaseModel, Field
 from redis import Redis
 from redis.backoff import ExponentialWithJitterBackoff
 from redis.retry import Retry
 from rq import Queue
 from rq.job import Job
 
-from models.config import FitConfig
-from store.records import Fit
+from models.config import FitConfig, Index, Refine
+from models.keypoints import MAX_VIEWS
+from store.lifts import waiting_job
+from store.records import Fit, Lift
 
 QUEUE = "fits"
 FIT_JOB = "worker.jobs.fit"
+LIFT_JOB = "worker.jobs.lift"
+HELP_JOB = "worker.jobs.help_lift"
 
 RESULT_SECONDS = 24 * 3600
 FAILURE_SECONDS = 7 * 24 * 3600
@@ -52,15 +57,17 @@ class _PlainDataUnpickler(pickle.Unpickler):
         raise pickle.UnpicklingError("A job's arguments must be plain data.")
 
 
-class FitJob(Job):
-    """A job that may call :data:`FIT_JOB` and nothing else: no other function, no callbacks."""
+class KnownJob(Job):
+    """A job that may call the functions named here and nothing else: no others, no callbacks."""
 
     success_callback = failure_callback = stopped_callback = None
 
     def check_function(self) -> None:
         """Raise ``ValueError`` if the job asks for another function."""
-        if self.func_name != FIT_JOB or self.instance is not None:
-            raise ValueError(f"This queue runs {FIT_JOB!r} only, not {self.func_name!r}.")
+        if self.func_name not in (FIT_JOB, LIFT_JOB, HELP_JOB) or self.instance is not None:
+            raise ValueError(
+                f"This queue runs {FIT_JOB!r} and {LIFT_JOB!r} only, not {self.func_name!r}."
+            )
 
     @property
     def func(self) -> Any:
@@ -89,43 +96,61 @@ def connect(url: str, *, retries: int, timeout_seconds: float = 5.0) -> Redis:
 
 
 def open_queue(connection: Redis) -> Queue:
-    """Return the queue that carries fits."""
-    return Queue(QUEUE, connection=connection, job_class=FitJob, serializer=PlainDataSerializer)
+    """Return the queue that carries fits and lifts."""
+    return Queue(QUEUE, connection=connection, job_class=KnownJob, serializer=PlainDataSerializer)
 
 
-def enqueue(queue: Queue, fit: Fit) -> None:
-    """Put a recorded fit on the queue, as any producer would.
+def enqueue(queue: Queue, record: Fit | Lift) -> None:
+    """Put a recorded fit on the queue, as any producer would, or a call for help with a lift.
 
-    Twice is harmless: only one job can claim the fit.
+    Twice is harmless: only one job can claim the fit, or a chunk of the lift.
     """
+    if isinstance(record, Fit):
+        function, job_id = FIT_JOB, record.job_id
+        arguments = {"dataset_id": record.dataset_id, "config": record.config, "name": record.name}
+    else:
+        function, job_id = HELP_JOB, waiting_job(record)
+        arguments = {"lift_id": record.id}
     queue.enqueue(
-        FIT_JOB,
-        kwargs={"dataset_id": fit.dataset_id, "config": fit.config, "name": fit.name},
-        job_id=fit.job_id,
+        function,
+        kwargs=arguments,
+        job_id=job_id,
         result_ttl=RESULT_SECONDS,
         failure_ttl=FAILURE_SECONDS,
-        meta={"fit_id": fit.id},
+        meta={f"{type(record).__name__.lower()}_id": record.id},
     )
 
 
-def parse_request(
-    dataset_id: object, config: object = None, name: object = None
-) -> tuple[str, FitConfig, str]:
-    """Check a job's arguments.
+class FitArguments(BaseModel):
+    """What :data:`FIT_JOB` may be told, in this order."""
 
-    Returns
-    -------
-    tuple
-        Dataset identifier, configuration with its defaults filled in, name of the fit.
+    dataset_id: str
+    config: FitConfig | None = None
+    name: str | None = None
+
+
+class LiftArguments(BaseModel):
+    """What :data:`LIFT_JOB` may be told, in this order."""
+
+    model_id: str
+    dataset_id: str
+    name: str | None = None
+    refine: Refine | None = None
+    views: list[Index] | None = Field(None, max_length=MAX_VIEWS)
+
+
+def arguments_of(job: KnownJob) -> dict[str, Any]:
+    """Return what a job that asks for a fit or a lift says, by name, not yet checked.
 
     Raises
     ------
     ValueError
-        Naming the argument at fault (pydantic's ``ValidationError`` is one).
+        If there is something among it that nobody asked for.
     """
-    if not isinstance(dataset_id, str):
-        raise ValueError(f"dataset_id must be a string, got {type(dataset_id).__name__}")
-    if not isinstance(name, str | None):
-        raise ValueError(f"name must be a string, got {type(name).__name__}")
-    checked = FitConfig.model_validate({} if config is None else config)
-    return dataset_id, checked, (name or "fit")[:200]
+    known = tuple((LiftArguments if job.func_name == LIFT_JOB else FitArguments).model_fields)
+    if len(job.args) > len(known):
+        raise ValueError(f"expected {', '.join(known)}, got {len(job.args)} arguments")
+    arguments = dict(zip(known, job.args, strict=False)) | job.kwargs
+    if unknown := sorted(set(arguments) - set(known)):
+        raise ValueError(f"{unknown[0]}: expected some of {', '.join(known)}")
+    return arguments

@@ -7,30 +7,42 @@ from redis import Redis
 from rq import Queue
 from rq.exceptions import DeserializationError
 
-from store import fits
+from models.config import FitConfig
+from store import fits, lifts
 from store.database import Store
-from store.errors import ConfigError, NotFoundError
-from worker.queue import FitJob, enqueue, open_queue, parse_request
+from store.errors import ConfigError, LiftError, NotFoundError
+from store.records import Fit, Lift
+from worker.queue import (
+    HELP_JOB,
+    LIFT_JOB,
+    FitArguments,
+    KnownJob,
+    LiftArguments,
+    arguments_of,
+    enqueue,
+    open_queue,
+)
+from worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
 
 GRACE_SECONDS = 2.0
-ARGUMENTS = ("dataset_id", "config", "name")  # of a job, in this order
 
 
 class Reconciler:
     """Keeps records and queue in step. Every worker runs one; running many is harmless."""
 
-    def __init__(self, store: Store, connection: Redis) -> None:
+    def __init__(self, store: Store, connection: Redis, settings: WorkerSettings) -> None:
         self._store = store
+        self._settings = settings
         self._queue: Queue = open_queue(connection)
         self._lost_since: dict[str, float] = {}
         self._known: set[str] = set()
 
     def step(self) -> None:
-        """Adopt jobs without a record; queue again the fits that no job carries.
+        """Adopt jobs without a record; queue again the work that no job carries.
 
-        A fit must be without a job for a while: between leaving the queue and being claimed, a
+        Work must be without a job for a while: between leaving the queue and being claimed, a
         job is in neither place for a moment.
         """
         waiting = self._queue.get_job_ids()
@@ -39,56 +51,100 @@ class Reconciler:
                 self._adopt(job_id)
         self._known.intersection_update(waiting)  # bounded by the queue's length
         now = time.monotonic()
-        carried = set(waiting)
-        lost = [fit for fit in fits.recover(self._store) if fit.job_id not in carried]
-        self._lost_since = {fit.id: self._lost_since.get(fit.id, now) for fit in lost}
-        for fit in lost:
-            if now - self._lost_since[fit.id] >= GRACE_SECONDS:
-                logger.warning("Fit %s was on no queue: putting it back", fit.id)
-                self._queue.intermediate_queue.remove(fit.job_id)
-                enqueue(self._queue, fit)
-                del self._lost_since[fit.id]
+        work: dict[str, Fit | Lift] = {fit.job_id: fit for fit in fits.recover(self._store)}
+        work |= {lifts.waiting_job(lift): lift for lift in lifts.recover(self._store)}
+        lost = work.keys() - set(waiting)
+        self._lost_since = {job_id: self._lost_since.get(job_id, now) for job_id in lost}
+        for job_id, record in work.items():
+            if job_id in lost and now - self._lost_since[job_id] >= GRACE_SECONDS:
+                logger.warning("%s was on no queue: putting it back", record.id)
+                self._queue.intermediate_queue.remove(job_id)
+                enqueue(self._queue, record)
+                del self._lost_since[job_id]
 
     def _adopt(self, job_id: str) -> None:
         self._known.add(job_id)
-        if fits.by_job(self._store, job_id) is None:
+        if fits.by_job(self._store, job_id) is None and lifts.by_job(self._store, job_id) is None:
             job = self._queue.fetch_job(job_id)
-            if job is not None and isinstance(job, FitJob):
-                adopt(self._store, job)
+            if isinstance(job, KnownJob) and not calls(job, HELP_JOB):
+                adopt(self._store, job, self._settings)
 
 
-def adopt(store: Store, job: FitJob) -> str:
-    """Record the fit that a job asks for, whoever queued it; return its identifier.
+def calls(job: KnownJob, function: str) -> bool:
+    """Tell whether a job calls a function; one that cannot be read calls none."""
+    try:
+        return bool(job.func_name == function)
+    except DeserializationError:
+        return False
 
-    A job that can never run is recorded as a failed fit, so that its producer can read why.
+
+def adopt(store: Store, job: KnownJob, settings: WorkerSettings) -> str:
+    """Record the fit or the lift that a job asks for, whoever queued it; return its identifier.
+
+    A job that can never run is recorded as failed, so that its producer can read why.
     """
+    kind = "lift" if calls(job, LIFT_JOB) else "fit"
     arguments: dict[str, object] = {}
     try:
         job.check_function()
-        if len(job.args) > len(ARGUMENTS):
-            raise ValueError(f"expected {', '.join(ARGUMENTS)}, got {len(job.args)} arguments")
-        arguments = dict(zip(ARGUMENTS, job.args, strict=False))
-        arguments |= job.kwargs
-        if unknown := sorted(set(arguments) - set(ARGUMENTS)):
-            raise ValueError(f"{unknown[0]}: expected some of {', '.join(ARGUMENTS)}")
-        dataset_id, config, name = parse_request(**arguments)
-        fit_id = fits.create(
-            store,
-            dataset_id=dataset_id,
-            name=name,
-            config=config.model_dump(mode="json"),
-            job_id=job.id,
-        ).id
-    except (DeserializationError, TypeError, ValueError, NotFoundError, ConfigError) as error:
-        code = "dataset_not_found" if isinstance(error, NotFoundError) else "invalid_arguments"
-        fit_id = fits.refuse(
-            store,
-            dataset_id=str(arguments.get("dataset_id", ""))[:200],
-            name=str(arguments.get("name") or "fit")[:200],
-            config={},
-            job_id=job.id,
-            error={"code": code, "message": str(error.__cause__ or error)},
-        )
-    job.meta["fit_id"] = fit_id
+        arguments = arguments_of(job)
+        if kind == "lift":
+            identifier = _create_lift(store, job, arguments, settings)
+        else:
+            identifier = _create_fit(store, job, arguments)
+    except (
+        DeserializationError,
+        TypeError,
+        ValueError,
+        NotFoundError,
+        ConfigError,
+        LiftError,
+    ) as error:
+        said = {
+            "dataset_id": str(arguments.get("dataset_id", ""))[:200],
+            "name": str(arguments.get("name") or kind)[:200],
+            "job_id": job.id,
+        }
+        problem = {
+            "code": (
+                f"{error.kind}_not_found"
+                if isinstance(error, NotFoundError)
+                else "invalid_arguments"
+            ),
+            "message": str(error.__cause__ or error),
+        }
+        if kind == "lift":
+            model_id = str(arguments.get("model_id", ""))[:200]
+            identifier = lifts.refuse(store, model_id=model_id, error=problem, **said)
+        else:
+            identifier = fits.refuse(store, config={}, error=problem, **said)
+    job.meta[f"{kind}_id"] = identifier
     job.save_meta()  # type: ignore[no-untyped-call]
-    return fit_id
+    return identifier
+
+
+def _create_fit(store: Store, job: KnownJob, arguments: dict[str, object]) -> str:
+    asked = FitArguments.model_validate(arguments)
+    return fits.create(
+        store,
+        dataset_id=asked.dataset_id,
+        name=(asked.name or "fit")[:200],
+        config=(asked.config or FitConfig()).model_dump(mode="json"),
+        job_id=job.id,
+    ).id
+
+
+def _create_lift(
+    store: Store, job: KnownJob, arguments: dict[str, object], settings: WorkerSettings
+) -> str:
+    asked = LiftArguments.model_validate(arguments)
+    return lifts.create(
+        store,
+        model_id=asked.model_id,
+        dataset_id=asked.dataset_id,
+        name=(asked.name or "lift")[:200],
+        refine=asked.refine,
+        views=asked.views,
+        chunk_frames=settings.lift_chunk_frames,
+        job_id=job.id,
+    ).id

@@ -1,4 +1,4 @@
-"""The worker process: waits for fits and runs each in a process of its own."""
+"""The worker process: waits for jobs and runs each in a process of its own."""
 
 import logging
 import multiprocessing
@@ -14,14 +14,14 @@ from rq import Queue, Worker
 from rq.job import Job
 from sqlalchemy.exc import SQLAlchemyError
 
-from store import fits, housekeeping
+from store import fits, housekeeping, lifts
 from store.database import Store
 from worker.process import die_with_parent
 from worker.queue import (
     FAILURE_SECONDS,
     QUEUE,
     RESULT_SECONDS,
-    FitJob,
+    KnownJob,
     PlainDataSerializer,
     connect,
 )
@@ -32,14 +32,14 @@ logger = logging.getLogger(__name__)
 
 IDLE_SECONDS = 2  # how long to wait for a job before looking after the records again
 MONITOR_SECONDS = 1  # the same while a job runs
-CANCEL_PATIENCE_SECONDS = 0.7  # before a fit that does not heed a cancel loses its process
+CANCEL_PATIENCE_SECONDS = 0.7  # before a job that does not heed a cancel loses its process
 TIMEOUT_SLACK_SECONDS = 300  # the fit ends itself; RQ's timeout is for one that hangs
 REDIS_RETRIES = 12
 SWEEP_SECONDS = 3600
 FORK = multiprocessing.get_context("fork")
 
 
-class FitWorker(Worker):
+class JobWorker(Worker):
     """RQ's worker, which also keeps records and queue in step.
 
     It never imports torch: its work-horses are forked from it.
@@ -49,7 +49,7 @@ class FitWorker(Worker):
         super().__init__(
             [QUEUE],
             connection=connection,
-            job_class=FitJob,
+            job_class=KnownJob,
             serializer=PlainDataSerializer,
             job_monitoring_interval=MONITOR_SECONDS,
             default_result_ttl=RESULT_SECONDS,
@@ -58,7 +58,7 @@ class FitWorker(Worker):
         self.stopping = False
         self._settings = settings
         self._store = store
-        self._reconciler = Reconciler(store, connection)
+        self._reconciler = Reconciler(store, connection, settings)
         self._swept_at = 0.0
 
     @property
@@ -80,8 +80,9 @@ class FitWorker(Worker):
     def _look_after_records(self, job: Job | None = None) -> None:
         try:
             self._reconciler.step()
-            if job is not None and fits.enforce_cancel(
-                self._store, job.id, patience_seconds=CANCEL_PATIENCE_SECONDS
+            if job is not None and any(
+                cancelled(self._store, job.id, patience_seconds=CANCEL_PATIENCE_SECONDS)
+                for cancelled in (fits.enforce_cancel, lifts.was_cancelled)
             ):
                 logger.warning("Job %s did not stop when asked: killing it", job.id)
                 self.kill_horse()
@@ -102,8 +103,8 @@ class FitWorker(Worker):
         try:
             super().execute_job(job, queue)
         except (redis.exceptions.ConnectionError, redis.exceptions.TimeoutError):
-            # The record is the truth: a fit does not need Redis to go on and finish.
-            logger.exception("Redis is gone: waiting for the running fit")
+            # The record is the truth: a job does not need Redis to go on and finish.
+            logger.exception("Redis is gone: waiting for the running job")
             self.wait_for_horse()
             raise
 
@@ -113,7 +114,7 @@ class FitWorker(Worker):
         super().main_work_horse(job, queue)
 
     def handle_warm_shutdown_request(self) -> None:
-        """Have the running fit checkpoint and go back to the queue, then leave."""
+        """Have the running job save what it has and go back to the queue, then leave."""
         super().handle_warm_shutdown_request()  # type: ignore[no-untyped-call]
         self.stopping = True
         if self.horse_pid:
@@ -143,7 +144,7 @@ def run(settings: WorkerSettings) -> None:
         try:
             store = Store(settings, pooled=False)
             connection = connect(str(settings.redis_url), retries=REDIS_RETRIES)
-            worker = FitWorker(connection, settings, store)
+            worker = JobWorker(connection, settings, store)
             worker.work(logging_level="WARNING")
             stopping = worker.stopping
         except (redis.exceptions.RedisError, SQLAlchemyError):

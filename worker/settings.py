@@ -1,4 +1,4 @@
-"""How fits are carried and bounded."""
+"""How fits and lifts are carried and bounded."""
 
 from pydantic import Field, RedisDsn
 
@@ -10,7 +10,7 @@ class WorkerSettings(StoreSettings):
 
     redis_url: RedisDsn | None = Field(
         None,
-        description="Redis or Valkey that carries the fits. Without it, `fewview serve` starts an "
+        description="Redis or Valkey that carries the jobs. Without it, `fewview serve` starts an "
         "embedded Valkey.",
         examples=["redis://localhost:6379/0"],
     )
@@ -18,7 +18,8 @@ class WorkerSettings(StoreSettings):
         10.0,
         ge=2,
         le=600,
-        description="A fit whose worker has not been heard of for this long is given to another.",
+        description="A fit, or a part of a big lift, whose worker has not been heard of for this "
+        "long is given to another.",
     )
     checkpoint_seconds: float = Field(
         2.0,
@@ -30,9 +31,23 @@ class WorkerSettings(StoreSettings):
         1,
         ge=1,
         le=256,
-        description="Processor cores for one fit. Small dictionaries gain nothing from more, and "
-        "lose much where other processes want the cores; a fit's last digits depend on it.",
+        description="Processor cores for one fit or lift. Small dictionaries gain nothing from "
+        "more, and lose much where other processes want the cores; a fit's last digits depend on "
+        "it.",
     )
     max_fit_seconds: int = Field(
         6 * 3600, ge=1, le=7 * 24 * 3600, description="A fit that runs longer fails."
+    )
+    lift_chunk_frames: int = Field(
+        4096,
+        ge=1,
+        le=100_000,
+        description="Most frames of a big lift that a worker does in one go: what is lost if it is "
+        "killed, and kept in its memory. Fewer where there are many views and keypoints.",
+    )
+    lift_turn_seconds: float = Field(
+        30.0,
+        ge=0.1,
+        le=3600,
+        description="Time a big lift may have a worker for itself while other jobs wait.",
     )

@@ -9,8 +9,8 @@ from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
 from store.errors import ConfigError, ConflictError, LeaseLostError, QueueFullError
-from store.fits import MAX_CRASHES
 from store.idempotency import Idempotency
+from store.jobs import MAX_CRASHES
 from store.records import Fit
 
 DESCRIBE = {

@@ -1,5 +1,6 @@
 """One attempt, in this process: it heeds what is asked of it while it lifts, too."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 5})
     attempt = attempts.claim(store, fit.id, lease_seconds=60)
     assert attempt is not None
-    pulse = Pulse(store, attempt)
+    pulse = Pulse(partial(attempts.beat, store, attempt))
     lifted: list[int] = []
 
     def lift(prior: FittedPrior, keypoints: Any, **more: Any) -> Lift:
@@ -56,7 +57,7 @@ def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked
     monkeypatch.setattr(Trainer, "result", result)
     # Checkpoints by the clock would depend on how busy the machine is.
     settings = WorkerSettings(data_dir=Path("unused"), checkpoint_seconds=3600)
-    fitting.run_attempt(store, pulse, settings)
+    fitting.run_attempt(store, attempt, pulse, settings)
     assert lifted == ([16, 16] if asked else [16, 16, 16, 12])
     return fits.get(store, fit.id)
 

@@ -1,0 +1,320 @@
+"""Big lifts: jobs that lift a stored dataset of any length."""
+
+import logging
+from collections.abc import AsyncIterator
+from datetime import datetime
+from functools import partial
+from typing import Annotated, Self
+
+import redis.exceptions
+from fastapi import APIRouter, Depends, Query, Request, Response, status
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from pydantic import BaseModel, ConfigDict, Field
+
+from models.config import Index, Refine
+from models.keypoints import MAX_VIEWS
+from service.bodies import page_of, request_body
+from service.datasets import Name
+from service.deps import (
+    EngineDep,
+    IdempotencyHeader,
+    Identifier,
+    Limit,
+    QueueDep,
+    SettingsDep,
+    StoreDep,
+    cursor_of,
+)
+from service.errors import BODY_PROBLEMS, problems
+from service.events import JobStatus, LastEventId, job_events
+from service.idempotency import idempotency
+from service.lift import REFINE, VIEWS, check_views
+from service.representations import (
+    BINARY_FORMATS,
+    NPZ,
+    OCTETS,
+    accepted_format,
+    binary_responses,
+    ranged_response,
+)
+from service.uploads import UploadBody
+from store import datasets, jobs, lifts, records
+from store.errors import ConflictError
+from store.lift_files import Format, result_file
+from worker.queue import enqueue
+
+router = APIRouter(prefix="/lifts", tags=["lifts"])
+
+logger = logging.getLogger(__name__)
+
+JSON_LINES = "application/x-ndjson"
+FORMATS: dict[str, Format] = {
+    "*/*": "jsonl",
+    "application/*": "jsonl",
+    JSON_LINES: "jsonl",
+    "application/jsonl": "jsonl",
+    **BINARY_FORMATS,
+}
+MEDIA_TYPES: dict[Format, str] = {"jsonl": JSON_LINES, "npz": NPZ, "safetensors": OCTETS}
+
+
+class LiftCreate(BaseModel):
+    """A dataset to lift."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {
+                "model_id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
+                "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                "name": "macaque, the whole day",
+                "refine": "auto",
+            }
+        },
+    )
+
+    model_id: str = Field(max_length=200)
+    dataset_id: str = Field(max_length=200, description="It has the keypoints of the model.")
+    name: Name = "lift"
+    refine: Refine | None = Field(None, description=REFINE)
+    views: list[Index] | None = Field(None, max_length=MAX_VIEWS, description=VIEWS)
+
+
+class LiftProgress(BaseModel):
+    """How far a lift has come."""
+
+    frames_done: int
+    chunks_done: int
+    chunks: int = Field(description="Parts that the frames are cut into, for workers to share.")
+    seconds_left: float | None = Field(description="At the pace of the last chunks.")
+
+
+class LiftFailure(BaseModel):
+    """Why a lift failed."""
+
+    code: str = Field(
+        description="`dataset_not_found`, `model_not_found`, `invalid_arguments`, `worker_lost` or "
+        "`internal_error`."
+    )
+    message: str
+
+
+class LiftJob(BaseModel):
+    """The lift of a dataset."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "id": "lift_01m7ysr6k3w9m0x2c4a8h5e7dq",
+                "name": "macaque, the whole day",
+                "status": "running",
+                "model_id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
+                "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                "frames": 1000000,
+                "refine": "auto",
+                "views": None,
+                "job_id": "lift_01m7ysr6k3w9m0x2c4a8h5e7dq",
+                "progress": {
+                    "frames_done": 407600,
+                    "chunks_done": 100,
+                    "chunks": 245,
+                    "seconds_left": 310.5,
+                },
+                "created_at": "2026-03-01T09:41:00Z",
+                "started_at": "2026-03-01T09:41:01Z",
+                "finished_at": None,
+                "error": None,
+            }
+        }
+    )
+
+    id: str
+    name: str
+    status: JobStatus
+    model_id: str
+    dataset_id: str
+    frames: int = Field(description="Frames the dataset had when the lift was made: those lifted.")
+    refine: Refine | None
+    views: list[int] | None
+    job_id: str = Field(description="The job that asked for this lift on the queue.")
+    progress: LiftProgress
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    error: LiftFailure | None
+
+    @classmethod
+    def of(cls, record: records.Lift) -> Self:
+        """Return the wire form of a record."""
+        shared = {name: getattr(record, name) for name in cls.model_fields if name != "progress"}
+        progress = {name: getattr(record, name) for name in LiftProgress.model_fields}
+        return cls.model_validate({**shared, "progress": progress})
+
+
+class LiftPage(BaseModel):
+    """Lifts, newest first."""
+
+    model_config = page_of(LiftJob)
+
+    items: list[LiftJob]
+    next_cursor: str | None
+
+
+def find_lift(lift_id: Identifier, store: StoreDep) -> records.Lift:
+    """Return the lift named in the path, or end in 404."""
+    return lifts.get(store, lift_id)
+
+
+LiftDep = Annotated[records.Lift, Depends(find_lift)]
+
+
+@router.post(
+    "",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses=problems(*BODY_PROBLEMS, "not_found", "idempotency_key_reused", "too_many_lifts"),
+    openapi_extra=request_body(LiftCreate),
+)
+def create_lift(
+    upload: UploadBody,
+    store: StoreDep,
+    engine: EngineDep,
+    queue: QueueDep,
+    settings: SettingsDep,
+    request: Request,
+    response: Response,
+    idempotency_key: IdempotencyHeader = None,
+) -> LiftJob:
+    """Queue the lift of a stored dataset of any length.
+
+    All workers that have nothing else to do share it, chunk by chunk. What is done stays done
+    whatever happens to them. `POST /lift` answers at once, and is for as many frames as fit into
+    a request.
+    """
+    body = upload.json(LiftCreate)
+    if body.views is not None:
+        dataset = datasets.get(store, body.dataset_id)
+        check_views(body.views, engine.prior(body.model_id), dataset.views)
+    record = lifts.create(
+        store,
+        **body.model_dump(),
+        chunk_frames=settings.lift_chunk_frames,
+        max_queued=settings.max_queued_lifts,
+        idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
+    )
+    if record.status == "queued":
+        try:
+            enqueue(queue, record)
+        except redis.exceptions.RedisError:
+            logger.warning("The queue is away: %s waits in the records", record.id)
+    response.headers["Location"] = f"/lifts/{record.id}"
+    return LiftJob.of(record)
+
+
+@router.get("", responses=problems())
+def list_lifts(
+    store: StoreDep,
+    limit: Limit = 50,
+    cursor: Annotated[str | None, cursor_of("lift")] = None,
+    status: Annotated[JobStatus | None, Query()] = None,
+    model_id: Annotated[str | None, Query(max_length=200)] = None,
+    dataset_id: Annotated[str | None, Query(max_length=200)] = None,
+    job_id: Annotated[str | None, Query(max_length=200)] = None,
+) -> LiftPage:
+    """List lifts, newest first; `job_id` finds the lift of a job you queued yourself."""
+    found = jobs.page(
+        store,
+        records.Lift,
+        limit=limit + 1,
+        after=cursor,
+        status=status,
+        model_id=model_id,
+        dataset_id=dataset_id,
+        job_id=job_id,
+    )
+    return LiftPage(
+        items=[LiftJob.of(record) for record in found[:limit]],
+        next_cursor=found[limit - 1].id if len(found) > limit else None,
+    )
+
+
+@router.get("/{lift_id}", responses=problems("not_found"))
+def get_lift(lift: LiftDep) -> LiftJob:
+    """Describe a lift and its progress."""
+    return LiftJob.of(lift)
+
+
+@router.delete(
+    "/{lift_id}",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems("not_found", "conflict"),
+)
+def delete_lift(lift_id: Identifier, store: StoreDep) -> None:
+    """Delete a lift that has ended, and its result."""
+    lifts.delete(store, lift_id)
+
+
+@router.post(
+    "/{lift_id}/cancel",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses=problems("not_found", "conflict"),
+)
+def cancel_lift(lift_id: Identifier, store: StoreDep, response: Response) -> LiftJob:
+    """Cancel a lift at once; its workers leave it within two seconds, and nothing of it stays."""
+    record = lifts.cancel(store, lift_id)
+    response.headers["Location"] = f"/lifts/{record.id}"
+    return LiftJob.of(record)
+
+
+@router.get(
+    "/{lift_id}/events",
+    response_class=EventSourceResponse,
+    responses=problems("not_found"),
+)
+async def stream_lift_events(
+    lift: LiftDep, store: StoreDep, last_event_id: LastEventId = None
+) -> AsyncIterator[ServerSentEvent]:
+    """Follow a lift: server-sent events `progress` as chunks get done, then one `end`.
+
+    The data of every event is the lift as `GET /lifts/{lift_id}` gives it, its id grows with every
+    change. Close the stream on `end`.
+    """
+    read = partial(lifts.get, store, lift.id)
+    async for event in job_events(lift, read, LiftJob.of, last_event_id):
+        yield event
+
+
+@router.get(
+    "/{lift_id}/result",
+    response_class=Response,
+    responses=problems("not_found", "conflict", "not_acceptable", "range_not_satisfiable")
+    | binary_responses("Every frame of the dataset, lifted."),
+)
+def get_lift_result(
+    lift: LiftDep,
+    store: StoreDep,
+    request: Request,
+    format: Annotated[
+        Format | None,
+        Query(description="Representation; without it the `Accept` header decides."),
+    ] = None,
+) -> Response:
+    """Download the lifted frames in the dataset's order, whole or a range of the bytes.
+
+    As JSON lines, one frame a line as `POST /lift` gives it in `frames`; or as the arrays that
+    `GET /fits/{fit_id}/reconstruction` describes, in a safetensors or an npz file.
+    """
+    chosen = accepted_format(request, format, FORMATS)
+    if lift.status != "succeeded":
+        raise ConflictError(
+            f"Lift {lift.id!r} is {lift.status}: only a lift that succeeded has a result."
+        )
+    about = {"lift_id": lift.id, "model_id": lift.model_id, "dataset_id": lift.dataset_id}
+    file = result_file(lift, lifts.finished_chunks(store, lift), chosen, about)
+    return ranged_response(
+        request,
+        file.size,
+        partial(file.read, store.objects.get_range),
+        media_type=MEDIA_TYPES[chosen],
+        filename=f"{lift.id}.{chosen}",
+        checksum=file.checksum(),
+    )

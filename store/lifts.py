@@ -1,0 +1,273 @@
+"""Lifts: the state machine of the lift of a whole dataset, which is done in chunks.
+
+    queued ──the first chunk is claimed──▶ running ──the last is finished──▶ succeeded
+      └──cancel──────────────────────────────┴──▶ cancelled | failed
+
+``store.lift_chunks`` has what the helpers, who do the chunks, may write. Cancelling needs no
+helper's consent: the writes of a chunk count only while its lift is running.
+"""
+
+import time
+from typing import Any
+
+from sqlalchemy import delete as sql_delete
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from store import jobs
+from store.database import Store
+from store.errors import LiftError, NotFoundError
+from store.idempotency import Idempotency
+from store.records import Dataset, Lift, LiftChunk, Model
+
+CHUNK_NUMBERS = 2**20  # keypoints of a chunk, over all views: its results take some 30 MB
+
+
+def create(
+    store: Store,
+    *,
+    model_id: str,
+    dataset_id: str,
+    name: str,
+    refine: str | None = None,
+    views: list[int] | None = None,
+    chunk_frames: int,
+    job_id: str | None = None,
+    max_queued: int | None = None,
+    idempotency: Idempotency | None = None,
+) -> Lift:
+    """Record a queued lift of the dataset as it is now.
+
+    A ``job_id`` that already has a lift gives that lift back; without one, the lift's own
+    identifier is its first job's.
+
+    Parameters
+    ----------
+    chunk_frames
+        Most frames to do in one go; fewer where there are many views and keypoints.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such dataset or model.
+    LiftError
+        If the model has other keypoints, or ``views`` does not name the dataset's views.
+    QueueFullError
+        If ``max_queued`` lifts wait already.
+    """
+
+    def make(session: Session, lift_id: str) -> Lift:
+        # Locked against deletion, so that no lift is queued of what is gone.
+        dataset = session.get(Dataset, dataset_id, with_for_update=True)
+        if dataset is None:
+            raise NotFoundError("dataset", dataset_id)
+        model = session.get(Model, model_id, with_for_update=True)
+        if model is None:
+            raise NotFoundError("model", model_id)
+        _check(views, dataset, model)
+        size = max(1, min(chunk_frames, CHUNK_NUMBERS // (dataset.views * dataset.keypoints)))
+        starts = range(0, dataset.frames, size)
+        lift = _new(
+            id=lift_id,
+            name=name,
+            dataset_id=dataset_id,
+            model_id=model_id,
+            frames=dataset.frames,
+            refine=refine,
+            views=views,
+            chunks=len(starts),
+            job_id=job_id or lift_id,
+        )
+        session.add(lift)
+        session.flush()
+        session.add_all(
+            LiftChunk(
+                lift_id=lift_id,
+                first_frame=start,
+                frames=min(size, dataset.frames - start),
+                crashes=0,
+            )
+            for start in starts
+        )
+        return lift
+
+    return jobs.create(
+        store, Lift, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
+    )
+
+
+def _check(views: list[int] | None, dataset: Dataset, model: Model) -> None:
+    """Raise ``LiftError`` for what the worker could not lift."""
+    if dataset.keypoints != model.keypoints:
+        raise LiftError(
+            "dataset_id",
+            f"expected a dataset of {model.keypoints} keypoints as in the model, "
+            f"got one of {dataset.keypoints}",
+        )
+    if views is not None and (len(views) != dataset.views or len(set(views)) != len(views)):
+        raise LiftError(
+            "views",
+            f"expected one index per view of the dataset, none twice: {dataset.views}, got {views}",
+        )
+
+
+def refuse(
+    store: Store, *, model_id: str, dataset_id: str, name: str, job_id: str, error: dict[str, Any]
+) -> str:
+    """Record a job that can never run, so that whoever queued it can read why; return the lift."""
+
+    def make(_: Session, lift_id: str) -> Lift:
+        return _new(
+            id=lift_id,
+            name=name,
+            dataset_id=dataset_id,
+            model_id=model_id,
+            frames=0,
+            chunks=0,
+            job_id=job_id,
+        )
+
+    return jobs.refuse(store, Lift, make, job_id=job_id, error=error)
+
+
+def _new(**columns: Any) -> Lift:
+    return Lift(**jobs.new_columns(), helpers=0, chunks_done=0, frames_done=0, **columns)
+
+
+def get(store: Store, lift_id: str) -> Lift:
+    """Return the record of a lift; raise ``NotFoundError`` if there is none."""
+    return jobs.get(store, Lift, lift_id)
+
+
+def by_job(store: Store, job_id: str) -> Lift | None:
+    """Return the lift that a queue job asked for, or helps with; or None."""
+    with store.reading() as session:
+        return session.scalar(
+            select(Lift).where((Lift.job_id == job_id) | (Lift.id == helped_by(job_id)))
+        )
+
+
+def waiting_job(lift: Lift) -> str:
+    """Return the identifier of the queue job that calls the next helper.
+
+    The first is the job that asked for the lift; each that starts makes the next.
+    """
+    return lift.job_id if lift.helpers == 0 else f"{lift.id}-{lift.helpers}"
+
+
+def helped_by(job_id: str) -> str:
+    """Return the identifier of the lift that a job called by another helps, if it is such a job."""
+    return job_id.rpartition("-")[0]
+
+
+def call_next(store: Store, lift_id: str, job_id: str) -> Lift | None:
+    """Note that ``job_id`` has started; return the lift if another job may help beside it."""
+    with store.writing() as session:
+        lift = session.get(Lift, lift_id, with_for_update=True)
+        if lift is None or lift.status in jobs.TERMINAL or waiting_job(lift) != job_id:
+            return None
+        lift.helpers += 1
+        unclaimed = session.scalar(
+            select(LiftChunk.first_frame)
+            .where(LiftChunk.lift_id == lift_id, *claimable(time.time()))
+            .limit(1)
+        )
+    return None if unclaimed is None else lift
+
+
+def recover(store: Store) -> list[Lift]:
+    """Return the lifts that have chunks for a helper to do, oldest first."""
+    chunks = select(LiftChunk.first_frame).where(
+        LiftChunk.lift_id == Lift.id, *claimable(time.time())
+    )
+    active = Lift.status.in_(("queued", "running"))
+    with store.reading() as session:
+        return list(session.scalars(select(Lift).where(active, chunks.exists()).order_by(Lift.id)))
+
+
+def claimable(now: float) -> tuple[Any, ...]:
+    """Return the conditions of a chunk that anyone may do at a time (epoch seconds)."""
+    free = LiftChunk.lease_expires_at.is_(None) | (LiftChunk.lease_expires_at < now)
+    return LiftChunk.finished_at.is_(None), free
+
+
+def cancel(store: Store, lift_id: str) -> Lift:
+    """Cancel a lift at once, whoever works at it. Cancelling a cancelled lift is no error.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such lift.
+    ConflictError
+        If it has ended otherwise.
+    """
+    keys: list[str] = []
+    with store.writing() as session:
+        lift = jobs.lock_to_cancel(session, Lift, lift_id)
+        if lift.status != "cancelled":
+            keys = end(session, lift, "cancelled")
+    store.objects.delete(*keys)
+    return lift
+
+
+def end(
+    session: Session, lift: Lift, status: str, error: dict[str, Any] | None = None
+) -> list[str]:
+    """End a lift; return the objects that are to be deleted once that is committed.
+
+    Only a lift that succeeded keeps its chunks.
+    """
+    lift.status, lift.error, lift.finished_at = status, error, time.time()
+    lift.seconds_left = None
+    lift.revision += 1
+    return [] if status == "succeeded" else _drop_chunks(session, lift)
+
+
+def _drop_chunks(session: Session, lift: Lift) -> list[str]:
+    gone = session.execute(
+        sql_delete(LiftChunk)
+        .where(LiftChunk.lift_id == lift.id)
+        .returning(LiftChunk.arrays_key, LiftChunk.lines_key)
+    )
+    return [key for keys in gone for key in keys if key is not None]
+
+
+def was_cancelled(store: Store, job_id: str, *, patience_seconds: float) -> bool:
+    """Tell whether the lift that a running job helps with was cancelled some time ago.
+
+    Whoever runs it must then be stopped.
+    """
+    lift = by_job(store, job_id)
+    return (
+        lift is not None
+        and lift.status == "cancelled"
+        and time.time() - (lift.finished_at or 0) > patience_seconds
+    )
+
+
+def delete(store: Store, lift_id: str) -> None:
+    """Delete a lift that has ended, and its result.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such lift.
+    ConflictError
+        If it is queued or running.
+    """
+    with store.writing() as session:
+        lift = jobs.lock_to_delete(session, Lift, lift_id)
+        keys = _drop_chunks(session, lift)
+        session.delete(lift)
+    store.objects.delete(*keys)
+
+
+def finished_chunks(store: Store, lift: Lift) -> list[LiftChunk]:
+    """Return the chunks of a lift that are done, in the order of their frames."""
+    query = (
+        select(LiftChunk)
+        .where(LiftChunk.lift_id == lift.id, LiftChunk.finished_at.is_not(None))
+        .order_by(LiftChunk.first_frame)
+    )
+    with store.reading() as session:
+        return list(session.scalars(query))
