@@ -133,6 +133,7 @@ def settings(valkey: ValkeyServer, tmp_path_factory: pytest.TempPathFactory) -> 
         max_views=4,
         max_keypoints=32,
         max_queued_fits=20,
+        max_queued_lifts=5,
     )
 
 
@@ -155,7 +156,9 @@ def unchanged(api: TestClient, settings: Settings) -> Iterator[None]:
     """Nothing may be stored while the test runs: no record, no object."""
 
     def stored() -> tuple[Any, ...]:
-        lists = [api.get(f"/{kind}?limit=200").json() for kind in ("datasets", "fits", "models")]
+        lists = [
+            api.get(f"/{kind}?limit=200").json() for kind in ("datasets", "fits", "models", "lifts")
+        ]
         return *lists, sorted(p for p in (settings.data_dir / "objects").rglob("*") if p.is_file())
 
     before = stored()
@@ -222,6 +225,62 @@ class Live:
         return fit
 
 
+def job_events(live: Live, path: str, after: int | None = None) -> Iterator[tuple[str, int, Any]]:
+    """Yield name, id and data of every event of a fit or a lift until the stream ends."""
+    headers = {} if after is None else {"Last-Event-ID": str(after)}
+    with live.http.stream("GET", f"{path}/events", headers=headers) as response:
+        assert response.status_code == 200
+        assert response.headers["content-type"].startswith("text/event-stream")
+        fields: dict[str, str] = {}
+        for line in response.iter_lines():
+            if line:
+                name, _, value = line.partition(":")
+                fields[name] = value.strip()
+            elif "data" in fields:
+                yield fields["event"], int(fields["id"]), orjson.loads(fields["data"])
+                fields = {}
+
+
+def assert_can_be_resumed(live: Live, url: str) -> None:
+    """Download parts of something, whole, changed and unchanged."""
+    get = live.http.get
+    whole = get(url)
+    size, etag = len(whole.content), whole.headers["etag"]
+    assert whole.headers["accept-ranges"] == "bytes"
+    assert get(url).headers["etag"] == etag
+
+    for header in (etag, f'"other", W/{etag}', "*"):
+        unchanged = get(url, headers={"If-None-Match": header})
+        assert (unchanged.status_code, unchanged.content) == (304, b"")
+        assert unchanged.headers["etag"] == etag
+    assert get(url, headers={"If-None-Match": '"other"'}).content == whole.content
+
+    for span, start, end in (
+        ("0-9", 0, 10),
+        ("10-", 10, size),
+        ("-7", size - 7, size),
+        (f"{size - 1}-{size + 50}", size - 1, size),
+        (f"-{size + 50}", 0, size),
+    ):
+        part = get(url, headers={"Range": f"bytes={span}"})
+        assert part.status_code == 206
+        assert part.content == whole.content[start:end]
+        assert part.headers["content-range"] == f"bytes {start}-{end - 1}/{size}"
+    same = {"Range": "bytes=0-9", "If-Range": etag}
+    assert get(url, headers=same).status_code == 206
+    changed = get(url, headers={"Range": "bytes=0-9", "If-Range": '"other"'})
+    assert (changed.status_code, changed.content) == (200, whole.content)
+
+    for span in (f"{size}-", "-0", "5-2"):
+        refused = get(url, headers={"Range": f"bytes={span}"})
+        problem(refused, 416, "range_not_satisfiable")
+        assert refused.headers["content-range"] == f"bytes */{size}"
+    # What is no single range of bytes may be ignored (RFC 9110), and is.
+    for header in ("bytes=0-1,4-5", "bytes=-", "bytes=a-b", "items=0-1", "bytes=\xb2-", "0-9"):
+        ignored = get(url, headers={b"Range": header.encode("latin-1")})
+        assert (ignored.status_code, ignored.content) == (200, whole.content)
+
+
 def processes() -> dict[int, int]:
     """Return the parent of every process that lives; zombies do not."""
     found = {}
@@ -245,11 +304,12 @@ def descendants(pid: int) -> set[int]:
 
 @pytest.fixture(scope="session")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
-    """Run ``fewview serve`` with its defaults; stop it with SIGTERM, and nothing may stay."""
+    """Run ``fewview serve``; stop it with SIGTERM, and nothing may stay."""
     folder = tmp_path_factory.mktemp("live")
     process = subprocess.Popen(
         tied("-m", "service.cli", "serve", "--port", "0", "--data-dir", str(folder)),
-        env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")},
+        env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")}
+        | {"FEWVIEW_LIFT_CHUNK_FRAMES": "16"},  # or no test would have the time to make several
         stdout=subprocess.PIPE,
         text=True,
     )

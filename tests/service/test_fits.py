@@ -1,11 +1,9 @@
 """Fits: queued, followed, cancelled, and their reconstruction."""
 
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import orjson
 import pytest
 from safetensors.numpy import load, save
 from starlette.testclient import TestClient
@@ -16,25 +14,17 @@ from models.synthetic import SyntheticCapture
 from service.settings import Settings
 from store import attempts, fits, records
 from store.database import Store
-from tests.service.conftest import CONFIG, Live, make_dataset, problem, wait_for
+from tests.service.conftest import (
+    CONFIG,
+    Live,
+    assert_can_be_resumed,
+    job_events,
+    make_dataset,
+    problem,
+    wait_for,
+)
 
 LONG = {"steps": 1_000_000, "dictionary_sizes": [64, 16]}
-
-
-def events(live: Live, fit_id: str, after: int | None = None) -> Iterator[tuple[str, int, Any]]:
-    """Yield name, id and data of every event until the stream ends."""
-    headers = {} if after is None else {"Last-Event-ID": str(after)}
-    with live.http.stream("GET", f"/fits/{fit_id}/events", headers=headers) as response:
-        assert response.status_code == 200
-        assert response.headers["content-type"].startswith("text/event-stream")
-        fields: dict[str, str] = {}
-        for line in response.iter_lines():
-            if line:
-                name, _, value = line.partition(":")
-                fields[name] = value.strip()
-            elif "data" in fields:
-                yield fields["event"], int(fields["id"]), orjson.loads(fields["data"])
-                fields = {}
 
 
 def test_a_fit_is_queued_with_its_defaults_filled_in(api: TestClient) -> None:
@@ -206,7 +196,7 @@ def test_too_many_waiting_fits_are_refused(api: TestClient) -> None:
 def test_events_are_live_and_resumable(live: Live, capture: SyntheticCapture) -> None:
     dataset = make_dataset(live.http, frames=40)
     fit = live.fit(dataset["id"], steps=500, refine="off")
-    heard = list(events(live, fit["id"]))
+    heard = list(job_events(live, f"/fits/{fit['id']}"))
     names = [name for name, _, _ in heard]
     numbers = [number for _, number, _ in heard]
     assert names == ["progress"] * (len(heard) - 1) + ["end"]
@@ -218,7 +208,7 @@ def test_events_are_live_and_resumable(live: Live, capture: SyntheticCapture) ->
     assert heard[-1][2] == live.get(f"/fits/{fit['id']}")
     assert heard[-1][2]["progress"]["step"] == 500
 
-    resumed = list(events(live, fit["id"], after=numbers[-2]))
+    resumed = list(job_events(live, f"/fits/{fit['id']}", after=numbers[-2]))
     assert resumed == heard[-1:]
 
 
@@ -425,39 +415,4 @@ def test_downloads_can_be_resumed(live: Live, fitted: dict[str, Any], what: str)
         url = f"/models/{fitted['model_id']}/weights"
     else:
         url = f"/fits/{fitted['id']}/reconstruction?format=safetensors"
-    get = live.http.get
-    whole = get(url)
-    size, etag = len(whole.content), whole.headers["etag"]
-    assert whole.headers["accept-ranges"] == "bytes"
-    assert get(url).headers["etag"] == etag
-
-    for header in (etag, f'"other", W/{etag}', "*"):
-        unchanged = get(url, headers={"If-None-Match": header})
-        assert (unchanged.status_code, unchanged.content) == (304, b"")
-        assert unchanged.headers["etag"] == etag
-    assert get(url, headers={"If-None-Match": '"other"'}).content == whole.content
-
-    for span, start, end in (
-        ("0-9", 0, 10),
-        ("10-", 10, size),
-        ("-7", size - 7, size),
-        (f"{size - 1}-{size + 50}", size - 1, size),
-        (f"-{size + 50}", 0, size),
-    ):
-        part = get(url, headers={"Range": f"bytes={span}"})
-        assert part.status_code == 206
-        assert part.content == whole.content[start:end]
-        assert part.headers["content-range"] == f"bytes {start}-{end - 1}/{size}"
-    same = {"Range": "bytes=0-9", "If-Range": etag}
-    assert get(url, headers=same).status_code == 206
-    changed = get(url, headers={"Range": "bytes=0-9", "If-Range": '"other"'})
-    assert (changed.status_code, changed.content) == (200, whole.content)
-
-    for span in (f"{size}-", "-0", "5-2"):
-        refused = get(url, headers={"Range": f"bytes={span}"})
-        problem(refused, 416, "range_not_satisfiable")
-        assert refused.headers["content-range"] == f"bytes */{size}"
-    # What is no single range of bytes may be ignored (RFC 9110), and is.
-    for header in ("bytes=0-1,4-5", "bytes=-", "bytes=a-b", "items=0-1", "bytes=\xb2-", "0-9"):
-        ignored = get(url, headers={b"Range": header.encode("latin-1")})
-        assert (ignored.status_code, ignored.content) == (200, whole.content)
+    assert_can_be_resumed(live, url)

@@ -19,7 +19,7 @@ from safetensors.numpy import load
 from starlette.testclient import TestClient
 
 from models.synthetic import SyntheticCapture
-from service import datasets, errors, fits, health, lift, models, reconstructions
+from service import datasets, errors, fits, health, lift, lifts, models, reconstructions
 from service.openapi import document
 from tests.service.conftest import CONFIG, Live, frames_of, to_npz
 
@@ -53,16 +53,21 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
     assert sorted(operation["operationId"] for operation in operations(spec)) == [
         "append_frames",
         "cancel_fit",
+        "cancel_lift",
         "check_live",
         "check_ready",
         "create_dataset",
         "create_fit",
+        "create_lift",
         "delete_dataset",
         "delete_fit",
+        "delete_lift",
         "delete_model",
         "download_weights",
         "get_dataset",
         "get_fit",
+        "get_lift",
+        "get_lift_result",
         "get_model",
         "get_model_cameras",
         "get_reconstruction",
@@ -70,8 +75,10 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "lift",
         "list_datasets",
         "list_fits",
+        "list_lifts",
         "list_models",
         "stream_fit_events",
+        "stream_lift_events",
     ]
     for operation in operations(spec):
         assert operation["summary"]
@@ -102,7 +109,7 @@ def test_every_answer_has_an_example_that_fits_it(spec: dict[str, Any]) -> None:
     for name in named:
         kind = next(
             getattr(module, name)
-            for module in (datasets, fits, reconstructions, models, lift, health, errors)
+            for module in (datasets, fits, reconstructions, models, lift, lifts, health, errors)
             if hasattr(module, name)
         )
         TypeAdapter(kind).validate_python(schemas[name]["example"])
@@ -119,6 +126,9 @@ def test_examples_of_requests_work(api: TestClient, spec: dict[str, Any], model:
     assert more.status_code == 200, more.text
     fit = api.post("/fits", json=example["FitCreate"] | {"dataset_id": dataset})
     assert fit.status_code == 202, fit.text
+    body = example["LiftCreate"] | {"dataset_id": dataset, "model_id": model}
+    refused = api.post("/lifts", json=body)
+    assert "16 keypoints as in the model" in refused.json()["detail"]  # all else is right
     lifted = api.post("/lift", json=example["LiftRequest"] | {"model": model})
     assert "expected 16 keypoints" in lifted.json()["detail"]  # all else is right
 
@@ -203,6 +213,16 @@ def test_a_generated_client_does_the_whole_job(
         plain = call("lift.lift", body=file, model=model.id, refine=off, views=[1, 2])
         assert plain.frames[0].views[0].camera == "weak_perspective"
         assert len(call("fits.get_reconstruction", fit.id, refine=off).frames) == 60
+
+        asked = wire.LiftCreate(model_id=model.id, dataset_id=dataset.id, refine=off)
+        job = call("lifts.create_lift", body=asked)
+        while job.status in (wire.LiftJobStatus.QUEUED, wire.LiftJobStatus.RUNNING):
+            assert time.monotonic() < deadline + 60
+            time.sleep(0.1)
+            job = call("lifts.get_lift", job.id)
+        assert job.progress.frames_done == 60
+        found = call("lifts.get_lift_result", job.id, format_="safetensors")
+        assert load(found.payload.getvalue())["points3d"].shape == (60, 16, 3)
 
         weights = call("models.download_weights", model.id).payload.getvalue()
         assert "curve" in load(weights)
