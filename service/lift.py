@@ -13,13 +13,14 @@ from starlette.responses import Response
 from models import fitted
 from models.config import Index, Refine
 from models.fitted import FittedPrior
+from models.lift_json import lift_arrays
 from service.bodies import request_body
 from service.engine import Engine
 from service.errors import BODY_PROBLEMS, invalid, problems
 from service.representations import FormatQuery, arrays_response, binary_responses
 from service.settings import Settings
 from service.uploads import LARGE_BYTES, Upload, read_arrays, read_body, to_capture
-from service.wire import CONFIDENCE, KEYPOINTS, LIFTED_FRAME, LiftedFrame, lift_arrays
+from service.wire import CONFIDENCE, KEYPOINTS, LIFTED_FRAME, LiftedFrame
 from store.capture import Capture
 
 TINY_BYTES = 32 * 1024  # worked on in less time than it takes to switch threads, or not much more

@@ -9,13 +9,14 @@ from safetensors.numpy import load
 from starlette.responses import Response
 
 from models.config import Refine
+from models.lift_json import lift_arrays
 from service.arrays import Arrays
 from service.deps import EngineDep, SettingsDep, StoreDep
 from service.errors import invalid, problems
 from service.fits import FitDep
 from service.lift import RefineQuery
 from service.representations import FormatQuery, arrays_response, binary_responses
-from service.wire import LIFTED_FRAME, LiftedFrame, lift_arrays
+from service.wire import LIFTED_FRAME, LiftedFrame
 from store import datasets, fits, records
 from store.errors import ConflictError
 

@@ -49,14 +49,14 @@ class Settings(WorkerSettings):
     max_queued_fits: int = Field(
         1000, ge=1, description="Fits that may wait at a time; POST /fits answers 429 beyond that."
     )
+    max_queued_lifts: int = Field(
+        100, ge=1, description="Lifts that may wait at a time; POST /lifts answers 429 beyond that."
+    )
     lift_threads: int = Field(
         default_factory=lambda: min(8, len(os.sched_getaffinity(0))),
         ge=1,
         le=64,
         description="Threads that lift in the API process. Default: the CPUs there are, up to 8.",
-    )
-    max_queued_lifts: int = Field(
-        100, ge=1, description="Lifts that may wait at a time; POST /lifts answers 429 beyond that."
     )
     warm_model_bytes: int = Field(
         512 * MEBIBYTE, ge=0, description="Weights to keep in memory for lifting."

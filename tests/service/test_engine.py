@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from models.fitted import FittedPrior, Lift
+from models.lift_json import lift_arrays
 from models.synthetic import SyntheticCapture
 from service.engine import REFINED_FRAMES, SLICE_FRAMES, Engine
 from service.settings import Settings
-from service.wire import lift_arrays
 from store import models
 from store.database import Store
 from store.errors import NotFoundError

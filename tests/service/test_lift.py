@@ -10,8 +10,9 @@ from safetensors.numpy import load
 from starlette.testclient import TestClient
 
 from models.fitted import CAMERA_MODELS, FittedPrior, Lift
+from models.lift_json import lift_arrays
 from models.synthetic import SyntheticCapture
-from service.wire import LiftedFrame, frames_json, lift_arrays
+from service.wire import LiftedFrame, frames_json
 from tests.service.conftest import BYTES, JSON, frames_of, problem, to_npz, to_safetensors
 
 Array = np.ndarray[Any, Any]
