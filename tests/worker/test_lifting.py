@@ -278,7 +278,9 @@ def test_a_fit_behind_a_long_lift_gets_its_turn(
     lift = make_lift(refine="full")
     start_worker()
     wait_for_chunks(store, lift, 1)
-    fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 5})
+    fit = fits.create(
+        store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 5, "refine": "off"}
+    )
     enqueue(open_queue(redis), fit)
     wait_for(lambda: fits.get(store, fit.id).status == "succeeded", "the fit")
     assert lifts.get(store, lift.id).status == "running"
