@@ -7,26 +7,45 @@ is a group of one, with C = 1 and d = 0. A rig at rest, moving cameras and any m
 are thus one problem, solved by Levenberg-Marquardt with analytic Jacobians. Points are eliminated
 first (Schur complement), then each frame's poses and shape, so the cost is linear in frames and
 points (Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000; Hartley & Zisserman, *Multiple
-View Geometry*, app. 6). Everything here is float64: N frames, K views, P keypoints, G groups.
+View Geometry*, app. 6). What concerns one frame is compiled, in `models.posterior`. Everything here
+is float64: N frames, K views, P keypoints, G groups.
 """
 
 from collections.abc import Generator
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from models.optics import Optics, image
+from models.compiled import compiled
+from models.optics import Optics, lenses
+from models.posterior import (
+    CONVERGED,
+    FIRST_DAMPING,
+    LEAST_DAMPING,
+    MOST_DAMPING,
+    OPTICS,
+    POSE,
+    VIEW,
+    Cameras,
+    Equations,
+    Pose,
+    Shapes,
+    back_substitute,
+    cost_of,
+    descend,
+    eliminate,
+    linearise,
+)
 from models.segments import Segments
+from models.slices import in_slices
+from models.small import cholesky, cholesky_solve
 
-POSE = SIMILARITY = 7  # rotation vector, translation, log size
-OPTICS = 4  # log focal length, principal point, first radial coefficient
-EXTRINSICS = 6  # rotation vector, translation
-VIEW = OPTICS + EXTRINSICS  # what all frames share of a view
-OUTLIER = 3.0  # noise standard deviations from which a keypoint pulls with constant force (Huber)
-NEAREST = 1e-2  # depth, in units of the structure, behind which no camera sees
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e9
-CONVERGED = 1e-7  # relative decrease of the cost
+Float64 = NDArray[np.float64]
+
+SLICE = 16  # frames that a thread takes at a time
 
 
 class Rig(NamedTuple):
@@ -41,6 +60,16 @@ class Rig(NamedTuple):
     def size(self) -> int:
         """The number of groups G."""
         return int(self.groups.max()) + 1
+
+    def cameras(self, size_precision: Tensor) -> Cameras:
+        """Lay out for compiled functions, with the inverse variances (G,) of the log sizes."""
+        return Cameras(
+            lenses(self.optics),
+            np.ascontiguousarray(self.groups.numpy()),
+            _array(self.rotations),
+            _array(self.translations),
+            _array(size_precision),
+        )
 
 
 class ShapePrior(NamedTuple):
@@ -60,31 +89,22 @@ class ShapePrior(NamedTuple):
         """Return the prior of some of the frames."""
         return self._replace(means=self.means[frames], scales=self.scales[frames])
 
-    def whitened(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Prior precision times (points - means), (N, P, 3); minus twice the log density, (N,).
-
-        The last is the inverse variance (N,) of a unit of e.
-        """
-        offset = points - self.means
-        pulled = torch.einsum("piq,npi->nq", self.basis, offset)
-        z = torch.cholesky_solve(pulled.T, torch.linalg.cholesky(self.inner())).T
-        inverse = 1 / (self.scales * self.spread).square()
-        pull = (offset - torch.einsum("piq,nq->npi", self.basis, z)) * inverse[:, None, None]
-        squared = (pull * offset).sum((1, 2))
-        if not self.heavy:
-            return pull, squared, inverse
-        freedom = 3 * offset.shape[1] - SIMILARITY
-        share = (freedom / squared.clamp_min(1e-12)).clamp_max(1)
-        return (
-            pull * share[:, None, None],
-            freedom * (1 / share).log() + squared * share,
-            (inverse * share),
-        )
-
     def inner(self) -> Tensor:
         """B^T B + spread^2 1, (Q, Q)."""
         flat = self.basis.flatten(0, 1)
         return flat.T @ flat + self.spread**2 * torch.eye(flat.shape[1], dtype=flat.dtype)
+
+    def shapes(self) -> Shapes:
+        """Lay out what all frames share for compiled functions."""
+        inner = self.inner()
+        factor = torch.linalg.cholesky(inner)
+        return Shapes(
+            _array(self.basis.flatten(0, 1)),
+            _array(inner),
+            _array(factor),
+            self.spread,
+            self.heavy,
+        )
 
 
 class Views(NamedTuple):
@@ -102,6 +122,10 @@ class Scene(NamedTuple):
     translations: Tensor  # (N, G, 3)
     sizes: Tensor  # (N, G) log size a
 
+    def poses(self) -> Pose:
+        """Lay out for compiled functions."""
+        return Pose(*(_array(a) for a in self))
+
 
 class Normal(NamedTuple):
     """Normal equations of N frames; R = 7 G + Q unknowns remain beside the points, T are shared."""
@@ -113,26 +137,64 @@ class Normal(NamedTuple):
     pull_rest: Tensor  # (N, R + T)
 
 
-def place(scene: Scene, rig: Rig) -> tuple[Tensor, Tensor, Tensor]:
-    """Points in every camera's frame (N, K, P, 3); e^a R X and v, both (N, K, P, 3)."""
+class _Problem(NamedTuple):
+    """N frames of a problem, laid out for compiled functions."""
+
+    keypoints: Float64
+    weights: Float64
+    cameras: Cameras
+    means: Float64
+    scales: Float64
+    shapes: Shapes
+
+
+def _problem(views: Views, rig: Rig, prior: ShapePrior, size_precision: Tensor) -> _Problem:
+    return _Problem(
+        _array(views.keypoints),
+        _array(views.weights),
+        rig.cameras(size_precision),
+        _array(prior.means),
+        _array(prior.scales),
+        prior.shapes(),
+    )
+
+
+def _array(tensor: Tensor) -> Float64:
+    return np.ascontiguousarray(tensor.numpy(), np.float64)
+
+
+def place(scene: Scene, rig: Rig) -> Tensor:
+    """Points in every camera's frame (N, K, P, 3)."""
     turned = scene.sizes.exp()[..., None, None] * (scene.points[:, None] @ scene.rotations.mT)
-    turned = turned[:, rig.groups]
-    v = turned + scene.translations[:, rig.groups, None]
-    return v @ rig.rotations.mT + rig.translations[:, None], turned, v
+    v = turned[:, rig.groups] + scene.translations[:, rig.groups, None]
+    return v @ rig.rotations.mT + rig.translations[:, None]
 
 
 def cost(views: Views, rig: Rig, prior: ShapePrior, size_precision: Tensor, scene: Scene) -> Tensor:
     """Minus twice the log posterior of each frame (N,), up to a constant."""
-    camera, _, _ = place(scene, rig)
-    pixels = image(camera, rig.optics)
-    squared = views.weights * (pixels - views.keypoints).square().sum(-1)  # (N, K, P)
-    robust = torch.where(
-        squared > OUTLIER**2, 2 * OUTLIER * squared.clamp_min(1e-12).sqrt() - OUTLIER**2, squared
-    )
-    behind = ((camera[..., 2] < NEAREST) & (views.weights > 0)).any(-1).any(-1)
-    total = robust.sum((1, 2)) + prior.whitened(scene.points)[1]
-    total = total + (size_precision * scene.sizes.square()).sum(-1)
-    return torch.where(behind | ~total.isfinite(), torch.inf, total)
+    problem, poses = _problem(views, rig, prior, size_precision), scene.poses()
+    costs = np.empty(len(scene.points))
+    in_slices(len(costs), SLICE, lambda part: _costs(problem, poses, part.start, part.stop, costs))
+    return torch.from_numpy(costs)
+
+
+@compiled
+def _costs(problem: _Problem, poses: Pose, start: int, stop: int, costs: Float64) -> None:
+    for n in range(start, stop):
+        costs[n] = cost_of(
+            problem.keypoints[n],
+            problem.weights[n],
+            problem.cameras,
+            problem.means[n],
+            problem.scales[n],
+            problem.shapes,
+            _pose(poses, n),
+        )
+
+
+@compiled
+def _pose(poses: Pose, n: int) -> Pose:
+    return Pose(poses.points[n], poses.rotations[n], poses.translations[n], poses.sizes[n])
 
 
 def normal_equations(
@@ -145,67 +207,51 @@ def normal_equations(
     shared: bool,
 ) -> Normal:
     """Linearise; with `shared`, also in what all frames share (T = 10 K, otherwise T = 0)."""
+    problem, poses = _problem(views, rig, prior, size_precision), scene.poses()
     frames, count, _ = scene.points.shape
-    camera, turned, v = place(scene, rig)
-    pixels, by_camera, by_optics = image(camera, rig.optics, jacobians=True)
-    residual = views.keypoints - pixels  # (N, K, P, 2)
-    squared = views.weights * residual.square().sum(-1)
-    weights = views.weights * (OUTLIER / squared.clamp_min(1e-12).sqrt()).clamp_max(1)
+    unknowns = POSE * rig.size + prior.basis.shape[-1] + (VIEW * len(rig.groups) if shared else 0)
+    equations = Equations(
+        np.empty((frames, count, 3, 3)),
+        np.empty((frames, count, 3, unknowns)),
+        np.empty((frames, unknowns, unknowns)),
+        np.empty((frames, count, 3)),
+        np.empty((frames, unknowns)),
+    )
+    in_slices(
+        frames,
+        SLICE,
+        lambda part: _linearise(problem, poses, part.start, part.stop, shared, equations),
+    )
+    return Normal(*(torch.from_numpy(a) for a in equations))
 
-    by_v = by_camera @ rig.rotations[:, None]  # (N, K, P, 2, 3)
-    growth = scene.sizes.exp()[..., None, None] * scene.rotations  # (N, G, 3, 3)
-    by_points = by_v @ growth[:, rig.groups, None]  # (N, K, P, 2, 3)
-    by_pose = torch.cat(
-        (_turning(by_v, turned), by_v, by_v @ turned[..., None]), -1
-    )  # (N, K, P, 2, 7)
-    weighted = weights[..., None, None] * by_points
-    points = (weighted.mT @ by_points).sum(1)  # (N, P, 3, 3)
-    pull_points = (weighted.mT @ residual[..., None]).sum(1)[..., 0]
-    groups, basis = rig.size, prior.basis.shape[-1]
-    # One group's columns are the sums over its views.
-    member = torch.nn.functional.one_hot(rig.groups, groups).to(residual)  # (K, G)
-    coupling = torch.einsum("nkpic,kg->npigc", weighted.mT @ by_pose, member)
-    weighted_pose = weights[..., None, None] * by_pose
-    rows = weighted_pose.permute(0, 1, 4, 2, 3).flatten(-2)  # (N, K, 7, 2 P)
-    pose = torch.einsum("nkab,kg->ngab", rows @ by_pose.flatten(2, 3), member)  # (N, G, 7, 7)
-    pull_pose = torch.einsum("nka,kg->nga", (rows @ residual.flatten(2)[..., None])[..., 0], member)
-    # The log sizes have a Gaussian prior about 0.
-    pose[..., -1, -1] += size_precision
-    pull_pose[..., -1] -= size_precision * scene.sizes
 
-    pull, _, inverse = prior.whitened(scene.points)
-    pull_points, inverse = pull_points - pull, inverse[:, None, None]
-    points = points + inverse[..., None] * torch.eye(3, dtype=points.dtype)
+@compiled
+def _linearise(
+    problem: _Problem, poses: Pose, start: int, stop: int, shared: bool, out: Equations
+) -> None:
+    for n in range(start, stop):
+        linearise(
+            problem.keypoints[n],
+            problem.weights[n],
+            problem.cameras,
+            problem.means[n],
+            problem.scales[n],
+            problem.shapes,
+            _pose(poses, n),
+            shared,
+            _equations(out, n),
+        )
 
-    size = POSE * groups + basis
-    total = size + (VIEW * len(rig.groups) if shared else 0)
-    rest = points.new_zeros(frames, total, total)
-    pull_rest = points.new_zeros(frames, total)
-    cross = points.new_zeros(frames, count, 3, total)
-    cross[..., : POSE * groups] = coupling.flatten(-2)
-    cross[..., POSE * groups : size] = -inverse[..., None] * prior.basis
-    for g in range(groups):
-        block = slice(POSE * g, POSE * (g + 1))
-        rest[:, block, block] = pose[:, g]
-        pull_rest[:, block] = pull_pose[:, g]
-    rest[:, POSE * groups : size, POSE * groups : size] = inverse * prior.inner()
-    if shared:
-        by_shared = torch.cat(
-            (by_optics, _turning(by_camera, v @ rig.rotations.mT), by_camera), -1
-        )  # (N, K, P, 2, 10)
-        rows = (weights[..., None, None] * by_shared).permute(0, 1, 4, 2, 3).flatten(-2)
-        own = rows @ by_shared.flatten(2, 3)  # (N, K, 10, 10)
-        pull = (rows @ residual.flatten(2)[..., None])[..., 0]
-        with_pose = rows @ by_pose.flatten(2, 3)  # (N, K, 10, 7)
-        cross[..., size:] = (weighted.mT @ by_shared).permute(0, 2, 3, 1, 4).flatten(-2)
-        for k, g in enumerate(rig.groups.tolist()):
-            mine = slice(size + VIEW * k, size + VIEW * (k + 1))
-            block = slice(POSE * g, POSE * (g + 1))
-            rest[:, mine, mine] = own[:, k]
-            pull_rest[:, mine] = pull[:, k]
-            rest[:, mine, block] = with_pose[:, k]
-            rest[:, block, mine] = with_pose[:, k].mT
-    return Normal(points, cross, rest, pull_points, pull_rest)
+
+@compiled
+def _equations(all_of_them: Equations, n: int) -> Equations:
+    return Equations(
+        all_of_them.points[n],
+        all_of_them.coupling[n],
+        all_of_them.rest[n],
+        all_of_them.pull_points[n],
+        all_of_them.pull_rest[n],
+    )
 
 
 def refine(
@@ -222,90 +268,109 @@ def refine(
     `size_precision` (G,) is the inverse variance of each group's log size. A group of one view
     needs it: its size and its distance are one.
     """
-    best = cost(views, rig, prior, size_precision, scene)
-    damping = torch.full_like(best, FIRST_DAMPING)
-    active = best.isfinite().nonzero()[:, 0]
-    for _ in range(iterations):
-        if not len(active):
-            break
-        part = Views(*(a[active] for a in views))
-        here = Scene(*(a[active] for a in scene))
-        local = prior.of(active)
-        normal = normal_equations(part, rig, local, size_precision, here, shared=False)
-        step = _solve(normal, damping[active])
-        tried = move(here, *step, rig.size)
-        costs = cost(part, rig, local, size_precision, tried)
-        better = costs <= best[active]
-        gained = (best[active] - costs) / best[active].clamp_min(1e-9)
-        scene = Scene(
-            *(
-                old.index_copy(0, active[better], new[better])
-                for old, new in zip(scene, tried, strict=True)
-            )
-        )
-        best[active[better]] = costs[better]
-        factor = torch.where(better, 0.1, 10.0)
-        damping[active] = (damping[active] * factor).clamp(LEAST_DAMPING, MOST_DAMPING)
-        done = (better & (gained < CONVERGED)) | (damping[active] >= MOST_DAMPING)
-        active = active[~done]
-    return scene, best
-
-
-def _solve(normal: Normal, damping: Tensor) -> tuple[Tensor, Tensor]:
-    """Take one damped Gauss-Newton step: of the points (N, P, 3) and of the rest (N, R)."""
-    points, reduced, pull = eliminate_points(normal, damping)
-    factor, _ = torch.linalg.cholesky_ex(reduced)
-    rest = torch.cholesky_solve(pull[..., None], factor)[..., 0]
-    moved = normal.pull_points - (normal.coupling @ rest[:, None, :, None])[..., 0]
-    return (points @ moved[..., None])[..., 0], rest
-
-
-def eliminate_points(normal: Normal, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Inverse point blocks (N, P, 3, 3), and the Schur complement with its right-hand side."""
-    eye3 = torch.eye(3, dtype=normal.points.dtype)
-    blocks = normal.points + damping[:, None, None, None] * normal.points * eye3
-    inverse = torch.linalg.inv(blocks)
-    rest = normal.rest
-    diagonal = rest.diagonal(dim1=-2, dim2=-1)
-    carried = inverse @ normal.coupling  # (N, P, 3, R)
-    flat = normal.coupling.flatten(1, 2)  # (N, 3 P, R)
-    reduced = rest - flat.mT @ carried.flatten(1, 2)
-    reduced = reduced + torch.diag_embed(damping[:, None] * diagonal + 1e-12)
-    pull = (
-        normal.pull_rest
-        - (carried.flatten(1, 2).mT @ normal.pull_points.flatten(1)[..., None])[..., 0]
+    problem = _problem(views, rig, prior, size_precision)
+    poses = Pose(*(a.copy() for a in scene.poses()))
+    costs = np.empty(len(scene.points))
+    in_slices(
+        len(costs),
+        SLICE,
+        lambda part: _descend(problem, poses, part.start, part.stop, iterations, costs),
     )
-    return inverse, reduced, pull
+    return Scene(*(torch.from_numpy(a) for a in poses)), torch.from_numpy(costs)
+
+
+@compiled
+def _descend(
+    problem: _Problem, poses: Pose, start: int, stop: int, iterations: int, costs: Float64
+) -> None:
+    for n in range(start, stop):
+        costs[n] = descend(
+            problem.keypoints[n],
+            problem.weights[n],
+            problem.cameras,
+            problem.means[n],
+            problem.scales[n],
+            problem.shapes,
+            _pose(poses, n),
+            iterations,
+        )
 
 
 class Reduced(NamedTuple):
     """What remains of N frames' normal equations for what they share, and their answer to it."""
 
-    information: Tensor  # (N, T, T)
-    gradient: Tensor  # (N, T) minus the gradient
-    points: Tensor  # (N, P, 3) step of the points if nothing shared moves
-    points_by_shared: Tensor  # (N, P, 3, T) and how it changes if it does
-    rest: Tensor  # (N, R) likewise
-    rest_by_shared: Tensor  # (N, R, T)
+    information: Float64  # (N, T, T)
+    gradient: Float64  # (N, T) minus the gradient
+    points: Float64  # (N, P, 3) step of the points if nothing shared moves
+    points_by_shared: Float64  # (N, P, 3, T) and how it changes if it does
+    rest: Float64  # (N, R) likewise
+    rest_by_shared: Float64  # (N, R, T)
 
 
-def eliminate_frames(normal: Normal, size: int, damping: Tensor) -> Reduced:
+def eliminate_frames(normal: Normal, size: int, damping: float) -> Reduced:
     """Eliminate points, then the other `size` = R unknowns of each frame."""
-    inverse, reduced, pull = eliminate_points(normal, damping)
-    factor, _ = torch.linalg.cholesky_ex(reduced[:, :size, :size])
-    link = reduced[:, :size, size:]  # (N, R, T)
-    solved = torch.cholesky_solve(torch.cat((link, pull[:, :size, None]), -1), factor)
-    left, rest = solved[..., :-1], solved[..., -1]
-    rest_coupling, shared_coupling = normal.coupling[..., :size], normal.coupling[..., size:]
-    alone = normal.pull_points - (rest_coupling @ rest[:, None, :, None])[..., 0]
-    return Reduced(
-        reduced[:, size:, size:] - link.mT @ left,
-        pull[:, size:] - (link.mT @ rest[..., None])[..., 0],
-        (inverse @ alone[..., None])[..., 0],
-        inverse @ (rest_coupling @ left[:, None] - shared_coupling),
-        rest,
-        -left,
+    equations = Equations(*(a.numpy() for a in normal))
+    frames, count, _, unknowns = equations.coupling.shape
+    shared = unknowns - size
+    reduced = Reduced(
+        np.empty((frames, shared, shared)),
+        np.empty((frames, shared)),
+        np.empty((frames, count, 3)),
+        np.empty((frames, count, 3, shared)),
+        np.empty((frames, size)),
+        np.empty((frames, size, shared)),
     )
+    in_slices(
+        frames, SLICE, lambda part: _eliminate(equations, part.start, part.stop, damping, reduced)
+    )
+    return reduced
+
+
+@compiled
+def _eliminate(equations: Equations, start: int, stop: int, damping: float, out: Reduced) -> None:
+    count, unknowns = equations.coupling.shape[1], equations.coupling.shape[3]
+    size, shared = out.rest_by_shared.shape[1], out.rest_by_shared.shape[2]
+    inverses = np.empty((count, 3, 3))
+    whole, pull = np.empty((unknowns, unknowns)), np.empty(unknowns)
+    factor, answers = np.empty((size, size)), np.empty((shared + 1, size))
+    right = np.empty((3, shared))
+    for n in range(start, stop):
+        own = _equations(equations, n)
+        eliminate(own, damping, inverses, whole, pull)
+        factor[:] = whole[:size, :size]
+        cholesky(factor)
+        for a in range(shared):
+            answers[a] = whole[size + a, :size]
+            cholesky_solve(factor, answers[a])
+        answers[shared] = pull[:size]
+        cholesky_solve(factor, answers[shared])
+        rest = answers[shared]
+        out.rest[n] = rest
+        for a in range(shared):
+            link = whole[size + a, :size]
+            out.gradient[n, a] = pull[size + a] - (link * rest).sum()
+            for b in range(a + 1):
+                out.information[n, a, b] = whole[size + a, size + b] - (link * answers[b]).sum()
+                out.information[n, b, a] = out.information[n, a, b]
+            for b in range(size):
+                out.rest_by_shared[n, b, a] = -answers[a, b]
+        back_substitute(own, inverses, rest, out.points[n])
+        for p in range(count):
+            for i in range(3):
+                row = right[i]
+                for a in range(shared):
+                    row[a] = -own.coupling[p, i, size + a]
+                for b in range(size):
+                    pulls = own.coupling[p, i, b]
+                    back = out.rest_by_shared[n, b]
+                    for a in range(shared):
+                        row[a] -= pulls * back[a]
+            for i in range(3):
+                x, y, z = inverses[p, i]
+                for a in range(shared):
+                    out.points_by_shared[n, p, i, a] = (
+                        x * right[0, a] + y * right[1, a] + z * right[2, a]
+                    )
 
 
 def structure_covariances(
@@ -313,14 +378,48 @@ def structure_covariances(
 ) -> Tensor:
     """Covariances (N, 3 P, 3 P) of the structures about their best values (Laplace)."""
     normal = normal_equations(views, rig, prior, size_precision, scene, shared=False)
-    inverse, reduced, _ = eliminate_points(normal, torch.full_like(prior.scales, 1e-9))
-    carried = (inverse @ normal.coupling).flatten(1, 2)  # (N, 3 P, R)
-    factor, _ = torch.linalg.cholesky_ex(reduced)
-    covariances = carried @ torch.cholesky_solve(carried.mT, factor)
-    count = inverse.shape[1]
-    blocks = covariances.view(-1, count, 3, count, 3)
-    blocks.diagonal(dim1=1, dim2=3).add_(inverse.permute(0, 2, 3, 1))
-    return covariances
+    equations = Equations(*(a.numpy() for a in normal))
+    frames, count, _ = scene.points.shape
+    covariances = np.empty((frames, 3 * count, 3 * count))
+    in_slices(
+        frames, SLICE, lambda part: _covariances(equations, part.start, part.stop, covariances)
+    )
+    return torch.from_numpy(covariances)
+
+
+@compiled
+def _covariances(equations: Equations, start: int, stop: int, out: Float64) -> None:
+    count, size = equations.coupling.shape[1], equations.coupling.shape[3]
+    inverses, pull = np.empty((count, 3, 3)), np.empty(size)
+    reduced, carried = np.empty((size, size)), np.empty((3 * count, size))
+    for n in range(start, stop):
+        own = _equations(equations, n)
+        eliminate(own, LEAST_DAMPING, inverses, reduced, pull)
+        cholesky(reduced)
+        for p in range(count):
+            for i in range(3):
+                x, y, z = inverses[p, i]
+                row = carried[3 * p + i]
+                for a in range(size):
+                    row[a] = (
+                        x * own.coupling[p, 0, a]
+                        + y * own.coupling[p, 1, a]
+                        + z * own.coupling[p, 2, a]
+                    )
+                # L^-1 of it: the covariance is the product of these, and the inverse blocks.
+                for a in range(size):
+                    total = row[a]
+                    for b in range(a):
+                        total -= reduced[a, b] * row[b]
+                    row[a] = total / reduced[a, a]
+        for a in range(3 * count):
+            for b in range(a + 1):
+                out[n, a, b] = (carried[a] * carried[b]).sum()
+                out[n, b, a] = out[n, a, b]
+        for p in range(count):
+            for i in range(3):
+                for j in range(3):
+                    out[n, 3 * p + i, 3 * p + j] += inverses[p, i, j]
 
 
 def move(scene: Scene, points: Tensor, rest: Tensor, groups: int) -> Scene:
@@ -332,12 +431,6 @@ def move(scene: Scene, points: Tensor, rest: Tensor, groups: int) -> Scene:
         scene.translations + pose[..., 3:6],
         scene.sizes + pose[..., 6].clamp(-1, 1),
     )
-
-
-def _turning(by: Tensor, arms: Tensor) -> Tensor:
-    """Derive by a rotation vector: by (..., 2, 3) times -[arms]_x, arms (..., 3)."""
-    turned: Tensor = torch.linalg.cross(arms[..., None, :].expand_as(by), by, dim=-1)
-    return turned
 
 
 def turn(vectors: Tensor) -> Tensor:
@@ -430,14 +523,14 @@ def adjust(
     for _ in range(iterations):
         yield
         normal = normal_equations(views, rig, prior, size_precision, scene, shared=True)
-        damped = torch.full_like(costs, damping)
-        reduced = eliminate_frames(normal, size, damped)
-        information = reduced.information.sum(0) + shared.precision
-        gradient = reduced.gradient.sum(0)
+        reduced = eliminate_frames(normal, size, damping)
+        by_shared = torch.from_numpy(reduced.points_by_shared)
+        information = torch.from_numpy(reduced.information.sum(0)) + shared.precision
+        gradient = torch.from_numpy(reduced.gradient.sum(0))
         gradient = gradient - shared.precision @ shared.offset(rig)
         if segments is not None:
-            offsets = segments.offsets(scene.points + reduced.points)
-            derived = segments.derivatives(scene.points, reduced.points_by_shared)
+            offsets = segments.offsets(scene.points + torch.from_numpy(reduced.points))
+            derived = segments.derivatives(scene.points, by_shared)
             weighted = (segments.precision(offsets) * kept[:, None])[..., None] * derived
             information = information + weighted.flatten(0, 1).T @ derived.flatten(0, 1)
             gradient = gradient - weighted.flatten(0, 1).T @ offsets.flatten()
@@ -446,8 +539,8 @@ def adjust(
         inner = information[free][:, free]
         inner = inner + torch.diag(damping * inner.diagonal() + 1e-12)
         step[free] = torch.linalg.solve(inner, gradient[free])
-        points = reduced.points + reduced.points_by_shared @ step
-        rest = reduced.rest + reduced.rest_by_shared @ step
+        points = torch.from_numpy(reduced.points) + by_shared @ step
+        rest = torch.from_numpy(reduced.rest) + torch.from_numpy(reduced.rest_by_shared) @ step
         tried, tried_rig = move(scene, points, rest, rig.size), move_rig(rig, step)
         new_costs = cost(views, tried_rig, prior, size_precision, tried)
         total = total_cost(new_costs, tried, tried_rig)

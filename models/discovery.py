@@ -14,10 +14,6 @@ import torch
 from torch import Tensor
 
 from models.adjustment import (
-    OPTICS,
-    OUTLIER,
-    POSE,
-    VIEW,
     Rig,
     Scene,
     ShapePrior,
@@ -33,6 +29,7 @@ from models.calibration import Camera
 from models.config import FitConfig
 from models.keypoints import MIN_KEYPOINTS
 from models.optics import COEFFICIENTS, Optics, image
+from models.posterior import OPTICS, OUTLIER, POSE, VIEW
 from models.refinement import mirrored
 from models.segments import find_segments
 from models.shape import (
@@ -251,7 +248,7 @@ def discover(
                 f" {known / unit:.3g}; the known length is used",
             )
         unit = known
-    camera, _, _ = place(best.scene, best.rig)
+    camera = place(best.scene, best.rig)
     distances = (image(camera, best.rig.optics) - keypoints).norm(dim=-1)
     seen = weights > 0
     errors = (distances * seen).sum((0, 2)) / seen.sum((0, 2)).clamp_min(1)
@@ -493,7 +490,7 @@ def _noise_terms(
     views: Views, rig: Rig, prior: ShapePrior, scene: Scene, covariances: Tensor
 ) -> tuple[float, float]:
     """Sum of the robust residuals over the noise, and their degrees of freedom."""
-    camera, _, _ = place(scene, rig)
+    camera = place(scene, rig)
     squared = views.weights * (image(camera, rig.optics) - views.keypoints).square().sum(-1)
     seen = views.weights > 0
     robust = (OUTLIER / squared.clamp_min(1e-12).sqrt()).clamp_max(1) * squared
@@ -657,7 +654,7 @@ def _worst(problem: Problem, moving: State, state: State, members: list[int]) ->
     seen = problem.weights > 0
     medians = []
     for rig, scene in ((moving.rig, moving.scene), (state.rig, state.scene)):
-        camera, _, _ = place(scene, rig)
+        camera = place(scene, rig)
         distances = (image(camera, rig.optics) - problem.keypoints).norm(dim=-1)
         medians.append(torch.stack([distances[:, k][seen[:, k]].median() for k in members]))
     ratios = medians[1] / (medians[0] + REST_SLACK * problem.side)

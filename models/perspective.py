@@ -8,10 +8,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from models.adjustment import OPTICS, Rig, Scene, ShapePrior, Views, refine
+from models.adjustment import Rig, Scene, ShapePrior, Views, refine
 from models.discovery import Answers, Discovery, gather, size_precision, starting_scene
 from models.found import FoundCameras
 from models.optics import COEFFICIENTS, Optics, image
+from models.posterior import OPTICS
 from models.refinement import mirrored
 from models.shape import Doubts, ShapeModel, align
 from models.weights import Arrays, Shapes, WeightsError

@@ -1,7 +1,7 @@
 """Adjustment against the same problem written out densely in NumPy and solved by SciPy."""
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -13,8 +13,6 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from models.adjustment import (
-    POSE,
-    VIEW,
     Normal,
     Rig,
     Scene,
@@ -23,7 +21,6 @@ from models.adjustment import (
     Views,
     adjust,
     cost,
-    eliminate_points,
     move,
     move_rig,
     normal_equations,
@@ -31,6 +28,7 @@ from models.adjustment import (
     structure_covariances,
 )
 from models.optics import Optics
+from models.posterior import POSE, VIEW, Equations, eliminate
 
 Float64 = NDArray[np.float64]
 T = TypeVar("T")
@@ -309,18 +307,20 @@ def test_the_cost_is_the_sum_of_the_squares(*, outliers: bool) -> None:
 
 def test_heavy_tails_are_the_best_of_all_wider_gaussians() -> None:
     problem = make(heavy=True)
-    pulls, found, inverse = problem.prior.whitened(problem.scene.points)
+    blind = replace(problem, views=problem.views._replace(weights=torch.zeros_like(problem.views.weights)))
+    sizes = (problem.precision * problem.scene.sizes.square()).sum(1)
+    found = cost(blind.views, blind.rig, blind.prior, blind.precision, blind.scene) - sizes
+    normal = linearised(blind, shared=False)
     squared = np.square(whitened(problem.prior, problem.scene)).sum(1)
     for frame, scale in enumerate(problem.prior.scales.tolist()):
         wider = scale * np.geomspace(1, 100, 100_001)
         costs = squared[frame] / wider**2 + 2 * FREEDOM * np.log(wider / scale)
         best = wider[costs.argmin()]
         assert float(found[frame]) == pytest.approx(costs.min(), rel=1e-6)
-        assert float(inverse[frame]) == pytest.approx(
-            1 / (best * problem.prior.spread) ** 2, rel=1e-3
-        )
+        inverse = 1 / (best * problem.prior.spread) ** 2
+        np.testing.assert_allclose(normal.points[frame], [inverse * np.eye(3)] * POINTS, rtol=1e-3)
         offset = problem.scene.points[frame] - problem.prior.means[frame]
-        along = float((pulls[frame] * offset).sum())
+        along = -float((normal.pull_points[frame] * offset).sum())
         assert along == pytest.approx(squared[frame] / best**2, rel=1e-3)
     heavy = scales_of(problem) > problem.prior.scales.numpy()
     assert set(heavy) == {True, False}  # both sides of the bound were met
@@ -386,14 +386,17 @@ def test_a_frame_without_what_is_shared_has_the_same_equations() -> None:
 def test_eliminating_the_points_first_solves_the_dense_equations(damping: float) -> None:
     problem = make()
     normal = linearised(problem, shared=False)
-    dampings = torch.full((FRAMES,), damping, dtype=torch.float64)
-    inverse, reduced, pull = eliminate_points(normal, dampings)
+    size = normal.rest.shape[-1]
+    inverse, reduced, right = np.empty((POINTS, 3, 3)), np.empty((size, size)), np.empty(size)
     for frame in (0, 2):  # without the moving camera, the second frame leaves its pose open
-        matrix, right = dense(normal, frame)
-        expected = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), right)
-        rest = np.linalg.solve(reduced[frame].numpy(), pull[frame].numpy())
+        own = Equations(*(a[frame].numpy() for a in normal))
+        eliminate(own, damping, inverse, reduced, right)
+        reduced = np.tril(reduced) + np.tril(reduced, -1).T
+        matrix, pull = dense(normal, frame)
+        expected = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), pull)
+        rest = np.linalg.solve(reduced, right)
         left = normal.pull_points[frame] - normal.coupling[frame] @ tensor(rest)
-        points = (inverse[frame] @ left[..., None]).flatten()
+        points = (inverse @ left.numpy()[..., None]).flatten()
         np.testing.assert_allclose(rest, expected[3 * POINTS :], rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(points, expected[: 3 * POINTS], rtol=1e-6, atol=1e-9)
 

@@ -1,0 +1,22 @@
+"""Work on many frames, shared between threads."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import torch
+
+
+def in_slices(frames: int, size: int, work: Callable[[slice], object]) -> None:
+    """Call `work` for slices of at most `size` frames, in as many threads as torch may use.
+
+    Which thread takes which slice changes nothing if `work` writes to the frames of its slice only.
+    """
+    parts = [slice(start, min(start + size, frames)) for start in range(0, frames, size)]
+    threads = min(torch.get_num_threads(), len(parts))
+    if threads <= 1:
+        for part in parts:
+            work(part)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for done in [pool.submit(work, part) for part in parts]:
+            done.result()
