@@ -13,8 +13,8 @@ from benchmarks.report import TRNG, Curve, Report, Row
 from benchmarks.rig import Rig, add_noise, hide, miscalibrate
 from models.config import FitConfig, Refine
 from models.fitted import FittedPrior
-from models.keypoints import as_observations
 from models.metrics import Accuracy, pa_mpjpe, pck
+from models.observations import as_observations
 from models.training import fit
 from models.triangulation import triangulate
 

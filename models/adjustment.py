@@ -337,7 +337,9 @@ def _eliminate(equations: Equations, start: int, stop: int, damping: float, out:
     for n in range(start, stop):
         own = _equations(equations, n)
         eliminate(own, damping, inverses, whole, pull)
-        factor[:] = whole[:size, :size]
+        for a in range(size):
+            for b in range(a + 1):
+                factor[a, b] = whole[a, b]
         cholesky(factor)
         for a in range(shared):
             answers[a] = whole[size + a, :size]

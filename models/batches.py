@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from models.distillation import Teachers
-from models.keypoints import Observations
 from models.losses import Batch
+from models.observations import Observations
 from models.virtual import drop_views, virtual_views
 
 VIRTUAL = (0.1, 0.5)  # shares of a batch that virtual views take, if all frames are taught or none

@@ -8,7 +8,7 @@ from torch import Tensor
 from models.discovery import Discovery
 from models.distillation import Teachers
 from models.fitted import CurvePoint
-from models.perspective import array_shapes, from_arrays, to_arrays
+from models.found import array_shapes, from_arrays, to_arrays
 from models.weights import Arrays, Shapes, WeightsError, pack, read_about, unpack
 
 TEACHERS, CAMERAS, STATE = "teachers.", "cameras.", "state."

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.keypoints import Observations, as_observations
+from models.observations import Observations, as_observations
 
 Float64 = NDArray[np.float64]
 

@@ -23,12 +23,12 @@ from models.adjustment import (
     place,
     refine,
     structure_covariances,
-    turn,
 )
 from models.calibration import Camera
 from models.config import FitConfig
 from models.keypoints import MIN_KEYPOINTS
 from models.optics import COEFFICIENTS, Optics, image
+from models.poses import gather, starting_scene
 from models.posterior import OPTICS, OUTLIER, POSE, VIEW
 from models.refinement import mirrored
 from models.segments import find_segments
@@ -169,26 +169,6 @@ def starting_rig(
     optics = Optics(focals, centres, distortion, fisheye)
     still = torch.zeros(views, 3, dtype=torch.float64)
     return Rig(optics, torch.arange(views), eye, still), longest
-
-
-def starting_scene(
-    points: Tensor, rotations: Tensor, scales: Tensor, translations: Tensor, rig: Rig
-) -> Scene:
-    """Perspective poses of every view for weak-perspective answers, a group of one for each.
-
-    (N, P, 3), (N, K, 3, 3), (N, K) and (N, K, 2) in pixels; the rig's extrinsics are not used.
-    """
-    optics = rig.optics
-    rays = torch.cat(
-        ((translations - optics.centres) / optics.focals, torch.ones_like(scales[..., None])), -1
-    )
-    ahead = rays.new_tensor([0.0, 0.0, 1.0]).expand_as(rays)
-    axes = torch.linalg.cross(ahead, rays, dim=-1)
-    sine = axes.norm(dim=-1, keepdim=True)
-    axes = axes / sine.clamp_min(1e-12) * torch.atan2(sine, rays[..., 2:])
-    depths = optics.focals.mean(-1) / scales
-    # A camera that looks past the subject sees it turned by the angle it looks past.
-    return Scene(points, turn(axes) @ rotations, rays * depths[..., None], torch.zeros_like(depths))
 
 
 def discover(
@@ -700,43 +680,3 @@ def _at_rest(
     groups = _grouped(members, len(rig.groups))
     rig = rig._replace(groups=groups, rotations=rotations, translations=translations)
     return moving._replace(rig=rig, scene=gather(scene, rig, seen))
-
-
-def gather(scene: Scene, rig: Rig, seen: Tensor) -> Scene:
-    """Turn poses of every view (a group for each) into poses of the rig's groups.
-
-    A group's pose is the mean of what its views that are there, `seen` (N, K), say of it.
-    """
-    rotations, translations, sizes = [], [], []
-    for group in range(rig.size):
-        mine = (rig.groups == group).nonzero()[:, 0]
-        there = seen[:, mine].to(scene.points)
-        there = torch.where(there.sum(-1, keepdim=True) > 0, there, 1.0)  # (N, V)
-        share = there / there.sum(-1, keepdim=True)
-        extrinsic = rig.rotations[mine]
-        turned = extrinsic.mT @ scene.rotations[:, mine]  # (N, V, 3, 3)
-        rotations.append(_nearest((share[..., None, None] * turned).sum(1)))
-        if len(mine) == 1:
-            translations.append(scene.translations[:, mine[0]])
-            sizes.append(torch.zeros_like(share[:, 0]))
-            continue
-        # The point nearest to the rays to the structure, and the size that its depths say.
-        rays = torch.nn.functional.normalize(scene.translations[:, mine], dim=-1)
-        across = torch.eye(3, dtype=rays.dtype) - rays[..., :, None] * rays[..., None, :]
-        normal = (share[..., None, None] * (extrinsic.mT @ across @ extrinsic)).sum(1)
-        target = -(
-            share[..., None, None] * (extrinsic.mT @ across @ rig.translations[mine, :, None])
-        ).sum(1)
-        weak = 1e-3 * torch.eye(3, dtype=rays.dtype)
-        guess = (
-            share[..., None, None]
-            * (extrinsic.mT @ (scene.translations[:, mine] - rig.translations[mine])[..., None])
-        ).sum(1)
-        centre = torch.linalg.solve(normal + weak, target + weak @ guess)  # (N, 3, 1)
-        depth = ((extrinsic @ centre[:, None])[..., 0] + rig.translations[mine]).norm(dim=-1)
-        ratio = depth / scene.translations[:, mine].norm(dim=-1)
-        translations.append(centre[..., 0])
-        sizes.append((share * ratio.clamp(0.1, 10).log()).sum(-1))
-    return Scene(
-        scene.points, torch.stack(rotations, 1), torch.stack(translations, 1), torch.stack(sizes, 1)
-    )

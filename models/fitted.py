@@ -11,21 +11,18 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from models.cameras import project, solve_cameras
 from models.config import FitConfig, Refine
 from models.denoising import ViewModel
-from models.discovery import Answers, Discovery
-from models.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS, Observations, as_observations
+from models.discovery import Answers as WeakAnswers
+from models.discovery import Discovery
+from models.forward import Answers, feed_forward, lay_out
+from models.found import array_shapes, from_arrays, report, to_arrays
+from models.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS
+from models.observations import as_observations
 from models.optics import COEFFICIENTS
-from models.perspective import (
-    array_shapes,
-    from_arrays,
-    refine_frames,
-    report,
-    to_arrays,
-)
-from models.prior import HierarchicalPrior, parameter_shapes
-from models.refinement import mirrored, misfit, settle
+from models.perspective import Refiner, make_refiner, refine_frames
+from models.prior import parameter_shapes
+from models.slices import in_slices
 from models.weights import Arrays, Shapes, WeightsError, pack, read_about, unpack
 
 Status = Literal["ok", "too_few_keypoints"]
@@ -38,8 +35,8 @@ REASONS: dict[Status, str] = {
 }
 DENOISER = "denoiser."  # before those of the model of noisy views
 CAMERAS = "cameras."  # before the names of what was found of the cameras, in a file
-WORSE = 1.25  # times the network's reprojection error: no refinement that leads there is kept
-ACTIVATIONS = 4_000_000  # numbers in the widest layer of a slice of frames: 16 MB
+LIFTED, REFINED = 64, 16  # frames that a thread takes at a time
+REFINERS = 64  # choices of views to be prepared for
 
 
 class CurvePoint(NamedTuple):
@@ -70,12 +67,23 @@ class Lift:
     # (N, K): pixels, mean over the observed keypoints, as they were denoised if they were.
     reprojection_errors: NDArray[np.float32]
     keypoints_used: NDArray[np.int32]  # (N, K)
+    continued: NDArray[np.bool_]  # (N,) whether refinement started from the answer before
     status: tuple[Status, ...]  # N
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why each frame has its status, in words; empty where it is ok."""
         return tuple(REASONS[status] for status in self.status)
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays under the names that they have in files and on the wire."""
+        return {name: getattr(self, name) for name in Answers._fields if name != "continued"}
+
+    def answers(self) -> Answers:
+        """Return the arrays as compiled functions take them."""
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in Answers._fields}
+        return Answers(**arrays)
 
 
 class FittedPrior:
@@ -97,9 +105,8 @@ class FittedPrior:
         self.curve = curve
         self.foreshortening = foreshortening
         self._arrays = arrays
-        self._network = HierarchicalPrior(arrays["first"].shape[0], config.dictionary_sizes)
-        self._network.load_state_dict(arrays)
-        self._network.requires_grad_(requires_grad=False)
+        self._network = lay_out(arrays, config.dictionary_sizes)
+        self._refiners: dict[int | tuple[int, ...], Refiner] = {}
 
     @property
     def noise(self) -> float:
@@ -109,7 +116,7 @@ class FittedPrior:
     @property
     def keypoints_per_frame(self) -> int:
         """The number of keypoints P that every frame must have."""
-        return self._network.keypoints
+        return len(self._network.first)
 
     def lift(
         self,
@@ -118,6 +125,7 @@ class FittedPrior:
         confidence: ArrayLike | None = None,
         refine: Refine | None = None,
         views: Sequence[int] | None = None,
+        previous: "Lift | None" = None,
     ) -> Lift:
         """Lift frames (N, K, P, 2) in pixels, with any number of views K and any gaps.
 
@@ -134,12 +142,17 @@ class FittedPrior:
         views
             Which of the fit's views these are. Default: all of them in their order if K is their
             number, otherwise cameras that the fit does not know.
+        previous
+            Answers for the frames before, one for each frame and of the same views: where they
+            explain a frame's keypoints better than the network's own answer, its refinement starts
+            from them, and the lift says so in `continued`. NaN where there is none.
 
         Raises
         ------
         ValueError
-            When the arrays are malformed (see `as_observations`), P differs from the fit's, or
-            `views` does not name K different views of the fit.
+            When the arrays are malformed (see `as_observations`), P differs from the fit's,
+            `previous` is of other frames or views, or `views` does not name K different views of
+            the fit.
         """
         seen = as_observations(keypoints, confidence)
         frames, count, points_count, _ = seen.keypoints.shape
@@ -149,21 +162,42 @@ class FittedPrior:
                 f" got {points_count}; give them in the order of the fit, NaN for what was not"
                 " observed"
             )
+        if previous is not None and previous.scales.shape != seen.sizes.shape:
+            raise ValueError(
+                f"previous must have the shape of the keypoints, {frames} frames of {count} views,"
+                f" got {previous.scales.shape}"
+            )
         fitted = self._views(views, count)
         if self._denoiser is not None and fitted is not None:
             seen = self._denoiser.denoise(seen, fitted)
         mode = self.config.refine if refine is None else refine
-        size = max(
-            1, ACTIVATIONS // (6 * count * max(self.config.dictionary_sizes[0], points_count))
-        )
-        parts = []
-        for start in range(0, max(frames, 1), size):
-            part = _slice(seen, slice(start, start + size))
-            lift = self._feed_forward(part)
-            if mode != "off" and self._found is not None and len(lift.points3d):
-                lift = _refined(lift, part, self._found, fitted, always=mode == "full")
-            parts.append(lift)
-        return join(parts)
+        refiner = None if mode == "off" else self._refiner(fitted, count)
+        answers = _room(frames, count, points_count)
+        before = _room(0, count, points_count) if previous is None else previous.answers()
+        trusted = -1.0 if self._found is None else self._found.trusted
+
+        def work(part: slice) -> None:
+            here = part.start, part.stop
+            feed_forward(self._network, seen, self.foreshortening, trusted, *here, answers)
+            if refiner is not None:
+                refine_frames(refiner, seen, before, mode == "full", *here, answers)
+
+        in_slices(frames, LIFTED if refiner is None else REFINED, work)
+        answered = np.any(seen.usable, axis=1).tolist()
+        status: list[Status] = ["ok" if some else "too_few_keypoints" for some in answered]
+        return Lift(**answers._asdict(), status=tuple(status))
+
+    def _refiner(self, views: Sequence[int] | None, count: int) -> Refiner | None:
+        """Return what refines these views, made once for as many choices of views as are usual."""
+        if self._found is None:
+            return None
+        key = count if views is None else tuple(views)
+        refiner = self._refiners.get(key)
+        if refiner is None:
+            if len(self._refiners) >= REFINERS:
+                self._refiners.clear()
+            refiner = self._refiners[key] = make_refiner(self._found, views, count)
+        return refiner
 
     def _views(self, views: Sequence[int] | None, count: int) -> Sequence[int] | None:
         known = 0 if self._found is None else len(self._found.errors)
@@ -180,48 +214,6 @@ class FittedPrior:
                 f" got {list(views)}"
             )
         return views if known else None
-
-    @torch.inference_mode()
-    def _feed_forward(self, seen: Observations) -> Lift:
-        keypoints, weights = torch.from_numpy(seen.keypoints), torch.from_numpy(seen.weights)
-        sizes, centres = torch.from_numpy(seen.sizes), torch.from_numpy(seen.centres)
-        points, _, guesses = self._network(keypoints, weights)
-        odd = torch.ones(len(points), dtype=torch.bool)
-        if self._found is not None:
-            plain = (points, guesses) if self.foreshortening >= 0 else mirrored(points, guesses)
-            odd = misfit(plain[0], keypoints, weights, plain[1]) > self._found.trusted
-        if odd.any():
-            settled = settle(
-                points[odd], keypoints[odd], weights[odd], guesses[odd], self.foreshortening
-            )
-        if self._found is not None:
-            points, guesses = plain
-        if odd.any():
-            points[odd], guesses[odd] = settled
-        cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
-        distances = (project(points[:, None], cameras) - keypoints).norm(dim=-1)
-        observed = (weights > 0).to(distances.dtype)
-        mean = (distances * observed).sum(-1) / observed.sum(-1).clamp_min(1)
-        answered: NDArray[np.bool_] = np.any(seen.usable, axis=1)
-        shifts = cameras.translations * sizes[..., None] + centres
-        unknown = torch.full_like(shifts, torch.nan)
-        lift = Lift(
-            points3d=points.numpy(),
-            rotations=cameras.rotations.numpy(),
-            scales=(cameras.scales * sizes).numpy(),
-            translations=torch.cat((shifts, unknown[..., :1]), -1).numpy(),
-            focals=unknown.numpy(),
-            principal_points=unknown.numpy().copy(),
-            distortions=np.full((*seen.sizes.shape, COEFFICIENTS), np.nan, np.float32),
-            camera_models=np.where(seen.usable, 0, -1).astype(np.int8),
-            reprojection_errors=(mean * sizes).numpy(),
-            keypoints_used=(seen.weights > 0).sum(-1, dtype=np.int32),
-            status=tuple("ok" if some else "too_few_keypoints" for some in answered),
-        )
-        lift.points3d[~answered] = np.nan
-        for answer in (lift.rotations, lift.scales, lift.translations, lift.reprojection_errors):
-            answer[~seen.usable] = np.nan
-        return lift
 
     def to_bytes(self) -> bytes:
         """Return the prior as safetensors bytes, its configuration in the header."""
@@ -306,7 +298,7 @@ def join(lifts: Sequence[Lift]) -> Lift:
     return Lift(**joined)
 
 
-def weak_perspective(lift: Lift, frames: NDArray[np.int64] | slice = slice(None)) -> Answers:
+def weak_perspective(lift: Lift, frames: NDArray[np.int64] | slice = slice(None)) -> WeakAnswers:
     """Structures, rotations, scales and translations (x, y) of some frames in float64.
 
     Harmless numbers stand where there is no answer.
@@ -326,51 +318,18 @@ def weak_perspective(lift: Lift, frames: NDArray[np.int64] | slice = slice(None)
     )
 
 
-@torch.inference_mode()
-def _refined(
-    lift: Lift,
-    seen: Observations,
-    found: Discovery,
-    views: Sequence[int] | None,
-    *,
-    always: bool,
-) -> Lift:
-    """Refine with perspective what the keypoints allow; other frames stay as they are."""
-    frames = np.flatnonzero(seen.usable.any(1))
-    usable = torch.from_numpy(seen.usable[frames])
-    pixels = seen.keypoints * seen.sizes[..., None, None] + seen.centres[..., None, :]
-    answer = refine_frames(
-        found,
-        torch.from_numpy(np.nan_to_num(pixels[frames])).double(),
-        torch.from_numpy(seen.weights[frames]).double(),
-        weak_perspective(lift, frames),
-        views,
+def _room(frames: int, views: int, keypoints: int) -> Answers:
+    per_view = (frames, views)
+    return Answers(
+        np.empty((frames, keypoints, 3), np.float32),
+        np.empty((*per_view, 3, 3), np.float32),
+        np.empty(per_view, np.float32),
+        np.empty((*per_view, 3), np.float32),
+        np.empty((*per_view, 2), np.float32),
+        np.empty((*per_view, 2), np.float32),
+        np.empty((*per_view, COEFFICIENTS), np.float32),
+        np.empty(per_view, np.int8),
+        np.empty(per_view, np.float32),
+        np.empty(per_view, np.int32),
+        np.empty(frames, np.bool_),
     )
-    fine = answer.fine.numpy()
-    if not always:
-        with np.errstate(invalid="ignore"):
-            ours = np.where(usable, answer.errors.numpy(), 0).sum(1)
-            theirs = np.where(usable, lift.reprojection_errors[frames], 0).sum(1)
-            fine &= ours <= WORSE * theirs
-    chosen = frames[fine]
-    pairs = np.zeros_like(seen.usable)  # views that get a perspective camera
-    pairs[chosen] = seen.usable[chosen]
-    mine = usable.numpy() & fine[:, None]
-    lift.points3d[chosen] = answer.points.numpy()[fine]
-    depths = answer.translations[..., 2].numpy()
-    lens = answer.optics
-    focals, distortion = lens.focals.numpy(), lens.distortion.numpy()
-    _, view = np.nonzero(pairs)
-    lift.rotations[pairs] = answer.rotations.numpy()[mine]
-    lift.translations[pairs] = answer.translations.numpy()[mine]
-    lift.scales[pairs] = focals.mean(1)[view] / depths[mine]
-    lift.focals[pairs] = focals[view]
-    lift.principal_points[pairs] = lens.centres.numpy()[view]
-    lift.distortions[pairs] = distortion[view]
-    lift.camera_models[pairs] = 1 + lens.fisheye.numpy()[view]
-    lift.reprojection_errors[pairs] = answer.errors.numpy()[mine]
-    return lift
-
-
-def _slice(seen: Observations, part: slice) -> Observations:
-    return Observations(*(getattr(seen, field.name)[part] for field in fields(Observations)))

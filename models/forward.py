@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.compiled import compiled
-from models.small import inverse, nearest_rows
+from models.observations import Observations
+from models.small import copy, fill, inverse, nearest_rows, total
 from models.weights import Arrays
 
 Float32 = NDArray[np.float32]
@@ -37,14 +38,20 @@ class Network(NamedTuple):
     biases: Float32  # (B_L + 6,)
 
 
-class Answer(NamedTuple):
-    """Weak-perspective answers of N frames of K views, in units of the normalised views."""
+class Answers(NamedTuple):
+    """The arrays of `models.fitted.Lift`, as the compiled functions write them."""
 
-    points: Float32  # (N, P, 3) root-mean-square radius 1
-    rotations: Float32  # (N, K, 3, 3)
-    scales: Float32  # (N, K)
-    translations: Float32  # (N, K, 2)
-    errors: Float32  # (N, K) mean distance over what was observed
+    points3d: Float32
+    rotations: Float32
+    scales: Float32
+    translations: Float32
+    focals: Float32
+    principal_points: Float32
+    distortions: Float32
+    camera_models: NDArray[np.int8]
+    reprojection_errors: Float32
+    keypoints_used: NDArray[np.int32]
+    continued: NDArray[np.bool_]
 
 
 def lay_out(arrays: Arrays, sizes: tuple[int, ...]) -> Network:
@@ -69,51 +76,76 @@ def lay_out(arrays: Arrays, sizes: tuple[int, ...]) -> Network:
 @compiled
 def feed_forward(
     network: Network,
-    keypoints: Float32,
-    weights: Float32,
+    seen: Observations,
     foreshortening: float,
     trusted: float,
-    answer: Answer,
+    start: int,
+    stop: int,
+    answers: Answers,
 ) -> None:
-    """Answer for normalised keypoints (N, K, P, 2) with weights (N, K, P).
+    """Write weak-perspective answers for frames from `start` to `stop`; NaN where there is none.
 
     Frames whose misfit is beyond `trusted` are settled; with `trusted` negative all are, and
     otherwise the network's structure is mirrored where `foreshortening` says that it must be.
     """
-    frames, views, count, _ = keypoints.shape
-    sizes = network.sizes
-    widest = max(6 * views * max(sizes[0], count), 3 * count)
+    _, views, count, _ = seen.keypoints.shape
+    widest = max(6 * views * max(network.sizes[0], count), 3 * count)
     left, right = np.empty(widest, np.float32), np.empty(widest, np.float32)
     filled = np.empty((views, count, 2), np.float32)
     guesses, rotations = np.empty((views, 3, 3)), np.empty((views, 3, 3))
-    scales, shifts = np.empty(views), np.empty((views, 2))
-    points, own = np.empty((count, 3)), np.empty((count, 3))
-    turned, turned_guesses = np.empty((count, 3)), np.empty((views, 3, 3))
-    for n in range(frames):
-        seen, sure = keypoints[n], weights[n]
-        _reconstruct(network, seen, sure, points, guesses, left, right)
-        if _fill(seen, sure, points, guesses, filled):
+    shift, points = np.empty(2), np.empty((count, 3))
+    turned = np.empty((count, 3))
+    for n in range(start, stop):
+        keypoints, weights = seen.keypoints[n], seen.weights[n]
+        answers.continued[n] = False
+        fill(answers.points3d[n], np.nan)
+        _blank(answers, n, weights)
+        if total(seen.usable[n]) == 0:
+            continue
+        _reconstruct(network, keypoints, weights, points, guesses, left, right)
+        if _fill(keypoints, weights, points, guesses, filled):
             # What is hidden is filled with its reprojection and the views are read once more.
-            _reconstruct(network, filled, sure, points, guesses, left, right)
-        own[:] = points
+            _reconstruct(network, filled, weights, points, guesses, left, right)
         odd = True
         if trusted >= 0:
             if foreshortening < 0:
                 _mirror(points, guesses)
-            odd = _misfit(points, seen, sure, guesses) > trusted
+            odd = _misfit(points, keypoints, weights, guesses) > trusted
         if odd and foreshortening != 0:
             if trusted >= 0 and foreshortening < 0:
                 _mirror(points, guesses)
-            _settle(points, seen, sure, guesses, foreshortening, turned, turned_guesses)
+            _settle(points, keypoints, weights, guesses, foreshortening, turned, rotations)
+        copy(points, answers.points3d[n])
         for k in range(views):
-            scales[k] = _solve_camera(points, seen[k], sure[k], guesses[k], rotations[k], shifts[k])
-            answer.errors[n, k] = _mean_distance(
-                points, seen[k], sure[k], rotations[k], scales[k], shifts[k]
-            )
-        answer.points[n] = points
-        answer.rotations[n] = rotations
-        answer.scales[n] = scales
-        answer.translations[n] = shifts
+            if not seen.usable[n, k]:
+                continue
+            size, rotation = seen.sizes[n, k], rotations[k]
+            scale = _solve_camera(points, keypoints[k], weights[k], guesses[k], rotation, shift)
+            error = _mean_distance(points, keypoints[k], weights[k], rotation, scale, shift)
+            copy(rotation, answers.rotations[n, k])
+            answers.scales[n, k] = scale * size
+            for i in range(2):
+                answers.translations[n, k, i] = shift[i] * size + seen.centres[n, k, i]
+            answers.reprojection_errors[n, k] = error * size
+            answers.camera_models[n, k] = 0
+
+
+@compiled
+def _blank(answers: Answers, n: int, weights: Float32) -> None:
+    """Write that there is no answer for any view of a frame."""
+    for k in range(len(weights)):
+        fill(answers.rotations[n, k], np.nan)
+        answers.scales[n, k] = np.nan
+        fill(answers.translations[n, k], np.nan)
+        fill(answers.focals[n, k], np.nan)
+        fill(answers.principal_points[n, k], np.nan)
+        fill(answers.distortions[n, k], np.nan)
+        answers.camera_models[n, k] = -1
+        answers.reprojection_errors[n, k] = np.nan
+        used = 0
+        for p in range(weights.shape[1]):
+            used += weights[k, p] > 0
+        answers.keypoints_used[n, k] = used
 
 
 @compiled
@@ -151,12 +183,11 @@ def _reconstruct(
         start, threshold = start + m * b, threshold + b
     size = sizes[layers - 1]
     flat = here[: 6 * size * views].reshape(views, 6 * size)
-    total = np.float32(0)
+    votes = np.float32(0)
     for k in range(views):
-        for p in range(count):
-            total += weights[k, p]
+        votes += total(weights[k])
     code = there[:size]
-    code[:] = 0
+    fill(code, 0)
     rows_of_rotation = np.empty((2, 3))
     for k in range(views):
         for i in range(6):
@@ -164,7 +195,7 @@ def _reconstruct(
                 _dot(network.heads[size + i], flat[k]) + network.biases[size + i]
             )
         nearest_rows(rows_of_rotation, guesses[k])
-        vote = weights[k].sum() / max(total, np.float32(1e-6))
+        vote = total(weights[k]) / max(votes, np.float32(1e-6))
         if vote > 0:
             for i in range(size):
                 code[i] += vote * (_dot(network.heads[i], flat[k]) + network.biases[i])
@@ -219,10 +250,10 @@ def _layer(rows: Float32, dictionary: Float32, threshold: Float32, out: Float32)
 
 @compiled
 def _dot(a: Float32, b: Float32) -> np.float32:
-    total = np.float32(0)
+    summed = np.float32(0)
     for i in range(len(a)):
-        total += a[i] * b[i]
-    return total
+        summed += a[i] * b[i]
+    return summed
 
 
 @compiled
@@ -231,7 +262,9 @@ def _normalise(points: Float64) -> None:
     count = len(points)
     squared = 0.0
     for i in range(3):
-        mean = points[:, i].sum() / count
+        mean = 0.0
+        for p in range(count):
+            mean += points[p, i] / count
         for p in range(count):
             points[p, i] -= mean
             squared += points[p, i] ** 2
@@ -249,8 +282,8 @@ def _fill(
     views, count, _ = seen.shape
     hidden = False
     for k in range(views):
-        total = weights[k].sum()
-        hidden = hidden or (0 < total < count)
+        shown = total(weights[k])
+        hidden = hidden or (0 < shown < count)
     if not hidden:
         return False
     rotation, shift = np.empty((3, 3)), np.empty(2)
@@ -296,13 +329,13 @@ def _solve_camera(
 ) -> float:
     """As `models.cameras.solve_cameras`, for one view; returns the scale."""
     count = len(points)
-    total = 0.0
+    summed = 0.0
     for p in range(count):
-        total += weights[p]
-    total = max(total, TINY)
+        summed += weights[p]
+    summed = max(summed, TINY)
     mx, my, mz, mu, mv = 0.0, 0.0, 0.0, 0.0, 0.0
     for p in range(count):
-        w = weights[p] / total
+        w = weights[p] / summed
         mx += w * points[p, 0]
         my += w * points[p, 1]
         mz += w * points[p, 2]
@@ -311,7 +344,7 @@ def _solve_camera(
     xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     xu, yu, zu, xv, yv, zv, spread = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for p in range(count):
-        w = weights[p] / total
+        w = weights[p] / summed
         x, y, z = points[p, 0] - mx, points[p, 1] - my, points[p, 2] - mz
         u, v = image[p, 0] - mu, image[p, 1] - mv
         xx += w * x * x
@@ -377,20 +410,20 @@ def _mean_distance(
     shift: Float64,
 ) -> float:
     """Reprojection error of one view, mean over what was observed."""
-    total, seen = 0.0, 0
+    summed, seen = 0.0, 0
     for p in range(len(points)):
         if weights[p] > 0:
             x, y = _project(points[p], rotation, scale, shift)
-            total += math.sqrt((x - image[p, 0]) ** 2 + (y - image[p, 1]) ** 2)
+            summed += math.sqrt((x - image[p, 0]) ** 2 + (y - image[p, 1]) ** 2)
             seen += 1
-    return total / max(seen, 1)
+    return summed / max(seen, 1)
 
 
 @compiled
 def _misfit(points: Float64, seen: Float32, weights: Float32, guesses: Float64) -> float:
     """As `models.refinement.misfit`, for one frame."""
     rotation, shift = np.empty((3, 3)), np.empty(2)
-    total, number = 0.0, 0
+    summed, number = 0.0, 0
     for k in range(len(seen)):
         observed = 0
         for p in range(len(points)):
@@ -398,9 +431,9 @@ def _misfit(points: Float64, seen: Float32, weights: Float32, guesses: Float64) 
         if observed:
             scale = _solve_camera(points, seen[k], weights[k], guesses[k], rotation, shift)
             error = _mean_distance(points, seen[k], weights[k], rotation, scale, shift)
-            total += observed * error / max(scale, 1e-6)
+            summed += observed * error / max(scale, 1e-6)
             number += observed
-    return total / max(number, 1)
+    return summed / max(number, 1)
 
 
 @compiled
@@ -427,15 +460,15 @@ def _settle(
     """As `models.refinement.settle`, for one frame, in place; the last two are room to work in."""
     views = 0
     for k in range(len(seen)):
-        views += weights[k].sum() > 0
+        views += total(weights[k]) > 0
     mirror = foreshortening < 0
     if views > 0:
-        other[:] = points
+        copy(points, other)
         error = _relax(points, seen, weights, guesses, foreshortening, rotations)
         if views > 1:
             turned = _relax(other, seen, weights, guesses, -foreshortening, rotations)
             if turned < DECISIVE * error:
-                points[:] = other
+                copy(other, points)
                 mirror = not mirror
     if mirror:
         _mirror(points, guesses)
@@ -448,7 +481,8 @@ def _relax(
 ) -> float:
     """Alternate cameras and structure; the root of the summed squared errors."""
     views, count, _ = seen.shape
-    target = seen.copy()
+    target = np.empty((views, count, 2), np.float32)
+    copy(seen, target)
     nearer = np.empty((views, count, 2))
     projected = np.empty((views, count, 2))
     scales, shift = np.empty(views), np.empty(2)
@@ -470,8 +504,8 @@ def _relax(
         if round_ == ROUNDS:
             break
         for p in range(count):
-            normal[:] = 0
-            pull[:] = 0
+            fill(normal, 0)
+            fill(pull, 0)
             for i in range(3):
                 normal[i, i] = STIFFNESS
             for v in range(views):
@@ -504,10 +538,10 @@ def _first_order(
 ) -> None:
     """As `models.refinement.first_order`, for one view."""
     count = len(points)
-    total = 0.0
+    summed = 0.0
     for p in range(count):
-        total += weights[p]
-    total = max(total, 1e-6)
+        summed += weights[p]
+    summed = max(summed, 1e-6)
     z_mean, x_mean, y_mean = 0.0, 0.0, 0.0
     for p in range(count):
         x, y = _project(points[p], rotation, scale, shift)
@@ -518,7 +552,7 @@ def _first_order(
         )
         projected[p, 0], projected[p, 1] = x, y
         nearer[p, 0] = z
-        share = weights[p] / total
+        share = weights[p] / summed
         z_mean += share * z
         x_mean += share * x
         y_mean += share * y
@@ -527,7 +561,7 @@ def _first_order(
         z = nearer[p, 0] - z_mean
         nearer[p, 0] = -z * (projected[p, 0] - x_mean)
         nearer[p, 1] = -z * (projected[p, 1] - y_mean)
-        share = weights[p] / total
+        share = weights[p] / summed
         x_off += share * nearer[p, 0]
         y_off += share * nearer[p, 1]
     for p in range(count):

@@ -1,6 +1,4 @@
-"""Checking 2D keypoints and bringing every view to the same position and size."""
-
-from dataclasses import dataclass
+"""Checking 2D keypoints. Imports nothing but NumPy, so that a store or an API can check cheaply."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,59 +11,6 @@ MIN_CONFIDENCE = 1e-3  # below this a keypoint counts as not observed
 MIN_SIZE = 1e-3  # pixels; a view whose keypoints all coincide shows no shape
 
 Float32 = NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class Observations:
-    """Keypoints ready for the prior: every usable view centred, with root-mean-square radius 1.
-
-    `keypoints * sizes + centres` gives back the pixels. Whatever was not observed, or lies in a
-    view that is not usable, is 0 with weight 0.
-    """
-
-    keypoints: Float32  # (N, K, P, 2) unitless
-    weights: Float32  # (N, K, P) in [0, 1]
-    centres: Float32  # (N, K, 2) pixels
-    sizes: Float32  # (N, K) pixels
-    usable: NDArray[np.bool_]  # (N, K) at least MIN_KEYPOINTS keypoints that do not coincide
-
-
-def as_observations(keypoints: ArrayLike, confidence: ArrayLike | None = None) -> Observations:
-    """Check `keypoints` (N, K, P, 2) in pixels and normalise every view by what it shows.
-
-    A keypoint with a NaN coordinate, or with confidence (N, K, P) under 0.001 or NaN, counts as
-    not observed; other confidences weight it. The centre of a view is the weighted mean of its
-    keypoints, its size the weighted root mean square of their distances to it.
-
-    Raises
-    ------
-    ValueError
-        Wrong shape, infinite or absurd coordinates, confidence outside [0, 1]; the message says
-        what was expected, what came, and how to mend it.
-    """
-    pixels = check_keypoints(keypoints)
-    weights: Float32 = np.all(np.isfinite(pixels), axis=-1).astype(np.float32)
-    if confidence is not None:
-        weights *= check_confidence(confidence, expected=pixels.shape[:3])
-    pixels = np.where(weights[..., None] > 0, pixels, 0)
-
-    total = np.maximum(weights.sum(-1), MIN_CONFIDENCE)
-    centres: Float32 = (pixels * weights[..., None]).sum(-2) / total[..., None]
-    offsets = (pixels - centres[..., None, :]) * (weights > 0)[..., None]
-    sizes = np.sqrt((weights * np.square(offsets).sum(-1)).sum(-1) / total)
-    usable: NDArray[np.bool_] = np.logical_and(
-        (weights > 0).sum(-1) >= MIN_KEYPOINTS, sizes > MIN_SIZE
-    )
-    sizes = np.where(usable, sizes, np.float32(1))
-    return Observations(
-        keypoints=np.where(
-            usable[..., None, None], offsets / sizes[..., None, None], np.float32(0)
-        ),
-        weights=weights * usable[..., None],
-        centres=centres,
-        sizes=sizes,
-        usable=usable,
-    )
 
 
 def check_keypoints(keypoints: ArrayLike) -> Float32:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from models.compiled import compiled
 from models.optics import Lenses, derive, see
-from models.small import cholesky, cholesky_solve, inverse, product, turn
+from models.small import cholesky, cholesky_solve, copy, fill, inverse, product, turn
 
 Float64 = NDArray[np.float64]
 
@@ -88,10 +88,10 @@ def make_pose(count: int, groups: int) -> Pose:
 @compiled
 def copy_pose(source: Pose, target: Pose) -> None:
     """Copy the unknowns of a frame."""
-    target.points[:] = source.points
-    target.rotations[:] = source.rotations
-    target.translations[:] = source.translations
-    target.sizes[:] = source.sizes
+    copy(source.points, target.points)
+    copy(source.rotations, target.rotations)
+    copy(source.translations, target.translations)
+    copy(source.sizes, target.sizes)
 
 
 @compiled
@@ -183,7 +183,7 @@ def cost_of(
                 if squared > OUTLIER**2:
                     squared = 2 * OUTLIER * math.sqrt(squared) - OUTLIER**2
                 total += squared
-    total += whiten(pose.points, mean, scale, shapes, np.empty_like(pose.points))[0]
+    total += whiten(pose.points, mean, scale, shapes, np.empty((len(pose.points), 3)))[0]
     for g in range(len(pose.sizes)):
         total += cameras.size_precision[g] * pose.sizes[g] ** 2
     return total if math.isfinite(total) else np.inf
@@ -204,13 +204,13 @@ def linearise(
     """Write the normal equations; with `shared` also those of the rig, ten numbers a view."""
     count, groups, components = len(pose.points), len(pose.sizes), shapes.basis.shape[1]
     size = POSE * groups + components
-    out.points[:] = 0
-    out.coupling[:] = 0
-    out.rest[:] = 0
-    out.pull_rest[:] = 0
+    fill(out.points, 0)
+    fill(out.coupling, 0)
+    fill(out.rest, 0)
+    fill(out.pull_rest, 0)
     # Rows of the two residuals: 7 numbers of the pose, 10 of the view.
     own = POSE + (VIEW if shared else 0)
-    rows, columns = np.empty((2, POSE + VIEW)), np.empty(POSE + VIEW, np.int64)
+    rows, inner, pull = np.empty((2, own)), np.empty((own, own)), np.empty(own)
     by_point, by_camera, by_held = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
     by_optics, residual = np.empty((2, OPTICS)), np.empty(2)
     turned, held, camera, pixel = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
@@ -234,8 +234,9 @@ def linearise(
         g = cameras.groups[k]
         growth = math.exp(pose.sizes[g])
         outward, rotation = cameras.rotations[k], pose.rotations[g]
-        for a in range(own):
-            columns[a] = POSE * g + a if a < POSE else size + VIEW * k + a - POSE
+        here, there = POSE * g, size + VIEW * k - POSE  # where the columns of pose and view begin
+        fill(inner, 0)
+        fill(pull, 0)
         for p in range(count):
             if not weights[k, p] > 0:
                 continue
@@ -261,30 +262,40 @@ def linearise(
                         + by_held[a, 2] * rotation[2, i]
                     )
                 _turning(by_held[a], turned, rows[a, :3])
-                rows[a, 3:6] = by_held[a]
+                for i in range(3):
+                    rows[a, 3 + i] = by_held[a, i]
                 rows[a, 6] = (
                     by_held[a, 0] * turned[0]
                     + by_held[a, 1] * turned[1]
                     + by_held[a, 2] * turned[2]
                 )
                 if shared:
-                    rows[a, POSE : POSE + OPTICS] = by_optics[a]
+                    for i in range(OPTICS):
+                        rows[a, POSE + i] = by_optics[a, i]
                     for i in range(3):  # C v
                         held[i] = camera[i] - cameras.translations[k, i]
                     _turning(by_camera[a], held, rows[a, POSE + OPTICS : POSE + OPTICS + 3])
-                    rows[a, POSE + OPTICS + 3 :] = by_camera[a]
+                    for i in range(3):
+                        rows[a, POSE + OPTICS + 3 + i] = by_camera[a, i]
             for i in range(3):
                 u, v = w * by_point[0, i], w * by_point[1, i]
                 out.pull_points[p, i] += u * residual[0] + v * residual[1]
                 for j in range(3):
                     out.points[p, i, j] += u * by_point[0, j] + v * by_point[1, j]
-                for a in range(own):
-                    out.coupling[p, i, columns[a]] += u * rows[0, a] + v * rows[1, a]
+                for a in range(POSE):
+                    out.coupling[p, i, here + a] += u * rows[0, a] + v * rows[1, a]
+                for a in range(POSE, own):
+                    out.coupling[p, i, there + a] += u * rows[0, a] + v * rows[1, a]
             for a in range(own):
                 u, v = w * rows[0, a], w * rows[1, a]
-                out.pull_rest[columns[a]] += u * residual[0] + v * residual[1]
+                pull[a] += u * residual[0] + v * residual[1]
                 for b in range(own):
-                    out.rest[columns[a], columns[b]] += u * rows[0, b] + v * rows[1, b]
+                    inner[a, b] += u * rows[0, b] + v * rows[1, b]
+        for a in range(own):
+            row = a + (here if a < POSE else there)
+            out.pull_rest[row] += pull[a]
+            for b in range(own):
+                out.rest[row, b + (here if b < POSE else there)] += inner[a, b]
 
 
 @compiled
@@ -311,7 +322,7 @@ def eliminate(
             reduced[a, b] = equations.rest[a, b]
         reduced[a, a] += damping * equations.rest[a, a] + 1e-12
     for p in range(len(inverses)):
-        block[:] = equations.points[p]
+        copy(equations.points[p], block)
         for i in range(3):
             block[i, i] += damping * equations.points[p, i, i]
         inverse(block, inverses[p])

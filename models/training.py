@@ -19,8 +19,8 @@ from models.config import FitConfig
 from models.denoising import learn_views
 from models.discovery import ImageSizes
 from models.fitted import CurvePoint, FittedPrior
-from models.keypoints import Observations, as_observations
 from models.losses import objective
+from models.observations import Observations, as_observations
 from models.prior import HierarchicalPrior
 from models.schedule import Schedule
 from models.teaching import Teaching

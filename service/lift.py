@@ -243,7 +243,7 @@ async def lift(
     return await run(
         partial(arrays_response, format=format, filename="lift"),
         request,
-        lift_arrays(lifted),
+        lifted.arrays,
         {"model": asked.model},
     )
 

@@ -136,4 +136,4 @@ def _lift_again(
         )
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
     prior = engine.prior(fit.model_id)
-    return lift_arrays(prior.lift(capture.keypoints, confidence=capture.confidence, refine=refine))
+    return prior.lift(capture.keypoints, confidence=capture.confidence, refine=refine).arrays

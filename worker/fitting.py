@@ -100,7 +100,7 @@ def _run(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings)
         store,
         attempt,
         weights=prior.to_bytes(),
-        reconstruction=_to_bytes(lift),
+        reconstruction=save(lift.arrays),
         progress=pulse.progress,
         describe={
             "dataset_id": fit.dataset_id,
@@ -155,11 +155,6 @@ def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]
             "pck_threshold": threshold,
         }
     return figures
-
-
-def _to_bytes(lift: Lift) -> bytes:
-    """Return a lift's arrays as safetensors; the names are those of the API."""
-    return save({name: array for name, array in vars(lift).items() if name != "status"})
 
 
 def _fail(store: Store, attempt: Attempt, code: str, message: str) -> None:

@@ -307,7 +307,9 @@ def test_the_cost_is_the_sum_of_the_squares(*, outliers: bool) -> None:
 
 def test_heavy_tails_are_the_best_of_all_wider_gaussians() -> None:
     problem = make(heavy=True)
-    blind = replace(problem, views=problem.views._replace(weights=torch.zeros_like(problem.views.weights)))
+    blind = replace(
+        problem, views=problem.views._replace(weights=torch.zeros_like(problem.views.weights))
+    )
     sizes = (problem.precision * problem.scene.sizes.square()).sum(1)
     found = cost(blind.views, blind.rig, blind.prior, blind.precision, blind.scene) - sizes
     normal = linearised(blind, shared=False)
@@ -391,10 +393,10 @@ def test_eliminating_the_points_first_solves_the_dense_equations(damping: float)
     for frame in (0, 2):  # without the moving camera, the second frame leaves its pose open
         own = Equations(*(a[frame].numpy() for a in normal))
         eliminate(own, damping, inverse, reduced, right)
-        reduced = np.tril(reduced) + np.tril(reduced, -1).T
+        whole = np.tril(reduced) + np.tril(reduced, -1).T
         matrix, pull = dense(normal, frame)
         expected = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), pull)
-        rest = np.linalg.solve(reduced, right)
+        rest = np.asarray(np.linalg.solve(whole, right), np.float64)
         left = normal.pull_points[frame] - normal.coupling[frame] @ tensor(rest)
         points = (inverse @ left.numpy()[..., None]).flatten()
         np.testing.assert_allclose(rest, expected[3 * POINTS :], rtol=1e-6, atol=1e-9)

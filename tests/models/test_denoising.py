@@ -6,8 +6,8 @@ import pytest
 from models.config import FitConfig
 from models.denoising import ViewModel, learn_views
 from models.fitted import FittedPrior
-from models.keypoints import as_observations
 from models.metrics import pa_mpjpe
+from models.observations import as_observations
 from models.training import fit
 from tests.models.stage import Float64
 

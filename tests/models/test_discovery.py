@@ -12,9 +12,8 @@ from models.adjustment import Scene
 from models.calibration import Camera, Intrinsics, KnownLength
 from models.config import FitConfig
 from models.discovery import Discovery, NothingFoundError, discover
-from models.found import FoundCameras
+from models.found import FoundCameras, report
 from models.metrics import pa_mpjpe
-from models.perspective import report
 from tests.models.stage import FOCAL, IMAGE_SIZE, Lens, Stage, keypoint, make_stage
 
 Float64 = NDArray[np.float64]

@@ -6,8 +6,8 @@ import torch
 
 from models.config import FitConfig, Refine
 from models.distillation import Teachers, find_teachers
-from models.keypoints import as_observations
 from models.metrics import pa_mpjpe
+from models.observations import as_observations
 from models.prior import HierarchicalPrior
 from models.synthetic import SyntheticCapture, synthetic_capture
 from models.training import Trainer, fit

@@ -3,7 +3,7 @@ import re
 import numpy as np
 import pytest
 
-from models.keypoints import as_observations
+from models.observations import as_observations
 
 
 def _views(*shape: int) -> np.ndarray:

@@ -64,8 +64,8 @@ def run(clients: Callable[[], Awaitable[Any]]) -> Any:
 
 def check(found: Lift, expected: Lift) -> None:
     assert found.status == expected.status
-    for name, array in lift_arrays(found).items():
-        known = lift_arrays(expected)[name]
+    for name, array in found.arrays.items():
+        known = expected.arrays[name]
         np.testing.assert_allclose(array, known, rtol=1e-3, atol=1e-4, err_msg=name)
 
 

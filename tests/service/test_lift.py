@@ -260,21 +260,20 @@ def test_every_kind_of_camera_on_the_wire() -> None:
 
     translations = values(3)
     translations[0, 0, 2] = np.nan
-    arrays = lift_arrays(
-        Lift(
-            points3d=rng.uniform(-1, 1, (1, 5, 3)).astype(np.float32),
-            rotations=values(3, 3),
-            scales=values(),
-            translations=translations,
-            focals=values(2, of=models > 0),
-            principal_points=values(2, of=models > 0),
-            distortions=values(8, of=models > 0),
-            camera_models=models,
-            reprojection_errors=values(),
-            keypoints_used=np.array([[5, 5, 5, 0]], np.int32),
-            status=("ok",),
-        )
-    )
+    arrays = Lift(
+        points3d=rng.uniform(-1, 1, (1, 5, 3)).astype(np.float32),
+        rotations=values(3, 3),
+        scales=values(),
+        translations=translations,
+        focals=values(2, of=models > 0),
+        principal_points=values(2, of=models > 0),
+        distortions=values(8, of=models > 0),
+        camera_models=models,
+        reprojection_errors=values(),
+        keypoints_used=np.array([[5, 5, 5, 0]], np.int32),
+        continued=np.zeros(1, np.bool_),
+        status=("ok",),
+    ).arrays
     frames = orjson.loads(orjson.dumps(frames_json(arrays)))
     check_json(frames, arrays)
     TypeAdapter(list[LiftedFrame]).validate_python(frames)
