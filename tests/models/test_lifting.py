@@ -59,7 +59,7 @@ def some(lift: Lift, frames: Any, views: Any = slice(None)) -> Lift:
     parts: dict[str, Any] = {"status": tuple(np.array(lift.status)[frames])}
     for field in dataclasses.fields(Lift):
         value = getattr(lift, field.name)
-        if field.name == "points3d":
+        if field.name in ("points3d", "continued"):
             parts[field.name] = value[frames]
         elif field.name != "status":
             parts[field.name] = value[frames][:, views]
