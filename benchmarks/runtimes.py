@@ -30,7 +30,7 @@ from benchmarks import arithmetic
 from benchmarks.arithmetic import Constants, Library, feed_forward, fold
 from benchmarks.captures import add_options, from_options, model_from_options
 from benchmarks.figures import Results, Row, command, console, spread, take_turns
-from models.keypoints import as_observations
+from models.observations import as_observations
 from models.prior import HierarchicalPrior
 
 PRODUCTS = "matrix products alone"

@@ -8,7 +8,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.arithmetic import feed_forward, fold, products
 from benchmarks.captures import studio
 from benchmarks.runtimes import NUMPY
-from models.keypoints import as_observations
+from models.observations import as_observations
 from models.prior import HierarchicalPrior
 
 SIZES = (32, 16, 8)
