@@ -6,14 +6,9 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from models.fitted import CAMERA_MODELS, REASONS, Lift
+from models.fitted import CAMERA_MODELS, REASONS
 
 Arrays = dict[str, NDArray[Any]]
-
-
-def lift_arrays(lift: Lift) -> Arrays:
-    """Return a lift's arrays by name: those of its fields that are of numbers, frames first."""
-    return {n: array for n, array in vars(lift).items() if n not in ("status", "continued")}
 
 
 def frames_to_json(arrays: Arrays) -> list[bytes]:
@@ -26,7 +21,7 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
     Parameters
     ----------
     arrays
-        What :func:`lift_arrays` gives; NaN, and -1 in ``camera_models``, where there is no answer.
+        What `Lift.arrays` gives; NaN, and -1 in ``camera_models``, where there is no answer.
     """
     models = arrays["camera_models"]
     views = np.full(models.shape, b"null", object)

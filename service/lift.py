@@ -13,7 +13,6 @@ from starlette.responses import Response
 from models import fitted
 from models.config import Index, Refine
 from models.fitted import FittedPrior
-from models.lift_json import lift_arrays
 from service.bodies import request_body
 from service.engine import Engine
 from service.errors import BODY_PROBLEMS, invalid, problems

@@ -9,7 +9,6 @@ from safetensors.numpy import load
 from starlette.responses import Response
 
 from models.config import Refine
-from models.lift_json import lift_arrays
 from service.arrays import Arrays
 from service.deps import EngineDep, SettingsDep, StoreDep
 from service.errors import invalid, problems

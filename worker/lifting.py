@@ -9,7 +9,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from models.config import Refine
 from models.fitted import FittedPrior, Lift, join
-from models.lift_json import frames_to_json, lift_arrays
+from models.lift_json import frames_to_json
 from store import datasets, lift_chunks, lifts, models
 from store.database import Store
 from store.errors import LeaseLostError, NotFoundError
@@ -88,6 +88,6 @@ def _do(store: Store, helper: Helper, chunk: LiftChunk, pulse: Pulse, prior: Fit
                 views=lift.views,
             )
         )
-    arrays = lift_arrays(join(parts))
+    arrays = join(parts).arrays
     lines = b"\n".join((*frames_to_json(arrays), b""))
     lift_chunks.finish(store, helper, chunk, arrays=arrays, lines=lines)

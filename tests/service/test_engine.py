@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from models.fitted import FittedPrior, Lift
-from models.lift_json import lift_arrays
 from models.synthetic import SyntheticCapture
 from service.engine import REFINED_FRAMES, SLICE_FRAMES, Engine
 from service.settings import Settings
