@@ -15,11 +15,10 @@ from models.config import FitConfig, Refine
 from models.denoising import ViewModel
 from models.discovery import Answers as WeakAnswers
 from models.discovery import Discovery
-from models.forward import Answers, feed_forward, lay_out
+from models.forward import Answers, feed_forward, lay_out, make_answers
 from models.found import array_shapes, from_arrays, report, to_arrays
 from models.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS
 from models.observations import as_observations
-from models.optics import COEFFICIENTS
 from models.perspective import Refiner, make_refiner, refine_frames
 from models.prior import parameter_shapes
 from models.slices import in_slices
@@ -172,8 +171,8 @@ class FittedPrior:
             seen = self._denoiser.denoise(seen, fitted)
         mode = self.config.refine if refine is None else refine
         refiner = None if mode == "off" else self._refiner(fitted, count)
-        answers = _room(frames, count, points_count)
-        before = _room(0, count, points_count) if previous is None else previous.answers()
+        answers = make_answers(frames, count, points_count)
+        before = make_answers(0, count, points_count) if previous is None else previous.answers()
         trusted = -1.0 if self._found is None else self._found.trusted
 
         def work(part: slice) -> None:
@@ -315,21 +314,4 @@ def weak_perspective(lift: Lift, frames: NDArray[np.int64] | slice = slice(None)
         rotations,
         number(lift.scales, 1),
         number(lift.translations[..., :2], 0),
-    )
-
-
-def _room(frames: int, views: int, keypoints: int) -> Answers:
-    per_view = (frames, views)
-    return Answers(
-        np.empty((frames, keypoints, 3), np.float32),
-        np.empty((*per_view, 3, 3), np.float32),
-        np.empty(per_view, np.float32),
-        np.empty((*per_view, 3), np.float32),
-        np.empty((*per_view, 2), np.float32),
-        np.empty((*per_view, 2), np.float32),
-        np.empty((*per_view, COEFFICIENTS), np.float32),
-        np.empty(per_view, np.int8),
-        np.empty(per_view, np.float32),
-        np.empty(per_view, np.int32),
-        np.empty(frames, np.bool_),
     )

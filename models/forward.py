@@ -10,8 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from models.cameras import RIDGE, TINY
 from models.compiled import compiled
 from models.observations import Observations
+from models.optics import COEFFICIENTS
+from models.refinement import DECISIVE, ROUNDS, STIFFNESS
 from models.small import copy, fill, inverse, nearest_rows, total
 from models.weights import Arrays
 
@@ -19,10 +22,6 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 PANEL = 256  # columns of a layer at a time: rows of so many stay in the nearest cache
-ROUNDS = 2  # of settling
-STIFFNESS = 0.05  # pull to the network's structure, where one view seen head-on pulls with about 1
-DECISIVE = 0.8  # a frame leaves the handedness of the fit if its error falls below this share
-RIDGE, TINY = 1e-4, 1e-12  # as in `models.cameras`
 
 
 class Network(NamedTuple):
@@ -52,6 +51,24 @@ class Answers(NamedTuple):
     reprojection_errors: Float32
     keypoints_used: NDArray[np.int32]
     continued: NDArray[np.bool_]
+
+
+def make_answers(frames: int, views: int, keypoints: int) -> Answers:
+    """Room for the answers of N frames of K views with P keypoints."""
+    per_view = (frames, views)
+    return Answers(
+        np.empty((frames, keypoints, 3), np.float32),
+        np.empty((*per_view, 3, 3), np.float32),
+        np.empty(per_view, np.float32),
+        np.empty((*per_view, 3), np.float32),
+        np.empty((*per_view, 2), np.float32),
+        np.empty((*per_view, 2), np.float32),
+        np.empty((*per_view, COEFFICIENTS), np.float32),
+        np.empty(per_view, np.int8),
+        np.empty(per_view, np.float32),
+        np.empty(per_view, np.int32),
+        np.empty(frames, np.bool_),
+    )
 
 
 def lay_out(arrays: Arrays, sizes: tuple[int, ...]) -> Network:
@@ -421,7 +438,7 @@ def _mean_distance(
 
 @compiled
 def _misfit(points: Float64, seen: Float32, weights: Float32, guesses: Float64) -> float:
-    """As `models.refinement.misfit`, for one frame."""
+    """Reprojection error of a frame in units of the structure, mean over what was observed."""
     rotation, shift = np.empty((3, 3)), np.empty(2)
     summed, number = 0.0, 0
     for k in range(len(seen)):

@@ -90,17 +90,6 @@ def mirrored(points: Tensor, rotations: Tensor) -> tuple[Tensor, Tensor]:
     return points * mirror, mirror[:, None] * rotations * mirror
 
 
-def misfit(points: Tensor, keypoints: Tensor, weights: Tensor, guesses: Tensor) -> Tensor:
-    """Reprojection error (N,) of structures, in units of the structure; mean over views."""
-    cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
-    distances = (project(points[:, None], cameras) - keypoints).norm(dim=-1)
-    observed = (weights > 0).to(distances.dtype)
-    total = observed.sum((1, 2)).clamp_min(1)
-    scales = cameras.scales.clamp_min(1e-6)[..., None]
-    error: Tensor = (observed * distances / scales).sum((1, 2)) / total
-    return error
-
-
 def estimate_foreshortening(
     points: Tensor, keypoints: Tensor, weights: Tensor, guesses: Tensor, *, rounds: int = ROUNDS
 ) -> float:

@@ -203,7 +203,7 @@ class Teaching:
 
 
 def _misfits(lift: Lift) -> NDArray[np.float64]:
-    """Reprojection error (N,) in units of the structure, as `models.refinement.misfit`."""
+    """Reprojection error (N,) in units of the structure, as `models.forward` measures it."""
     used = lift.keypoints_used
     total = np.nansum(used * lift.reprojection_errors / lift.scales, axis=1)
     return np.asarray(total / used.sum(1), np.float64)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -195,6 +196,52 @@ def test_a_camera_that_was_moved_since_does_no_harm(prior: FittedPrior) -> None:
     lift = prior.lift(later.keypoints)
     assert np.median(lift.reprojection_errors) < 2
     assert pa_mpjpe(lift.points3d, later.points3d, reflection="never").mean < 0.04
+
+
+def test_a_lift_may_start_from_the_one_before(stage: Stage, prior: FittedPrior) -> None:
+    first = prior.lift(stage.keypoints)
+    assert not first.continued.any()
+    again = prior.lift(stage.keypoints, previous=first)
+    assert again.continued.mean() > 0.9
+    assert (again.continued <= (again.camera_models == PERSPECTIVE).all(1)).all()
+    error, before = (
+        pa_mpjpe(x.points3d, stage.points3d, reflection="never").mean for x in (again, first)
+    )
+    assert error == pytest.approx(before, rel=0.02)
+    assert again.reprojection_errors.mean() <= 1.001 * first.reprojection_errors.mean()
+
+
+def test_what_was_before_may_be_anything(stage: Stage, prior: FittedPrior) -> None:
+    plain = prior.lift(stage.keypoints)
+    blind = prior.lift(np.full_like(stage.keypoints, np.nan))
+    same(prior.lift(stage.keypoints, previous=blind), plain)
+    weak = prior.lift(stage.keypoints, refine="off")
+    same(prior.lift(stage.keypoints, previous=weak), plain)
+    # Somebody else, elsewhere, upside down: the network's answer is the better start.
+    other = dataclasses.replace(
+        plain, rotations=plain.rotations @ np.diag([1, -1, -1]).astype(np.float32)
+    )
+    same(prior.lift(stage.keypoints, previous=other), plain)
+
+
+def test_what_was_before_must_be_of_the_same_frames_and_views(
+    stage: Stage, prior: FittedPrior
+) -> None:
+    plain = prior.lift(stage.keypoints)
+    for wrong in (some(plain, slice(1, None)), some(plain, slice(None), [0, 1])):
+        with pytest.raises(ValueError, match="previous must have the shape"):
+            prior.lift(stage.keypoints, previous=wrong)
+
+
+def test_several_threads_lift_as_one(stage: Stage, prior: FittedPrior) -> None:
+    keypoints = np.tile(stage.keypoints, (5, 1, 1, 1))  # more than a slice
+    alone = prior.lift(keypoints)
+    torch.set_num_threads(2)
+    try:
+        same(prior.lift(keypoints), alone)
+        same(prior.lift(keypoints, refine="off"), prior.lift(keypoints, refine="off"))
+    finally:
+        torch.set_num_threads(1)
 
 
 def test_results_have_the_users_unit_and_the_users_rig() -> None:

@@ -1,0 +1,55 @@
+"""Compiling ahead: what a lift needs, before anybody waits for it.
+
+    python -m models.ahead
+
+A first lift compiles for some seconds, and later processes read what it left (`models.compiled`).
+"""
+
+import numpy as np
+import torch
+
+from models.adjustment import Rig
+from models.config import FitConfig
+from models.discovery import Discovery
+from models.fitted import FittedPrior
+from models.optics import COEFFICIENTS, Optics
+from models.prior import HierarchicalPrior
+from models.shape import Doubts, ShapeModel
+
+VIEWS, KEYPOINTS, ATOMS = 2, 4, 2
+
+
+def compile_lifts() -> None:
+    """Lift a frame of noise with a prior of noise in every way there is."""
+    network = HierarchicalPrior(KEYPOINTS, (ATOMS,))
+    network.initialise(0)
+    rng = np.random.default_rng(0)
+    shapes = torch.from_numpy(rng.standard_normal((KEYPOINTS, 3)))
+    nothing = torch.zeros(VIEWS, 10, dtype=torch.float64)
+    optics = Optics(
+        nothing[:, :2] + 1000,
+        nothing[:, :2],
+        nothing[:, :COEFFICIENTS],
+        torch.zeros(VIEWS, dtype=torch.bool),
+    )
+    eye = torch.eye(3, dtype=torch.float64).repeat(VIEWS, 1, 1)
+    found = Discovery(
+        rig=Rig(optics, torch.zeros(VIEWS, dtype=torch.long), eye, nothing[:, :3]),
+        deviations=nothing,
+        shapes=ShapeModel(shapes, shapes[..., None], 1.0),
+        doubts=Doubts(shapes[..., None], 1.0, torch.ones(1, dtype=torch.float64)),
+        trusted=0.0,
+        noise=1.0,
+        unit=1.0,
+        errors=nothing[:, 0],
+        reason="",
+        warnings=(),
+    )
+    weights = {name: value.detach() for name, value in network.named_parameters()}
+    prior = FittedPrior(FitConfig(dictionary_sizes=(ATOMS,)), weights, (), 0.1, found)
+    keypoints = rng.normal(0, 100, (1, VIEWS, KEYPOINTS, 2))
+    prior.lift(keypoints, previous=prior.lift(keypoints, refine="full"))
+
+
+if __name__ == "__main__":
+    compile_lifts()
