@@ -1,6 +1,5 @@
 """Fits: jobs that turn a dataset into a model."""
 
-import logging
 from collections.abc import AsyncIterator
 from contextlib import suppress
 from datetime import datetime
@@ -29,11 +28,9 @@ from service.events import JobStatus, LastEventId, job_events
 from service.idempotency import idempotency
 from service.uploads import UploadBody
 from store import fits, jobs, records
-from worker.queue import enqueue
+from worker.queue import offer
 
 router = APIRouter(prefix="/fits", tags=["fits"])
-
-logger = logging.getLogger(__name__)
 
 
 class FitCreate(BaseModel):
@@ -206,10 +203,7 @@ def create_fit(
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )
     if record.status == "queued":
-        try:
-            enqueue(queue, record)
-        except redis.exceptions.RedisError:
-            logger.warning("The queue is away: %s waits in the records", record.id)
+        offer(queue, record)
     response.headers["Location"] = f"/fits/{record.id}"
     return Fit.of(record)
 

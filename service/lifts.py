@@ -1,12 +1,10 @@
 """Big lifts: jobs that lift a stored dataset of any length."""
 
-import logging
 from collections.abc import AsyncIterator
 from datetime import datetime
 from functools import partial
 from typing import Annotated, Self
 
-import redis.exceptions
 from fastapi import APIRouter, Depends, Query, Request, Response, status
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
@@ -41,11 +39,9 @@ from service.uploads import UploadBody
 from store import datasets, jobs, lifts, records
 from store.errors import ConflictError
 from store.lift_files import Format, result_file
-from worker.queue import enqueue
+from worker.queue import offer
 
 router = APIRouter(prefix="/lifts", tags=["lifts"])
-
-logger = logging.getLogger(__name__)
 
 JSON_LINES = "application/x-ndjson"
 FORMATS: dict[str, Format] = {
@@ -202,10 +198,7 @@ def create_lift(
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )
     if record.status == "queued":
-        try:
-            enqueue(queue, record)
-        except redis.exceptions.RedisError:
-            logger.warning("The queue is away: %s waits in the records", record.id)
+        offer(queue, record)
     response.headers["Location"] = f"/lifts/{record.id}"
     return LiftJob.of(record)
 

@@ -2,12 +2,14 @@
 
 import io
 import json
+import logging
 import pickle
 from typing import Any
 
 from pydantic import BaseModel, Field
 from redis import Redis
 from redis.backoff import ExponentialWithJitterBackoff
+from redis.exceptions import RedisError
 from redis.retry import Retry
 from rq import Queue
 from rq.job import Job
@@ -16,6 +18,8 @@ from models.config import FitConfig, Index, Refine
 from models.keypoints import MAX_VIEWS
 from store.lifts import waiting_job
 from store.records import Fit, Lift
+
+logger = logging.getLogger(__name__)
 
 QUEUE = "fits"
 FIT_JOB = "worker.jobs.fit"
@@ -119,6 +123,14 @@ def enqueue(queue: Queue, record: Fit | Lift) -> None:
         failure_ttl=FAILURE_SECONDS,
         meta={f"{type(record).__name__.lower()}_id": record.id},
     )
+
+
+def offer(queue: Queue, record: Fit | Lift) -> None:
+    """Do the same if the queue can be reached; if not, a reconciler will when it is back."""
+    try:
+        enqueue(queue, record)
+    except RedisError:
+        logger.warning("The queue is away: %s waits in the records", record.id)
 
 
 class FitArguments(BaseModel):
