@@ -19,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from models.compiled import compiled
+from models.compiled import compiled, inner
 from models.optics import Optics, lenses
 from models.posterior import (
     CONVERGED,
@@ -192,7 +192,7 @@ def _costs(problem: _Problem, poses: Pose, start: int, stop: int, costs: Float64
         )
 
 
-@compiled
+@inner
 def _pose(poses: Pose, n: int) -> Pose:
     return Pose(poses.points[n], poses.rotations[n], poses.translations[n], poses.sizes[n])
 
@@ -243,7 +243,7 @@ def _linearise(
         )
 
 
-@compiled
+@inner
 def _equations(all_of_them: Equations, n: int) -> Equations:
     return Equations(
         all_of_them.points[n],

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.cameras import RIDGE, TINY
-from models.compiled import compiled
+from models.compiled import compiled, inner
 from models.observations import Observations
 from models.optics import COEFFICIENTS
 from models.refinement import DECISIVE, ROUNDS, STIFFNESS
@@ -147,7 +147,7 @@ def feed_forward(
             answers.camera_models[n, k] = 0
 
 
-@compiled
+@inner
 def _blank(answers: Answers, n: int, weights: Float32) -> None:
     """Write that there is no answer for any view of a frame."""
     for k in range(len(weights)):
@@ -165,7 +165,7 @@ def _blank(answers: Answers, n: int, weights: Float32) -> None:
         answers.keypoints_used[n, k] = used
 
 
-@compiled
+@inner
 def _reconstruct(
     network: Network,
     seen: Float32,
@@ -232,7 +232,7 @@ def _reconstruct(
     _normalise(points)
 
 
-@compiled
+@inner
 def _layer(rows: Float32, dictionary: Float32, threshold: Float32, out: Float32) -> None:
     """Paper eq. "encoder": ReLU(rows (n, m) D (m, b) - threshold), in panels."""
     n, m = rows.shape
@@ -265,7 +265,7 @@ def _layer(rows: Float32, dictionary: Float32, threshold: Float32, out: Float32)
                 out[i, j] = max(out[i, j], np.float32(0))
 
 
-@compiled
+@inner
 def _dot(a: Float32, b: Float32) -> np.float32:
     summed = np.float32(0)
     for i in range(len(a)):
@@ -273,7 +273,7 @@ def _dot(a: Float32, b: Float32) -> np.float32:
     return summed
 
 
-@compiled
+@inner
 def _normalise(points: Float64) -> None:
     """Centre (P, 3) and bring it to root-mean-square radius 1."""
     count = len(points)
@@ -291,7 +291,7 @@ def _normalise(points: Float64) -> None:
             points[p, i] /= radius
 
 
-@compiled
+@inner
 def _fill(
     seen: Float32, weights: Float32, points: Float64, guesses: Float64, filled: Float32
 ) -> bool:
@@ -326,7 +326,7 @@ def _fill(
     return True
 
 
-@compiled
+@inner
 def _project(
     point: Float64, rotation: Float64, scale: float, shift: Float64
 ) -> tuple[float, float]:
@@ -335,7 +335,7 @@ def _project(
     return scale * x + shift[0], scale * y + shift[1]
 
 
-@compiled
+@inner
 def _solve_camera(
     points: Float64,
     image: Float32,
@@ -417,7 +417,7 @@ def _solve_camera(
     return scale
 
 
-@compiled
+@inner
 def _mean_distance(
     points: Float64,
     image: Float32,
@@ -436,7 +436,7 @@ def _mean_distance(
     return summed / max(seen, 1)
 
 
-@compiled
+@inner
 def _misfit(points: Float64, seen: Float32, weights: Float32, guesses: Float64) -> float:
     """Reprojection error of a frame in units of the structure, mean over what was observed."""
     rotation, shift = np.empty((3, 3)), np.empty(2)
@@ -453,7 +453,7 @@ def _misfit(points: Float64, seen: Float32, weights: Float32, guesses: Float64) 
     return summed / max(number, 1)
 
 
-@compiled
+@inner
 def _mirror(points: Float64, guesses: Float64) -> None:
     """Turn a structure into its mirror image through the x-y plane, which looks alike."""
     for p in range(len(points)):
@@ -464,7 +464,7 @@ def _mirror(points: Float64, guesses: Float64) -> None:
             guesses[k, 2, i] = -guesses[k, 2, i]
 
 
-@compiled
+@inner
 def _settle(
     points: Float64,
     seen: Float32,
@@ -492,7 +492,7 @@ def _settle(
     _normalise(points)
 
 
-@compiled
+@inner
 def _relax(
     points: Float64, seen: Float32, weights: Float32, guesses: Float64, k: float, rotations: Float64
 ) -> float:
@@ -543,7 +543,7 @@ def _relax(
     return math.sqrt(squared)
 
 
-@compiled
+@inner
 def _first_order(
     points: Float64,
     weights: Float32,

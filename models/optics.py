@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from models.compiled import compiled
+from models.compiled import compiled, inner
 
 COEFFICIENTS = 8
 TINY = 1e-8  # squared radius below which a fisheye's series is used
@@ -63,7 +63,7 @@ def _image(points: NDArray[np.float64], glass: Lenses, pixels: NDArray[np.float6
                 see(points[n, k, p], glass, k, pixels[n, k, p])
 
 
-@compiled
+@inner
 def see(point: NDArray[np.float64], glass: Lenses, view: int, pixel: NDArray[np.float64]) -> None:
     """Write the pixel (2,) of a point (3,) in the frame of the camera `view`."""
     depth = point[2] if abs(point[2]) >= NEAR else NEAR
@@ -121,7 +121,7 @@ def derive(
     by_optics[0, 3], by_optics[1, 3] = f * by_first * a, g * by_first * b
 
 
-@compiled
+@inner
 def _radial(squared: float, k: NDArray[np.float64], fisheye: bool) -> tuple[float, float, float]:
     """Radial gain L at a squared radius, dL / d squared, and dL / dk1."""
     if not fisheye:

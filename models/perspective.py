@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from models.adjustment import Rig, ShapePrior
-from models.compiled import compiled
+from models.compiled import compiled, inner
 from models.discovery import Discovery, size_precision
 from models.forward import Answers
 from models.observations import Observations
@@ -184,7 +184,7 @@ def refine_frames(
         _write(refiner, best, n, seen.usable[n], answers)
 
 
-@compiled
+@inner
 def _is_lost(attempt: Attempt, usable: NDArray[np.bool_], noise: float) -> bool:
     error = 0.0
     for k in range(len(usable)):
@@ -193,14 +193,14 @@ def _is_lost(attempt: Attempt, usable: NDArray[np.bool_], noise: float) -> bool:
     return error > LOST * noise * total(usable)
 
 
-@compiled
+@inner
 def _room(count: int, views: int) -> Attempt:
     return Attempt(
         np.empty((count, 3)), np.empty((views, 3, 3)), np.empty((views, 3)), np.empty(views)
     )
 
 
-@compiled
+@inner
 def _align(points: Float64, mean: Float64, turned: Float64, centre: Float64) -> float:
     """As `models.shape.align`: write Q and the centre, return the scale."""
     count = len(points)
@@ -225,7 +225,7 @@ def _align(points: Float64, mean: Float64, turned: Float64, centre: Float64) -> 
     return match / max(squared, 1e-12)
 
 
-@compiled
+@inner
 def _network_start(
     refiner: Refiner,
     answers: Answers,
@@ -279,7 +279,7 @@ def _network_start(
         )
 
 
-@compiled
+@inner
 def _continues(previous: Answers, n: int, usable: NDArray[np.bool_]) -> bool:
     for k in range(len(usable)):
         if usable[k] and previous.camera_models[n, k] <= 0:
@@ -287,7 +287,7 @@ def _continues(previous: Answers, n: int, usable: NDArray[np.bool_]) -> bool:
     return math.isfinite(previous.points3d[n, 0, 0])
 
 
-@compiled
+@inner
 def _previous_start(
     refiner: Refiner, previous: Answers, n: int, mean: Float64, start: Attempt
 ) -> None:
@@ -322,7 +322,7 @@ def _previous_start(
             start.translations[k, i] = scale * shift
 
 
-@compiled
+@inner
 def _attempt(
     refiner: Refiner,
     rig: Cameras,
@@ -381,7 +381,7 @@ def _attempt(
     return cost, after
 
 
-@compiled
+@inner
 def _as_groups(rig: Cameras, usable: NDArray[np.bool_], start: Attempt, pose: Pose) -> None:
     """Write the poses of the rig's groups for those of every view."""
     copy(start.points, pose.points)
@@ -403,7 +403,7 @@ def _as_groups(rig: Cameras, usable: NDArray[np.bool_], start: Attempt, pose: Po
             pose.sizes[g] = 0.0
 
 
-@compiled
+@inner
 def _accept(
     attempt: Attempt, cost: float, errors: Float32, usable: NDArray[np.bool_], always: bool
 ) -> bool:
@@ -420,7 +420,7 @@ def _accept(
     return always or ours <= WORSE * theirs
 
 
-@compiled
+@inner
 def _write(
     refiner: Refiner, attempt: Attempt, n: int, usable: NDArray[np.bool_], answers: Answers
 ) -> None:

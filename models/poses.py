@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from models.adjustment import Rig, Scene
-from models.compiled import compiled
+from models.compiled import compiled, inner
 from models.posterior import Cameras, Pose
 from models.small import copy, fill, inverse, nearest_turn, product, turn
 
@@ -62,12 +62,12 @@ def _start(
             )
 
 
-@compiled
+@inner
 def _length(vector: Float64) -> float:
     return math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
 
 
-@compiled
+@inner
 def start_view(
     cameras: Cameras,
     view: int,
@@ -133,7 +133,7 @@ def _gather(
         )
 
 
-@compiled
+@inner
 def gather_frame(
     cameras: Cameras,
     rotations: Float64,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.compiled import compiled
+from models.compiled import compiled, inner
 from models.optics import Lenses, derive, see
 from models.small import cholesky, cholesky_solve, copy, fill, inverse, product, turn
 
@@ -65,7 +65,7 @@ class Equations(NamedTuple):
     pull_rest: Float64  # (R + T,)
 
 
-@compiled
+@inner
 def make_equations(count: int, unknowns: int) -> Equations:
     """Room for the equations of a frame."""
     return Equations(
@@ -77,7 +77,7 @@ def make_equations(count: int, unknowns: int) -> Equations:
     )
 
 
-@compiled
+@inner
 def make_pose(count: int, groups: int) -> Pose:
     """Room for the unknowns of a frame."""
     return Pose(
@@ -85,7 +85,7 @@ def make_pose(count: int, groups: int) -> Pose:
     )
 
 
-@compiled
+@inner
 def copy_pose(source: Pose, target: Pose) -> None:
     """Copy the unknowns of a frame."""
     copy(source.points, target.points)
@@ -94,7 +94,7 @@ def copy_pose(source: Pose, target: Pose) -> None:
     copy(source.sizes, target.sizes)
 
 
-@compiled
+@inner
 def whiten(
     points: Float64, mean: Float64, scale: float, shapes: Shapes, pull: Float64
 ) -> tuple[float, float]:
@@ -130,7 +130,7 @@ def whiten(
     return freedom * math.log(1.0 / share) + squared * share, weight * share
 
 
-@compiled
+@inner
 def hold(pose: Pose, group: int, p: int, turned: Float64, held: Float64) -> None:
     """Write e^a R X and v = e^a R X + t of one point, in the frame of its group."""
     growth = math.exp(pose.sizes[group])
@@ -142,7 +142,7 @@ def hold(pose: Pose, group: int, p: int, turned: Float64, held: Float64) -> None
         held[i] = turned[i] + pose.translations[group, i]
 
 
-@compiled
+@inner
 def to_camera(cameras: Cameras, view: int, held: Float64, camera: Float64) -> None:
     """Write C v + d."""
     rotation = cameras.rotations[view]
@@ -155,7 +155,7 @@ def to_camera(cameras: Cameras, view: int, held: Float64, camera: Float64) -> No
         )
 
 
-@compiled
+@inner
 def cost_of(
     keypoints: Float64,
     weights: Float64,
@@ -189,7 +189,7 @@ def cost_of(
     return total if math.isfinite(total) else np.inf
 
 
-@compiled
+@inner
 def linearise(
     keypoints: Float64,
     weights: Float64,
@@ -298,7 +298,7 @@ def linearise(
                 out.rest[row, b + (here if b < POSE else there)] += inner[a, b]
 
 
-@compiled
+@inner
 def _turning(by: Float64, arm: Float64, out: Float64) -> None:
     """Derive by a rotation vector: by (3,) times -[arm]_x."""
     out[0] = arm[1] * by[2] - arm[2] * by[1]
@@ -340,7 +340,7 @@ def eliminate(
                 row[b] -= u * carried[0, b] + v * carried[1, b] + w * carried[2, b]
 
 
-@compiled
+@inner
 def move(pose: Pose, points: Float64, rest: Float64, out: Pose) -> None:
     """Apply steps of the points (P, 3) and of the poses (7 G or more)."""
     turned = np.empty((3, 3))
@@ -356,7 +356,7 @@ def move(pose: Pose, points: Float64, rest: Float64, out: Pose) -> None:
         out.sizes[g] = pose.sizes[g] + min(max(step[6], -1.0), 1.0)
 
 
-@compiled
+@inner
 def descend(
     keypoints: Float64,
     weights: Float64,
@@ -403,7 +403,7 @@ def descend(
     return best
 
 
-@compiled
+@inner
 def back_substitute(
     equations: Equations, inverses: Float64, rest: Float64, points: Float64
 ) -> None:

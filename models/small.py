@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from models.compiled import compiled
+from models.compiled import inner
 
 Float64 = NDArray[np.float64]
 Array = NDArray[Any]
@@ -15,7 +15,7 @@ SWEEPS = 30  # of Jacobi rotations at most; four or five are the rule
 TINY = 1e-12
 
 
-@compiled
+@inner
 def copy(source: Array, target: Array) -> None:
     """Copy an array to one of its size; both contiguous. Compiles faster than an assignment."""
     numbers, places = source.ravel(), target.ravel()
@@ -23,7 +23,7 @@ def copy(source: Array, target: Array) -> None:
         places[i] = numbers[i]
 
 
-@compiled
+@inner
 def fill(target: Array, value: float) -> None:
     """Fill a contiguous array."""
     places = target.ravel()
@@ -31,7 +31,7 @@ def fill(target: Array, value: float) -> None:
         places[i] = value
 
 
-@compiled
+@inner
 def total(numbers: Array) -> float:
     """Sum an array of one dimension; of flags, how many are set."""
     result = 0.0
@@ -40,7 +40,7 @@ def total(numbers: Array) -> float:
     return result
 
 
-@compiled
+@inner
 def inverse(a: Float64, out: Float64) -> None:
     """Invert a 3x3 matrix by its cofactors."""
     x = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
@@ -56,7 +56,7 @@ def inverse(a: Float64, out: Float64) -> None:
     out[2, 2] = scale * (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
 
 
-@compiled
+@inner
 def cholesky(a: Float64) -> bool:
     """Factorise a symmetric matrix in place, L of a = L L^T in its lower half; False if it fails.
 
@@ -78,7 +78,7 @@ def cholesky(a: Float64) -> bool:
     return True
 
 
-@compiled
+@inner
 def cholesky_solve(factor: Float64, x: Float64) -> None:
     """Solve L L^T y = x for a vector, in place."""
     size = len(x)
@@ -93,7 +93,7 @@ def cholesky_solve(factor: Float64, x: Float64) -> None:
             x[k] -= factor[i, k] * x[i]
 
 
-@compiled
+@inner
 def nearest_turn(m: Float64, out: Float64) -> None:
     """Find the rotation nearest to a 3x3 matrix, the one that maximises trace(out^T m).
 
@@ -147,7 +147,7 @@ def nearest_turn(m: Float64, out: Float64) -> None:
             out[a_, b_] = u[a_, 0] * v[b_, 0] + u[a_, 1] * v[b_, 1] + u[a_, 2] * v[b_, 2]
 
 
-@compiled
+@inner
 def _unit_column(u: Float64, i: int, other: int) -> None:
     """Normalise a column; one that is zero becomes some unit vector at a right angle to another."""
     length = math.sqrt(u[0, i] ** 2 + u[1, i] ** 2 + u[2, i] ** 2)
@@ -165,7 +165,7 @@ def _unit_column(u: Float64, i: int, other: int) -> None:
         u[k, i] /= length
 
 
-@compiled
+@inner
 def turn(x: float, y: float, z: float, out: Float64) -> None:
     """Write the rotation by the angle and about the axis of a vector: Rodrigues."""
     squared = x * x + y * y + z * z
@@ -184,7 +184,7 @@ def turn(x: float, y: float, z: float, out: Float64) -> None:
     out[1, 2], out[2, 1] = versine * y * z - sine * x, versine * y * z + sine * x
 
 
-@compiled
+@inner
 def identity(out: Float64) -> None:
     """Write the 3x3 matrix of no turn."""
     for i in range(3):
@@ -192,7 +192,7 @@ def identity(out: Float64) -> None:
             out[i, j] = 1.0 if i == j else 0.0
 
 
-@compiled
+@inner
 def product(a: Float64, b: Float64, out: Float64) -> None:
     """Multiply 3x3 matrices; `out` must be another array."""
     for i in range(3):
@@ -200,7 +200,7 @@ def product(a: Float64, b: Float64, out: Float64) -> None:
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@compiled
+@inner
 def nearest_rows(m: Float64, out: Float64) -> None:
     """Find the rotation whose first two rows are nearest to a 2x3 matrix.
 
@@ -227,7 +227,7 @@ def nearest_rows(m: Float64, out: Float64) -> None:
     out[2, 2] = x[0] * y[1] - x[1] * y[0]
 
 
-@compiled
+@inner
 def _unit(vector: Float64, away_from: Float64) -> float:
     """Normalise and return the length; a zero turns away from a unit vector, with length 0."""
     squared = vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2
