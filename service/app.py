@@ -14,7 +14,7 @@ import uvicorn
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
-from service import datasets, errors, fits, health, lift, lifts, models, reconstructions
+from service import datasets, errors, fits, health, lift, lifts, models, reconstructions, stream
 from service.bodies import registered_schemas
 from service.engine import Engine
 from service.limits import BodyLimit
@@ -24,7 +24,7 @@ from store.database import Store
 from worker.process import die_with_parent
 from worker.queue import connect, open_queue
 
-RESOURCES = (datasets, fits, reconstructions, models, lift, lifts, health)
+RESOURCES = (datasets, fits, reconstructions, models, lift, stream, lifts, health)
 
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 
@@ -32,7 +32,7 @@ DESCRIPTION = """
 3D structure and camera rotations from the 2D keypoints of a few uncalibrated, possibly moving
 cameras. Store a capture (`POST /datasets`), fit a model to it (`POST /fits`), follow the fit
 (`GET /fits/{id}/events`), read its main product (`GET /fits/{id}/reconstruction`), then lift new
-frames in real time (`POST /lift`).
+frames in real time (`POST /lift`, or a stream of them: `/lift/stream`).
 
 Keypoints are pixels, x right, y down. Errors are RFC 9457 problem details.
 """
@@ -49,6 +49,7 @@ def create_app(settings: Settings) -> FastAPI:
         )
         app.state.queue = open_queue(connection)
         app.state.large_uploads = asyncio.Semaphore(LARGE_AT_A_TIME)
+        app.state.streams = asyncio.Semaphore(settings.max_streams)
         app.state.engine = Engine(
             app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
         )
@@ -118,6 +119,9 @@ def server_config(settings: Settings) -> uvicorn.Config:
         create_app(settings),
         loop="uvloop",
         http="httptools",
+        ws="websockets-sansio",
+        ws_max_size=settings.max_stream_bytes,
+        ws_per_message_deflate=False,  # numbers hardly shrink, and it takes longer than the lift
         log_level="warning",
         timeout_graceful_shutdown=3,
         server_header=False,

@@ -69,8 +69,13 @@ def _form_fields(form: type[BaseModel] | None) -> dict[str, Any]:
     }
 
 
+def register(*models: type[BaseModel]) -> None:
+    """Have the OpenAPI document describe models that no operation refers to."""
+    _registered.update(models)
+
+
 def registered_schemas() -> dict[str, Any]:
-    """Return the schemas that :func:`request_body` refers to, by name."""
+    """Return the schemas that were registered, by name."""
     _, definitions = models_json_schema(
         [(model, "validation") for model in sorted(_registered, key=lambda m: m.__name__)],
         ref_template=_REFERENCE,

@@ -134,8 +134,10 @@ def to_frames(
     views: list[int] | None,
     prior: FittedPrior,
     settings: Settings,
+    *,
+    field: str = "frames",
 ) -> Capture:
-    """Return frames that the prior can lift, from nested lists or arrays.
+    """Return frames that the prior can lift, from nested lists or arrays; errors name ``field``.
 
     Raises
     ------
@@ -147,13 +149,13 @@ def to_frames(
         frames,
         confidence,
         settings=settings,
-        keypoints_field="frames",
+        keypoints_field=field,
         expected_keypoints=expected,
     )
     _, came_views, came, _ = capture.keypoints.shape
     if came != expected:
         raise invalid(
-            "/frames",
+            f"/{field}",
             f"expected {expected} keypoints as in the model, got {came}; keep the order of the "
             "fitted capture and write null for what was not observed",
         )

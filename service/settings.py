@@ -52,6 +52,15 @@ class Settings(WorkerSettings):
     max_queued_lifts: int = Field(
         100, ge=1, description="Lifts that may wait at a time; POST /lifts answers 429 beyond that."
     )
+    max_streams: int = Field(
+        64, ge=1, description="Streams open at a time; one more is refused with 503."
+    )
+    max_stream_bytes: int = Field(
+        256 * 1024, ge=1024, description="Longest message in a stream; a frame is one message."
+    )
+    stream_idle_seconds: float = Field(
+        60, gt=0, description="Silence of a client after which its stream is closed."
+    )
     lift_threads: int = Field(
         default_factory=lambda: min(8, len(os.sched_getaffinity(0))),
         ge=1,

@@ -23,12 +23,14 @@ def _point(size: int) -> dict[str, Any]:
     return _nullable(_list_of(_NUMBER, minItems=size, maxItems=size))
 
 
-KEYPOINTS_SCHEMA = _list_of(_list_of(_nullable(_list_of(_point(2))))) | {
+_VIEWS_OF_KEYPOINTS = _list_of(_nullable(_list_of(_point(2))))
+_VIEWS_OF_CONFIDENCE = _list_of(_nullable(_list_of(_NUMBER)))
+KEYPOINTS_SCHEMA = _list_of(_VIEWS_OF_KEYPOINTS) | {
     "title": "Keypoints",
     "description": "frames x views x keypoints x (x, y), pixels, x right, y down. null for a "
     "coordinate, a keypoint or a whole view that was not observed.",
 }
-CONFIDENCE_SCHEMA = _nullable(_list_of(_list_of(_nullable(_list_of(_NUMBER))))) | {
+CONFIDENCE_SCHEMA = _nullable(_list_of(_VIEWS_OF_CONFIDENCE)) | {
     "title": "Confidence",
     "description": "frames x views x keypoints, in [0, 1]; 0 or null counts as not observed.",
 }
@@ -37,10 +39,20 @@ POINTS3D_SCHEMA = _nullable(_list_of(_nullable(_list_of(_point(3))))) | {
     "description": "Ground truth, for evaluation only: frames x keypoints x (x, y, z), in metres "
     "or any unit of yours; null where unknown.",
 }
+FRAME_KEYPOINTS_SCHEMA = _VIEWS_OF_KEYPOINTS | {
+    "title": "Keypoints of a frame",
+    "description": "views x keypoints x (x, y), as in a request of `POST /lift`.",
+}
+FRAME_CONFIDENCE_SCHEMA = _nullable(_VIEWS_OF_CONFIDENCE) | {
+    "title": "Confidence of a frame",
+    "description": "views x keypoints, in [0, 1]; 0 or null counts as not observed.",
+}
 
 # Turned into arrays by service.arrays, many times faster than lists validated item by item.
 KEYPOINTS = Annotated[Any, WithJsonSchema(KEYPOINTS_SCHEMA)]
 CONFIDENCE = Annotated[Any, WithJsonSchema(CONFIDENCE_SCHEMA)]
+FRAME_KEYPOINTS = Annotated[Any, WithJsonSchema(FRAME_KEYPOINTS_SCHEMA)]
+FRAME_CONFIDENCE = Annotated[Any, WithJsonSchema(FRAME_CONFIDENCE_SCHEMA)]
 POINTS3D = Annotated[Any, WithJsonSchema(POINTS3D_SCHEMA)]
 
 Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]

@@ -79,6 +79,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "list_models",
         "stream_fit_events",
         "stream_lift_events",
+        "stream_lifts",
     ]
     for operation in operations(spec):
         assert operation["summary"]

@@ -1,0 +1,151 @@
+"""Reading the frames of a stream, and writing their answers in the form the frames came in."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from models.fitted import FittedPrior, Lift
+from service.arrays import from_nested
+from service.errors import ApiError, from_validation, invalid
+from service.lift import to_frames
+from service.messages import (
+    ANSWER,
+    CONTINUED,
+    FRAME,
+    HEADER,
+    LIFTED,
+    VIEW,
+    WITH_CONFIDENCE,
+    StreamFrame,
+)
+from service.settings import Settings
+from service.uploads import POINT_AXES
+from service.wire import frames_json, lift_arrays
+from store.capture import Capture
+
+Float32 = NDArray[np.float32]
+_NOT_OBSERVED = "JSON knows no NaN: write null for what was not observed."
+
+
+@dataclass(eq=False, slots=True)
+class Frame:
+    """A frame on its way through a stream.
+
+    Attributes
+    ----------
+    binary
+        Whether it came as bytes.
+    sequence
+        The client's number; None where it could not be read.
+    capture
+        The keypoints (1, K, P, 2) and their confidence; None where there is an error.
+    error
+        What is wrong with it.
+    dropped
+        Sequence numbers of frames before it that get no answer.
+    """
+
+    binary: bool
+    sequence: int | None = None
+    capture: Capture | None = None
+    error: ApiError | None = None
+    dropped: list[int] = field(default_factory=list)
+
+
+def read_frame(
+    message: str | bytes, prior: FittedPrior, views: list[int] | None, settings: Settings
+) -> Frame:
+    """Return the frame in a message, or with an error if the model or the views do not allow it."""
+    frame = Frame(binary=isinstance(message, bytes))
+    try:
+        if isinstance(message, bytes):
+            keypoints, confidence = _from_bytes(frame, message, prior.keypoints_per_frame)
+        else:
+            keypoints, confidence = _from_json(frame, message, prior.keypoints_per_frame, settings)
+        frame.capture = to_frames(keypoints, confidence, views, prior, settings, field="keypoints")
+    except ApiError as error:
+        frame.error = error
+    return frame
+
+
+def _from_bytes(frame: Frame, message: bytes, points: int) -> tuple[Float32, Float32 | None]:
+    if len(message) < HEADER.size:
+        raise invalid("", f"expected a header of {HEADER.size} bytes, got {len(message)} bytes")
+    kind, flags, views, frame.sequence = HEADER.unpack_from(message)
+    if kind != FRAME:
+        raise invalid("/kind", f"expected {FRAME}, a frame, got {kind}")
+    if flags & ~WITH_CONFIDENCE:
+        raise invalid("/flags", f"expected 0, or {WITH_CONFIDENCE} with confidence, got {flags}")
+    numbers = views * points * (3 if flags else 2)
+    if len(message) != HEADER.size + 4 * numbers:
+        raise invalid(
+            "/keypoints",
+            f"expected {HEADER.size + 4 * numbers} bytes for {views} views x {points} keypoints "
+            f"{'with' if flags else 'without'} confidence, got {len(message)}",
+        )
+    values = np.frombuffer(message, "<f4", offset=HEADER.size)
+    keypoints, rest = np.split(values, [2 * views * points])
+    confidence = rest.reshape(1, views, points) if flags else None
+    return keypoints.reshape(1, views, points, 2), confidence
+
+
+def _from_json(
+    frame: Frame, message: str, points: int, settings: Settings
+) -> tuple[Float32, Float32 | None]:
+    found = json_object(message)
+    sequence = found.get("sequence")
+    frame.sequence = sequence if type(sequence) is int and 0 <= sequence < 2**32 else None
+    try:
+        sent = StreamFrame.model_validate(found)
+    except ValidationError as error:
+        raise from_validation(error) from error
+    keypoints = from_nested(
+        sent.keypoints,
+        "/keypoints",
+        axes=POINT_AXES[1:],
+        sizes=(None, points, 2),
+        max_bytes=settings.max_stream_bytes,
+    )
+    if sent.confidence is None:
+        return keypoints[None], None
+    confidence = from_nested(
+        sent.confidence,
+        "/confidence",
+        axes=POINT_AXES[1:3],
+        sizes=(len(keypoints), points),
+        max_bytes=settings.max_stream_bytes,
+    )
+    return keypoints[None], confidence[None]
+
+
+def json_object(message: str) -> dict[str, object]:
+    """Return the object in a JSON text; raise ``ApiError`` if there is none."""
+    try:
+        found = orjson.loads(message)
+    except orjson.JSONDecodeError as error:
+        raise ApiError(
+            "malformed_body", f"The message is not valid JSON: {error}. {_NOT_OBSERVED}"
+        ) from error
+    if not isinstance(found, dict):
+        raise invalid("", f"expected a JSON object, got {type(found).__name__}")
+    return found
+
+
+def write_answer(frame: Frame, lift: Lift) -> str | bytes:
+    """Return the answer to a frame, lifted: text if it came as text, else bytes."""
+    continued = bool(getattr(lift, "continued", [False])[0])
+    if not frame.binary:
+        (answer,) = frames_json(lift_arrays(lift))
+        return orjson.dumps(
+            {"type": "answer", "sequence": frame.sequence, "continued": continued, "frame": answer}
+        ).decode()
+    views = np.empty(lift.scales.shape[1], VIEW)
+    for name in VIEW.names or ():
+        views[name] = getattr(lift, name)[0]
+    flags = LIFTED * (lift.status[0] == "ok") | CONTINUED * continued
+    header = HEADER.pack(ANSWER, flags, len(views), frame.sequence)
+    points: NDArray[np.float32] = lift.points3d.astype("<f4", copy=False)
+    return header + points.tobytes() + views.tobytes()

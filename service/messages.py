@@ -1,0 +1,191 @@
+"""What is said in a stream of frames: JSON, or bytes of a fixed little-endian layout.
+
+A frame in bytes:  kind u8 = 1, flags u8, views u16 (K), sequence u32, keypoints f32 (K, P, 2) and,
+                   with flag 1, confidence f32 (K, P). NaN: not observed.
+Its answer:        kind u8 = 2, flags u8, views u16 (K), sequence u32, points3d f32 (P, 3) and K
+                   times `VIEW`. NaN: no answer. Flag 1: the frame could be lifted, 2: its
+                   refinement started from the answer before.
+"""
+
+import struct
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from models.config import Index, Refine
+from service.errors import FieldError
+from service.lift import REFINE, VIEWS
+from service.wire import FRAME_CONFIDENCE, FRAME_KEYPOINTS, LIFTED_FRAME, LiftedFrame
+
+FRAME, ANSWER = 1, 2  # kinds
+WITH_CONFIDENCE = 1  # flag of a frame
+LIFTED, CONTINUED = 1, 2  # flags of an answer
+HEADER = struct.Struct("<BBHI")
+VIEW = np.dtype(
+    [
+        ("camera_models", "<i4"),  # -1 none, 0 weak perspective, 1 perspective, 2 fisheye
+        ("rotations", "<f4", (3, 3)),
+        ("scales", "<f4"),
+        ("translations", "<f4", (3,)),
+        ("focals", "<f4", (2,)),
+        ("principal_points", "<f4", (2,)),
+        ("distortions", "<f4", (8,)),
+        ("reprojection_errors", "<f4"),
+    ]
+)
+
+Overload = Literal["latest", "all"]
+
+
+class StreamStart(BaseModel):
+    """A client's first message: what it is going to send."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {
+                "model": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
+                "views": [0, 2],
+                "refine": "auto",
+                "on_overload": "latest",
+                "continuity": True,
+            }
+        },
+    )
+
+    model: str = Field(max_length=200, description="The model's identifier.")
+    views: list[Index] | None = Field(None, min_length=1, description=VIEWS)
+    refine: Refine | None = Field(None, description=REFINE)
+    on_overload: Overload = Field(
+        "all",
+        description="What happens to frames that come faster than they are lifted. `all`: none is "
+        "lost, and the server reads no further until it has answered. `latest`: the newest takes "
+        "the place of one that waits, which is dropped.",
+    )
+    continuity: bool = Field(
+        False,
+        description="Frames follow each other in time: the refinement of each may start from the "
+        "answer before, which is faster and steadier.",
+    )
+
+
+class StreamLimits(BaseModel):
+    """The limits of a stream."""
+
+    message_bytes: int = Field(description="Longest message.")
+    frames_in_hand: int = Field(description="Frames that the server takes before it has answered.")
+    idle_seconds: float = Field(description="Silence after which it closes the stream.")
+
+
+class StreamReady(BaseModel):
+    """The answer to the first message: what was understood."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "type": "ready",
+                "model": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
+                "keypoints": 17,
+                "views": [0, 2],
+                "refine": "auto",
+                "on_overload": "latest",
+                "continuity": True,
+                "header_bytes": 8,
+                "view_bytes": 108,
+                "limits": {"message_bytes": 262144, "frames_in_hand": 16, "idle_seconds": 60.0},
+            }
+        }
+    )
+
+    type: Literal["ready"] = "ready"
+    model: str
+    keypoints: int = Field(description="Keypoints P that every view of a frame must have.")
+    views: list[int] | None
+    refine: Refine = Field(description="What is done, also if the client did not say.")
+    on_overload: Overload
+    continuity: bool
+    header_bytes: int = Field(HEADER.size, description="Of a binary message, before its arrays.")
+    view_bytes: int = Field(VIEW.itemsize, description="Of each view in a binary answer.")
+    limits: StreamLimits
+
+
+class StreamFrame(BaseModel):
+    """One frame, as JSON."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {
+                "sequence": 7,
+                "keypoints": [
+                    [[512.0, 200.5], [530.0, 260.0], None, [498.0, 402.0]],
+                    [[301.0, 190.0], [322.5, 251.0], [350.0, 330.0], [310.0, 399.0]],
+                ],
+            }
+        },
+    )
+
+    sequence: int = Field(
+        strict=True, ge=0, le=2**32 - 1, description="Any number of the client's own."
+    )
+    keypoints: FRAME_KEYPOINTS
+    confidence: FRAME_CONFIDENCE = None
+
+
+class StreamAnswer(BaseModel):
+    """The answer to a frame that came as JSON."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "type": "answer",
+                "sequence": 7,
+                "continued": True,
+                "frame": LIFTED_FRAME,
+            }
+        }
+    )
+
+    type: Literal["answer"]
+    sequence: int
+    continued: bool = Field(description="Whether refinement started from the answer before.")
+    frame: LiftedFrame
+
+
+class StreamDropped(BaseModel):
+    """Frames that get no answer because newer ones took their places (`on_overload`: `latest`)."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"example": {"type": "dropped", "sequences": [8, 9, 10]}}
+    )
+
+    type: Literal["dropped"]
+    sequences: list[int]
+
+
+class StreamError(BaseModel):
+    """What is wrong with a message. After a frame's the stream goes on, else it is closed."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "type": "error",
+                "sequence": 11,
+                "code": "invalid_input",
+                "detail": "keypoints: expected 17 keypoints as in the model, got 16",
+                "errors": [
+                    {
+                        "pointer": "/keypoints",
+                        "detail": "expected 17 keypoints as in the model, got 16",
+                    }
+                ],
+            }
+        }
+    )
+
+    type: Literal["error"] = "error"
+    sequence: int | None = Field(description="Of the frame; null if there was none to be read.")
+    code: str = Field(description="As in problem details.")
+    detail: str
+    errors: list[FieldError]
