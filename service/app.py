@@ -24,7 +24,8 @@ from store.database import Store
 from worker.process import die_with_parent
 from worker.queue import connect, open_queue
 
-RESOURCES = (datasets, fits, reconstructions, models, lift, stream, lifts, health)
+# Lifts come first: routes are tried in this order, and nothing else is in such a hurry.
+RESOURCES = (lift, stream, datasets, fits, reconstructions, models, lifts, health)
 
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 
@@ -57,6 +58,7 @@ def create_app(settings: Settings) -> FastAPI:
         # again and again, which takes five times as long as the lift.
         gc.collect()
         gc.freeze()
+        asyncio.get_running_loop().run_in_executor(None, app.state.engine.warm_newest)
         yield
         await asyncio.to_thread(app.state.engine.close)
         app.state.store.close()
@@ -123,6 +125,7 @@ def server_config(settings: Settings) -> uvicorn.Config:
         ws_max_size=settings.max_stream_bytes,
         ws_per_message_deflate=False,  # numbers hardly shrink, and it takes longer than the lift
         log_level="warning",
+        access_log=False,
         timeout_graceful_shutdown=3,
         server_header=False,
     )

@@ -75,6 +75,7 @@ class Engine:
         self._models = WarmModels(store, max_bytes=max_bytes)
         self.prior = self._models.prior
         self.remembered = self._models.remembered
+        self.warm_newest = self._models.warm_newest
         # Calls of up to a slice, by their ways, which take turns. Larger ones take turns singly.
         self._small: dict[Way, deque[_Call]] = {}
         self._large: deque[_Call] = deque()

@@ -265,17 +265,25 @@ async def _unless_gone(
     request: Request, answer: "asyncio.Future[fitted.Lift]"
 ) -> fitted.Lift | None:
     """Wait for the answer; if the client goes away meanwhile, give it up and return None."""
+    patience = answer.get_loop().call_later(PATIENCE_SECONDS, _watch, request, answer)
     try:
-        await asyncio.wait((answer,), timeout=PATIENCE_SECONDS)
-        if not answer.done():
-            gone = asyncio.create_task(_disconnected(request))
-            await asyncio.wait((answer, gone), return_when=asyncio.FIRST_COMPLETED)
-            gone.cancel()
-        return await answer if answer.done() else None
+        return await answer
+    except asyncio.CancelledError:
+        task = asyncio.current_task()
+        if task is not None and task.cancelling():
+            raise
+        return None
     finally:
+        patience.cancel()
+
+
+def _watch(request: Request, answer: "asyncio.Future[fitted.Lift]") -> None:
+    """Cancel the answer when the client goes away."""
+
+    async def disconnected() -> None:
+        while (await request.receive())["type"] != "http.disconnect":
+            pass
         answer.cancel()
 
-
-async def _disconnected(request: Request) -> None:
-    while (await request.receive())["type"] != "http.disconnect":
-        pass
+    watching = asyncio.create_task(disconnected())
+    answer.add_done_callback(lambda _: watching.cancel())

@@ -1,13 +1,19 @@
 """Fitted models, read once and kept warm."""
 
+import logging
 import threading
 from collections import OrderedDict
 from typing import NamedTuple
+
+import numpy as np
 
 from models.fitted import FittedPrior
 from store import models
 from store.database import Store
 from store.errors import NotFoundError
+
+
+logger = logging.getLogger(__name__)
 
 
 class _Warm(NamedTuple):
@@ -71,6 +77,7 @@ class WarmModels:
         try:
             record = models.get(self._store, model_id)
             prior = FittedPrior.from_bytes(models.load_weights(self._store, record))
+            _prepare(prior)
         finally:
             with self._lock:
                 self._loading.pop(model_id, None)
@@ -81,5 +88,19 @@ class WarmModels:
                 self._warm.popitem(last=False)
         return prior
 
+    def warm_newest(self) -> None:
+        """Make the newest model warm, and ready what all lifts need, before anyone asks."""
+        try:
+            for record in models.page(self._store, limit=1, after=None):
+                self.prior(record.id)
+        except Exception:  # whoever asks will be told
+            logger.exception("The newest model could not be read")
+
     def _bytes(self) -> int:
         return sum(warm.weights_bytes for warm in self._warm.values())
+
+
+def _prepare(prior: FittedPrior) -> None:
+    """Lift nothing, once: compiled code is loaded, or even made, when it is first called."""
+    nothing = np.full((1, 1, prior.keypoints_per_frame, 2), np.nan, np.float32)
+    prior.lift(nothing, refine="full")
