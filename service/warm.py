@@ -12,7 +12,6 @@ from store import models
 from store.database import Store
 from store.errors import NotFoundError
 
-
 logger = logging.getLogger(__name__)
 
 
