@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from models.fitted import FittedPrior, Lift
+from models.lift_json import frames_to_json, lift_arrays
 from service.arrays import from_nested
 from service.errors import ApiError, from_validation, invalid
 from service.lift import to_frames
@@ -23,7 +24,6 @@ from service.messages import (
 )
 from service.settings import Settings
 from service.uploads import POINT_AXES
-from service.wire import frames_json, lift_arrays
 from store.capture import Capture
 
 Float32 = NDArray[np.float32]
@@ -138,10 +138,9 @@ def write_answer(frame: Frame, lift: Lift) -> str | bytes:
     """Return the answer to a frame, lifted: text if it came as text, else bytes."""
     continued = bool(getattr(lift, "continued", [False])[0])
     if not frame.binary:
-        (answer,) = frames_json(lift_arrays(lift))
-        return orjson.dumps(
-            {"type": "answer", "sequence": frame.sequence, "continued": continued, "frame": answer}
-        ).decode()
+        (text,) = frames_to_json(lift_arrays(lift))
+        answer = {"type": "answer", "sequence": frame.sequence, "continued": continued}
+        return orjson.dumps(answer | {"frame": orjson.Fragment(text)}).decode()
     views = np.empty(lift.scales.shape[1], VIEW)
     for name in VIEW.names or ():
         views[name] = getattr(lift, name)[0]

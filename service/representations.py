@@ -68,8 +68,8 @@ def accepted_format(
     if asked is not None:
         return asked
     accept = request.headers.get("accept") or "*/*"
-    if accept in _FORMATS:
-        return _FORMATS[accept]
+    if accept in formats:
+        return formats[accept]
     ranked = []
     for position, item in enumerate(accept.split(",")):
         media_type, *parameters = (part.strip() for part in item.split(";"))
