@@ -2,8 +2,7 @@
 
 import select
 import socket
-from collections.abc import Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
 
 import httpx2
 import numpy as np
@@ -48,19 +47,37 @@ def refused(http: httpx2.Client, body: bytes) -> bool:
     return True
 
 
+def hold(
+    http: httpx2.Client, probe: bytes, begin: Callable[[], list[socket.socket]]
+) -> list[socket.socket]:
+    """Return requests that leave no room for the probe; begin them anew if it came before them."""
+
+    def held() -> list[socket.socket] | None:
+        connections = begin()
+        while not select.select(connections, [], [], 0)[0]:
+            if refused(http, probe):
+                return connections
+        for connection in connections:
+            connection.close()
+        return None
+
+    found: list[socket.socket] = wait_for(held, "the room to be full")
+    return found
+
+
 def test_beyond_the_room_requests_are_refused_until_somebody_leaves(
     narrow: httpx2.Client, model: str, capture: SyntheticCapture
 ) -> None:
     body = orjson.dumps({"model": model, "frames": frames_of(capture.keypoints[:1])})
-    with ExitStack() as stack:
-        waiting = [
-            stack.enter_context(begin(narrow, sent=10, promised=1000)) for _ in range(PLACES)
-        ]
-        wait_for(lambda: refused(narrow, body), "a refusal")
-        assert narrow.get("/health/live").status_code == 200
-        waiting[0].close()
-        wait_for(lambda: not refused(narrow, body), "the place of the one who left")
-    wait_for(lambda: not refused(narrow, body), "all the places")
+    waiting = hold(
+        narrow, body, lambda: [begin(narrow, sent=10, promised=1000) for _ in range(PLACES)]
+    )
+    assert narrow.get("/health/live").status_code == 200
+    assert refused(narrow, body)
+    waiting.pop().close()
+    wait_for(lambda: not refused(narrow, body), "the place of the one who left")
+    for connection in waiting:
+        connection.close()
 
 
 def test_large_bodies_leave_room_for_small_ones(
@@ -68,10 +85,10 @@ def test_large_bodies_leave_room_for_small_ones(
 ) -> None:
     small = orjson.dumps({"model": model, "frames": frames_of(capture.keypoints[:1])})
     large = small + b" " * 96 * KIB
-    with begin(narrow, sent=100 * KIB, promised=120 * KIB):
-        wait_for(lambda: refused(narrow, large), "a refusal")
-        for _ in range(3):
-            assert not refused(narrow, small)
+    (waiting,) = hold(narrow, large, lambda: [begin(narrow, sent=100 * KIB, promised=120 * KIB)])
+    for _ in range(3):
+        assert not refused(narrow, small)
+    waiting.close()
     wait_for(lambda: not refused(narrow, large), "the room")
 
 
@@ -86,18 +103,12 @@ def test_who_leaves_is_lifted_no_further(
         "max_body_bytes": len(body),
         "max_pending_bytes": 4 * len(body) // 3 + 1,
     }
-    small = orjson.dumps({"model": model, "frames": frames_of(capture.keypoints[:1])})
-    large = small + b" " * (512 * KIB)
+    large = orjson.dumps({"model": model, "frames": frames_of(capture.keypoints[:1])})
+    large += b" " * (512 * KIB)
     url = f"/lift?model={model}&refine=full"
     with served(settings.model_copy(update=room)) as http:
-
-        def occupied() -> socket.socket | None:
-            connection = send(http, url, BYTES["Content-Type"], body, len(body))
-            while not select.select([connection], [], [], 0)[0]:
-                if refused(http, large):
-                    return connection
-            connection.close()  # it was refused itself, for the large one was first
-            return None
-
-        wait_for(occupied, "the room to be full").close()
+        (waiting,) = hold(
+            http, large, lambda: [send(http, url, BYTES["Content-Type"], body, len(body))]
+        )
+        waiting.close()
         wait_for(lambda: not refused(http, large), "the place of the one who left", seconds=15)
