@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from models.fitted import FittedPrior, Lift
-from models.lift_json import frames_to_json, lift_arrays
+from models.lift_json import frames_to_json
 from service.arrays import from_nested
 from service.errors import ApiError, from_validation, invalid
 from service.lift import to_frames
@@ -136,9 +136,9 @@ def json_object(message: str) -> dict[str, object]:
 
 def write_answer(frame: Frame, lift: Lift) -> str | bytes:
     """Return the answer to a frame, lifted: text if it came as text, else bytes."""
-    continued = bool(getattr(lift, "continued", [False])[0])
+    continued = bool(lift.continued[0])
     if not frame.binary:
-        (text,) = frames_to_json(lift_arrays(lift))
+        (text,) = frames_to_json(lift.arrays)
         answer = {"type": "answer", "sequence": frame.sequence, "continued": continued}
         return orjson.dumps(answer | {"frame": orjson.Fragment(text)}).decode()
     views = np.empty(lift.scales.shape[1], VIEW)

@@ -141,8 +141,7 @@ class _Conversation:
         self._websocket, self._engine, self._settings = websocket, engine, settings
         self._start, self._prior = start, prior
         self._refine = start.refine or prior.config.refine
-        refines = self._refine != "off" and prior.cameras is not None
-        self._continuity = start.continuity and refines and hasattr(fitted.Lift, "answers")
+        self._continuity = start.continuity and self._refine != "off" and prior.cameras is not None
         self._latest = start.on_overload == "latest"
         self._at_a_time = 1 if self._latest or self._continuity else FRAMES_IN_HAND
         self._arrived: deque[Frame] = deque()

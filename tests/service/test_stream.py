@@ -190,6 +190,38 @@ def test_a_frame_that_shows_too_little_says_so(
         assert read_json(socket.recv(timeout=60))["frame"]["status"] == "too_few_keypoints"
 
 
+def test_with_continuity_a_frame_may_start_from_the_one_before(
+    http: httpx2.Client, model: str, capture: SyntheticCapture
+) -> None:
+    """Of a figure that hardly moves, between two others; each stream continues its own."""
+    still = np.repeat(capture.keypoints[:1], 10, axis=0)
+    still += np.random.default_rng(0).normal(0, 0.05, still.shape).astype(np.float32)
+    frames = [*still, capture.keypoints[30], *capture.keypoints[40:43, :2]]
+    for continuity, refine in ((True, "full"), (False, "full"), (True, "off")):
+        continued = []
+        with started(http, model, continuity=continuity, refine=refine) as socket:
+            for n, keypoints in enumerate(frames):
+                socket.send((as_json if n == 5 else as_bytes)(n, keypoints))
+            for n in range(len(frames)):
+                message = socket.recv(timeout=60)
+                if n == 5:
+                    continued.append(read_json(message)["continued"])
+                    continue
+                sequence, flags, points, _ = read_bytes(message)
+                assert sequence == n
+                assert flags & 1
+                continued.append(flags & 2 == 2)
+                if n < len(still):
+                    known = lifted(http, model, still[n : n + 1], refine=refine)[0]
+                    np.testing.assert_allclose(points, known["points3d"], atol=0.05)
+        if continuity and refine == "full":
+            assert not continued[0]
+            assert sum(continued[1:10]) >= 5
+            assert not continued[11]  # the first of two views
+        else:
+            assert not any(continued)
+
+
 def test_streams_do_not_mix(http: httpx2.Client, model: str, capture: SyntheticCapture) -> None:
     """Six clients at once, each with frames and sequence numbers of its own."""
     expected = lifted(http, model, capture.keypoints, refine="off")
