@@ -38,10 +38,11 @@ from models.posterior import (
     descend,
     eliminate,
     linearise,
+    make_equations,
 )
 from models.segments import Segments
 from models.slices import in_slices
-from models.small import cholesky, cholesky_solve
+from models.small import cholesky, cholesky_solve, copy
 
 Float64 = NDArray[np.float64]
 
@@ -307,11 +308,12 @@ class Reduced(NamedTuple):
     rest_by_shared: Float64  # (N, R, T)
 
 
-def eliminate_frames(normal: Normal, size: int, damping: float) -> Reduced:
-    """Eliminate points, then the other `size` = R unknowns of each frame."""
+def eliminate_frames(normal: Normal, free: Tensor, damping: float) -> Reduced:
+    """Eliminate points, then the other R unknowns of each frame; `free` (T,) of the shared stay."""
     equations = Equations(*(a.numpy() for a in normal))
     frames, count, _, unknowns = equations.coupling.shape
-    shared = unknowns - size
+    size, shared = unknowns - len(free), int(free.sum())
+    kept = np.concatenate((np.arange(size), size + np.flatnonzero(free.numpy())))
     reduced = Reduced(
         np.empty((frames, shared, shared)),
         np.empty((frames, shared)),
@@ -321,38 +323,59 @@ def eliminate_frames(normal: Normal, size: int, damping: float) -> Reduced:
         np.empty((frames, size, shared)),
     )
     in_slices(
-        frames, SLICE, lambda part: _eliminate(equations, part.start, part.stop, damping, reduced)
+        frames,
+        SLICE,
+        lambda part: _eliminate(equations, kept, part.start, part.stop, damping, reduced),
     )
     return reduced
 
 
+@inner
+def _keep(source: Equations, kept: NDArray[np.int64], out: Equations) -> None:
+    """Write the equations of some of the unknowns beside the points, as if others were zero."""
+    copy(source.points, out.points)
+    copy(source.pull_points, out.pull_points)
+    for a in range(len(kept)):
+        out.pull_rest[a] = source.pull_rest[kept[a]]
+        for b in range(len(kept)):
+            out.rest[a, b] = source.rest[kept[a], kept[b]]
+        for p in range(len(source.points)):
+            for i in range(3):
+                out.coupling[p, i, a] = source.coupling[p, i, kept[a]]
+
+
 @compiled
-def _eliminate(equations: Equations, start: int, stop: int, damping: float, out: Reduced) -> None:
-    count, unknowns = equations.coupling.shape[1], equations.coupling.shape[3]
+def _eliminate(
+    equations: Equations,
+    kept: NDArray[np.int64],
+    start: int,
+    stop: int,
+    damping: float,
+    out: Reduced,
+) -> None:
+    count, unknowns = equations.coupling.shape[1], len(kept)
     size, shared = out.rest_by_shared.shape[1], out.rest_by_shared.shape[2]
-    inverses = np.empty((count, 3, 3))
+    own, inverses = make_equations(count, unknowns), np.empty((count, 3, 3))
     whole, pull = np.empty((unknowns, unknowns)), np.empty(unknowns)
     factor, answers = np.empty((size, size)), np.empty((shared + 1, size))
     right = np.empty((3, shared))
     for n in range(start, stop):
-        own = _equations(equations, n)
+        _keep(_equations(equations, n), kept, own)
         eliminate(own, damping, inverses, whole, pull)
         for a in range(size):
             for b in range(a + 1):
                 factor[a, b] = whole[a, b]
         cholesky(factor)
-        for a in range(shared):
-            answers[a] = whole[size + a, :size]
+        for a in range(shared + 1):
+            copy(whole[size + a, :size] if a < shared else pull[:size], answers[a])
             cholesky_solve(factor, answers[a])
-        answers[shared] = pull[:size]
-        cholesky_solve(factor, answers[shared])
         rest = answers[shared]
-        out.rest[n] = rest
+        copy(rest, out.rest[n])
         for a in range(shared):
-            link = whole[size + a, :size]
-            out.gradient[n, a] = pull[size + a] - (link * rest).sum()
+            link = whole[size + a]
+            out.gradient[n, a] = pull[size + a] - _dot(link, rest)
             for b in range(a + 1):
-                out.information[n, a, b] = whole[size + a, size + b] - (link * answers[b]).sum()
+                out.information[n, a, b] = link[size + b] - _dot(link, answers[b])
                 out.information[n, b, a] = out.information[n, a, b]
             for b in range(size):
                 out.rest_by_shared[n, b, a] = -answers[a, b]
@@ -368,11 +391,20 @@ def _eliminate(equations: Equations, start: int, stop: int, damping: float, out:
                     for a in range(shared):
                         row[a] -= pulls * back[a]
             for i in range(3):
-                x, y, z = inverses[p, i]
+                x, y, z = inverses[p, i, 0], inverses[p, i, 1], inverses[p, i, 2]
                 for a in range(shared):
                     out.points_by_shared[n, p, i, a] = (
                         x * right[0, a] + y * right[1, a] + z * right[2, a]
                     )
+
+
+@inner
+def _dot(a: Float64, b: Float64) -> float:
+    """Sum the products of numbers, as many as `b` has."""
+    total = 0.0
+    for i in range(len(b)):
+        total += a[i] * b[i]
+    return total
 
 
 def structure_covariances(
@@ -416,7 +448,7 @@ def _covariances(equations: Equations, start: int, stop: int, out: Float64) -> N
                     row[a] = total / reduced[a, a]
         for a in range(3 * count):
             for b in range(a + 1):
-                out[n, a, b] = (carried[a] * carried[b]).sum()
+                out[n, a, b] = _dot(carried[a], carried[b])
                 out[n, b, a] = out[n, a, b]
         for p in range(count):
             for i in range(3):
@@ -506,9 +538,9 @@ def adjust(
 ) -> Generator[None, None, tuple[Rig, Scene, Tensor, Tensor]]:
     """Adjust frames and rig together, yielding after each iteration.
 
-    Returns the rig, the scene, the cost per frame (N,) and the information (T, T): the inverse of
-    the covariance of what is shared, frames marginalised. `segments` of the subject have a say in
-    what is shared; frames follow as their keypoints and the shape prior have it.
+    Returns the rig, the scene, the cost per frame (N,) and the information (F, F): the inverse of
+    the covariance of what is free of the shared, frames marginalised. `segments` of the subject
+    have a say in what is shared; frames follow as their keypoints and the shape prior have it.
     """
     costs = cost(views, rig, prior, size_precision, scene)
     kept = costs.isfinite()
@@ -519,30 +551,29 @@ def adjust(
         return total if segments is None else total + segments.cost(scene.points[kept]).sum()
 
     best = total_cost(costs, scene, rig)
-    damping = FIRST_DAMPING
-    information = shared.precision
-    size = POSE * rig.size + prior.basis.shape[-1]
+    damping, free = FIRST_DAMPING, shared.free
+    information = shared.precision[free][:, free]
     for _ in range(iterations):
         yield
         normal = normal_equations(views, rig, prior, size_precision, scene, shared=True)
-        reduced = eliminate_frames(normal, size, damping)
+        reduced = eliminate_frames(normal, free, damping)
         by_shared = torch.from_numpy(reduced.points_by_shared)
-        information = torch.from_numpy(reduced.information.sum(0)) + shared.precision
+        information = torch.from_numpy(reduced.information.sum(0)) + shared.precision[free][:, free]
         gradient = torch.from_numpy(reduced.gradient.sum(0))
-        gradient = gradient - shared.precision @ shared.offset(rig)
+        gradient = gradient - (shared.precision @ shared.offset(rig))[free]
         if segments is not None:
             offsets = segments.offsets(scene.points + torch.from_numpy(reduced.points))
             derived = segments.derivatives(scene.points, by_shared)
             weighted = (segments.precision(offsets) * kept[:, None])[..., None] * derived
             information = information + weighted.flatten(0, 1).T @ derived.flatten(0, 1)
             gradient = gradient - weighted.flatten(0, 1).T @ offsets.flatten()
-        step = torch.zeros_like(gradient)
-        free = shared.free
-        inner = information[free][:, free]
-        inner = inner + torch.diag(damping * inner.diagonal() + 1e-12)
-        step[free] = torch.linalg.solve(inner, gradient[free])
-        points = torch.from_numpy(reduced.points) + by_shared @ step
-        rest = torch.from_numpy(reduced.rest) + torch.from_numpy(reduced.rest_by_shared) @ step
+        damped = information + torch.diag(damping * information.diagonal() + 1e-12)
+        step = torch.zeros_like(free, dtype=torch.float64)
+        step[free] = torch.linalg.solve(damped, gradient)
+        points = torch.from_numpy(reduced.points) + by_shared @ step[free]
+        rest = (
+            torch.from_numpy(reduced.rest) + torch.from_numpy(reduced.rest_by_shared) @ step[free]
+        )
         tried, tried_rig = move(scene, points, rest, rig.size), move_rig(rig, step)
         new_costs = cost(views, tried_rig, prior, size_precision, tried)
         total = total_cost(new_costs, tried, tried_rig)

@@ -128,7 +128,7 @@ class State(NamedTuple):
     shapes: ShapeModel
     noise: float
     measured: float  # noise, without the least that is reckoned with
-    information: Tensor  # (10 K, 10 K)
+    information: Tensor  # (F, F) about what is free of the rig
 
 
 def starting_rig(
@@ -563,7 +563,7 @@ def _deviations(problem: Problem, state: State) -> Tensor:
     """Return standard deviations (K, 10) from the information; 0 for what was kept."""
     free = shared_prior(problem, state.rig).free
     deviations = torch.zeros(len(free), dtype=torch.float64)
-    inverse = torch.linalg.pinv(state.information[free][:, free], hermitian=True)
+    inverse = torch.linalg.pinv(state.information, hermitian=True)
     deviations[free] = inverse.diagonal().clamp_min(0).sqrt()
     return deviations.reshape(-1, VIEW)
 
