@@ -1,4 +1,4 @@
-"""How long lifts take: in this process, and over HTTP as JSON and as safetensors.
+"""How long lifts take: in this process, over HTTP as JSON and as safetensors, and in a stream.
 
     python benchmarks/lift.py [--capture FILE.npz | --views 4 --keypoints 17] [--model FILE]
                               [--batches 1 32 1000] [--seconds 15] [--json FILE]
@@ -8,7 +8,6 @@ README.md says what each row is.
 """
 
 import argparse
-import asyncio
 import gc
 import time
 from collections.abc import Awaitable, Callable
@@ -25,16 +24,19 @@ from benchmarks.captures import (  # first: it says how many threads the librari
 import numpy as np  # isort: skip
 import orjson
 import torch
+import uvloop
 from safetensors.numpy import save
 
 from benchmarks.figures import Bar, Results, Row, command, spread
 from benchmarks.service_rig import BYTES, Service, service
+from benchmarks.streams import Stream, as_bytes, as_text
 from benchmarks.wire import Connection, post
 from models.config import Refine
 from models.fitted import FittedPrior
 
 JSON = "application/json"
 IN_PROCESS, HTTP_JSON, HTTP_BINARY = "in process", "HTTP, JSON", "HTTP, binary"
+STREAM_JSON, STREAM_BINARY = "stream, JSON", "stream, binary"
 PARSING = "parsing the JSON"  # orjson.loads and numpy.asarray of the body
 FEWEST, MOST = 5, 2000  # turns
 WARM_UP = 3  # turns that do not count
@@ -79,7 +81,7 @@ def main() -> None:
     capture = from_options(arguments)
     prior = model_from_options(arguments, capture)
     with service() as running:
-        timings = asyncio.run(measure(running, prior, capture.keypoints, arguments))
+        timings = uvloop.run(measure(running, prior, capture.keypoints, arguments))
     Results("lift", vars(arguments), {"Lifts": rows(timings)}, bars(timings)).publish(
         arguments.json
     )
@@ -105,8 +107,10 @@ async def measure(
     for refine in arguments.refine:
         for size in arguments.batches:
             batches = cut(keypoints, size)
-            ways = ways_to_lift(connection, model, prior, batches, refine)
+            stream = await Stream.open(running, model=model, refine=refine)
+            ways = ways_to_lift(connection, stream, model, prior, batches, refine)
             seconds = await take_turns(ways, len(batches), arguments.seconds)
+            await stream.close()
             timings += [Timing(refine, size, way, times) for way, times in seconds.items()]
     connection.close()
     return timings
@@ -119,7 +123,12 @@ def cut(keypoints: Float32, size: int) -> list[Float32]:
 
 
 def ways_to_lift(
-    connection: Connection, model: str, prior: FittedPrior, batches: list[Float32], refine: Refine
+    connection: Connection,
+    stream: Stream,
+    model: str,
+    prior: FittedPrior,
+    batches: list[Float32],
+    refine: Refine,
 ) -> dict[str, Way]:
     """Return functions that lift a batch; what a client makes of arrays is made before."""
     texts = [
@@ -136,6 +145,9 @@ def ways_to_lift(
         post(path, save({"frames": frames}), content=BYTES, accept=BYTES) for frames in batches
     ]
 
+    texts_of_frames = [[as_text(n, f) for n, f in enumerate(frames)] for frames in batches]
+    bytes_of_frames = [[as_bytes(n, f) for n, f in enumerate(frames)] for frames in batches]
+
     async def in_process(turn: int) -> object:
         return prior.lift(batches[turn], refine=refine)
 
@@ -145,6 +157,12 @@ def ways_to_lift(
     async def http_binary(turn: int) -> object:
         return await ask(connection, in_bytes[turn])
 
+    async def stream_json(turn: int) -> None:
+        await stream.lift(texts_of_frames[turn])
+
+    async def stream_binary(turn: int) -> None:
+        await stream.lift(bytes_of_frames[turn])
+
     async def parsing(turn: int) -> object:
         return np.asarray(orjson.loads(lists[turn]), np.float32)
 
@@ -152,6 +170,8 @@ def ways_to_lift(
         IN_PROCESS: in_process,
         HTTP_JSON: http_json,
         HTTP_BINARY: http_binary,
+        STREAM_JSON: stream_json,
+        STREAM_BINARY: stream_binary,
         PARSING: parsing,
     }
 

@@ -8,22 +8,27 @@ README.md says what each row is.
 """
 
 import argparse
-import asyncio
 import gc
 from collections.abc import Callable, Coroutine
 from typing import Any
 
 import torch
+import uvloop
 
 from benchmarks.captures import Float32, add_options, from_options, model_from_options
 from benchmarks.clients import measure_requests
 from benchmarks.figures import Bar, Results, Row, command
 from benchmarks.memory import measure_memory
 from benchmarks.service_rig import Service, service
+from benchmarks.streams import measure_streams
 
 Measured = tuple[dict[str, list[Row]], list[Bar]]
 Case = Callable[[Service, str, Float32, argparse.Namespace], Coroutine[Any, Any, Measured]]
-CASES: dict[str, Case] = {"requests": measure_requests, "memory": measure_memory}
+CASES: dict[str, Case] = {
+    "requests": measure_requests,
+    "streams": measure_streams,
+    "memory": measure_memory,
+}
 
 
 def main() -> None:
@@ -39,7 +44,7 @@ def main() -> None:
     for name in arguments.only:
         with service() as running:  # anew: what one case leaves behind must not burden the next
             model = running.import_model(prior)
-            found = asyncio.run(CASES[name](running, model, capture.keypoints, arguments))
+            found = uvloop.run(CASES[name](running, model, capture.keypoints, arguments))
         tables |= found[0]
         bars += found[1]
     Results("load", vars(arguments), tables, bars).publish(arguments.json)
@@ -53,6 +58,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--clients", type=int, nargs="+", default=[1, 2, 8, 32, 64])
     parser.add_argument("--seconds", type=float, default=10, help="for each number of clients: 10")
     parser.add_argument("--rates", type=float, nargs="+", help="frames/s; default: shares of most")
+    parser.add_argument("--stream-seconds", type=float, default=60, help="default: 60")
     parser.add_argument("--lifts", type=int, default=10_000, help="of `memory`: %(default)s")
     return parser.parse_args()
 

@@ -1,11 +1,11 @@
 """What lifts cost through the service, against warm models, stored frames and workers."""
 
 import argparse
-import asyncio
 import time
 
 import numpy as np
 import orjson
+import uvloop
 
 from benchmarks.captures import Float32, fitted, studio
 from benchmarks.figures import Bar
@@ -31,7 +31,7 @@ def measure_models(arguments: argparse.Namespace) -> tuple[Costs, list[Bar]]:
     counts = [count for count in (1, 4, 16, 64, 256) if count <= arguments.models]
     with service() as running:
         models = [running.import_model(prior) for _ in range(max(counts))]
-        costs = asyncio.run(_ask_in_turn(running, models, counts, capture.keypoints))
+        costs = uvloop.run(_ask_in_turn(running, models, counts, capture.keypoints))
     growth = costs[max(counts)] / costs[min(counts)]
     what = f"a request with {max(counts)} warm models against one"
     return {"POST /lift": costs}, [Bar(what, FLAT, growth, "x")]

@@ -1,7 +1,7 @@
 """A lean client: what is timed is the service, so a request costs this side next to nothing."""
 
 import asyncio
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 LENGTH = b"\r\ncontent-length:"
 
@@ -42,8 +42,7 @@ class Connection(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Keep what writes."""
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
+        self._transport = cast("asyncio.Transport", transport)
 
     def data_received(self, data: bytes) -> None:
         """Collect an answer; when it is whole, hand it to who waits."""
