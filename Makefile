@@ -2,14 +2,16 @@
 # make test   set up, then lint, type-check and test
 # make fidelity   measure errors: `make fidelity CAPTURE=file.npz`, else on the example
 # make benchmark  time lifts; benchmark-load, -fit, -scaling, -runtimes: see benchmarks/README.md
+# make performance   write all figures of docs/performance.md anew
 # make serve  set up, then run the service on http://127.0.0.1:8000
 
 PYTHON ?= python3
 BIN := .venv/bin
 CAPTURE ?=
 ARGUMENTS ?=
+IMAGE_SIZE ?=
 
-.PHONY: demo test serve openapi benchmark fidelity clean
+.PHONY: demo test serve openapi benchmark fidelity performance clean
 
 demo: .venv/ready
 	$(BIN)/python examples/demo.py $(if $(CAPTURE),"$(CAPTURE)")
@@ -31,6 +33,18 @@ benchmark-%: .venv/ready
 
 fidelity: .venv/ready
 	$(BIN)/python benchmarks/fidelity.py $(if $(CAPTURE),"$(CAPTURE)")
+
+# All figures of docs/performance.md. The model is fitted once and kept beside them.
+FIGURES := build/performance
+THIS := $(if $(CAPTURE),--capture "$(CAPTURE)") $(if $(IMAGE_SIZE),--image-size $(IMAGE_SIZE)) --model $(FIGURES)/model.safetensors
+performance: .venv/ready
+	mkdir -p $(FIGURES)
+	$(BIN)/python benchmarks/lift.py $(THIS) --json $(FIGURES)/lift.json
+	$(BIN)/python benchmarks/load.py $(THIS) --json $(FIGURES)/load.json
+	$(BIN)/python benchmarks/runtimes.py $(THIS) --json $(FIGURES)/runtimes.json
+	$(BIN)/python benchmarks/fit.py $(if $(CAPTURE),"$(CAPTURE)") $(if $(IMAGE_SIZE),--image-size $(IMAGE_SIZE)) --json $(FIGURES)/fit.json --plot $(FIGURES)/fit.png
+	$(BIN)/python benchmarks/scaling.py --json $(FIGURES)/scaling.json --plot $(FIGURES)/scaling.png
+	$(BIN)/python benchmarks/tables.py $(foreach name,lift load runtimes fit scaling,$(FIGURES)/$(name).json)
 
 openapi: .venv/ready
 	$(BIN)/python -m service.openapi > docs/openapi.json

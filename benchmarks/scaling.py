@@ -56,7 +56,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--seconds", type=float, default=10, help="for each case in this process")
     parser.add_argument("--largest", type=int, default=100_000, help="frames of a lift by a job")
     parser.add_argument(
-        "--job-frames", type=int, default=50_000, help="of the lift that workers share"
+        "--job-frames", type=int, default=100_000, help="of the lift that workers share"
     )
     parser.add_argument("--models", type=int, default=64, help="most warm models: %(default)s")
     parser.add_argument("--plot", type=Path, help="draw all cases to this PNG")

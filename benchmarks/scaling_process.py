@@ -67,7 +67,7 @@ def time_all(
         keypoints = np.resize(
             captures[size].keypoints, (BATCH, *captures[size].keypoints.shape[1:])
         )
-        for what in refines or TAKEN:
+        for what in TAKEN if refines is None else refines:
             ways[what, size] = lifting(prior, keypoints, TAKEN[what])
             frames[what, size] = BATCH
         ways[FIT, size] = stepping(captures[size], prior.config)
