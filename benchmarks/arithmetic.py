@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+import torch
+
 RIDGE, TINY = 1e-4, 1e-12  # as in models.cameras
 FLOAT_BYTES = 4
 
@@ -22,6 +25,14 @@ class Library:
     stack: Callable[[list[Array], int], Array]  # along an axis
     affine: Callable[[Array, Array, Array], Array]  # bias, rows, matrix -> rows @ matrix + bias
     relu: Callable[[Array], Array]  # may overwrite its argument
+
+
+TORCH = Library(torch.stack, torch.addmm, torch.relu_)
+NUMPY = Library(
+    np.stack,
+    lambda bias, rows, matrix: np.add(product := rows @ matrix, bias, out=product),
+    lambda x: np.maximum(x, 0, out=x),
+)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ README.md says what each row is.
 import argparse
 import importlib
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Callable
@@ -17,8 +18,12 @@ from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 from typing import Any
 
-# Both before the libraries are loaded: one thread for NumPy, and compilers that start from nothing.
-os.environ |= {"OPENBLAS_NUM_THREADS": "1", "TORCHINDUCTOR_FORCE_DISABLE_CACHES": "1"}
+# All before the libraries are loaded: one thread for NumPy, and compilers that start from nothing.
+os.environ |= {
+    "OPENBLAS_NUM_THREADS": "1",
+    "TORCHINDUCTOR_FORCE_DISABLE_CACHES": "1",
+    "NUMBA_CACHE_DIR": tempfile.mkdtemp(prefix="fewview-"),
+}
 
 import numpy as np
 import torch
@@ -27,10 +32,12 @@ from safetensors.numpy import load
 from torch import Tensor, nn
 
 from benchmarks import arithmetic
-from benchmarks.arithmetic import Constants, Library, feed_forward, fold
+from benchmarks.arithmetic import NUMPY, TORCH, Constants, feed_forward, fold
 from benchmarks.captures import add_options, from_options, model_from_options
 from benchmarks.figures import Results, Row, command, console, spread, take_turns
-from models.observations import as_observations
+from models.forward import Answers, lay_out
+from models.forward import feed_forward as run_compiled
+from models.observations import Observations, as_observations
 from models.prior import HierarchicalPrior
 
 PRODUCTS = "matrix products alone"
@@ -41,12 +48,6 @@ PEAK_SECONDS = 3
 
 Float32 = NDArray[np.float32]
 Lifts = Callable[[Float32, Float32], Float32]  # keypoints, weights -> points
-TORCH = Library(torch.stack, torch.addmm, torch.relu_)
-NUMPY = Library(
-    np.stack,
-    lambda bias, rows, matrix: np.add(product := rows @ matrix, bias, out=product),
-    lambda x: np.maximum(x, 0, out=x),
-)
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,7 @@ def main() -> None:
         ],
         "Feed-forward arithmetic, one thread": compare(model, runtimes, arguments, flops / peak),
     }
+    shutil.rmtree(os.environ["NUMBA_CACHE_DIR"], ignore_errors=True)
     Results("runtimes", vars(arguments) | {"sizes": model.sizes}, tables).publish(arguments.json)
 
 
@@ -273,6 +275,40 @@ def in_numpy(model: Model) -> Lifts:
     return lambda keypoints, weights: feed_forward(NUMPY, constants, keypoints, weights)[0]
 
 
+def in_numba(model: Model) -> Lifts:
+    """Make what lifts are made with; it also measures the errors, frame by frame."""
+    tensors = {name: torch.from_numpy(value) for name, value in model.weights.items()}
+    network = lay_out(tensors, model.sizes)
+
+    def lift(keypoints: Float32, weights: Float32) -> Float32:
+        frames, views, count, _ = keypoints.shape
+        pairs = (frames, views)
+        seen = Observations(
+            keypoints,
+            weights,
+            centres=np.zeros((*pairs, 2), np.float32),
+            sizes=np.ones(pairs, np.float32),
+            usable=np.ones(pairs, np.bool_),
+        )
+        answers = Answers(
+            np.empty((frames, count, 3), np.float32),
+            np.empty((*pairs, 3, 3), np.float32),
+            np.empty(pairs, np.float32),
+            np.empty((*pairs, 3), np.float32),
+            np.empty((*pairs, 2), np.float32),
+            np.empty((*pairs, 2), np.float32),
+            np.empty((*pairs, 8), np.float32),
+            np.empty(pairs, np.int8),
+            np.empty(pairs, np.float32),
+            np.empty(pairs, np.int32),
+            np.empty(frames, np.bool_),
+        )
+        run_compiled(network, seen, 0.0, -1.0, 0, frames, answers)  # 0.0: nothing is settled
+        return answers.points3d
+
+    return lift
+
+
 def _module(model: Model) -> Straight:
     tensors = {name: torch.from_numpy(value) for name, value in model.weights.items()}
     return Straight(fold(tensors, len(model.sizes), torch.cat))
@@ -303,6 +339,7 @@ MAKERS: dict[str, tuple[Callable[[Model], Lifts], tuple[str, ...]]] = {
     "AOTInductor": (ahead_of_time, ("torch",)),
     "ONNX Runtime": (onnx, ("onnxruntime",)),
     "NumPy": (in_numpy, ()),
+    "Numba": (in_numba, ("numba", "llvmlite")),
 }
 
 if __name__ == "__main__":

@@ -5,9 +5,8 @@ import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from benchmarks.arithmetic import feed_forward, fold, products
+from benchmarks.arithmetic import NUMPY, feed_forward, fold, products
 from benchmarks.captures import studio
-from benchmarks.runtimes import NUMPY
 from models.observations import as_observations
 from models.prior import HierarchicalPrior
 
