@@ -19,7 +19,7 @@ def run(*words: str) -> str:
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,  # machine code may have to be made first
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
