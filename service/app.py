@@ -5,6 +5,7 @@ import gc
 import logging
 import socket
 import sys
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
@@ -58,7 +59,7 @@ def create_app(settings: Settings) -> FastAPI:
         # again and again, which takes five times as long as the lift.
         gc.collect()
         gc.freeze()
-        asyncio.get_running_loop().run_in_executor(None, app.state.engine.warm_newest)
+        threading.Thread(target=app.state.engine.warm_newest, daemon=True).start()
         yield
         await asyncio.to_thread(app.state.engine.close)
         app.state.store.close()

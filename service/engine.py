@@ -25,6 +25,7 @@ from store.database import Store
 
 SLICE_FRAMES = 256  # lifted by the network alone, which takes some 20 us a frame
 REFINED_FRAMES = 32  # refined, which takes some 1 ms a frame
+CLOSE_SECONDS = 2.0
 
 Float32 = NDArray[np.float32]
 _FIELDS = tuple(field.name for field in fields(Lift))
@@ -91,12 +92,12 @@ class Engine:
             thread.start()
 
     def close(self) -> None:
-        """Stop the threads; they finish what they have in hand."""
+        """Stop the threads; they finish what they have in hand, if it does not take long."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
         for thread in self._threads:
-            thread.join()
+            thread.join(CLOSE_SECONDS)
 
     def lift(
         self,
