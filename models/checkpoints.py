@@ -11,7 +11,28 @@ from models.fitted import CurvePoint
 from models.found import array_shapes, from_arrays, to_arrays
 from models.weights import Arrays, Shapes, WeightsError, pack, read_about, unpack
 
-TEACHERS, CAMERAS, STATE = "teachers.", "cameras.", "state."
+TEACHERS, CAMERAS = "teachers.", "cameras."
+
+
+class State(NamedTuple):
+    """Numbers of a fit at one step."""
+
+    step: float
+    loss: float
+    error: float
+    steps: float  # this and the next two are the schedule's
+    since: float
+    done: float
+    seconds: float  # this and the next two are the clock's
+    pace: float
+    lesson: float
+    taught: float
+    mirrored: float
+    given_up: float
+    doubting: float
+    least: float
+    least_at: float
+    hurries: float
 
 
 class Checkpoint(NamedTuple):
@@ -19,7 +40,7 @@ class Checkpoint(NamedTuple):
 
     weights: Tensor  # (W,) of the network
     moments: tuple[Tensor, Tensor]  # (W,) each, of Adam
-    state: dict[str, float]  # counters and running means
+    state: State
     curve: list[CurvePoint]
     teachers: Teachers | None
     found: Discovery | None
@@ -33,7 +54,8 @@ def write(checkpoint: Checkpoint, *, config: str, data: str) -> bytes:
         "second_moment": checkpoint.moments[1],
         "curve": torch.tensor(checkpoint.curve, dtype=torch.float64).reshape(-1, 3),
     }
-    arrays |= {f"{STATE}{name}": _number(value) for name, value in checkpoint.state.items()}
+    # Infinity is written as the largest number: files with anything else are taken for damaged.
+    arrays["state"] = torch.tensor(checkpoint.state, dtype=torch.float64).nan_to_num()
     about = {"config": config, "data": data}
     if checkpoint.teachers is not None:
         about["teachers"] = str(len(checkpoint.teachers.points))
@@ -52,12 +74,11 @@ def read(
     config: str,
     data: str,
     numbers: int,
-    state: set[str],
     shape: tuple[int, int, int],
 ) -> Checkpoint:
     """Read a checkpoint of the same configuration and data.
 
-    `numbers` W of a network and the names of its `state` are expected, and N, K, P of the data.
+    `numbers` W of a network are expected, and N, K, P of the data.
 
     Raises
     ------
@@ -70,7 +91,7 @@ def read(
     if about.get("data") != data:
         raise WeightsError("the checkpoint was made for other keypoints; start anew")
     shapes: Shapes = dict.fromkeys(("weights", "first_moment", "second_moment"), (numbers,))
-    shapes |= {"curve": (None, 3), **{f"{STATE}{name}": (1,) for name in state}}
+    shapes |= {"curve": (None, 3), "state": (len(State._fields),)}
     frames, views, keypoints = shape
     if "teachers" in about:
         shapes |= {
@@ -103,7 +124,7 @@ def read(
     return Checkpoint(
         weights=arrays["weights"],
         moments=(arrays["first_moment"], arrays["second_moment"]),
-        state={name: value.item() for name, value in _under(STATE, arrays).items()},
+        state=State(*arrays["state"].tolist()),
         curve=[CurvePoint(int(s), loss, error) for s, loss, error in arrays["curve"].tolist()],
         teachers=teachers,
         found=found,

@@ -11,6 +11,9 @@ Refine = Literal["auto", "off", "full"]
 Arrangement = Literal["auto", "moving", "static"]
 Index = Annotated[int, Field(ge=0)]
 
+# Of a fit that starts from a model, unless it was told otherwise.
+WARM_STEPS = 1100
+WARM_RATE = 5e-3
 MAX_DICTIONARY_ENTRIES = 16_000_000  # the paper's {4096, 2048, ..., 8} needs 11 million
 
 
@@ -41,6 +44,23 @@ class FitConfig(BaseModel):
         gt=0,
         le=1,
         description="Adam's step size at the start; it falls to zero along half a cosine.",
+    )
+    budget_s: float | None = Field(
+        default=None,
+        ge=1,
+        le=7 * 24 * 3600,
+        description=(
+            "Seconds that training may take, over all attempts, finding the cameras included. The"
+            " fit is laid out for this time, as far as `steps` and what else it was told allow."
+            " Null: as long as its steps take."
+        ),
+    )
+    early_stopping: bool = Field(
+        default=False,
+        description=(
+            "Hold out a twentieth of the frames, from 200 on, and come to an end when predicting"
+            " one of their views from the others gets no better."
+        ),
     )
     distillation: bool = Field(
         default=True,
@@ -116,3 +136,14 @@ class FitConfig(BaseModel):
                 f" more than the {MAX_DICTIONARY_ENTRIES} allowed; make the layers narrower"
             )
         return self
+
+
+def warm(config: FitConfig, source: FitConfig) -> FitConfig:
+    """Fill in what a fit that starts from a model was not told, for a model fitted so."""
+    suits = {
+        "dictionary_sizes": source.dictionary_sizes,
+        "steps": WARM_STEPS,
+        "learning_rate": WARM_RATE,
+    }
+    told = config.model_fields_set
+    return config.model_copy(update={k: v for k, v in suits.items() if k not in told})

@@ -113,6 +113,11 @@ class FittedPrior:
         return math.nan if self._found is None else self._found.noise
 
     @property
+    def weights(self) -> Arrays:
+        """The weights of the network, by name; not to be changed."""
+        return self._arrays
+
+    @property
     def keypoints_per_frame(self) -> int:
         """The number of keypoints P that every frame must have."""
         return len(self._network.first)

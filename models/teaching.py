@@ -2,6 +2,7 @@
 
 import logging
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -53,22 +54,26 @@ class Teaching:
         self.teachers: Teachers | None = None
         self.found: Discovery | None = None
         self.mirrored = False  # whether the network's structures are mirror images
+        self.given_up = config.refine == "off"  # cameras are not looked for
+        self.doubting = 0.0  # seconds that it took to learn the network's doubts, last time
         self._network = network
         self._data = data
         self._config = config
         self._image_sizes = image_sizes
         self._denoiser = denoiser
 
-    def refresh(self, step: int) -> Iterator[None]:
-        """Make teachers anew, and find the cameras first if need be; yields now and then."""
+    def refresh(self, step: int, *, most: int) -> Iterator[None]:
+        """Make teachers anew, and find the cameras first if need be; yields now and then.
+
+        `most` teachers are settled at most, if no cameras are to be found.
+        """
         config, data = self._config, self._data
         seed = [config.seed, step, 2]
-        if config.refine == "off":
-            # A fit of few steps spends little on teachers.
-            most = config.steps // 3
-            self.teachers = find_teachers(
-                self._network, data.keypoints, data.weights, most=most, seed=seed
-            )
+        if self.given_up:
+            if config.distillation:
+                self.teachers = find_teachers(
+                    self._network, data.keypoints, data.weights, most=most, seed=seed
+                )
             return
         widest = self._network.widest(data.weights)
         drawn, places = draw_teachers(
@@ -170,7 +175,7 @@ class Teaching:
         The measure is what refinement with the shape model alone makes of all views: one that
         trusts the network would find it ever more trustworthy.
         """
-        data = self._data
+        started, data = time.perf_counter(), self._data
         there = (data.weights > 0).any(-1)
         several = (there.sum(1) > 1).nonzero()[:, 0]
         frames = several[:: math.ceil(max(len(several), 1) / DOUBT_FRAMES)]
@@ -199,6 +204,7 @@ class Teaching:
                 doubts = learn_doubts(errors, found.shapes.mean)
                 limit = np.quantile(np.concatenate(misfits), TRUSTED) if trusted else 0.0
                 candidates.append(replace(found, doubts=doubts, trusted=float(limit)))
+        self.doubting = time.perf_counter() - started
         return min(candidates[1:] or candidates, key=lambda c: float(c.doubts.scales.sum()))
 
 

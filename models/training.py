@@ -2,9 +2,8 @@
 
 import hashlib
 import math
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,11 +13,13 @@ from torch import Tensor, nn
 
 from models import checkpoints
 from models.batches import Batches, Data
-from models.checkpoints import Checkpoint
+from models.budget import EVERY, SEARCH, WARM, Clock, affordable, relaid
+from models.checkpoints import Checkpoint, State
 from models.config import FitConfig
 from models.denoising import learn_views
 from models.discovery import ImageSizes
 from models.fitted import CurvePoint, FittedPrior
+from models.holdout import Holdout, split
 from models.losses import objective
 from models.observations import Observations, as_observations
 from models.prior import HierarchicalPrior
@@ -27,7 +28,11 @@ from models.teaching import Teaching
 
 CURVE_ROWS = 200
 RECENT = 0.05  # weight of the newest batch in the running means
-STATE = {"step", "seconds", "loss", "error", "taught", "mirrored"}
+PATIENCE, TOLERANCE = 0.1, 0.01  # share of the steps in which this share of the error must go
+CHECKS = 100  # of the held-out frames in a fit
+TAIL = 0.1  # share of the steps that the end takes of a fit that learns nothing more
+
+StoppedBy = Literal["steps", "budget", "early"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,7 @@ class Progress:
     reprojection_error: float  # pixels, running mean over recent batches
     seconds_left: float
     stage: Literal["training", "refining"] = "training"
+    stopped_by: StoppedBy | None = None  # what ended the fit; None while it goes on
 
 
 class Trainer:
@@ -56,17 +62,20 @@ class Trainer:
         *,
         confidence: ArrayLike | None = None,
         image_sizes: ImageSizes | None = None,
+        start: FittedPrior | None = None,
         checkpoint: bytes | None = None,
     ) -> None:
         """Prepare a fit of `keypoints` (N, K, P, 2) pixels, from a `checkpoint` if given.
 
-        `image_sizes` are (width, height) in pixels, one per view, None where unknown.
+        `image_sizes` are (width, height) in pixels, one per view, None where unknown. `start` is a
+        prior whose weights the fit begins with; `models.config.warm` says what suits it.
 
         Raises
         ------
         ValueError
-            When no frame has a usable view, the arrays are malformed (see `as_observations`), or
-            `image_sizes` or the configuration's calibration do not have one entry per view.
+            When no frame has a usable view, the arrays are malformed (see `as_observations`),
+            `image_sizes` or the configuration's calibration do not have one entry per view, or
+            `start` has other keypoints or dictionaries.
         WeightsError
             When the checkpoint is damaged, or was made for other data or another configuration.
         """
@@ -83,48 +92,136 @@ class Trainer:
                 raise ValueError(f"{name} must have one entry per view ({views}), got {len(given)}")
         self.config = config
         self.step = 0
-        self.seconds = 0.0
         self._fingerprint = _fingerprint(observations, image_sizes)
         denoiser = learn_views(observations) if config.denoising else None
         if denoiser is not None:
             observations = denoiser.denoise(observations, range(views))
+        self._holdout: Holdout | None = None
+        if config.early_stopping:
+            frames, held = split(frames, config.seed)
+            self._holdout = Holdout(Data.of(observations, held), config.seed) if len(held) else None
         self._data = Data.of(observations, frames)
-        self._schedule = Schedule.of(config)
         self._batches = Batches(self._data, size=config.batch_size, seed=config.seed)
         self._network = HierarchicalPrior(observations.keypoints.shape[2], config.dictionary_sizes)
         self._network.initialise(config.seed)
+        if start is not None:
+            _begin_with(self._network, start)
         self._weights, self._gradient = _flatten(self._network)
         self._optimiser = torch.optim.Adam([self._weights], lr=config.learning_rate, fused=True)
         self._teaching = Teaching(self._network, self._data, config, image_sizes, denoiser)
-        self._taught = -1  # the step at which there were last teachers
+        self._schedule = Schedule.of(config)
+        self._clock = Clock()
+        self._taught = 0  # how many refreshes of the teachers lie behind
+        self._least = (math.inf, 0)  # error of the held-out frames, and its step
+        self._hurries = False  # nothing more is learned
         self._loss = self._error = 0.0
         self._curve: list[CurvePoint] = []
         if checkpoint is not None:
             self._restore(checkpoint)
 
+    @property
+    def seconds(self) -> float:
+        """The time that training has taken, over all attempts."""
+        return self._clock.seconds
+
+    @property
+    def stopped_by(self) -> StoppedBy | None:
+        """What ended the fit; None if it can go on."""
+        if self.step < self._schedule.steps:
+            return None
+        if self._hurries:
+            return "early"
+        return "steps" if self.step >= self.config.steps else "budget"
+
     def run(self) -> Iterator[Progress]:
         """Take the remaining steps, yielding after each; stop iterating to pause."""
+        self._clock.start()
         while self.step < self._schedule.steps:
-            started = time.perf_counter()
-            if self.step in self._schedule.refreshes and self._taught != self.step:
-                for _ in self._teaching.refresh(self.step):
-                    yield self._progress("refining")
-                self._taught = self.step
+            yield from self._refresh()
+            if self.stopped_by is not None:
+                break
             loss, error = self._advance()
             first = self.step == 0
             self._loss = _running(self._loss, loss, first=first)
             self._error = _running(self._error, error, first=first)
             self.step += 1
-            every = math.ceil(self._schedule.steps / CURVE_ROWS)
-            if self.step % every == 0 or self.step == self._schedule.steps:
+            self._look_ahead()
+            self._clock.stepped(self.step)
+            if self.step % math.ceil(self._schedule.steps / CURVE_ROWS) == 0 or self.stopped_by:
                 self._curve.append(CurvePoint(self.step, self._loss, self._error))
-            self.seconds += time.perf_counter() - started
             yield self._progress("training")
+            self._clock.start()
+
+    def _refresh(self) -> Iterator[Progress]:
+        """Make the teachers that are due."""
+        due = self._schedule.refreshes_by(self.step)
+        if due <= self._taught:
+            return
+        budget, clock, teaching = self.config.budget_s or math.inf, self._clock, self._teaching
+        searching = teaching.found is None and not teaching.given_up
+        if searching or affordable(clock, budget):
+            begun = clock.seconds
+            limit = begun + (SEARCH if searching else 1) * (budget - begun)
+            # A fit of few steps spends little on teachers.
+            lesson = teaching.refresh(self.step, most=self._schedule.steps // 3)
+            for _ in lesson:
+                clock.tick()
+                if clock.seconds > limit:
+                    # Cameras that were not found in time never are.
+                    teaching.given_up = teaching.found is None
+                    break
+                yield self._progress("refining")
+                clock.start()
+            clock.tick()
+            if not searching:
+                clock.lesson = clock.seconds - begun
+        if not self._taught:
+            self._least = (math.inf, self.step)  # foreshortening is known from here on
+        self._taught = due
+        self._plan()
+        if self.stopped_by is not None:  # no time is left for another step
+            self._curve.append(CurvePoint(self.step, self._loss, self._error))
+            yield self._progress("refining")
+
+    def _look_ahead(self) -> None:
+        """Lay out the rest anew where time is short, or nothing more is learned."""
+        if self.config.budget_s is not None and self.step % EVERY == 0:
+            self._plan()
+        if self._holdout is not None and self.step % math.ceil(self.config.steps / CHECKS) == 0:
+            self._check(self._holdout)
+
+    def _plan(self) -> None:
+        if self.config.budget_s is not None and self.step > WARM:
+            teaching = self._teaching
+            self._schedule = relaid(
+                self._schedule,
+                self.step,
+                self._clock,
+                self.config.budget_s,
+                cameras=not teaching.given_up and teaching.found is None,
+                ending=teaching.doubting,
+            )
+
+    def _check(self, holdout: Holdout) -> None:
+        """Go on to what comes next if the held-out frames gain nothing any more."""
+        teachers = self._teaching.teachers
+        error = holdout.error(self._network, 0.0 if teachers is None else teachers.foreshortening)
+        if error < (1 - TOLERANCE) * self._least[0]:
+            self._least = (error, self.step)
+        elif self.step - self._least[1] >= PATIENCE * self.config.steps and not self._hurries:
+            refreshes = self._schedule.refreshes
+            if refreshes and not self._taught:
+                self._schedule = self._schedule.advanced(self.step, refreshes[0])
+            elif (tail := math.ceil(TAIL * self.config.steps)) < self._schedule.steps - self.step:
+                self._schedule = self._schedule.shortened(self.step, tail)
+                self._taught, self._hurries = len(refreshes), True
 
     def _progress(self, stage: Literal["training", "refining"]) -> Progress:
-        steps = self._schedule.steps
-        left = self.seconds / max(self.step, 1) * (steps - self.step)
-        return Progress(self.step, steps, self._loss, self._error, left, stage)
+        steps, clock = self._schedule.steps, self._clock
+        left = clock.seconds / max(self.step, 1) * (steps - self.step)
+        if self.config.budget_s is not None:
+            left = max(min(left, self.config.budget_s - clock.seconds), 0.0)
+        return Progress(self.step, steps, self._loss, self._error, left, stage, self.stopped_by)
 
     def result(self) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
@@ -146,24 +243,34 @@ class Trainer:
     def checkpoint(self) -> bytes:
         """Return everything needed to go on, as safetensors bytes."""
         # Before the first step Adam has no moments: they are zero.
-        state = self._optimiser.state.get(self._weights, {})
+        adam = self._optimiser.state.get(self._weights, {})
         nothing = torch.zeros_like(self._weights)
-        moments = state.get("exp_avg", nothing), state.get("exp_avg_sq", nothing.clone())
+        schedule, clock, teaching = self._schedule, self._clock, self._teaching
         return checkpoints.write(
             Checkpoint(
                 weights=self._weights.detach(),
-                moments=moments,
-                state={
-                    "step": self.step,
-                    "seconds": self.seconds,
-                    "loss": self._loss,
-                    "error": self._error,
-                    "taught": self._taught,
-                    "mirrored": self._teaching.mirrored,
-                },
+                moments=(adam.get("exp_avg", nothing), adam.get("exp_avg_sq", nothing.clone())),
+                state=State(
+                    step=self.step,
+                    loss=self._loss,
+                    error=self._error,
+                    steps=schedule.steps,
+                    since=schedule.since,
+                    done=schedule.done,
+                    seconds=clock.seconds,
+                    pace=clock.pace,
+                    lesson=clock.lesson,
+                    taught=self._taught,
+                    mirrored=teaching.mirrored,
+                    given_up=teaching.given_up,
+                    doubting=teaching.doubting,
+                    least=self._least[0],
+                    least_at=self._least[1],
+                    hurries=self._hurries,
+                ),
                 curve=self._curve,
-                teachers=self._teaching.teachers,
-                found=self._teaching.found,
+                teachers=teaching.teachers,
+                found=teaching.found,
             ),
             config=self.config.model_dump_json(),
             data=self._fingerprint,
@@ -176,19 +283,20 @@ class Trainer:
             config=self.config.model_dump_json(),
             data=self._fingerprint,
             numbers=len(self._weights),
-            state=STATE,
             shape=(frames, views, keypoints),
         )
-        state = found.state
-        self.step, self.seconds, self._taught = (
-            int(state["step"]),
-            state["seconds"],
-            int(state["taught"]),
+        state, teaching = found.state, self._teaching
+        self.step, self._loss, self._error = int(state.step), state.loss, state.error
+        self._schedule = replace(
+            self._schedule, steps=int(state.steps), since=int(state.since), done=state.done
         )
-        self._loss, self._error = state["loss"], state["error"]
+        self._clock = Clock(state.seconds, state.pace, state.lesson)
+        self._taught, self._hurries = int(state.taught), state.hurries > 0
+        self._least = (state.least, int(state.least_at))
         self._curve = found.curve
-        self._teaching.teachers, self._teaching.found = found.teachers, found.found
-        self._teaching.mirrored = state["mirrored"] > 0
+        teaching.teachers, teaching.found = found.teachers, found.found
+        teaching.mirrored, teaching.given_up = state.mirrored > 0, state.given_up > 0
+        teaching.doubting = state.doubting
         with torch.no_grad():
             self._weights.copy_(found.weights)
         if self.step:
@@ -205,16 +313,31 @@ def fit(
     *,
     confidence: ArrayLike | None = None,
     image_sizes: ImageSizes | None = None,
+    start: FittedPrior | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> FittedPrior:
     """Fit a prior to `keypoints` (N, K, P, 2) pixels; see `Trainer` for pauses and errors."""
     trainer = Trainer(
-        keypoints, config or FitConfig(), confidence=confidence, image_sizes=image_sizes
+        keypoints,
+        config or FitConfig(),
+        confidence=confidence,
+        image_sizes=image_sizes,
+        start=start,
     )
     for progress in trainer.run():
         if on_progress is not None:
             on_progress(progress)
     return trainer.result()
+
+
+def _begin_with(network: HierarchicalPrior, start: FittedPrior) -> None:
+    """Copy the weights of a prior."""
+    found = (start.keypoints_per_frame, start.config.dictionary_sizes)
+    wanted = (network.keypoints, tuple(len(part) for part in network.encoder_thresholds))
+    for what, has, needs in zip(("keypoints", "dictionary_sizes"), found, wanted, strict=True):
+        if has != needs:
+            raise ValueError(f"the prior to start from has {what} {has}, the fit {needs}")
+    network.load_state_dict(start.weights)
 
 
 def _flatten(network: nn.Module) -> tuple[nn.Parameter, Tensor]:

@@ -23,6 +23,7 @@ from store.errors import (
     LiftError,
     NotFoundError,
     QueueFullError,
+    SourceError,
 )
 
 logger = logging.getLogger(__name__)
@@ -195,6 +196,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(CaptureError)
     @app.exception_handler(LiftError)
+    @app.exception_handler(SourceError)
     async def on_input_error(_request: Request, error: InputError) -> Response:
         return invalid(f"/{error.field}", str(error)).response()
 

@@ -53,6 +53,13 @@ class FitCreate(BaseModel):
 
     dataset_id: str = Field(max_length=200)
     name: Name = "fit"
+    from_model: str | None = Field(
+        None,
+        max_length=200,
+        description="A model of the same keypoints to start from, of the same subject or species, "
+        "say: its weights are the first ones. Its `dictionary_sizes` are the fit's, and `steps` "
+        "and `learning_rate` have defaults that suit it: fewer, smaller.",
+    )
     config: FitConfig = FitConfig()
 
 
@@ -69,14 +76,19 @@ class FitProgress(BaseModel):
         description="Pixels, running mean over recent batches."
     )
     seconds_left: float | None
+    stopped_by: Literal["steps", "budget", "early"] | None = Field(
+        None,
+        description="What ended the training: all its steps were taken, `budget_s` ran out, or "
+        "`early_stopping` saw nothing more to learn. Null while it goes on.",
+    )
 
 
 class FitError(BaseModel):
     """Why a fit failed."""
 
     code: str = Field(
-        description="`dataset_not_found`, `unusable_capture`, `invalid_arguments`, `timed_out`, "
-        "`worker_lost` or `internal_error`."
+        description="`dataset_not_found`, `model_not_found`, `unusable_capture`, "
+        "`invalid_arguments`, `timed_out`, `worker_lost` or `internal_error`."
     )
     message: str
 
@@ -92,6 +104,7 @@ class Fit(BaseModel):
                 "status": "running",
                 "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
                 "frames": 3309,
+                "from_model": None,
                 "config": FitConfig().model_dump(mode="json"),
                 "job_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
                 "attempt": 1,
@@ -103,6 +116,7 @@ class Fit(BaseModel):
                     "loss": 0.031,
                     "reprojection_error": 3.4,
                     "seconds_left": 14.2,
+                    "stopped_by": None,
                 },
                 "created_at": "2026-03-01T09:31:00Z",
                 "started_at": "2026-03-01T09:31:01Z",
@@ -118,6 +132,7 @@ class Fit(BaseModel):
     status: JobStatus
     dataset_id: str
     frames: int = Field(description="Frames the dataset had when the fit was made: those it sees.")
+    from_model: str | None = Field(description="The model whose weights it started with.")
     config: FitConfig | None = Field(
         description="With defaults filled in; null if the job that asked for the fit had none that "
         "is valid."
@@ -142,6 +157,7 @@ class Fit(BaseModel):
                 "status": record.status,
                 "dataset_id": record.dataset_id,
                 "frames": record.frames,
+                "from_model": record.from_model,
                 "config": record.config or None,
                 "job_id": record.job_id,
                 "attempt": record.attempt,
@@ -198,7 +214,8 @@ def create_fit(
         store,
         dataset_id=body.dataset_id,
         name=body.name,
-        config=body.config.model_dump(mode="json"),
+        config=body.config.model_dump(mode="json", exclude_unset=True),
+        from_model=body.from_model,
         max_queued=settings.max_queued_fits,
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )

@@ -6,6 +6,7 @@ StoreError
 ├── InputError             names the field at fault
 │   ├── CaptureError       arrays that are no capture
 │   ├── ConfigError        a configuration that its dataset does not allow
+│   ├── SourceError        a model that a fit of its dataset cannot start from
 │   └── LiftError          a dataset, or views of it, that the model cannot lift
 ├── QueueFullError         as many fits, or lifts, wait as may
 ├── KeyReusedError         an idempotency key came back with another request
@@ -52,6 +53,10 @@ class CaptureError(InputError):
 
 class ConfigError(InputError):
     """A fit's configuration that speaks of views or keypoints which its dataset has not."""
+
+
+class SourceError(InputError):
+    """A model that a fit of a dataset cannot start from."""
 
 
 class LiftError(InputError):

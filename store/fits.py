@@ -15,9 +15,10 @@ from typing import Any
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
+from models.config import FitConfig, warm
 from store import jobs
 from store.database import Store
-from store.errors import ConfigError, ConflictError, NotFoundError
+from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
 from store.idempotency import Idempotency
 from store.records import Dataset, Fit, Model
 
@@ -28,11 +29,15 @@ def create(
     dataset_id: str,
     name: str,
     config: dict[str, Any],
+    from_model: str | None = None,
     job_id: str | None = None,
     max_queued: int | None = None,
     idempotency: Idempotency | None = None,
 ) -> Fit:
     """Record a queued fit of the dataset as it is now.
+
+    What ``config``, fields of :class:`models.config.FitConfig`, leaves out is filled in: with
+    defaults, or with what suits a start from the model ``from_model``.
 
     A ``job_id`` that already has a fit gives that fit back; without one, the fit's own identifier
     is its job's.
@@ -40,9 +45,12 @@ def create(
     Raises
     ------
     NotFoundError
-        If there is no such dataset.
+        If there is no such dataset, or no such model.
     ConfigError
-        If the configuration speaks of views or keypoints that the dataset has not.
+        If the configuration speaks of views or keypoints that the dataset has not, or has other
+        dictionaries than the model.
+    SourceError
+        If the model has other keypoints than the dataset.
     QueueFullError
         If ``max_queued`` fits wait already.
     """
@@ -52,19 +60,46 @@ def create(
         dataset = session.get(Dataset, dataset_id, with_for_update=True)
         if dataset is None:
             raise NotFoundError("dataset", dataset_id)
-        _check(config, dataset)
+        complete = FitConfig.model_validate(config)
+        if from_model is not None:
+            complete = _suited(complete, session, from_model, dataset)
+        filled_in = complete.model_dump(mode="json")
+        _check(filled_in, dataset)
         return _new(
             id=fit_id,
             name=name,
             dataset_id=dataset_id,
             frames=dataset.frames,
-            config=config,
+            config=filled_in,
+            from_model=from_model,
             job_id=job_id or fit_id,
         )
 
     return jobs.create(
         store, Fit, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
     )
+
+
+def _suited(config: FitConfig, session: Session, from_model: str, dataset: Dataset) -> FitConfig:
+    """Fill in a configuration for a start from a model; raise for one that does not suit it."""
+    model = session.get(Model, from_model)
+    if model is None:
+        raise NotFoundError("model", from_model)
+    if model.keypoints != dataset.keypoints:
+        raise SourceError(
+            "from_model",
+            f"a fit can start from a model of the same keypoints only: expected "
+            f"{dataset.keypoints} as in the dataset, got {model.keypoints}",
+        )
+    source = FitConfig.model_validate(model.config)
+    config = warm(config, source)
+    if config.dictionary_sizes != source.dictionary_sizes:
+        raise ConfigError(
+            "dictionary_sizes",
+            f"a fit keeps the dictionaries of the model it starts from: expected "
+            f"{list(source.dictionary_sizes)}, got {list(config.dictionary_sizes)}; leave it out",
+        )
+    return config
 
 
 def _check(config: dict[str, Any], dataset: Dataset) -> None:
@@ -94,6 +129,7 @@ def refuse(
     dataset_id: str,
     name: str,
     config: dict[str, Any],
+    from_model: str | None = None,
     job_id: str,
     error: dict[str, Any],
 ) -> str:
@@ -101,7 +137,13 @@ def refuse(
 
     def make(_: Session, fit_id: str) -> Fit:
         return _new(
-            id=fit_id, name=name, dataset_id=dataset_id, frames=0, config=config, job_id=job_id
+            id=fit_id,
+            name=name,
+            dataset_id=dataset_id,
+            frames=0,
+            config=config,
+            from_model=from_model,
+            job_id=job_id,
         )
 
     return jobs.refuse(store, Fit, make, job_id=job_id, error=error)

@@ -81,6 +81,7 @@ class Fit(Job, Record):
     __table_args__ = (Index("fits_by_status", "status"),)
 
     config: Mapped[dict[str, Any]]
+    from_model: Mapped[str | None]  # whose weights it starts with
     progress: Mapped[dict[str, Any] | None]
     cancel_requested_at: Mapped[float | None]
     attempt: Mapped[int]

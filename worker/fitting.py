@@ -3,6 +3,7 @@
 import logging
 import math
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -16,7 +17,7 @@ from models.fitted import FittedPrior, Lift, join
 from models.metrics import pa_mpjpe, pck
 from models.training import Trainer
 from models.weights import WeightsError
-from store import attempts, datasets, fits
+from store import attempts, datasets, fits, models
 from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
@@ -42,7 +43,7 @@ def run_attempt(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSe
     except LeaseLostError:
         logger.warning("Fit %s is no longer ours: leaving it alone", attempt.fit_id)
     except NotFoundError as error:
-        _fail(store, attempt, "dataset_not_found", str(error))
+        _fail(store, attempt, f"{error.kind}_not_found", str(error))
     except ValueError as error:
         _fail(store, attempt, "unusable_capture", str(error))
         logger.exception("Fit %s failed", attempt.fit_id)
@@ -58,7 +59,8 @@ def _run(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings)
     config = FitConfig.model_validate(fit.config)
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
     checkpoint = attempts.load_checkpoint(store, fit.id)
-    trainer = _resume(capture, dataset.image_sizes, config, checkpoint)
+    source = None if fit.from_model is None else partial(_load, store, fit.from_model)
+    trainer = _resume(capture, dataset.image_sizes, config, source, checkpoint)
 
     def stopped() -> bool:
         """End the attempt if it has to end now; return whether it did."""
@@ -115,8 +117,16 @@ def _run(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings)
     )
 
 
+def _load(store: Store, model_id: str) -> FittedPrior:
+    return FittedPrior.from_bytes(models.load_weights(store, models.get(store, model_id)))
+
+
 def _resume(
-    capture: Capture, image_sizes: list[Any] | None, config: FitConfig, checkpoint: bytes | None
+    capture: Capture,
+    image_sizes: list[Any] | None,
+    config: FitConfig,
+    source: Callable[[], FittedPrior] | None,
+    checkpoint: bytes | None,
 ) -> Trainer:
     sizes = image_sizes and [size and tuple(size) for size in image_sizes]  # JSON has no tuples
     make = partial(
@@ -127,7 +137,7 @@ def _resume(
             return make(checkpoint=checkpoint)
         except WeightsError:
             logger.exception("The checkpoint cannot be used: starting anew")
-    return make()
+    return make(start=None if source is None else source())
 
 
 def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]:

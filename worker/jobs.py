@@ -25,6 +25,7 @@ def fit(
     dataset_id: str,
     config: dict[str, Any] | None = None,
     name: str | None = None,
+    from_model: str | None = None,
 ) -> dict[str, str | None]:
     """Fit a model to a dataset; the body of ``Queue("fits").enqueue("worker.jobs.fit", ...)``.
 
@@ -36,6 +37,8 @@ def fit(
         Fields of :class:`models.config.FitConfig`; what is left out has its default.
     name
         For people to tell fits and models apart.
+    from_model
+        A fitted model of the same keypoints, whose weights the fit starts with.
 
     Returns
     -------

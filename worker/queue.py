@@ -112,6 +112,8 @@ def enqueue(queue: Queue, record: Fit | Lift) -> None:
     if isinstance(record, Fit):
         function, job_id = FIT_JOB, record.job_id
         arguments = {"dataset_id": record.dataset_id, "config": record.config, "name": record.name}
+        if record.from_model is not None:
+            arguments["from_model"] = record.from_model
     else:
         function, job_id = HELP_JOB, waiting_job(record)
         arguments = {"lift_id": record.id}
@@ -139,6 +141,7 @@ class FitArguments(BaseModel):
     dataset_id: str
     config: FitConfig | None = None
     name: str | None = None
+    from_model: str | None = None
 
 
 class LiftArguments(BaseModel):

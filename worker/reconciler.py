@@ -10,7 +10,7 @@ from rq.exceptions import DeserializationError
 from models.config import FitConfig
 from store import fits, lifts
 from store.database import Store
-from store.errors import ConfigError, LiftError, NotFoundError
+from store.errors import InputError, NotFoundError
 from store.records import Fit, Lift
 from worker.queue import (
     HELP_JOB,
@@ -97,8 +97,7 @@ def adopt(store: Store, job: KnownJob, settings: WorkerSettings) -> str:
         TypeError,
         ValueError,
         NotFoundError,
-        ConfigError,
-        LiftError,
+        InputError,
     ) as error:
         said = {
             "dataset_id": str(arguments.get("dataset_id", ""))[:200],
@@ -117,7 +116,8 @@ def adopt(store: Store, job: KnownJob, settings: WorkerSettings) -> str:
             model_id = str(arguments.get("model_id", ""))[:200]
             identifier = lifts.refuse(store, model_id=model_id, error=problem, **said)
         else:
-            identifier = fits.refuse(store, config={}, error=problem, **said)
+            from_model = str(arguments.get("from_model") or "")[:200] or None
+            identifier = fits.refuse(store, config={}, from_model=from_model, error=problem, **said)
     job.meta[f"{kind}_id"] = identifier
     job.save_meta()  # type: ignore[no-untyped-call]
     return identifier
@@ -129,7 +129,8 @@ def _create_fit(store: Store, job: KnownJob, arguments: dict[str, object]) -> st
         store,
         dataset_id=asked.dataset_id,
         name=(asked.name or "fit")[:200],
-        config=(asked.config or FitConfig()).model_dump(mode="json"),
+        config=(asked.config or FitConfig()).model_dump(mode="json", exclude_unset=True),
+        from_model=asked.from_model,
         job_id=job.id,
     ).id
 

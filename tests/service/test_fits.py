@@ -8,7 +8,7 @@ import pytest
 from safetensors.numpy import load, save
 from starlette.testclient import TestClient
 
-from models.config import FitConfig
+from models.config import WARM_STEPS, FitConfig
 from models.fitted import CAMERA_MODELS, FittedPrior
 from models.synthetic import SyntheticCapture
 from service.settings import Settings
@@ -68,6 +68,9 @@ def test_a_fit_is_queued_with_its_defaults_filled_in(api: TestClient) -> None:
         ({"dictionary_sizes": [8, 0]}, "/config/dictionary_sizes/1"),
         ({"prior": "transformer"}, "/config/prior"),
         ({"seed": 2**32}, "/config/seed"),
+        ({"budget_s": 0.5}, "/config/budget_s"),
+        ({"budget_s": "Infinity"}, "/config/budget_s"),
+        ({"early_stopping": 2}, "/config/early_stopping"),
         ([], "/config"),
         (None, "/config"),
     ],
@@ -387,7 +390,11 @@ def test_records_of_older_versions_are_served(api: TestClient, settings: Setting
     progress = {"step": 9, "steps": 9, "loss": 1, "reprojection_error": 1, "seconds_left": 0}
     fit = stored_fit(settings, make_dataset(api), save(arrays), progress=progress)
 
-    assert api.get(f"/fits/{fit}").json()["progress"] == {"stage": "training", **progress}
+    assert api.get(f"/fits/{fit}").json()["progress"] == {
+        "stage": "training",
+        "stopped_by": None,
+        **progress,
+    }
     for url in (f"/fits/{fit}/reconstruction", f"/fits/{fit}/reconstruction?refine=off"):
         answer = api.get(url)
         assert answer.status_code == 200, answer.text
@@ -416,3 +423,43 @@ def test_downloads_can_be_resumed(live: Live, fitted: dict[str, Any], what: str)
     else:
         url = f"/fits/{fitted['id']}/reconstruction?format=safetensors"
     assert_can_be_resumed(live, url)
+
+
+def test_a_fit_may_start_from_a_model(api: TestClient, model: str) -> None:
+    dataset = make_dataset(api)
+    body = {"dataset_id": dataset["id"], "from_model": model, "config": {"seed": 3}}
+    key = {"Idempotency-Key": "warm"}
+    made = api.post("/fits", json=body, headers=key)
+    assert made.status_code == 202, made.text
+    fit = made.json()
+    source = api.get(f"/models/{model}").json()
+    assert fit["from_model"] == model
+    assert fit["config"]["dictionary_sizes"] == source["config"]["dictionary_sizes"]
+    assert fit["config"]["steps"] == WARM_STEPS < FitConfig().steps
+    assert fit["config"]["seed"] == 3
+    assert api.get(f"/fits/{fit['id']}").json() == fit
+    assert api.post("/fits", json=body, headers=key).json() == fit
+    cold = {name: value for name, value in body.items() if name != "from_model"}
+    problem(api.post("/fits", json=cold, headers=key), 422, "idempotency_key_reused")
+    assert api.post("/fits", json=cold).json()["from_model"] is None
+    told = body | {"config": {"steps": 11, "budget_s": 2.5, "early_stopping": True}}
+    config = api.post("/fits", json=told).json()["config"]
+    assert (config["steps"], config["budget_s"], config["early_stopping"]) == (11, 2.5, True)
+
+
+def test_a_model_that_no_fit_of_the_dataset_can_start_from_is_named(
+    api: TestClient, model: str
+) -> None:
+    before = api.get("/fits?limit=200").json()
+    body = {"dataset_id": make_dataset(api)["id"], "from_model": model}
+    problem(api.post("/fits", json=body | {"from_model": "mdl_gone"}), 404, "not_found")
+    problem(api.post("/fits", json=body | {"from_model": 7}), 422, "invalid_input", "/from_model")
+    frames = {"keypoints": np.ones((2, 2, 9, 2)).tolist()}
+    other = api.post("/datasets", json=frames).json()["id"]
+    response = api.post("/fits", json=body | {"dataset_id": other})
+    said = problem(response, 422, "invalid_input", "/from_model")
+    assert "expected 9 as in the dataset, got 16" in said
+    narrow = body | {"config": {"dictionary_sizes": [7, 3]}}
+    pointer = "/config/dictionary_sizes"
+    problem(api.post("/fits", json=narrow), 422, "invalid_input", pointer)
+    assert api.get("/fits?limit=200").json() == before

@@ -3,12 +3,20 @@ from typing import Any
 
 import pytest
 
+from models.config import WARM_STEPS, FitConfig
 from store import attempts, datasets, fits, housekeeping, models
 from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
-from store.errors import ConfigError, ConflictError, LeaseLostError, QueueFullError
+from store.errors import (
+    ConfigError,
+    ConflictError,
+    LeaseLostError,
+    NotFoundError,
+    QueueFullError,
+    SourceError,
+)
 from store.idempotency import Idempotency
 from store.jobs import MAX_CRASHES
 from store.records import Fit
@@ -64,7 +72,47 @@ def test_a_config_must_speak_of_the_datasets_views_and_keypoints(
         "known_length": {"keypoints": [0, 4], "length": 1},
         "handedness": [0, 1, 2, 4],
     }
-    assert fits.create(store, dataset_id=fit.dataset_id, name="f", config=good).config == good
+    kept = fits.create(store, dataset_id=fit.dataset_id, name="f", config=good).config
+    assert kept == FitConfig.model_validate(good).model_dump(mode="json")
+
+
+def _model(store: Store, *, keypoints: int) -> str:
+    return models.create(
+        store,
+        b"weights",
+        name="m",
+        fit_id=None,
+        dataset_id=None,
+        views=2,
+        keypoints=keypoints,
+        frames=3,
+        config=FitConfig(dictionary_sizes=(16, 8)).model_dump(mode="json"),
+        skeleton=None,
+        training_curve=[],
+        metrics={},
+    ).id
+
+
+def test_a_fit_may_start_from_a_model_of_the_same_keypoints(store: Store, fit: Fit) -> None:
+    def start(model_id: str, config: dict[str, Any]) -> Fit:
+        return fits.create(
+            store, dataset_id=fit.dataset_id, name="f", config=config, from_model=model_id
+        )
+
+    good = _model(store, keypoints=5)
+    made = start(good, {"seed": 2})
+    assert made.from_model == good
+    assert made.config["dictionary_sizes"] == [16, 8]
+    assert (made.config["steps"], made.config["seed"]) == (WARM_STEPS, 2)
+    assert start(good, {"steps": 9}).config["steps"] == 9
+    with pytest.raises(SourceError, match="expected 5 as in the dataset, got 6") as refused:
+        start(_model(store, keypoints=6), {})
+    assert refused.value.field == "from_model"
+    with pytest.raises(ConfigError, match=r"expected \[16, 8\], got \[16, 4\]"):
+        start(good, {"dictionary_sizes": [16, 4]})
+    models.delete(store, good)
+    with pytest.raises(NotFoundError, match=good):
+        start(good, {})
 
 
 def test_one_attempt_at_a_time(store: Store, fit: Fit) -> None:

@@ -93,9 +93,76 @@ def test_a_waiting_job_has_a_record_that_can_be_cancelled(
     assert models.page(store, limit=1, after=None) == []
 
 
+def test_a_job_may_start_from_a_model_and_be_short_of_time(
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
+) -> None:
+    queue = Queue("fits", connection=redis)
+    first = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=CONFIG)
+    start_worker()
+    wait_for(lambda: fits.by_job(store, first.id) is not None, "the job's record")
+    known = fits.by_job(store, first.id)
+    assert known is not None
+    source = wait_until(store, known.id, "succeeded", "failed").model_id
+    assert source is not None
+
+    second = queue.enqueue(
+        "worker.jobs.fit",
+        dataset_id=dataset_id,
+        config={"steps": 1_000_000, "budget_s": 1, "learning_rate": 1e-9, "refine": "off"},
+        from_model=source,
+    )
+    wait_for(lambda: fits.by_job(store, second.id) is not None, "the job's record")
+    warm = fits.by_job(store, second.id)
+    assert warm is not None
+    record = wait_until(store, warm.id, "succeeded", "failed")
+    assert record.from_model == source
+    assert record.config["dictionary_sizes"] == CONFIG["dictionary_sizes"]
+    assert record.progress is not None
+    assert record.progress["stopped_by"] == "budget"
+    assert record.progress["step"] == record.progress["steps"] < 1_000_000
+    assert record.model_id is not None
+    weights = [
+        FittedPrior.from_bytes(models.load_weights(store, models.get(store, model_id))).weights
+        for model_id in (source, record.model_id)
+    ]
+    for name, value in weights[0].items():  # with such a learning rate hardly any was changed
+        np.testing.assert_allclose(weights[1][name], value, atol=1e-3)
+
+
+def test_a_fit_whose_model_was_deleted_since_says_so(
+    store: Store, redis: Redis, capture: Capture, dataset_id: str, start_worker: StartWorker
+) -> None:
+    prior = fit_here(capture.keypoints, FitConfig.model_validate(CONFIG | {"steps": 1}))
+    source = models.create(
+        store,
+        prior.to_bytes(),
+        name="m",
+        fit_id=None,
+        dataset_id=None,
+        views=3,
+        keypoints=16,
+        frames=60,
+        config=prior.config.model_dump(mode="json"),
+        skeleton=None,
+        training_curve=[],
+        metrics={},
+    ).id
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config={}, from_model=source)
+    models.delete(store, source)
+    enqueue(open_queue(redis), fit)
+    start_worker()
+    error = wait_until(store, fit.id, "succeeded", "failed").error
+    assert error is not None
+    assert error["code"] == "model_not_found"
+    assert source in error["message"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
+        ({"from_model": "mdl_gone"}, "model_not_found", "mdl_gone"),
+        ({"from_model": 7}, "invalid_arguments", "from_model"),
+        ({"config": {"budget_s": 0}}, "invalid_arguments", "budget_s"),
         ({"dataset_id": "ds_gone"}, "dataset_not_found", "ds_gone"),
         ({"dataset_id": 7}, "invalid_arguments", "dataset_id"),
         ({"config": {"steps": 0}}, "invalid_arguments", "steps"),
