@@ -1,8 +1,9 @@
-"""Compiling ahead: what a lift needs, before anybody waits for it.
+"""Compiling ahead: what lifts and fits need, before anybody waits for it.
 
     python -m models.ahead
 
-A first lift compiles for some seconds, and later processes read what it left (`models.compiled`).
+The first lift and the first fit compile for some seconds; later processes read what they left
+(`models.compiled`).
 """
 
 import numpy as np
@@ -15,6 +16,7 @@ from models.fitted import FittedPrior
 from models.optics import COEFFICIENTS, Optics
 from models.prior import HierarchicalPrior
 from models.shape import Doubts, ShapeModel
+from models.training import fit
 
 VIEWS, KEYPOINTS, ATOMS = 2, 4, 2
 
@@ -51,5 +53,16 @@ def compile_lifts() -> None:
     prior.lift(keypoints, previous=prior.lift(keypoints, refine="full"))
 
 
+def compile_fits() -> None:
+    """Take a few steps of a fit to noise with gaps, up to its teachers."""
+    rng = np.random.default_rng(0)
+    keypoints = rng.normal(0, 100, (8, VIEWS, KEYPOINTS + 1, 2))
+    keypoints[::2, 0, 0] = np.nan
+    for refine in ("off", "auto"):
+        config = FitConfig(dictionary_sizes=(ATOMS,), steps=6, batch_size=4, refine=refine)
+        fit(keypoints, config)
+
+
 if __name__ == "__main__":
     compile_lifts()
+    compile_fits()

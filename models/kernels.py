@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from models.cameras import RIDGE, TINY
 from models.compiled import compiled
+from models.small import total
 
 Floats = NDArray[Any]  # of 32 or 64 bits
 PARALLEL = 1e-9  # rows that span less of their squared length than this have no nearest rotation
@@ -55,23 +56,14 @@ def reproject(
     for n in range(len(points)):
         normalise(points[n], normal[n])
         for k in range(turns.shape[1]):
-            total = sum_up(weights[n, k])
-            if total > 0:
+            whole = total(weights[n, k])
+            if whole > 0:
                 scale = solve(
-                    normal[n], keypoints[n, k], weights[n, k], total, turns[n, k], camera
+                    normal[n], keypoints[n, k], weights[n, k], whole, turns[n, k], camera
                 )[0]
                 _project(normal[n], camera, scale, projected[n, k])
             else:
                 projected[n, k] = 0
-
-
-@compiled
-def sum_up(weights: Floats) -> float:
-    """Sum in 64 bits."""
-    total = 0.0
-    for weight in weights:
-        total += weight
-    return total
 
 
 @compiled
@@ -101,7 +93,7 @@ def solve(
     points: Floats,
     image: Floats,
     weights: Floats,
-    total: float,
+    whole: float,
     turn: Floats,
     camera: Camera,
 ) -> tuple[float, float, float, float]:
@@ -111,7 +103,7 @@ def solve(
     """
     a = b = c = u = v = 0.0
     for p in range(len(points)):
-        share = weights[p] / total
+        share = weights[p] / whole
         a += share * points[p, 0]
         b += share * points[p, 1]
         c += share * points[p, 2]
@@ -122,7 +114,7 @@ def solve(
     xx = xy = xz = yy = yz = zz = spread = 0.0
     ux = uy = uz = vx = vy = vz = 0.0
     for p in range(len(points)):
-        share = weights[p] / total
+        share = weights[p] / whole
         x, y, z = points[p, 0] - a, points[p, 1] - b, points[p, 2] - c
         i, j = image[p, 0] - u, image[p, 1] - v
         sx, sy, sz = share * x, share * y, share * z

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from models.cameras import RIDGE
 from models.compiled import compiled
-from models.kernels import Camera, Floats, new_camera, normalise, solve, sum_up
+from models.kernels import Camera, Floats, new_camera, normalise, solve
+from models.small import total
 
 
 class Gradients(NamedTuple):
@@ -43,13 +44,13 @@ def reproject_back(
         radius = normalise(points[n], scratch)
         by_points[:] = by_normal[n]
         for k in range(turns.shape[1]):
-            total = sum_up(weights[n, k])
-            if total > 0:
+            whole = total(weights[n, k])
+            if whole > 0:
                 _camera_back(
                     normal[n],
                     keypoints[n, k],
                     weights[n, k],
-                    total,
+                    whole,
                     turns[n, k],
                     by_projected[n, k],
                     camera,
@@ -67,7 +68,7 @@ def _camera_back(
     points: Floats,
     image: Floats,
     weights: Floats,
-    total: float,
+    whole: float,
     turn: Floats,
     by_projected: Floats,
     camera: Camera,
@@ -76,7 +77,7 @@ def _camera_back(
     by_turn: Floats,
 ) -> None:
     """Add the gradient by the points of one view, write that by its turn."""
-    scale, square, pull, slope = solve(points, image, weights, total, turn, camera)
+    scale, square, pull, slope = solve(points, image, weights, whole, turn, camera)
     middle, s, m, rows = camera.middle, camera.scatter, camera.cross, camera.rows
     a, b, c, u, v = middle[0], middle[1], middle[2], middle[3], middle[4]
 
@@ -122,7 +123,7 @@ def _camera_back(
         sum_i += by_projected[p, 0]
         sum_j += by_projected[p, 1]
     for p in range(len(points)):
-        share = weights[p] / total
+        share = weights[p] / whole
         x, y, z = points[p, 0] - a, points[p, 1] - b, points[p, 2] - c
         i = scale * (by_projected[p, 0] - share * sum_i)
         j = scale * (by_projected[p, 1] - share * sum_j)

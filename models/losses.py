@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from models.compiled import compiled
+from models.small import nearest_turn
 
 Floats = NDArray[Any]  # of 32 or 64 bits
 
 STRUCTURE = 3.0  # weight of the distance to the teachers next to the reprojection error
 SOFT = 1e-8  # keeps the gradient of a root finite where a view or a teacher is met exactly
 LEAST_WEIGHT = 1e-6
-SQUARINGS = 20  # of a 4x4 matrix, after which its largest eigenvalue stands alone
 
 
 class Batch(NamedTuple):
@@ -187,69 +187,11 @@ def _distance(
 
 
 @compiled
-def _turn_onto(points: Floats, others: Floats, out: Floats) -> None:  # noqa: PLR0912
-    """Find the rotation that brings points (P, 3) nearest to others.
-
-    Horn, *Closed-form solution of absolute orientation using unit quaternions*, 1987: the
-    quaternion is the eigenvector of the largest eigenvalue of a 4x4 matrix. Squared often enough,
-    that matrix is a multiple of the eigenvector's outer product with itself.
-    """
-    s = np.zeros((3, 3))
+def _turn_onto(points: Floats, others: Floats, out: Floats) -> None:
+    """Find the rotation that brings points (P, 3) nearest to others."""
+    cross = np.zeros((3, 3))
     for p in range(len(points)):
         for i in range(3):
             for j in range(3):
-                s[i, j] += float(points[p, i]) * others[p, j]
-    m, square = np.empty((4, 4)), np.empty((4, 4))
-    m[0, 0], m[0, 1] = s[0, 0] + s[1, 1] + s[2, 2], s[1, 2] - s[2, 1]
-    m[0, 2], m[0, 3] = s[2, 0] - s[0, 2], s[0, 1] - s[1, 0]
-    m[1, 1], m[1, 2] = s[0, 0] - s[1, 1] - s[2, 2], s[0, 1] + s[1, 0]
-    m[1, 3], m[2, 2] = s[2, 0] + s[0, 2], s[1, 1] - s[0, 0] - s[2, 2]
-    m[2, 3], m[3, 3] = s[1, 2] + s[2, 1], s[2, 2] - s[0, 0] - s[1, 1]
-    size = 0.0
-    for i in range(4):
-        for j in range(4):
-            m[i, j] = m[min(i, j), max(i, j)]
-            size += m[i, j] ** 2
-    size = math.sqrt(size) + 1e-30
-    for i in range(4):
-        m[i, i] += size  # no eigenvalue is below zero any more
-    for _ in range(SQUARINGS):
-        trace = 1.0 / (m[0, 0] + m[1, 1] + m[2, 2] + m[3, 3])
-        for i in range(4):
-            for j in range(4):
-                m[i, j] *= trace
-        for i in range(4):
-            for j in range(4):
-                square[i, j] = (
-                    m[i, 0] * m[0, j] + m[i, 1] * m[1, j] + m[i, 2] * m[2, j] + m[i, 3] * m[3, j]
-                )
-        m, square = square, m
-    largest = 0
-    for i in range(4):
-        if m[i, i] > m[largest, largest]:
-            largest = i
-    length = 0.0
-    for i in range(4):
-        length += m[largest, i] ** 2
-    length = 1.0 / math.sqrt(length)
-    w, x, y, z = (
-        length * m[largest, 0],
-        length * m[largest, 1],
-        length * m[largest, 2],
-        length * m[largest, 3],
-    )
-    out[0, 0], out[0, 1], out[0, 2] = (
-        1.0 - 2.0 * (y * y + z * z),
-        2.0 * (x * y - w * z),
-        2.0 * (x * z + w * y),
-    )
-    out[1, 0], out[1, 1], out[1, 2] = (
-        2.0 * (x * y + w * z),
-        1.0 - 2.0 * (x * x + z * z),
-        2.0 * (y * z - w * x),
-    )
-    out[2, 0], out[2, 1], out[2, 2] = (
-        2.0 * (x * z - w * y),
-        2.0 * (y * z + w * x),
-        1.0 - 2.0 * (x * x + y * y),
-    )
+                cross[i, j] += float(others[p, i]) * points[p, j]
+    nearest_turn(cross, out)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from models.compiled import compiled
 from models.distillation import Teachers
+from models.small import product, total, turn
 
 Floats = NDArray[Any]  # of 32 or 64 bits
 
@@ -105,14 +106,12 @@ def _virtual_views(
         points, up = teachers[teacher], ups[teacher]
         out_points[n] = points
         for k in range(views):
-            total = 0.0
-            for p in range(count):
-                total += out_weights[n, k, p]
-            if total <= 0.0:
+            whole = total(out_weights[n, k])
+            if whole <= 0.0:
                 out_keypoints[n, k] = 0
                 continue
             # A camera that saw the teacher, walked round it: elevation and roll stay.
-            camera = int(drawn[4 + views + k] * _total(seen[teacher]))
+            camera = int(drawn[4 + views + k] * total(seen[teacher]))
             for j in range(views):
                 if seen[teacher, j] > 0:
                     if camera == 0:
@@ -121,10 +120,10 @@ def _virtual_views(
                     camera -= 1
             azimuth = 2.0 * math.pi * drawn[4 + 2 * views + k]
             tilt = normal[n, k]
-            _turn(azimuth * up[0], azimuth * up[1], azimuth * up[2], by_azimuth)
-            _turn(TILT * tilt[0], TILT * tilt[1], TILT * tilt[2], by_tilt)
-            _product(rotations[teacher, camera], by_azimuth, walked)
-            _product(by_tilt, walked, r)
+            turn(azimuth * up[0], azimuth * up[1], azimuth * up[2], by_azimuth)
+            turn(TILT * tilt[0], TILT * tilt[1], TILT * tilt[2], by_tilt)
+            product(rotations[teacher, camera], by_azimuth, walked)
+            product(by_tilt, walked, r)
             u = v = 0.0
             image = out_keypoints[n, k]
             for p in range(count):
@@ -138,51 +137,18 @@ def _virtual_views(
                 image[p, 1] += noise * tilt[4 + 2 * p]
                 u += out_weights[n, k, p] * image[p, 0]
                 v += out_weights[n, k, p] * image[p, 1]
-            _normalise(image, out_weights[n, k], max(total, LEAST), u, v)
+            _normalise(image, out_weights[n, k], max(whole, LEAST), u, v)
 
 
 @compiled
-def _total(values: Floats) -> float:
-    total = 0.0
-    for value in values:
-        total += value
-    return total
-
-
-@compiled
-def _normalise(image: Floats, weights: Floats, total: float, u: float, v: float) -> None:
+def _normalise(image: Floats, weights: Floats, whole: float, u: float, v: float) -> None:
     """Bring a view (P, 2) with weighted sums u, v to place and size as `as_observations` does."""
     squares = 0.0
     for p in range(len(image)):
-        image[p, 0] -= u / total
-        image[p, 1] -= v / total
+        image[p, 0] -= u / whole
+        image[p, 1] -= v / whole
         squares += weights[p] * (float(image[p, 0]) ** 2 + float(image[p, 1]) ** 2)
-    size = math.sqrt(max(squares / total, LEAST))
+    size = math.sqrt(max(squares / whole, LEAST))
     for p in range(len(image)):
         for d in range(2):
             image[p, d] = image[p, d] / size if weights[p] > 0 else 0.0
-
-
-@compiled
-def _product(a: Floats, b: Floats, out: Floats) -> None:
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-
-
-@compiled
-def _turn(x: float, y: float, z: float, out: Floats) -> None:
-    """Write the rotation by the angle and about the axis of a vector: Rodrigues."""
-    squared = x * x + y * y + z * z
-    angle = math.sqrt(squared)
-    if angle < 1e-12:
-        sine, versine = 1.0, 0.5
-    else:
-        sine, half = math.sin(angle) / angle, math.sin(0.5 * angle)
-        versine = 2.0 * half * half / squared
-    out[0, 0] = 1.0 - versine * (y * y + z * z)
-    out[1, 1] = 1.0 - versine * (x * x + z * z)
-    out[2, 2] = 1.0 - versine * (x * x + y * y)
-    out[0, 1], out[1, 0] = versine * x * y - sine * z, versine * x * y + sine * z
-    out[0, 2], out[2, 0] = versine * x * z + sine * y, versine * x * z - sine * y
-    out[1, 2], out[2, 1] = versine * y * z - sine * x, versine * y * z + sine * x
