@@ -11,9 +11,7 @@ Refine = Literal["auto", "off", "full"]
 Arrangement = Literal["auto", "moving", "static"]
 Index = Annotated[int, Field(ge=0)]
 
-# Of a fit that starts from a model, unless it was told otherwise.
-WARM_STEPS = 1100
-WARM_RATE = 5e-3
+WARM_STEPS = 1100  # of a fit that starts from a model, unless it was told otherwise
 MAX_DICTIONARY_ENTRIES = 16_000_000  # the paper's {4096, 2048, ..., 8} needs 11 million
 
 
@@ -140,10 +138,6 @@ class FitConfig(BaseModel):
 
 def warm(config: FitConfig, source: FitConfig) -> FitConfig:
     """Fill in what a fit that starts from a model was not told, for a model fitted so."""
-    suits = {
-        "dictionary_sizes": source.dictionary_sizes,
-        "steps": WARM_STEPS,
-        "learning_rate": WARM_RATE,
-    }
+    suits = {"dictionary_sizes": source.dictionary_sizes, "steps": WARM_STEPS}
     told = config.model_fields_set
     return config.model_copy(update={k: v for k, v in suits.items() if k not in told})

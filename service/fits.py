@@ -57,8 +57,8 @@ class FitCreate(BaseModel):
         None,
         max_length=200,
         description="A model of the same keypoints to start from, of the same subject or species, "
-        "say: its weights are the first ones. Its `dictionary_sizes` are the fit's, and `steps` "
-        "and `learning_rate` have defaults that suit it: fewer, smaller.",
+        "say: its weights are the first ones. Its `dictionary_sizes` are the fit's, and "
+        "`steps` are 1100 unless they are told.",
     )
     config: FitConfig = FitConfig()
 

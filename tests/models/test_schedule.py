@@ -1,7 +1,5 @@
 """Fits that are short of time, learn nothing more, or start from a model."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -174,7 +172,6 @@ def test_what_a_start_from_a_model_was_not_told_suits_it() -> None:
     source = FitConfig(dictionary_sizes=(64, 16), seed=3)
     config = warm(FitConfig(seed=1), source)
     assert (config.dictionary_sizes, config.steps, config.seed) == ((64, 16), WARM_STEPS, 1)
-    assert config.learning_rate < FitConfig().learning_rate
-    told = FitConfig(steps=7, learning_rate=0.01, dictionary_sizes=(32, 8))
+    told = FitConfig(steps=7, dictionary_sizes=(32, 8))
     assert warm(told, source) == told
-    assert not math.isclose(WARM_STEPS, FitConfig().steps, rel_tol=0.5)
+    assert WARM_STEPS < FitConfig().steps / 2
