@@ -370,7 +370,7 @@ def stored_fit(
         describe={"keypoints": 16, "config": CONFIG, "training_curve": [], "metrics": {}},
     )
     with store.writing() as session:
-        for name, value in columns.items():
+        for name, value in ({"config": CONFIG} | columns).items():
             setattr(session.get(records.Fit, fit.id), name, value)
     store.close()
     return fit.id
