@@ -39,7 +39,6 @@ IN_PROCESS, HTTP_JSON, HTTP_BINARY = "in process", "HTTP, JSON", "HTTP, binary"
 STREAM_JSON, STREAM_BINARY = "stream, JSON", "stream, binary"
 PARSING = "parsing the JSON"  # orjson.loads and numpy.asarray of the body
 FEWEST, MOST = 5, 2000  # turns
-WARM_UP = 3  # turns that do not count
 DIFFERENT = 2000  # frames that a row's calls go through
 REFINES: tuple[Refine, ...] = ("off", "auto")
 NAMES = {"off": "feed-forward", "auto": "refined", "full": "refined, always"}
@@ -76,8 +75,6 @@ def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
     torch.set_num_threads(1)  # as in the service
-    gc.collect()
-    gc.freeze()  # JSON makes so many lists that all else would be searched again and again
     capture = from_options(arguments)
     prior = model_from_options(arguments, capture)
     with service() as running:
@@ -109,6 +106,9 @@ async def measure(
             batches = cut(keypoints, size)
             stream = await Stream.open(running, model=model, refine=refine)
             ways = ways_to_lift(connection, stream, model, prior, batches, refine)
+            await take_turns(ways, len(batches), 0)  # warms up
+            gc.collect()
+            gc.freeze()  # JSON makes so many lists that all else would be searched again and again
             seconds = await take_turns(ways, len(batches), arguments.seconds)
             await stream.close()
             timings += [Timing(refine, size, way, times) for way, times in seconds.items()]
@@ -191,13 +191,13 @@ async def take_turns(
     seconds: dict[str, list[float]] = {name: [] for name in ways}
     ends = time.perf_counter() + seconds_in_all
     turn = 0
-    while turn < WARM_UP + FEWEST or (turn < WARM_UP + MOST and time.perf_counter() < ends):
+    while turn < FEWEST or (turn < MOST and time.perf_counter() < ends):
         for name, way in ways.items():
             started = time.perf_counter()
             await way(turn % batches)
             seconds[name].append(time.perf_counter() - started)
         turn += 1
-    return {name: times[WARM_UP:] for name, times in seconds.items()}
+    return seconds
 
 
 def rows(timings: list[Timing]) -> list[Row]:
