@@ -18,13 +18,11 @@ from safetensors.numpy import load
 from benchmarks.captures import Capture, from_options
 from benchmarks.figures import Bar, Results, Row, command, console, draw_lines
 from benchmarks.service_rig import BYTES, Service, service
-from models.config import FitConfig
 from models.metrics import pa_mpjpe
 
 ROOT = Path(__file__).parents[1]
 MILLIMETRES = {"m": 1000.0, "cm": 10.0, "mm": 1.0}
 BAR_SECONDS = (12.0, 45.0)  # for the two targets, feed-forward and refined
-STEPS_PER_SECOND = 80  # about, where a fit cannot be told seconds
 KINDS = ("feed-forward", "refined")
 
 
@@ -64,7 +62,7 @@ class Bench:
         self, capture: Capture, dataset: str, kind: str, budget: float, source: str | None = None
     ) -> Run:
         """Fit a stored capture within a budget, from the model `source` if there is one."""
-        config: dict[str, Any] = {"seed": self.seed, **bounded(budget)}
+        config: dict[str, Any] = {"budget_s": budget, "seed": self.seed}
         if kind == KINDS[0]:
             config["refine"] = "off"
         body = {"dataset_id": dataset, "config": config}
@@ -82,13 +80,6 @@ class Bench:
         run = Run(start, kind, budget, seconds, steps, error, str(made["model_id"]))
         console.print(f"{start}, {kind}: {budget:g} s asked, {seconds:.1f} s taken, {error:.2f} mm")
         return run
-
-
-def bounded(budget: float) -> dict[str, Any]:
-    """Return the part of a configuration that bounds the seconds of a fit."""
-    if "budget_s" in FitConfig.model_fields:
-        return {"budget_s": budget}
-    return {"steps": round(STEPS_PER_SECOND * budget)}
 
 
 def main() -> None:
