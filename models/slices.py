@@ -5,14 +5,22 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
+_cores: int | None = None
+
+
+def use_cores(count: int | None) -> None:
+    """Share slices between so many threads of this process; None: as many as torch may use."""
+    global _cores  # noqa: PLW0603
+    _cores = count
+
 
 def in_slices(frames: int, size: int, work: Callable[[slice], object]) -> None:
-    """Call `work` for slices of at most `size` frames, in as many threads as torch may use.
+    """Call `work` for slices of at most `size` frames, in as many threads as there may be.
 
     Which thread takes which slice changes nothing if `work` writes to the frames of its slice only.
     """
     parts = [slice(start, min(start + size, frames)) for start in range(0, frames, size)]
-    threads = min(torch.get_num_threads(), len(parts))
+    threads = min(_cores or torch.get_num_threads(), len(parts))
     if threads <= 1:
         for part in parts:
             work(part)

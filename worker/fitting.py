@@ -2,6 +2,7 @@
 
 import logging
 import math
+import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -15,6 +16,7 @@ from safetensors.numpy import save
 from models.config import FitConfig
 from models.fitted import FittedPrior, Lift, join
 from models.metrics import pa_mpjpe, pck
+from models.slices import use_cores
 from models.training import Trainer
 from models.weights import WeightsError
 from store import attempts, datasets, fits, models
@@ -38,6 +40,7 @@ def run_attempt(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSe
     raised again, RQ's own timeout included.
     """
     torch.set_num_threads(settings.fit_threads)
+    use_cores(len(os.sched_getaffinity(0)))  # which changes no digit, and is over soon
     try:
         _run(store, attempt, pulse, settings)
     except LeaseLostError:

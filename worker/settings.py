@@ -33,7 +33,7 @@ class WorkerSettings(StoreSettings):
         le=256,
         description="Processor cores for one fit or lift. Small dictionaries gain nothing from "
         "more, and lose much where other processes want the cores; a fit's last digits depend on "
-        "it.",
+        "it. Finding the cameras of a fit, which is short and where they do not, uses all cores.",
     )
     max_fit_seconds: int = Field(
         6 * 3600, ge=1, le=7 * 24 * 3600, description="A fit that runs longer fails."
