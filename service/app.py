@@ -1,7 +1,6 @@
 """The FastAPI application."""
 
 import asyncio
-import gc
 import logging
 import socket
 import sys
@@ -55,10 +54,6 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.engine = Engine(
             app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
         )
-        # Libraries stay: the lists of a JSON batch must not have all of them searched for garbage
-        # again and again, which takes five times as long as the lift.
-        gc.collect()
-        gc.freeze()
         threading.Thread(target=app.state.engine.warm_newest, daemon=True).start()
         yield
         await asyncio.to_thread(app.state.engine.close)
