@@ -221,15 +221,13 @@ def normal_equations(
     in_slices(
         frames,
         SLICE,
-        lambda part: _linearise(problem, poses, part.start, part.stop, shared, equations),
+        lambda part: _linearise(problem, poses, part.start, part.stop, equations),
     )
     return Normal(*(torch.from_numpy(a) for a in equations))
 
 
 @compiled
-def _linearise(
-    problem: _Problem, poses: Pose, start: int, stop: int, shared: bool, out: Equations
-) -> None:
+def _linearise(problem: _Problem, poses: Pose, start: int, stop: int, out: Equations) -> None:
     for n in range(start, stop):
         linearise(
             problem.keypoints[n],
@@ -239,7 +237,6 @@ def _linearise(
             problem.scales[n],
             problem.shapes,
             _pose(poses, n),
-            shared,
             _equations(out, n),
         )
 

@@ -2,9 +2,12 @@
 
     python -m models.ahead
 
-The first lift and the first fit compile for some seconds; later processes read what they left
+The first lift and the first fit compile for half a minute; later processes read what they left
 (`models.compiled`).
 """
+
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import torch
@@ -64,5 +67,6 @@ def compile_fits() -> None:
 
 
 if __name__ == "__main__":
-    compile_lifts()
-    compile_fits()
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        for done in [pool.submit(compile_lifts), pool.submit(compile_fits)]:
+            done.result()

@@ -198,10 +198,9 @@ def linearise(
     scale: float,
     shapes: Shapes,
     pose: Pose,
-    shared: bool,
     out: Equations,
 ) -> None:
-    """Write the normal equations; with `shared` also those of the rig, ten numbers a view."""
+    """Write the normal equations; if there is room, also those of the rig, ten numbers a view."""
     count, groups, components = len(pose.points), len(pose.sizes), shapes.basis.shape[1]
     size = POSE * groups + components
     fill(out.points, 0)
@@ -209,6 +208,7 @@ def linearise(
     fill(out.rest, 0)
     fill(out.pull_rest, 0)
     # Rows of the two residuals: 7 numbers of the pose, 10 of the view.
+    shared = len(out.pull_rest) > size
     own = POSE + (VIEW if shared else 0)
     rows, inner, pull = np.empty((2, own)), np.empty((own, own)), np.empty(own)
     by_point, by_camera, by_held = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
@@ -380,7 +380,7 @@ def descend(
     damping, stale = FIRST_DAMPING, True
     for _ in range(iterations):
         if stale:
-            linearise(keypoints, weights, cameras, mean, scale, shapes, pose, False, equations)
+            linearise(keypoints, weights, cameras, mean, scale, shapes, pose, equations)
         eliminate(equations, damping, inverses, reduced, step)
         cost = np.inf
         if cholesky(reduced):
