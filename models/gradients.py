@@ -37,6 +37,13 @@ def reproject(
     if points.device.type == "cpu":
         points, projected = _Reprojection.apply(points, turns, keypoints, weights)  # type: ignore[no-untyped-call]
         return points, projected
+    return plain_reprojection(points, turns, keypoints, weights)
+
+
+def plain_reprojection(
+    points: Tensor, turns: Tensor, keypoints: Tensor, weights: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Do what `reproject` does in tensor operations, on any device."""
     points = normalise(points)
     guesses, _ = nearest_rotation(turns)
     cameras = solve_cameras(points[:, None], keypoints, weights, guesses)

@@ -28,6 +28,10 @@ class Batch(NamedTuple):
     teachers: Tensor  # (B, P, 3) structures to come near to
     taught: Tensor  # (B,) 1 where there is such a structure, else 0
 
+    def to(self, device: torch.device) -> "Batch":
+        """Return the batch on a device."""
+        return self if device.type == "cpu" else Batch(*(part.to(device) for part in self))
+
 
 def objective(points: Tensor, projected: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
     """Sum up what a batch's structures (B, P, 3) and projections (B, K, P, 2) cost.
@@ -42,10 +46,11 @@ def objective(points: Tensor, projected: Tensor, batch: Batch) -> tuple[Tensor, 
     if points.device.type == "cpu":
         total, figures = _Objective.apply(points, projected, *batch)  # type: ignore[no-untyped-call]
         return total, figures
-    return _plain(points, projected, batch)
+    return plain_objective(points, projected, batch)
 
 
-def _plain(points: Tensor, projected: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
+def plain_objective(points: Tensor, projected: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Do what `objective` does in tensor operations, on any device."""
     squared = (projected - batch.keypoints).square().sum(-1)
     weight = batch.weights.sum(-1)  # (B, K)
     mean = (batch.weights * squared).sum(-1) / weight.clamp_min(LEAST_WEIGHT)
@@ -54,13 +59,15 @@ def _plain(points: Tensor, projected: Tensor, batch: Batch) -> tuple[Tensor, Ten
     views = there.sum().clamp_min(1)
     total = (batch.factors[:, None] * norms).sum() / views
     own = batch.taught / batch.taught.sum().clamp_min(1)
-    total = total + STRUCTURE * (own * structure_distances(points, batch.teachers)).sum()
+    total = total + STRUCTURE * (own * _structure_distances(points, batch.teachers)).sum()
     shown = (batch.weights > 0) & (batch.sizes > 0)[..., None]
-    pixels = (squared.detach().sqrt() * batch.sizes[..., None] * shown).sum() / shown.sum()
+    pixels = (
+        squared.detach().sqrt() * batch.sizes[..., None] * shown
+    ).sum() / shown.sum().clamp_min(1)
     return total, torch.stack((norms.detach().sum() / views, pixels))
 
 
-def structure_distances(points: Tensor, teachers: Tensor) -> Tensor:
+def _structure_distances(points: Tensor, teachers: Tensor) -> Tensor:
     """Root-mean-square distances (N,) of (N, P, 3) from `teachers` after turning these (Kabsch).
 
     The best turn needs no gradient: at the optimum the distance does not change with it.

@@ -5,6 +5,7 @@ Views*, 3DV 2021; "paper" below. Read top to bottom: encoder, rotation factorisa
 decoder, cameras.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -133,6 +134,12 @@ class HierarchicalPrior(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         pooled = (votes @ codes)[:, 0]  # (N, B_L)
         return reproject(self.decode(pooled), turns, keypoints, weights)
+
+
+def multiplications(views: int, keypoints: int, sizes: tuple[int, ...]) -> int:
+    """Return about how many multiplications the encoder takes for a frame, which are most."""
+    layers = pairwise(sizes)
+    return views * (6 * keypoints * sizes[0] + 6 * sum(outer * inner for outer, inner in layers))
 
 
 def parameter_shapes(keypoints: int, sizes: tuple[int, ...]) -> dict[str, tuple[int, ...]]:

@@ -1,5 +1,6 @@
 """Fitting a prior to keypoints alone: minimise the reprojection error, resumably."""
 
+import copy
 import hashlib
 import math
 from collections.abc import Callable, Iterator
@@ -64,11 +65,13 @@ class Trainer:
         image_sizes: ImageSizes | None = None,
         start: FittedPrior | None = None,
         checkpoint: bytes | None = None,
+        device: str = "cpu",
     ) -> None:
         """Prepare a fit of `keypoints` (N, K, P, 2) pixels, from a `checkpoint` if given.
 
         `image_sizes` are (width, height) in pixels, one per view, None where unknown. `start` is a
-        prior whose weights the fit begins with; `models.config.warm` says what suits it.
+        prior whose weights the fit begins with; `models.config.warm` says what suits it. Training
+        steps are taken on the `device`, everything else on the CPU.
 
         Raises
         ------
@@ -106,7 +109,12 @@ class Trainer:
         self._network.initialise(config.seed)
         if start is not None:
             _begin_with(self._network, start)
-        self._weights, self._gradient = _flatten(self._network)
+        # The trained weights live on the device; all but the steps reads the CPU's.
+        self._device = torch.device(device)
+        self._trained = self._network
+        if self._device.type != "cpu":
+            self._trained = copy.deepcopy(self._network).to(self._device)
+        self._weights, self._gradient = _flatten(self._trained)
         self._optimiser = torch.optim.Adam([self._weights], lr=config.learning_rate, fused=True)
         self._teaching = Teaching(self._network, self._data, config, image_sizes, denoiser)
         self._schedule = Schedule.of(config)
@@ -163,6 +171,7 @@ class Trainer:
             begun = clock.seconds
             limit = begun + (SEARCH if searching else 1) * (budget - begun)
             # A fit of few steps spends little on teachers.
+            self._fetch()
             lesson = teaching.refresh(self.step, most=self._schedule.steps // 3)
             for _ in lesson:
                 clock.tick()
@@ -204,6 +213,7 @@ class Trainer:
 
     def _check(self, holdout: Holdout) -> None:
         """Go on to what comes next if the held-out frames gain nothing any more."""
+        self._fetch()
         teachers = self._teaching.teachers
         error = holdout.error(self._network, 0.0 if teachers is None else teachers.foreshortening)
         if error < (1 - TOLERANCE) * self._least[0]:
@@ -225,13 +235,20 @@ class Trainer:
 
     def result(self) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
+        self._fetch()
         return self._teaching.result(self.step, self._curve)
+
+    def _fetch(self) -> None:
+        """Bring the trained weights to the CPU."""
+        if self._trained is not self._network:
+            self._network.load_state_dict(self._trained.state_dict())
 
     def _advance(self) -> tuple[float, float]:
         """Take one optimiser step; the loss and the reprojection error in pixels."""
         found = self._teaching.found is not None
         batch = self._batches.draw(self.step, self._teaching.teachers, perspective=found)
-        points, projected, _ = self._network.reproject(batch.keypoints, batch.weights)
+        batch = batch.to(self._device)
+        points, projected, _ = self._trained.reproject(batch.keypoints, batch.weights)
         total, figures = objective(points, projected, batch)
         self._optimiser.param_groups[0]["lr"] = self._schedule.rate_at(self.step, found=found)
         self._gradient.zero_()
@@ -248,8 +265,11 @@ class Trainer:
         schedule, clock, teaching = self._schedule, self._clock, self._teaching
         return checkpoints.write(
             Checkpoint(
-                weights=self._weights.detach(),
-                moments=(adam.get("exp_avg", nothing), adam.get("exp_avg_sq", nothing.clone())),
+                weights=self._weights.detach().cpu(),
+                moments=(
+                    adam.get("exp_avg", nothing).cpu(),
+                    adam.get("exp_avg_sq", nothing.clone()).cpu(),
+                ),
                 state=State(
                     step=self.step,
                     loss=self._loss,
@@ -301,9 +321,9 @@ class Trainer:
             self._weights.copy_(found.weights)
         if self.step:
             self._optimiser.state[self._weights] = {
-                "step": torch.tensor(float(self.step)),
-                "exp_avg": found.moments[0],
-                "exp_avg_sq": found.moments[1],
+                "step": torch.tensor(float(self.step), device=self._device),
+                "exp_avg": found.moments[0].to(self._device),
+                "exp_avg_sq": found.moments[1].to(self._device),
             }
 
 
@@ -314,6 +334,7 @@ def fit(
     confidence: ArrayLike | None = None,
     image_sizes: ImageSizes | None = None,
     start: FittedPrior | None = None,
+    device: str = "cpu",
     on_progress: Callable[[Progress], None] | None = None,
 ) -> FittedPrior:
     """Fit a prior to `keypoints` (N, K, P, 2) pixels; see `Trainer` for pauses and errors."""
@@ -323,6 +344,7 @@ def fit(
         confidence=confidence,
         image_sizes=image_sizes,
         start=start,
+        device=device,
     )
     for progress in trainer.run():
         if on_progress is not None:

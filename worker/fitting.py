@@ -16,6 +16,7 @@ from safetensors.numpy import save
 from models.config import FitConfig
 from models.fitted import FittedPrior, Lift, join
 from models.metrics import pa_mpjpe, pck
+from models.prior import multiplications
 from models.slices import use_cores
 from models.training import Trainer
 from models.weights import WeightsError
@@ -30,6 +31,7 @@ from worker.settings import WorkerSettings
 logger = logging.getLogger(__name__)
 
 LIFT_FRAMES = 512  # lifted between two looks at what is asked of the attempt
+GPU_MULTIPLICATIONS = 200_000_000  # in a step: about what a core does while a GPU is given its work
 CHECKPOINT_SHARE = 20  # checkpoints may take a twentieth of the time, however large they are
 
 
@@ -63,7 +65,8 @@ def _run(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings)
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
     checkpoint = attempts.load_checkpoint(store, fit.id)
     source = None if fit.from_model is None else partial(_load, store, fit.from_model)
-    trainer = _resume(capture, dataset.image_sizes, config, source, checkpoint)
+    device = _device(settings, capture, config)
+    trainer = _resume(capture, dataset.image_sizes, config, source, checkpoint, device)
 
     def stopped() -> bool:
         """End the attempt if it has to end now; return whether it did."""
@@ -120,6 +123,16 @@ def _run(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings)
     )
 
 
+def _device(settings: WorkerSettings, capture: Capture, config: FitConfig) -> str:
+    """Choose where to train: a step of small dictionaries is over before a GPU has begun it."""
+    if settings.fit_device != "auto":
+        return settings.fit_device
+    _, views, keypoints, _ = capture.keypoints.shape
+    frame = multiplications(views, keypoints, config.dictionary_sizes)
+    pays = frame * config.batch_size >= GPU_MULTIPLICATIONS
+    return "cuda" if pays and torch.cuda.is_available() else "cpu"
+
+
 def _load(store: Store, model_id: str) -> FittedPrior:
     return FittedPrior.from_bytes(models.load_weights(store, models.get(store, model_id)))
 
@@ -130,10 +143,16 @@ def _resume(
     config: FitConfig,
     source: Callable[[], FittedPrior] | None,
     checkpoint: bytes | None,
+    device: str,
 ) -> Trainer:
     sizes = image_sizes and [size and tuple(size) for size in image_sizes]  # JSON has no tuples
     make = partial(
-        Trainer, capture.keypoints, config, confidence=capture.confidence, image_sizes=sizes
+        Trainer,
+        capture.keypoints,
+        config,
+        confidence=capture.confidence,
+        image_sizes=sizes,
+        device=device,
     )
     if checkpoint is not None:
         try:

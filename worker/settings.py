@@ -1,5 +1,7 @@
 """How fits and lifts are carried and bounded."""
 
+from typing import Literal
+
 from pydantic import Field, RedisDsn
 
 from store.settings import StoreSettings
@@ -34,6 +36,11 @@ class WorkerSettings(StoreSettings):
         description="Processor cores for one fit or lift. Small dictionaries gain nothing from "
         "more, and lose much where other processes want the cores; a fit's last digits depend on "
         "it. Finding the cameras of a fit, which is short and where they do not, uses all cores.",
+    )
+    fit_device: Literal["auto", "cpu", "cuda"] = Field(
+        "auto",
+        description="Where training steps are taken. `auto`: on a GPU if there is one and the "
+        "dictionaries are large enough for it to pay, else on the processor.",
     )
     max_fit_seconds: int = Field(
         6 * 3600, ge=1, le=7 * 24 * 3600, description="A fit that runs longer fails."

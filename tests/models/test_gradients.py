@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from models import distillation
-from models.cameras import nearest_rotation, project, solve_cameras
-from models.gradients import fill, normalise, reproject
-from models.losses import STRUCTURE, Batch, objective
+from models.cameras import nearest_rotation, project
+from models.gradients import fill, normalise, plain_reprojection, reproject
+from models.losses import STRUCTURE, Batch, objective, plain_objective
 from models.prior import HierarchicalPrior
 from models.virtual import drop_views, virtual_views
 
@@ -29,15 +29,6 @@ def _weights(frames: int, views: int, keypoints: int) -> Tensor:
     return weights
 
 
-def _by_tensors(
-    points: Tensor, turns: Tensor, keypoints: Tensor, weights: Tensor
-) -> tuple[Tensor, Tensor]:
-    points = normalise(points)
-    guesses, _ = nearest_rotation(turns)
-    cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
-    return points, project(points[:, None], cameras)
-
-
 Reprojection = Callable[[Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
@@ -54,7 +45,7 @@ def test_reprojections_and_their_gradients_are_those_of_the_tensor_operations(sh
         answers = how(*given, keypoints, weights)
         return [*answers, *torch.autograd.grad(answers, given, upstream)]
 
-    for found, expected in zip(run(reproject), run(_by_tensors), strict=True):
+    for found, expected in zip(run(reproject), run(plain_reprojection), strict=True):
         scale = expected.detach().abs().max().item()
         torch.testing.assert_close(found, expected, atol=1e-5 * scale, rtol=0)
 
@@ -67,7 +58,7 @@ def test_rows_without_a_nearest_rotation_have_finite_gradients() -> None:
     given = points.requires_grad_(), turns.requires_grad_()
     keypoints, weights = _drawn(3, 1, 9, 2, seed=2), torch.ones(3, 1, 9).double()
     answers = reproject(*given, keypoints, weights)
-    expected = _by_tensors(*given, keypoints, weights)
+    expected = plain_reprojection(*given, keypoints, weights)
     # A ridge towards another guess hardly changes a well-posed answer.
     torch.testing.assert_close(answers[1], expected[1], atol=1e-2, rtol=0)
     for gradient in torch.autograd.grad([answer.sum() for answer in answers], given):
@@ -117,8 +108,16 @@ def test_the_objective_is_what_it_says_and_its_gradient_is_right() -> None:
     shown = (batch.weights > 0) & (batch.sizes > 0)[..., None]
     pixels = (squared.sqrt() * batch.sizes[..., None])[shown].mean()
     assert figures.tolist() == pytest.approx([norms.mean().item(), pixels.item()])
+    plain, plain_figures = plain_objective(points, projected, batch)
+    torch.testing.assert_close(plain, total)
+    torch.testing.assert_close(plain_figures, figures)
+    given = points, projected
+    for found, expected in zip(
+        torch.autograd.grad(total, given), torch.autograd.grad(plain, given), strict=True
+    ):
+        torch.testing.assert_close(found, expected)
     assert torch.autograd.gradcheck(
-        lambda points, projected: objective(points, projected, batch)[0], (points, projected)
+        lambda points, projected: objective(points, projected, batch)[0], given
     )
 
 
