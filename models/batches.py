@@ -90,14 +90,14 @@ class Batches:
 
     def _frames(self, step: int) -> NDArray[np.int64]:
         """Frames of this step: epoch after epoch, each in an order of its own."""
-        count, size = len(self._data.keypoints), self._size
-        places = np.arange(step * size, (step + 1) * size)
-        epochs = places // count
-        picked = np.empty(size, np.int64)
-        for epoch in np.unique(epochs):
-            if epoch != self._epoch[0]:
-                order = np.random.default_rng([self._seed, epoch]).permutation(count)
-                self._epoch = (int(epoch), order)
-            here = epochs == epoch
-            picked[here] = self._epoch[1][places[here] % count]
+        epoch, place = divmod(step * self._size, len(self._data.keypoints))
+        picked = self._order(epoch)[place : place + self._size]
+        if len(picked) < self._size:
+            picked = np.concatenate((picked, self._order(epoch + 1)[: self._size - len(picked)]))
         return picked
+
+    def _order(self, epoch: int) -> NDArray[np.int64]:
+        if epoch != self._epoch[0]:
+            rng = np.random.default_rng([self._seed, epoch])
+            self._epoch = (epoch, rng.permutation(len(self._data.keypoints)))
+        return self._epoch[1]

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
 from models import checkpoints
+from models.adam import Adam
 from models.batches import Batches, Data
 from models.budget import EVERY, SEARCH, WARM, Clock, affordable, relaid
 from models.checkpoints import Checkpoint, State
@@ -114,8 +115,8 @@ class Trainer:
         self._trained = self._network
         if self._device.type != "cpu":
             self._trained = copy.deepcopy(self._network).to(self._device)
-        self._weights, self._gradient = _flatten(self._trained)
-        self._optimiser = torch.optim.Adam([self._weights], lr=config.learning_rate, fused=True)
+        weights, self._gradient = _flatten(self._trained)
+        self._adam = Adam(weights)
         self._teaching = Teaching(self._network, self._data, config, image_sizes, denoiser)
         self._schedule = Schedule.of(config)
         self._clock = Clock()
@@ -250,26 +251,21 @@ class Trainer:
         batch = batch.to(self._device)
         points, projected, _ = self._trained.reproject(batch.keypoints, batch.weights)
         total, figures = objective(points, projected, batch)
-        self._optimiser.param_groups[0]["lr"] = self._schedule.rate_at(self.step, found=found)
         self._gradient.zero_()
         torch.autograd.backward(total)
-        self._optimiser.step()
+        rate = self._schedule.rate_at(self.step, found=found)
+        self._adam.step(self._gradient, count=self.step + 1, rate=rate)
         loss, error = figures.tolist()
         return loss, error
 
     def checkpoint(self) -> bytes:
         """Return everything needed to go on, as safetensors bytes."""
-        # Before the first step Adam has no moments: they are zero.
-        adam = self._optimiser.state.get(self._weights, {})
-        nothing = torch.zeros_like(self._weights)
+        adam = self._adam
         schedule, clock, teaching = self._schedule, self._clock, self._teaching
         return checkpoints.write(
             Checkpoint(
-                weights=self._weights.detach().cpu(),
-                moments=(
-                    adam.get("exp_avg", nothing).cpu(),
-                    adam.get("exp_avg_sq", nothing.clone()).cpu(),
-                ),
+                weights=adam.weights.cpu(),
+                moments=(adam.mean.cpu(), adam.square.cpu()),
                 state=State(
                     step=self.step,
                     loss=self._loss,
@@ -302,7 +298,7 @@ class Trainer:
             data,
             config=self.config.model_dump_json(),
             data=self._fingerprint,
-            numbers=len(self._weights),
+            numbers=len(self._adam.weights),
             shape=(frames, views, keypoints),
         )
         state, teaching = found.state, self._teaching
@@ -317,14 +313,10 @@ class Trainer:
         teaching.teachers, teaching.found = found.teachers, found.found
         teaching.mirrored, teaching.given_up = state.mirrored > 0, state.given_up > 0
         teaching.doubting = state.doubting
-        with torch.no_grad():
-            self._weights.copy_(found.weights)
-        if self.step:
-            self._optimiser.state[self._weights] = {
-                "step": torch.tensor(float(self.step), device=self._device),
-                "exp_avg": found.moments[0].to(self._device),
-                "exp_avg_sq": found.moments[1].to(self._device),
-            }
+        adam = self._adam
+        adam.weights.copy_(found.weights)
+        adam.mean.copy_(found.moments[0])
+        adam.square.copy_(found.moments[1])
 
 
 def fit(
@@ -362,15 +354,15 @@ def _begin_with(network: HierarchicalPrior, start: FittedPrior) -> None:
     network.load_state_dict(start.weights)
 
 
-def _flatten(network: nn.Module) -> tuple[nn.Parameter, Tensor]:
+def _flatten(network: nn.Module) -> tuple[Tensor, Tensor]:
     """Make all weights of a network, and their gradients, parts of one: one call updates them."""
     parameters = list(network.parameters())
-    whole = nn.Parameter(torch.cat([part.detach().flatten() for part in parameters]))
-    whole.grad = gradient = torch.zeros_like(whole)
+    whole = torch.cat([part.detach().flatten() for part in parameters])
+    gradient = torch.zeros_like(whole)
     start = 0
     for part in parameters:
         place = slice(start, start + part.numel())
-        part.data = whole.detach()[place].view_as(part)
+        part.data = whole[place].view_as(part)
         part.grad = gradient[place].view_as(part)
         start = place.stop
     return whole, gradient

@@ -175,3 +175,9 @@ def test_what_a_start_from_a_model_was_not_told_suits_it() -> None:
     told = FitConfig(steps=7, dictionary_sizes=(32, 8))
     assert warm(told, source) == told
     assert FitConfig().steps > 2 * WARM_STEPS
+
+
+def test_the_processor_is_where_fits_run_unless_told_otherwise(capture: SyntheticCapture) -> None:
+    config = QUICK.model_copy(update={"refine": "off"})
+    plain, told = fit(capture.keypoints, config), fit(capture.keypoints, config, device="cpu")
+    assert plain.to_bytes() == told.to_bytes()
