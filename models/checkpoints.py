@@ -28,6 +28,7 @@ class State(NamedTuple):
     lesson: float
     taught: float
     mirrored: float
+    found_at: float
     given_up: float
     doubting: float
     least: float

@@ -53,6 +53,7 @@ class Teaching:
     ) -> None:
         self.teachers: Teachers | None = None
         self.found: Discovery | None = None
+        self.found_at = -1  # step; what is interrupted there goes on with what was found
         self.mirrored = False  # whether the network's structures are mirror images
         self.given_up = config.refine == "off"  # cameras are not looked for
         self.doubting = 0.0  # seconds that it took to learn the network's doubts, last time
@@ -85,7 +86,8 @@ class Teaching:
             yield from self._discover(drawn)
             if self.found is None:
                 return
-        else:
+            self.found_at = step
+        elif self.found_at != step:
             self.found = self._doubted(self.found, step)
         if config.distillation:
             yield from self._refine_teachers(drawn, places)

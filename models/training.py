@@ -278,6 +278,7 @@ class Trainer:
                     lesson=clock.lesson,
                     taught=self._taught,
                     mirrored=teaching.mirrored,
+                    found_at=teaching.found_at,
                     given_up=teaching.given_up,
                     doubting=teaching.doubting,
                     least=self._least[0],
@@ -312,7 +313,7 @@ class Trainer:
         self._curve = found.curve
         teaching.teachers, teaching.found = found.teachers, found.found
         teaching.mirrored, teaching.given_up = state.mirrored > 0, state.given_up > 0
-        teaching.doubting = state.doubting
+        teaching.found_at, teaching.doubting = int(state.found_at), state.doubting
         adam = self._adam
         adam.weights.copy_(found.weights)
         adam.mean.copy_(found.moments[0])

@@ -236,6 +236,21 @@ def test_a_resumed_fit_ends_bit_for_bit_where_an_uninterrupted_one_does() -> Non
     assert first.to_bytes() == second.to_bytes()
 
 
+def test_a_fit_resumes_bit_for_bit_while_its_cameras_are_found() -> None:
+    """Wherever it is interrupted: in the search, and while teachers are made with its outcome."""
+    capture = synthetic_capture(frames=60, views=3, noise=1, hidden_keypoints=0.05, seed=1)
+    config = QUICK.model_copy(update={"batch_size": 16})
+    whole = Trainer(capture.keypoints, config)
+    data = [whole.checkpoint() for progress in whole.run() if progress.stage == "refining"]
+    searching = next(i for i, one in enumerate(data) if len(one) > len(data[0]))
+    assert searching > 5
+    for checkpoint in (data[0], data[searching // 2], data[searching], data[-1]):
+        part = Trainer(capture.keypoints, config, checkpoint=checkpoint)
+        for _ in part.run():
+            pass
+        assert part.result().to_bytes() == whole.result().to_bytes()
+
+
 def test_the_seed_decides_the_outcome(small: SyntheticCapture, small_prior: FittedPrior) -> None:
     assert fit(small.keypoints, QUICK).to_bytes() == small_prior.to_bytes()
     other = fit(small.keypoints, QUICK.model_copy(update={"seed": 1}))
