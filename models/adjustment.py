@@ -41,7 +41,7 @@ from models.posterior import (
     make_equations,
 )
 from models.segments import Segments
-from models.slices import in_slices
+from models.slices import in_slices, room
 from models.small import cholesky, cholesky_solve, copy
 
 Float64 = NDArray[np.float64]
@@ -174,7 +174,7 @@ def place(scene: Scene, rig: Rig) -> Tensor:
 def cost(views: Views, rig: Rig, prior: ShapePrior, size_precision: Tensor, scene: Scene) -> Tensor:
     """Minus twice the log posterior of each frame (N,), up to a constant."""
     problem, poses = _problem(views, rig, prior, size_precision), scene.poses()
-    costs = np.empty(len(scene.points))
+    costs = room(len(scene.points))
     in_slices(len(costs), SLICE, lambda part: _costs(problem, poses, part.start, part.stop, costs))
     return torch.from_numpy(costs)
 
@@ -212,11 +212,11 @@ def normal_equations(
     frames, count, _ = scene.points.shape
     unknowns = POSE * rig.size + prior.basis.shape[-1] + (VIEW * len(rig.groups) if shared else 0)
     equations = Equations(
-        np.empty((frames, count, 3, 3)),
-        np.empty((frames, count, 3, unknowns)),
-        np.empty((frames, unknowns, unknowns)),
-        np.empty((frames, count, 3)),
-        np.empty((frames, unknowns)),
+        room(frames, count, 3, 3),
+        room(frames, count, 3, unknowns),
+        room(frames, unknowns, unknowns),
+        room(frames, count, 3),
+        room(frames, unknowns),
     )
     in_slices(
         frames,
@@ -267,8 +267,8 @@ def refine(
     needs it: its size and its distance are one.
     """
     problem = _problem(views, rig, prior, size_precision)
-    poses = Pose(*(a.copy() for a in scene.poses()))
-    costs = np.empty(len(scene.points))
+    poses = Scene(*(a.clone(memory_format=torch.contiguous_format) for a in scene)).poses()
+    costs = room(len(scene.points))
     in_slices(
         len(costs),
         SLICE,
@@ -312,12 +312,12 @@ def eliminate_frames(normal: Normal, free: Tensor, damping: float) -> Reduced:
     size, shared = unknowns - len(free), int(free.sum())
     kept = np.concatenate((np.arange(size), size + np.flatnonzero(free.numpy())))
     reduced = Reduced(
-        np.empty((frames, shared, shared)),
-        np.empty((frames, shared)),
-        np.empty((frames, count, 3)),
-        np.empty((frames, count, 3, shared)),
-        np.empty((frames, size)),
-        np.empty((frames, size, shared)),
+        room(frames, shared, shared),
+        room(frames, shared),
+        room(frames, count, 3),
+        room(frames, count, 3, shared),
+        room(frames, size),
+        room(frames, size, shared),
     )
     in_slices(
         frames,
@@ -411,7 +411,7 @@ def structure_covariances(
     normal = normal_equations(views, rig, prior, size_precision, scene, shared=False)
     equations = Equations(*(a.numpy() for a in normal))
     frames, count, _ = scene.points.shape
-    covariances = np.empty((frames, 3 * count, 3 * count))
+    covariances = room(frames, 3 * count, 3 * count)
     in_slices(
         frames, SLICE, lambda part: _covariances(equations, part.start, part.stop, covariances)
     )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from models.compiled import compiled, inner
+from models.slices import room
 
 COEFFICIENTS = 8
 TINY = 1e-8  # squared radius below which a fisheye's series is used
@@ -40,7 +41,7 @@ class Lenses(NamedTuple):
 def image(points: Tensor, optics: Optics) -> Tensor:
     """Pixels (..., K, P, 2) of points (..., K, P, 3) in the cameras' frames."""
     contiguous = np.ascontiguousarray(points.numpy())
-    pixels = np.empty((*contiguous.shape[:-1], 2))
+    pixels = room(*contiguous.shape[:-1], 2)
     views, count = contiguous.shape[-3:-1]
     _image(
         contiguous.reshape(-1, views, count, 3), lenses(optics), pixels.reshape(-1, views, count, 2)

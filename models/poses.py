@@ -10,6 +10,7 @@ from torch import Tensor
 from models.adjustment import Rig, Scene
 from models.compiled import compiled, inner
 from models.posterior import Cameras, Pose
+from models.slices import room
 from models.small import copy, fill, inverse, nearest_turn, product, turn
 
 Float64 = NDArray[np.float64]
@@ -26,7 +27,7 @@ def starting_scene(
     """
     cameras = rig.cameras(torch.zeros(rig.size))
     frames, views = scales.shape
-    turned, shifts = np.empty((frames, views, 3, 3)), np.empty((frames, views, 3))
+    turned, shifts = room(frames, views, 3, 3), room(frames, views, 3)
     _start(
         cameras,
         np.ascontiguousarray(rotations.numpy(), np.float64),
@@ -99,9 +100,9 @@ def gather(scene: Scene, rig: Rig, seen: Tensor) -> Scene:
     frames, size = len(scene.points), rig.size
     poses = Pose(
         np.ascontiguousarray(scene.points.numpy()),
-        np.empty((frames, size, 3, 3)),
-        np.empty((frames, size, 3)),
-        np.empty((frames, size)),
+        room(frames, size, 3, 3),
+        room(frames, size, 3),
+        room(frames, size),
     )
     _gather(
         rig.cameras(torch.zeros(size)),

@@ -1,9 +1,11 @@
-"""Work on many frames, shared between threads."""
+"""Work on many frames, shared between threads, and room for what comes of it."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 _cores: int | None = None
 
@@ -12,6 +14,15 @@ def use_cores(count: int | None) -> None:
     """Share slices between so many threads of this process; None: as many as torch may use."""
     global _cores  # noqa: PLW0603
     _cores = count
+
+
+def room(*shape: int) -> NDArray[np.float64]:
+    """Return an array in torch's memory, which is aligned as torch's products like it.
+
+    Their last digits depend on the alignment, and equal fits should be equal bytes.
+    """
+    array: NDArray[np.float64] = torch.empty(shape, dtype=torch.float64).numpy()
+    return array
 
 
 def in_slices(frames: int, size: int, work: Callable[[slice], object]) -> None:
