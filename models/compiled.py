@@ -17,17 +17,19 @@ import numba
 P = ParamSpec("P")
 R = TypeVar("R")
 
-# Sums may be reordered, which vectorises them; NaN and infinity keep their meaning.
-RELAXED = {"contract", "reassoc", "nsz", "arcp"}
+# Arithmetic is exact to the letter: a function may be inlined here and shared there, and whichever
+# copy a process happens to run, equal fits must be equal bytes. Where sums may be reordered, which
+# vectorises them, only one copy may exist. NaN and infinity keep their meaning.
+REORDERED = {"contract", "reassoc", "nsz", "arcp"}
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function of numbers, arrays and named tuples of these on its first call."""
     result: Callable[..., Any]
     try:
-        result = numba.njit(nogil=True, fastmath=RELAXED, error_model="numpy", cache=True)(function)
+        result = numba.njit(nogil=True, error_model="numpy", cache=True)(function)
     except RuntimeError:  # there is no place to keep it
-        result = numba.njit(nogil=True, fastmath=RELAXED, error_model="numpy")(function)
+        result = numba.njit(nogil=True, error_model="numpy")(function)
     return cast("Callable[P, R]", result)
 
 
@@ -37,8 +39,16 @@ def inner(function: Callable[P, R]) -> Callable[P, R]:
     It takes half of the time, as Python needs no way to call it.
     """
     result = numba.njit(  # type: ignore[call-overload]
+        nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
+    )(function)
+    return cast("Callable[P, R]", result)
+
+
+def reordered(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile like `inner` a function that a single compiled one calls, its sums in any order."""
+    result = numba.njit(  # type: ignore[call-overload]
         nogil=True,
-        fastmath=RELAXED,
+        fastmath=REORDERED,
         error_model="numpy",
         no_cpython_wrapper=True,
         no_cfunc_wrapper=True,

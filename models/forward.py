@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.cameras import RIDGE, TINY
-from models.compiled import compiled, inner
+from models.compiled import compiled, inner, reordered
 from models.observations import Observations
 from models.optics import COEFFICIENTS
 from models.refinement import DECISIVE, ROUNDS, STIFFNESS
@@ -232,7 +232,7 @@ def _reconstruct(
     _normalise(points)
 
 
-@inner
+@reordered
 def _layer(rows: Float32, dictionary: Float32, threshold: Float32, out: Float32) -> None:
     """Paper eq. "encoder": ReLU(rows (n, m) D (m, b) - threshold), in panels."""
     n, m = rows.shape
@@ -265,7 +265,7 @@ def _layer(rows: Float32, dictionary: Float32, threshold: Float32, out: Float32)
                 out[i, j] = max(out[i, j], np.float32(0))
 
 
-@inner
+@reordered
 def _dot(a: Float32, b: Float32) -> np.float32:
     summed = np.float32(0)
     for i in range(len(a)):
