@@ -9,6 +9,7 @@ README.md says what each row is.
 
 import argparse
 import gc
+import os
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -33,6 +34,7 @@ from benchmarks.streams import Stream, as_bytes, as_text
 from benchmarks.wire import Connection, post
 from models.config import Refine
 from models.fitted import FittedPrior
+from models.slices import use_cores
 
 JSON = "application/json"
 IN_PROCESS, HTTP_JSON, HTTP_BINARY = "in process", "HTTP, JSON", "HTTP, binary"
@@ -74,7 +76,8 @@ class Timing:
 def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
-    torch.set_num_threads(1)  # as in the service
+    torch.set_num_threads(1)
+    use_cores(len(os.sched_getaffinity(0)))  # as many as lift in the service
     capture = from_options(arguments)
     prior = model_from_options(arguments, capture)
     with service() as running:
