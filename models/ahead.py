@@ -19,6 +19,7 @@ from models.fitted import FittedPrior
 from models.optics import COEFFICIENTS, Optics
 from models.prior import HierarchicalPrior
 from models.shape import Doubts, ShapeModel
+from models.synthetic import synthetic_capture
 from models.training import fit
 
 VIEWS, KEYPOINTS, ATOMS = 2, 4, 2
@@ -57,13 +58,11 @@ def compile_lifts() -> None:
 
 
 def compile_fits() -> None:
-    """Take a few steps of a fit to noise with gaps, up to its teachers."""
-    rng = np.random.default_rng(0)
-    keypoints = rng.normal(0, 100, (8, VIEWS, KEYPOINTS + 1, 2))
-    keypoints[::2, 0, 0] = np.nan
+    """Take a few steps of a fit with gaps, through its teachers."""
+    capture = synthetic_capture(frames=24, views=VIEWS, hidden_keypoints=0.05, seed=1)
     for refine in ("off", "auto"):
-        config = FitConfig(dictionary_sizes=(ATOMS,), steps=6, batch_size=4, refine=refine)
-        fit(keypoints, config)
+        config = FitConfig(dictionary_sizes=(16, 8), steps=30, batch_size=8, refine=refine)
+        fit(capture.keypoints, config, confidence=capture.confidence)
 
 
 if __name__ == "__main__":

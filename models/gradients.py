@@ -71,9 +71,12 @@ class _Reprojection(torch.autograd.Function):
     def forward(
         ctx: Any, points: Tensor, turns: Tensor, keypoints: Tensor, weights: Tensor
     ) -> tuple[Tensor, Tensor]:
-        points = points.contiguous()
+        # Other layouts would be compiled anew.
+        points, turns, keypoints, weights = (
+            part.contiguous() for part in (points, turns, keypoints, weights)
+        )
         normal, projected = torch.empty_like(points), torch.empty_like(keypoints)
-        ctx.saved = (points, normal, turns.contiguous(), keypoints, weights)
+        ctx.saved = (points, normal, turns, keypoints, weights)
         kernels.reproject(*(part.detach().numpy() for part in (*ctx.saved, projected)))
         return normal, projected
 
@@ -89,6 +92,7 @@ class _Reprojection(torch.autograd.Function):
 class _Filling(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, projected: Tensor, keypoints: Tensor, weights: Tensor) -> Tensor:
+        keypoints, weights = keypoints.contiguous(), weights.contiguous()
         filled, sizes = torch.empty_like(keypoints), torch.empty_like(weights[..., 0])
         given = (projected, keypoints, weights, filled, sizes)
         kernels.fill(*(part.detach().numpy() for part in given))
