@@ -19,7 +19,7 @@ COPY --from=build /opt/fewview /opt/fewview
 ENV PATH=/opt/fewview/bin:$PATH FEWVIEW_DATA_DIR=/data FEWVIEW_HOST=0.0.0.0 PYTHONUNBUFFERED=1
 USER fewview
 WORKDIR /data
-RUN python -m models.ahead
+RUN python -m models.training.precompile
 VOLUME /data
 EXPOSE 8000
 HEALTHCHECK --interval=5s --timeout=5s --start-period=30s --retries=6 \

@@ -55,7 +55,7 @@ openapi: .venv/ready
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
-	$(BIN)/python -m models.ahead
+	$(BIN)/python -m models.training.precompile
 	touch $@
 
 clean:

@@ -1,7 +1,7 @@
 """The feed-forward arithmetic of a lift, in a form that any runtime takes, and what it costs.
 
-`models.prior` says what is computed and why. Here it has no branches, no gradients and its
-constants are folded, so that it can be traced, exported and compared.
+`models.network.priors.hierarchical` says what is computed and why. Here it has no branches, no
+gradients and its constants are folded, so that it can be traced, exported and compared.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-RIDGE, TINY = 1e-4, 1e-12  # as in models.cameras
+RIDGE, TINY = 1e-4, 1e-12  # as in models.optics.weak_perspective
 FLOAT_BYTES = 4
 
 Array = Any  # of NumPy or torch
@@ -99,7 +99,7 @@ def feed_forward(
 def _cameras(
     library: Library, points: Array, image: Array, weights: Array, guess: Array
 ) -> tuple[Array, Array, Array]:
-    """As `models.cameras.solve_cameras`; points (N, 1, P, 3)."""
+    """As `models.optics.weak_perspective.solve_cameras`; points (N, 1, P, 3)."""
     share = (weights / weights.sum(-1)[..., None])[..., None]  # (N, K, P, 1)
     centre, middle = (share * points).sum(-2), (share * image).sum(-2)  # (N, K, 3), (N, K, 2)
     points, image = points - centre[..., None, :], image - middle[..., None, :]
@@ -126,7 +126,7 @@ def _cameras(
 
 
 def _nearest(library: Library, first: Array, second: Array) -> Array:
-    """Orthonormal rows (..., 2, 3) nearest to two vectors (..., 3); see `models.cameras`."""
+    """Orthonormal rows (..., 2, 3) nearest to two vectors (..., 3); see `weak_perspective`."""
     a = (first**2).sum(-1)[..., None] ** 0.5
     x = first / a
     b = (x * second).sum(-1)[..., None]

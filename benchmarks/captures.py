@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.figures import console
-from models.config import FitConfig
-from models.fitted import FittedPrior
-from models.synthetic import FOCAL_LENGTH, IMAGE_SIZE, synthetic_capture
-from models.training import fit
+from models.capture.synthetic import FOCAL_LENGTH, IMAGE_SIZE, synthetic_capture
+from models.lifting.fitted_prior import FittedPrior
+from models.settings.config import FitConfig
+from models.training.trainer import fit
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))  # where `capture` lies
 from capture import Capture, CaptureError, read_capture

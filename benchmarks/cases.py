@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from benchmarks.report import TRNG, Curve, Report, Row
 from benchmarks.rig import Rig, add_noise, hide, miscalibrate
-from models.config import FitConfig, Refine
-from models.fitted import FittedPrior
-from models.metrics import Accuracy, pa_mpjpe, pck
-from models.observations import as_observations
-from models.training import fit
-from models.triangulation import triangulate
+from models.capture.metrics import Accuracy, pa_mpjpe, pck
+from models.capture.observations import as_observations
+from models.capture.triangulation import triangulate
+from models.lifting.fitted_prior import FittedPrior
+from models.settings.config import FitConfig, Refine
+from models.training.trainer import fit
 
 PCK_MM = 100.0  # the paper's threshold
 THRESHOLDS_MM = [float(mm) for mm in range(5, 155, 5)]

@@ -19,7 +19,7 @@ import torch
 from benchmarks.cases import CASES, PCK_MM, Bench
 from benchmarks.report import TRNG, Report, draw, markdown
 from benchmarks.rig import find_rig
-from models.config import FitConfig
+from models.settings.config import FitConfig
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "examples"))  # where `capture` lies

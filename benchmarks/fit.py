@@ -18,7 +18,7 @@ from safetensors.numpy import load
 from benchmarks.captures import Capture, from_options
 from benchmarks.figures import Bar, Results, Row, command, console, draw_lines
 from benchmarks.service_rig import BYTES, Service, service
-from models.metrics import pa_mpjpe
+from models.capture.metrics import pa_mpjpe
 
 ROOT = Path(__file__).parents[1]
 MILLIMETRES = {"m": 1000.0, "cm": 10.0, "mm": 1.0}

@@ -32,9 +32,9 @@ from benchmarks.figures import Bar, Results, Row, command, spread
 from benchmarks.service_rig import BYTES, Service, service
 from benchmarks.streams import Stream, as_bytes, as_text
 from benchmarks.wire import Connection, post
-from models.config import Refine
-from models.fitted import FittedPrior
-from models.slices import use_cores
+from models.lifting.fitted_prior import FittedPrior
+from models.numerics.threads import use_cores
+from models.settings.config import Refine
 
 JSON = "application/json"
 IN_PROCESS, HTTP_JSON, HTTP_BINARY = "in process", "HTTP, JSON", "HTTP, binary"

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from models.observations import as_observations
+from models.capture.observations import as_observations
 
 Float64 = NDArray[np.float64]
 Part = Literal["extrinsics", "intrinsics"]

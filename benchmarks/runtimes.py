@@ -35,10 +35,10 @@ from benchmarks import arithmetic
 from benchmarks.arithmetic import NUMPY, TORCH, Constants, feed_forward, fold
 from benchmarks.captures import add_options, from_options, model_from_options
 from benchmarks.figures import Results, Row, command, console, spread, take_turns
-from models.forward import Answers, lay_out
-from models.forward import feed_forward as run_compiled
-from models.observations import Observations, as_observations
-from models.prior import HierarchicalPrior
+from models.capture.observations import Observations, as_observations
+from models.network.feed_forward import Answers, lay_out
+from models.network.feed_forward import feed_forward as run_compiled
+from models.network.priors.hierarchical import HierarchicalPrior
 
 PRODUCTS = "matrix products alone"
 MEBIBYTE = 1024 * 1024

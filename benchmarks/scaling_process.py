@@ -8,9 +8,9 @@ import numpy as np
 
 from benchmarks.captures import Capture, Float32, fitted, studio
 from benchmarks.figures import Bar, take_turns
-from models.config import FitConfig, Refine
-from models.fitted import FittedPrior
-from models.training import Trainer
+from models.lifting.fitted_prior import FittedPrior
+from models.settings.config import FitConfig, Refine
+from models.training.trainer import Trainer
 
 VIEWS = (2, 4, 8, 16)
 KEYPOINTS = (8, 16, 32, 64, 128)

@@ -12,7 +12,7 @@ from benchmarks.figures import Bar
 from benchmarks.scaling_process import FIT, FRAMES, SHORT, Costs, time_all
 from benchmarks.service_rig import Service, service
 from benchmarks.wire import Connection, post
-from models.config import Refine
+from models.settings.config import Refine
 
 JSON = "application/json"
 DECADES = (1_000, 10_000, 100_000, 1_000_000)

@@ -15,7 +15,7 @@ import numpy as np
 from safetensors.numpy import save
 
 from benchmarks.captures import Capture, Float32
-from models.fitted import FittedPrior
+from models.lifting.fitted_prior import FittedPrior
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))  # where `embedded` lies
 from embedded import running_service

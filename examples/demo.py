@@ -34,7 +34,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from safetensors.numpy import load
 
-from models.metrics import Accuracy, align, pa_mpjpe, pck
+from models.capture.metrics import Accuracy, align, pa_mpjpe, pck
 
 HELD_OUT = 0.1  # share of the frames that the fit does not see
 SEED = 0

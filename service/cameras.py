@@ -5,7 +5,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from models.found import FoundCameras
+from models.calibrating.result import FoundCameras
 from service.wire import Distortion, Rotation, Vector2, Vector3
 
 UNKNOWN = (

@@ -18,8 +18,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from models.config import Refine
-from models.fitted import FittedPrior, Lift, join
+from models.lifting.fitted_prior import FittedPrior, Lift, join
+from models.settings.config import Refine
 from service.warm import WarmModels
 from store.database import Store
 

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response, status
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
 
-from models.config import FitConfig
+from models.settings.config import FitConfig
 from service.bodies import page_of, request_body
 from service.datasets import Name
 from service.deps import (

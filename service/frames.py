@@ -7,8 +7,8 @@ import orjson
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from models.fitted import FittedPrior, Lift
-from models.lift_json import frames_to_json
+from models.lifting.fitted_prior import FittedPrior, Lift
+from models.lifting.frames_json import frames_to_json
 from service.arrays import from_nested
 from service.errors import ApiError, from_validation, invalid
 from service.lift import to_frames

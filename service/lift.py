@@ -10,9 +10,9 @@ from fastapi.routing import APIRoute
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
-from models import fitted
-from models.config import Index, Refine
-from models.fitted import FittedPrior
+from models.lifting import fitted_prior
+from models.lifting.fitted_prior import FittedPrior
+from models.settings.config import Index, Refine
 from service.bodies import request_body
 from service.engine import Engine
 from service.errors import BODY_PROBLEMS, invalid, problems
@@ -262,8 +262,8 @@ async def _run(
 
 
 async def _unless_gone(
-    request: Request, answer: "asyncio.Future[fitted.Lift]"
-) -> fitted.Lift | None:
+    request: Request, answer: "asyncio.Future[fitted_prior.Lift]"
+) -> fitted_prior.Lift | None:
     """Wait for the answer; if the client goes away meanwhile, give it up and return None."""
     patience = answer.get_loop().call_later(PATIENCE_SECONDS, _watch, request, answer)
     try:
@@ -277,7 +277,7 @@ async def _unless_gone(
         patience.cancel()
 
 
-def _watch(request: Request, answer: "asyncio.Future[fitted.Lift]") -> None:
+def _watch(request: Request, answer: "asyncio.Future[fitted_prior.Lift]") -> None:
     """Cancel the answer when the client goes away."""
 
     async def disconnected() -> None:

@@ -9,8 +9,8 @@ from fastapi import APIRouter, Depends, Query, Request, Response, status
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
 
-from models.config import Index, Refine
-from models.keypoints import MAX_VIEWS
+from models.settings.config import Index, Refine
+from models.settings.keypoints import MAX_VIEWS
 from service.bodies import page_of, request_body
 from service.datasets import Name
 from service.deps import (

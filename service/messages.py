@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from models.config import Index, Refine
+from models.settings.config import Index, Refine
 from service.errors import FieldError
 from service.lift import REFINE, VIEWS
 from service.wire import FRAME_CONFIDENCE, FRAME_KEYPOINTS, LIFTED_FRAME, LiftedFrame

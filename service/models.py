@@ -6,9 +6,9 @@ from typing import Annotated, Any, Self
 from fastapi import APIRouter, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 
-from models.config import FitConfig
-from models.fitted import FittedPrior
-from models.weights import WeightsError
+from models.lifting.fitted_prior import FittedPrior
+from models.numerics.tensor_files import WeightsError
+from models.settings.config import FitConfig
 from service.bodies import page_of, request_body
 from service.cameras import ModelCameras
 from service.datasets import Name, Skeleton

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict
 from safetensors.numpy import load
 from starlette.responses import Response
 
-from models.config import Refine
+from models.settings.config import Refine
 from service.arrays import Arrays
 from service.deps import EngineDep, SettingsDep, StoreDep
 from service.errors import invalid, problems

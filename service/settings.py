@@ -5,7 +5,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from models.keypoints import MAX_KEYPOINTS, MAX_VIEWS
+from models.settings.keypoints import MAX_KEYPOINTS, MAX_VIEWS
 from worker.settings import WorkerSettings
 
 MEBIBYTE = 1024 * 1024

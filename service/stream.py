@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from starlette.responses import Response
 from starlette.websockets import WebSocketDisconnect
 
-from models import fitted
+from models.lifting import fitted_prior
 from service.bodies import register
 from service.engine import Engine
 from service.errors import PROBLEMS, ApiError, FieldError, from_validation, invalid, problems
@@ -136,7 +136,7 @@ class _Conversation:
         engine: Engine,
         settings: Settings,
         start: StreamStart,
-        prior: fitted.FittedPrior,
+        prior: fitted_prior.FittedPrior,
     ) -> None:
         self._websocket, self._engine, self._settings = websocket, engine, settings
         self._start, self._prior = start, prior
@@ -145,8 +145,8 @@ class _Conversation:
         self._latest = start.on_overload == "latest"
         self._at_a_time = 1 if self._latest or self._continuity else FRAMES_IN_HAND
         self._arrived: deque[Frame] = deque()
-        self._asked: deque[tuple[Frame, asyncio.Future[fitted.Lift] | None]] = deque()
-        self._previous: fitted.Lift | None = None
+        self._asked: deque[tuple[Frame, asyncio.Future[fitted_prior.Lift] | None]] = deque()
+        self._previous: fitted_prior.Lift | None = None
         self._something_asked = asyncio.Event()
         self._something_answered = asyncio.Event()
 
@@ -201,7 +201,7 @@ class _Conversation:
             self._asked.append((frame, self._lift(frame)))
             self._something_asked.set()
 
-    def _lift(self, frame: Frame) -> asyncio.Future[fitted.Lift] | None:
+    def _lift(self, frame: Frame) -> asyncio.Future[fitted_prior.Lift] | None:
         if frame.capture is None:
             return None
         keypoints = frame.capture.keypoints

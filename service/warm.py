@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.fitted import FittedPrior
+from models.lifting.fitted_prior import FittedPrior
 from store import models
 from store.database import Store
 from store.errors import NotFoundError

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from safetensors.numpy import load, save
 
-from models.keypoints import check_confidence, check_keypoints
+from models.settings.keypoints import check_confidence, check_keypoints
 from store.errors import CaptureError
 
 Float32 = NDArray[np.float32]

@@ -15,7 +15,7 @@ from typing import Any
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
-from models.config import FitConfig, warm
+from models.settings.config import FitConfig, warm
 from store import jobs
 from store.database import Store
 from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
@@ -36,8 +36,8 @@ def create(
 ) -> Fit:
     """Record a queued fit of the dataset as it is now.
 
-    What ``config``, fields of :class:`models.config.FitConfig`, leaves out is filled in: with
-    defaults, or with what suits a start from the model ``from_model``.
+    What ``config``, fields of :class:`models.settings.config.FitConfig`, leaves out is filled in:
+    with defaults, or with what suits a start from the model ``from_model``.
 
     A ``job_id`` that already has a fit gives that fit back; without one, the fit's own identifier
     is its job's.

@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from safetensors.numpy import save
 
-from models.config import FitConfig
-from models.fitted import FittedPrior, Lift, join
-from models.metrics import pa_mpjpe, pck
-from models.prior import multiplications
-from models.slices import use_cores
-from models.training import Trainer
-from models.weights import WeightsError
+from models.capture.metrics import pa_mpjpe, pck
+from models.lifting.fitted_prior import FittedPrior, Lift, join
+from models.network.priors.hierarchical import multiplications
+from models.numerics.tensor_files import WeightsError
+from models.numerics.threads import use_cores
+from models.settings.config import FitConfig
+from models.training.trainer import Trainer
 from store import attempts, datasets, fits, models
 from store.attempts import Attempt
 from store.capture import Capture

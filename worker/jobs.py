@@ -34,7 +34,7 @@ def fit(
     dataset_id
         A stored dataset.
     config
-        Fields of :class:`models.config.FitConfig`; what is left out has its default.
+        Fields of :class:`models.settings.config.FitConfig`; what is left out has its default.
     name
         For people to tell fits and models apart.
     from_model

@@ -14,8 +14,8 @@ from redis.retry import Retry
 from rq import Queue
 from rq.job import Job
 
-from models.config import FitConfig, Index, Refine
-from models.keypoints import MAX_VIEWS
+from models.settings.config import FitConfig, Index, Refine
+from models.settings.keypoints import MAX_VIEWS
 from store.lifts import waiting_job
 from store.records import Fit, Lift
 

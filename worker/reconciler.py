@@ -7,7 +7,7 @@ from redis import Redis
 from rq import Queue
 from rq.exceptions import DeserializationError
 
-from models.config import FitConfig
+from models.settings.config import FitConfig
 from store import fits, lifts
 from store.database import Store
 from store.errors import InputError, NotFoundError

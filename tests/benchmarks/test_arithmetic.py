@@ -7,8 +7,8 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.arithmetic import NUMPY, feed_forward, fold, products
 from benchmarks.captures import studio
-from models.observations import as_observations
-from models.prior import HierarchicalPrior
+from models.capture.observations import as_observations
+from models.network.priors.hierarchical import HierarchicalPrior
 
 SIZES = (32, 16, 8)
 

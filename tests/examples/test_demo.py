@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.synthetic import SyntheticCapture, synthetic_capture
+from models.capture.synthetic import SyntheticCapture, synthetic_capture
 
 DEMO = Path(__file__).parents[2] / "examples" / "demo.py"
 

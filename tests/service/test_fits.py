@@ -8,9 +8,9 @@ import pytest
 from safetensors.numpy import load, save
 from starlette.testclient import TestClient
 
-from models.config import WARM_STEPS, FitConfig
-from models.fitted import CAMERA_MODELS, FittedPrior
-from models.synthetic import SyntheticCapture
+from models.capture.synthetic import SyntheticCapture
+from models.lifting.fitted_prior import CAMERA_MODELS, FittedPrior
+from models.settings.config import WARM_STEPS, FitConfig
 from service.settings import Settings
 from store import attempts, fits, records
 from store.database import Store

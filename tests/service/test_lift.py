@@ -9,8 +9,8 @@ from pydantic import TypeAdapter
 from safetensors.numpy import load
 from starlette.testclient import TestClient
 
-from models.fitted import CAMERA_MODELS, FittedPrior, Lift
-from models.synthetic import SyntheticCapture
+from models.capture.synthetic import SyntheticCapture
+from models.lifting.fitted_prior import CAMERA_MODELS, FittedPrior, Lift
 from service.wire import LiftedFrame, frames_json
 from tests.service.conftest import BYTES, JSON, frames_of, problem, to_npz, to_safetensors
 

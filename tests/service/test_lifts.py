@@ -10,7 +10,7 @@ import pytest
 from safetensors.numpy import load
 from starlette.testclient import TestClient
 
-from models.synthetic import SyntheticCapture
+from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
 from store import lift_chunks
 from store.database import Store

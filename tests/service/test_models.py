@@ -10,12 +10,12 @@ import pytest
 from safetensors.numpy import load, save
 from starlette.testclient import TestClient
 
-from models.config import FitConfig
-from models.fitted import FittedPrior
-from models.found import FoundCameras
-from models.metrics import pa_mpjpe, pck
-from models.synthetic import SyntheticCapture, synthetic_capture
-from models.training import fit
+from models.calibrating.result import FoundCameras
+from models.capture.metrics import pa_mpjpe, pck
+from models.capture.synthetic import SyntheticCapture, synthetic_capture
+from models.lifting.fitted_prior import FittedPrior
+from models.settings.config import FitConfig
+from models.training.trainer import fit
 from service.engine import Engine
 from service.settings import Settings
 from store import models

@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 from safetensors.numpy import load
 from starlette.testclient import TestClient
 
-from models.synthetic import SyntheticCapture
+from models.capture.synthetic import SyntheticCapture
 from service import datasets, errors, fits, health, lift, lifts, models, reconstructions
 from service.openapi import document
 from tests.service.conftest import CONFIG, Live, frames_of, to_npz

@@ -9,7 +9,7 @@ import numpy as np
 import orjson
 import pytest
 
-from models.synthetic import SyntheticCapture
+from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
 from tests.service.conftest import BYTES, JSON, frames_of, problem, served, to_safetensors, wait_for
 

@@ -18,8 +18,8 @@ from starlette.testclient import TestClient
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from models.fitted import CAMERA_MODELS
-from models.synthetic import SyntheticCapture
+from models.capture.synthetic import SyntheticCapture
+from models.lifting.fitted_prior import CAMERA_MODELS
 from service import messages
 from service.messages import StreamAnswer, StreamDropped, StreamError, StreamReady
 from service.settings import Settings

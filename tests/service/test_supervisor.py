@@ -14,7 +14,7 @@ import httpx2
 import numpy as np
 import pytest
 
-from models.synthetic import synthetic_capture
+from models.capture.synthetic import synthetic_capture
 from tests.processes import tied
 from tests.service.conftest import BYTES, Live, descendants, processes, to_npz, wait_for
 

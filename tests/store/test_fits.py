@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from models.config import WARM_STEPS, FitConfig
+from models.settings.config import WARM_STEPS, FitConfig
 from store import attempts, datasets, fits, housekeeping, models
 from store.attempts import Attempt
 from store.capture import Capture

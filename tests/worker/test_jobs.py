@@ -10,10 +10,10 @@ from rq import Callback, Queue
 from rq.serializers import JSONSerializer
 from safetensors.numpy import load
 
-from models.config import FitConfig
-from models.fitted import FittedPrior
-from models.metrics import pa_mpjpe, pck
-from models.training import fit as fit_here
+from models.capture.metrics import pa_mpjpe, pck
+from models.lifting.fitted_prior import FittedPrior
+from models.settings.config import FitConfig
+from models.training.trainer import fit as fit_here
 from store import datasets, fits, models
 from store.capture import Capture
 from store.database import Store

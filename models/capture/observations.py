@@ -1,0 +1,96 @@
+"""Bringing every view of 2D keypoints to the same position and size."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from models.numerics.compiled import compiled
+from models.settings.keypoints import (
+    MIN_CONFIDENCE,
+    MIN_KEYPOINTS,
+    MIN_SIZE,
+    Float32,
+    check_confidence,
+    check_keypoints,
+)
+
+
+class Observations(NamedTuple):
+    """Keypoints ready for the prior: every usable view centred, with root-mean-square radius 1.
+
+    `keypoints * sizes + centres` gives back the pixels. Whatever was not observed, or lies in a
+    view that is not usable, is 0 with weight 0.
+    """
+
+    keypoints: Float32  # (N, K, P, 2) unitless
+    weights: Float32  # (N, K, P) in [0, 1]
+    centres: Float32  # (N, K, 2) pixels
+    sizes: Float32  # (N, K) pixels
+    usable: NDArray[np.bool_]  # (N, K) at least MIN_KEYPOINTS keypoints that do not coincide
+
+
+def as_observations(keypoints: ArrayLike, confidence: ArrayLike | None = None) -> Observations:
+    """Check `keypoints` (N, K, P, 2) in pixels and normalise every view by what it shows.
+
+    A keypoint with a NaN coordinate, or with confidence (N, K, P) under 0.001 or NaN, counts as
+    not observed; other confidences weight it. The centre of a view is the weighted mean of its
+    keypoints, its size the weighted root mean square of their distances to it.
+
+    Raises
+    ------
+    ValueError
+        Wrong shape, infinite or absurd coordinates, confidence outside [0, 1]; the message says
+        what was expected, what came, and how to mend it.
+    """
+    pixels = check_keypoints(keypoints)
+    pixels = np.ascontiguousarray(pixels)
+    # NaN in either coordinate is NaN in their sum.
+    weights = np.isfinite(pixels[..., 0] + pixels[..., 1]).astype(np.float32)
+    if confidence is not None:
+        weights *= check_confidence(confidence, expected=pixels.shape[:3])
+    seen = Observations(
+        np.empty(pixels.shape, np.float32),
+        weights,
+        np.empty((*weights.shape[:2], 2), np.float32),
+        np.empty(weights.shape[:2], np.float32),
+        np.empty(weights.shape[:2], np.bool_),
+    )
+    _normalise(pixels, seen)
+    return seen
+
+
+@compiled
+def _normalise(pixels: Float32, seen: Observations) -> None:
+    """Write all but the weights, and 0 to the weights of views that are not usable."""
+    frames, views, count, _ = pixels.shape
+    for n in range(frames):
+        for k in range(views):
+            weights, out = seen.weights[n, k], seen.keypoints[n, k]
+            total, x, y, shown = 0.0, 0.0, 0.0, 0
+            for p in range(count):
+                w = weights[p]
+                if w > 0:
+                    shown += 1
+                    total += w
+                    x += w * pixels[n, k, p, 0]
+                    y += w * pixels[n, k, p, 1]
+            total = max(total, MIN_CONFIDENCE)
+            x, y, squared = x / total, y / total, 0.0
+            seen.centres[n, k, 0], seen.centres[n, k, 1] = x, y
+            for p in range(count):
+                out[p, 0], out[p, 1] = 0, 0
+                if weights[p] > 0:
+                    out[p, 0], out[p, 1] = pixels[n, k, p, 0] - x, pixels[n, k, p, 1] - y
+                    squared += weights[p] * (out[p, 0] ** 2 + out[p, 1] ** 2)
+            size = math.sqrt(squared / total)
+            usable = shown >= MIN_KEYPOINTS and size > MIN_SIZE
+            seen.usable[n, k] = usable
+            seen.sizes[n, k] = size if usable else 1
+            for p in range(count):
+                if usable:
+                    out[p, 0] /= size
+                    out[p, 1] /= size
+                else:
+                    out[p, 0], out[p, 1], weights[p] = 0, 0, 0

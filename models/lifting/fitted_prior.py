@@ -1,0 +1,322 @@
+"""A fitted prior: lifts 2D keypoints to structure and cameras, and travels as bytes."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from itertools import chain
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from models.calibrating.result import array_shapes, from_arrays, report, to_arrays
+from models.calibrating.self_calibration import Answers as WeakAnswers
+from models.calibrating.self_calibration import Discovery
+from models.capture.denoising import ViewModel
+from models.capture.observations import as_observations
+from models.lifting.frame_refinement import Refiner, make_refiner, refine_frames
+from models.network.feed_forward import Answers, feed_forward, lay_out, make_answers
+from models.network.priors.hierarchical import parameter_shapes
+from models.numerics.tensor_files import Arrays, Shapes, WeightsError, pack, read_about, unpack
+from models.numerics.threads import in_slices
+from models.settings.config import FitConfig, Refine
+from models.settings.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS
+
+Status = Literal["ok", "too_few_keypoints"]
+CAMERA_MODELS = ("weak_perspective", "perspective", "fisheye")
+REASONS: dict[Status, str] = {
+    "ok": "",
+    "too_few_keypoints": (
+        f"no view shows {MIN_KEYPOINTS} keypoints or more that do not all lie at one place"
+    ),
+}
+DENOISER = "denoiser."  # before those of the model of noisy views
+CAMERAS = "cameras."  # before the names of what was found of the cameras, in a file
+LIFTED, REFINED = 64, 16  # frames that a thread takes at a time
+REFINERS = 64  # choices of views to be prepared for
+
+
+class CurvePoint(NamedTuple):
+    """One row of a training curve."""
+
+    step: int
+    loss: float  # running mean
+    reprojection_error: float  # pixels, running mean
+
+
+@dataclass(frozen=True)
+class Lift:
+    """Structures and cameras of N frames of K views; NaN where there is no answer.
+
+    A frame without a usable view has no structure; a view that is not usable has no camera.
+    """
+
+    points3d: NDArray[np.float32]  # (N, P, 3) canonical, centred
+    rotations: NDArray[np.float32]  # (N, K, 3, 3) canonical to camera, det +1
+    scales: NDArray[np.float32]  # (N, K) pixels per unit, at the structure's centre
+    # (N, K, 3): of perspective, x_cam = R X + t in units of the structure; of weak perspective,
+    # (x, y) in pixels and NaN.
+    translations: NDArray[np.float32]
+    focals: NDArray[np.float32]  # (N, K, 2) pixels along x and y; NaN for weak perspective
+    principal_points: NDArray[np.float32]  # (N, K, 2) pixels; NaN for weak perspective
+    distortions: NDArray[np.float32]  # (N, K, 8) OpenCV's order; NaN for weak perspective
+    camera_models: NDArray[np.int8]  # (N, K) index into CAMERA_MODELS, -1 without a camera
+    # (N, K): pixels, mean over the observed keypoints, as they were denoised if they were.
+    reprojection_errors: NDArray[np.float32]
+    keypoints_used: NDArray[np.int32]  # (N, K)
+    continued: NDArray[np.bool_]  # (N,) whether refinement started from the answer before
+    status: tuple[Status, ...]  # N
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why each frame has its status, in words; empty where it is ok."""
+        return tuple(REASONS[status] for status in self.status)
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays under the names that they have in files and on the wire."""
+        return {name: getattr(self, name) for name in Answers._fields if name != "continued"}
+
+    def answers(self) -> Answers:
+        """Return the arrays as compiled functions take them."""
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in Answers._fields}
+        return Answers(**arrays)
+
+
+class FittedPrior:
+    """The outcome of a fit. Immutable, and safe to use from several threads at once."""
+
+    def __init__(
+        self,
+        config: FitConfig,
+        arrays: Arrays,
+        curve: tuple[CurvePoint, ...],
+        foreshortening: float,
+        found: Discovery | None = None,
+        denoiser: ViewModel | None = None,
+    ) -> None:
+        self.config = config
+        self._denoiser = denoiser
+        self.cameras = None if found is None else report(found)
+        self._found = found
+        self.curve = curve
+        self.foreshortening = foreshortening
+        self._arrays = arrays
+        self._network = lay_out(arrays, config.dictionary_sizes)
+        self._refiners: dict[int | tuple[int, ...], Refiner] = {}
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a keypoint's coordinate in pixels; NaN if no cameras were found."""
+        return math.nan if self._found is None else self._found.noise
+
+    @property
+    def weights(self) -> Arrays:
+        """The weights of the network, by name; not to be changed."""
+        return self._arrays
+
+    @property
+    def keypoints_per_frame(self) -> int:
+        """The number of keypoints P that every frame must have."""
+        return len(self._network.first)
+
+    def lift(
+        self,
+        keypoints: ArrayLike,
+        *,
+        confidence: ArrayLike | None = None,
+        refine: Refine | None = None,
+        views: Sequence[int] | None = None,
+        previous: "Lift | None" = None,
+    ) -> Lift:
+        """Lift frames (N, K, P, 2) in pixels, with any number of views K and any gaps.
+
+        Every frame is lifted on its own: neither its neighbours nor the order of the frames
+        changes its answer. Structures have the handedness that the fit settled on.
+
+        Parameters
+        ----------
+        refine
+            `off`: the network and weak perspective. `full`: perspective refinement with the lenses,
+            the rig and the shapes that the fit found. `auto`: the same, save for frames whose
+            keypoints it explains worse than the network. Default: what the fit was told. A fit
+            that found no cameras refines nothing.
+        views
+            Which of the fit's views these are. Default: all of them in their order if K is their
+            number, otherwise cameras that the fit does not know.
+        previous
+            Answers for the frames before, one for each frame and of the same views: where they
+            explain a frame's keypoints better than the network's own answer, its refinement starts
+            from them, and the lift says so in `continued`. NaN where there is none.
+
+        Raises
+        ------
+        ValueError
+            When the arrays are malformed (see `as_observations`), P differs from the fit's,
+            `previous` is of other frames or views, or `views` does not name K different views of
+            the fit.
+        """
+        seen = as_observations(keypoints, confidence)
+        frames, count, points_count, _ = seen.keypoints.shape
+        if points_count != self.keypoints_per_frame:
+            raise ValueError(
+                f"this prior was fitted to {self.keypoints_per_frame} keypoints per view,"
+                f" got {points_count}; give them in the order of the fit, NaN for what was not"
+                " observed"
+            )
+        if previous is not None and previous.scales.shape != seen.sizes.shape:
+            raise ValueError(
+                f"previous must have the shape of the keypoints, {frames} frames of {count} views,"
+                f" got {previous.scales.shape}"
+            )
+        fitted = self._views(views, count)
+        if self._denoiser is not None and fitted is not None:
+            seen = self._denoiser.denoise(seen, fitted)
+        mode = self.config.refine if refine is None else refine
+        refiner = None if mode == "off" else self._refiner(fitted, count)
+        answers = make_answers(frames, count, points_count)
+        before = make_answers(0, count, points_count) if previous is None else previous.answers()
+        trusted = -1.0 if self._found is None else self._found.trusted
+
+        def work(part: slice) -> None:
+            here = part.start, part.stop
+            feed_forward(self._network, seen, self.foreshortening, trusted, *here, answers)
+            if refiner is not None:
+                refine_frames(refiner, seen, before, mode == "full", *here, answers)
+
+        in_slices(frames, LIFTED if refiner is None else REFINED, work)
+        answered = np.any(seen.usable, axis=1).tolist()
+        status: list[Status] = ["ok" if some else "too_few_keypoints" for some in answered]
+        return Lift(**answers._asdict(), status=tuple(status))
+
+    def _refiner(self, views: Sequence[int] | None, count: int) -> Refiner | None:
+        """Return what refines these views, made once for as many choices of views as are usual."""
+        if self._found is None:
+            return None
+        key = count if views is None else tuple(views)
+        refiner = self._refiners.get(key)
+        if refiner is None:
+            if len(self._refiners) >= REFINERS:
+                self._refiners.clear()
+            refiner = self._refiners[key] = make_refiner(self._found, views, count)
+        return refiner
+
+    def _views(self, views: Sequence[int] | None, count: int) -> Sequence[int] | None:
+        known = 0 if self._found is None else len(self._found.errors)
+        known = known if self._denoiser is None else len(self._denoiser.mean)
+        if views is None:
+            return range(count) if count == known else None
+        if (
+            len(views) != count
+            or len(set(views)) != count
+            or (known and not all(0 <= view < known for view in views))
+        ):
+            raise ValueError(
+                f"views must name {count} different views of the {known or 'unknown'} of the fit,"
+                f" got {list(views)}"
+            )
+        return views if known else None
+
+    def to_bytes(self) -> bytes:
+        """Return the prior as safetensors bytes, its configuration in the header."""
+        curve = torch.tensor(self.curve, dtype=torch.float64).reshape(-1, 3)
+        about = {
+            "config": self.config.model_dump_json(),
+            "keypoints": str(self.keypoints_per_frame),
+        }
+        cameras: Arrays = {}
+        if self._found is not None:
+            cameras, about["cameras"] = to_arrays(self._found)
+        denoiser: Arrays = {}
+        if self._denoiser is not None:
+            about["denoiser"] = str(len(self._denoiser.mean))
+            denoiser = {
+                name: torch.from_numpy(np.array(value, np.float64, ndmin=1, order="C"))
+                for name, value in self._denoiser._asdict().items()
+            }
+        return pack(
+            {
+                **self._arrays,
+                **{f"{CAMERAS}{name}": value for name, value in cameras.items()},
+                **{f"{DENOISER}{name}": value for name, value in denoiser.items()},
+                "curve": curve,
+                "foreshortening": torch.tensor([self.foreshortening], dtype=torch.float64),
+            },
+            kind="prior",
+            about=about,
+        )
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> "FittedPrior":
+        """Read what `to_bytes` wrote.
+
+        Raises
+        ------
+        WeightsError
+            When the bytes are damaged, foreign, or not what their header promises. Nothing larger
+            than `data` is allocated before that is known.
+        """
+        about = read_about(data, kind="prior")
+        try:
+            config = FitConfig.model_validate_json(about["config"])
+            keypoints = int(about["keypoints"])
+        except (KeyError, ValueError) as error:
+            raise WeightsError("the header holds no valid configuration") from error
+        if not MIN_KEYPOINTS <= keypoints <= MAX_KEYPOINTS:
+            raise WeightsError(f"the header says {keypoints} keypoints per frame")
+        shapes: Shapes = {**parameter_shapes(keypoints, config.dictionary_sizes)}
+        cameras = array_shapes(keypoints, None) if "cameras" in about else {}
+        for name, shape in cameras.items():
+            shapes[f"{CAMERAS}{name}"] = shape
+        if "denoiser" in about:
+            shapes[f"{DENOISER}mean"] = (None, keypoints, 2)
+            shapes[f"{DENOISER}basis"] = (None, keypoints, 2, None)
+            shapes[f"{DENOISER}noise"] = (1,)
+        arrays = unpack(data, shapes={**shapes, "curve": (None, 3), "foreshortening": (1,)})
+        denoiser = None
+        if "denoiser" in about:
+            mean, basis, noise = (arrays.pop(f"{DENOISER}{n}") for n in ViewModel._fields)
+            denoiser = ViewModel(mean.numpy(), basis.numpy(), noise.item())
+            if len(mean) != len(basis) or not denoiser.noise > 0:
+                raise WeightsError("the file contradicts itself about the noise")
+        found = None
+        if cameras:
+            parts = {name: arrays.pop(f"{CAMERAS}{name}") for name in cameras}
+            found = from_arrays(parts, about["cameras"])
+        curve = tuple(
+            CurvePoint(int(s), loss, error) for s, loss, error in arrays.pop("curve").tolist()
+        )
+        return cls(config, arrays, curve, arrays.pop("foreshortening").item(), found, denoiser)
+
+
+def join(lifts: Sequence[Lift]) -> Lift:
+    """Join lifts of the same views and keypoints, frame after frame."""
+    joined: dict[str, Any] = {}
+    for field in fields(Lift):
+        parts = [getattr(lift, field.name) for lift in lifts]
+        joined[field.name] = (
+            tuple(chain.from_iterable(parts)) if field.name == "status" else np.concatenate(parts)
+        )
+    return Lift(**joined)
+
+
+def weak_perspective(lift: Lift, frames: NDArray[np.int64] | slice = slice(None)) -> WeakAnswers:
+    """Structures, rotations, scales and translations (x, y) of some frames in float64.
+
+    Harmless numbers stand where there is no answer.
+    """
+    none = ~torch.from_numpy(np.isfinite(lift.scales[frames]))
+
+    def number(array: NDArray[np.float32], without: float) -> Tensor:
+        return torch.nan_to_num(torch.from_numpy(array[frames]).double(), nan=without)
+
+    rotations = number(lift.rotations, 0)
+    rotations[none] = torch.eye(3, dtype=torch.float64)
+    return (
+        number(lift.points3d, 0),
+        rotations,
+        number(lift.scales, 1),
+        number(lift.translations[..., :2], 0),
+    )

@@ -1,0 +1,587 @@
+"""The compiled network: what the prior and `models.network.settling` compute, frame by frame.
+
+Those are for training: differentiable, in batches. Here a fitted network answers. The numbers of a
+frame stay in the processor's nearest cache from its keypoints to its answer, all in one call.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.capture.observations import Observations
+from models.network.settling import DECISIVE, ROUNDS, STIFFNESS
+from models.numerics.compiled import compiled, inner, reordered
+from models.numerics.matrices import copy, fill, inverse, total
+from models.numerics.rotations import nearest_orthonormal_rows_into
+from models.numerics.tensor_files import Arrays
+from models.optics.lenses import COEFFICIENTS
+from models.optics.weak_perspective import RIDGE, TINY
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+PANEL = 256  # columns of a layer at a time: rows of so many stay in the nearest cache
+
+
+class Network(NamedTuple):
+    """The weights of a fitted prior, laid out as the compiled functions read them."""
+
+    sizes: NDArray[np.int64]  # (L,) atoms of each layer
+    first: Float32  # (P, 3 B_1)
+    atoms: Float32  # (3 P, B_1) the same numbers
+    dictionaries: Float32  # D_2, D_3, ... one after the other, each (B_{l-1}, B_l)
+    encoder_thresholds: Float32  # of the first layer three times, then of the others
+    decoder_thresholds: Float32
+    heads: Float32  # (B_L + 6, 6 B_L) code, then rotation
+    biases: Float32  # (B_L + 6,)
+
+
+class Answers(NamedTuple):
+    """The arrays of `models.lifting.fitted_prior.Lift`, as the compiled functions write them."""
+
+    points3d: Float32
+    rotations: Float32
+    scales: Float32
+    translations: Float32
+    focals: Float32
+    principal_points: Float32
+    distortions: Float32
+    camera_models: NDArray[np.int8]
+    reprojection_errors: Float32
+    keypoints_used: NDArray[np.int32]
+    continued: NDArray[np.bool_]
+
+
+def make_answers(frames: int, views: int, keypoints: int) -> Answers:
+    """Room for the answers of N frames of K views with P keypoints."""
+    per_view = (frames, views)
+    return Answers(
+        np.empty((frames, keypoints, 3), np.float32),
+        np.empty((*per_view, 3, 3), np.float32),
+        np.empty(per_view, np.float32),
+        np.empty((*per_view, 3), np.float32),
+        np.empty((*per_view, 2), np.float32),
+        np.empty((*per_view, 2), np.float32),
+        np.empty((*per_view, COEFFICIENTS), np.float32),
+        np.empty(per_view, np.int8),
+        np.empty(per_view, np.float32),
+        np.empty(per_view, np.int32),
+        np.empty(frames, np.bool_),
+    )
+
+
+def lay_out(arrays: Arrays, sizes: tuple[int, ...]) -> Network:
+    """Lay out the parameters of a `models.network.priors.hierarchical.HierarchicalPrior`."""
+    a = {name: np.ascontiguousarray(value.numpy(), np.float32) for name, value in arrays.items()}
+    layers = range(1, len(sizes))
+    nothing = np.zeros(0, np.float32)
+    keypoints = len(a["first"])
+    thresholds = [a[f"encoder_thresholds.{i}"] for i in range(len(sizes))]
+    return Network(
+        np.array(sizes),
+        a["first"],
+        a["first"].reshape(3 * keypoints, -1),
+        np.concatenate([nothing, *(a[f"dictionaries.{i - 1}"].ravel() for i in layers)]),
+        np.concatenate([np.tile(thresholds[0], 3), *thresholds[1:]]),
+        np.concatenate([nothing, *(a[f"decoder_thresholds.{i - 1}"] for i in layers)]),
+        np.concatenate((a["unrotate.weight"], a["rotate.weight"])),
+        np.concatenate((a["unrotate.bias"], a["rotate.bias"])),
+    )
+
+
+@compiled
+def feed_forward(
+    network: Network,
+    seen: Observations,
+    foreshortening: float,
+    trusted: float,
+    start: int,
+    stop: int,
+    answers: Answers,
+) -> None:
+    """Write weak-perspective answers for frames from `start` to `stop`; NaN where there is none.
+
+    Frames whose misfit is beyond `trusted` are settled; with `trusted` negative all are, and
+    otherwise the network's structure is mirrored where `foreshortening` says that it must be.
+    """
+    _, views, count, _ = seen.keypoints.shape
+    widest = max(6 * views * max(network.sizes[0], count), 3 * count)
+    left, right = np.empty(widest, np.float32), np.empty(widest, np.float32)
+    filled = np.empty((views, count, 2), np.float32)
+    guesses, rotations = np.empty((views, 3, 3)), np.empty((views, 3, 3))
+    shift, points = np.empty(2), np.empty((count, 3))
+    turned = np.empty((count, 3))
+    for n in range(start, stop):
+        keypoints, weights = seen.keypoints[n], seen.weights[n]
+        answers.continued[n] = False
+        fill(answers.points3d[n], np.nan)
+        _blank(answers, n, weights)
+        if total(seen.usable[n]) == 0:
+            continue
+        _reconstruct(network, keypoints, weights, points, guesses, left, right)
+        if _fill(keypoints, weights, points, guesses, filled):
+            # What is hidden is filled with its reprojection and the views are read once more.
+            _reconstruct(network, filled, weights, points, guesses, left, right)
+        odd = True
+        if trusted >= 0:
+            if foreshortening < 0:
+                _mirror(points, guesses)
+            odd = _misfit(points, keypoints, weights, guesses) > trusted
+        if odd and foreshortening != 0:
+            if trusted >= 0 and foreshortening < 0:
+                _mirror(points, guesses)
+            _settle(points, keypoints, weights, guesses, foreshortening, turned, rotations)
+        copy(points, answers.points3d[n])
+        for k in range(views):
+            if not seen.usable[n, k]:
+                continue
+            size, rotation = seen.sizes[n, k], rotations[k]
+            scale = _solve_camera(points, keypoints[k], weights[k], guesses[k], rotation, shift)
+            error = _mean_distance(points, keypoints[k], weights[k], rotation, scale, shift)
+            copy(rotation, answers.rotations[n, k])
+            answers.scales[n, k] = scale * size
+            for i in range(2):
+                answers.translations[n, k, i] = shift[i] * size + seen.centres[n, k, i]
+            answers.reprojection_errors[n, k] = error * size
+            answers.camera_models[n, k] = 0
+
+
+@inner
+def _blank(answers: Answers, n: int, weights: Float32) -> None:
+    """Write that there is no answer for any view of a frame."""
+    for k in range(len(weights)):
+        fill(answers.rotations[n, k], np.nan)
+        answers.scales[n, k] = np.nan
+        fill(answers.translations[n, k], np.nan)
+        fill(answers.focals[n, k], np.nan)
+        fill(answers.principal_points[n, k], np.nan)
+        fill(answers.distortions[n, k], np.nan)
+        answers.camera_models[n, k] = -1
+        answers.reprojection_errors[n, k] = np.nan
+        used = 0
+        for p in range(weights.shape[1]):
+            used += weights[k, p] > 0
+        answers.keypoints_used[n, k] = used
+
+
+@inner
+def _reconstruct(
+    network: Network,
+    seen: Float32,
+    weights: Float32,
+    points: Float64,
+    guesses: Float64,
+    left: Float32,
+    right: Float32,
+) -> None:
+    """See `HierarchicalPrior`: encode views (K, P, 2), pool, decode to points (P, 3)."""
+    views, count, _ = seen.shape
+    sizes, layers = network.sizes, len(network.sizes)
+    rows = left[: 2 * views * count].reshape(2 * views, count)
+    for k in range(views):
+        for p in range(count):
+            rows[2 * k, p], rows[2 * k + 1, p] = seen[k, p, 0], seen[k, p, 1]
+    width = 3 * sizes[0]
+    block = right[: 2 * views * width].reshape(2 * views, width)
+    _layer(rows, network.first, network.encoder_thresholds[:width], block)
+    start, threshold = 0, width
+    here, there = right, left
+    for layer in range(1, layers):
+        m, b = sizes[layer - 1], sizes[layer]
+        dictionary = network.dictionaries[start : start + m * b].reshape(m, b)
+        _layer(
+            here[: 6 * views * m].reshape(6 * views, m),
+            dictionary,
+            network.encoder_thresholds[threshold : threshold + b],
+            there[: 6 * views * b].reshape(6 * views, b),
+        )
+        here, there = there, here
+        start, threshold = start + m * b, threshold + b
+    size = sizes[layers - 1]
+    flat = here[: 6 * size * views].reshape(views, 6 * size)
+    votes = np.float32(0)
+    for k in range(views):
+        votes += total(weights[k])
+    code = there[:size]
+    fill(code, 0)
+    rows_of_rotation = np.empty((2, 3))
+    for k in range(views):
+        for i in range(6):
+            rows_of_rotation[i // 3, i % 3] = (
+                _dot(network.heads[size + i], flat[k]) + network.biases[size + i]
+            )
+        nearest_orthonormal_rows_into(rows_of_rotation, guesses[k])
+        vote = total(weights[k]) / max(votes, np.float32(1e-6))
+        if vote > 0:
+            for i in range(size):
+                code[i] += vote * (_dot(network.heads[i], flat[k]) + network.biases[i])
+    threshold = len(network.decoder_thresholds)
+    start = len(network.dictionaries)
+    for layer in range(layers - 1, 0, -1):
+        m, b = sizes[layer - 1], sizes[layer]
+        start, threshold = start - m * b, threshold - m
+        dictionary = network.dictionaries[start : start + m * b].reshape(m, b)
+        for i in range(m):
+            value = _dot(dictionary[i], there[:b]) - network.decoder_thresholds[threshold + i]
+            here[i] = max(value, np.float32(0))
+        here, there = there, here
+    for p in range(count):
+        for i in range(3):
+            points[p, i] = _dot(network.atoms[3 * p + i], there[: sizes[0]])
+    _normalise(points)
+
+
+@reordered
+def _layer(rows: Float32, dictionary: Float32, threshold: Float32, out: Float32) -> None:
+    """Paper eq. "encoder": ReLU(rows (n, m) D (m, b) - threshold), in panels."""
+    n, m = rows.shape
+    width = dictionary.shape[1]
+    fours = m - m % 4
+    for begin in range(0, width, PANEL):
+        end = min(begin + PANEL, width)
+        for i in range(n):
+            for j in range(begin, end):
+                out[i, j] = -threshold[j]
+        for k in range(0, fours, 4):
+            d0, d1 = dictionary[k, begin:end], dictionary[k + 1, begin:end]
+            d2, d3 = dictionary[k + 2, begin:end], dictionary[k + 3, begin:end]
+            for i in range(n):
+                a, b, c, d = rows[i, k], rows[i, k + 1], rows[i, k + 2], rows[i, k + 3]
+                if a == 0 and b == 0 and c == 0 and d == 0:
+                    continue  # codes are sparse
+                row = out[i, begin:end]
+                for j in range(end - begin):
+                    row[j] += (a * d0[j] + b * d1[j]) + (c * d2[j] + d * d3[j])
+        for k in range(fours, m):
+            d0 = dictionary[k, begin:end]
+            for i in range(n):
+                a = rows[i, k]
+                row = out[i, begin:end]
+                for j in range(end - begin):
+                    row[j] += a * d0[j]
+        for i in range(n):
+            for j in range(begin, end):
+                out[i, j] = max(out[i, j], np.float32(0))
+
+
+@reordered
+def _dot(a: Float32, b: Float32) -> np.float32:
+    summed = np.float32(0)
+    for i in range(len(a)):
+        summed += a[i] * b[i]
+    return summed
+
+
+@inner
+def _normalise(points: Float64) -> None:
+    """Centre (P, 3) and bring it to root-mean-square radius 1."""
+    count = len(points)
+    squared = 0.0
+    for i in range(3):
+        mean = 0.0
+        for p in range(count):
+            mean += points[p, i] / count
+        for p in range(count):
+            points[p, i] -= mean
+            squared += points[p, i] ** 2
+    radius = math.sqrt(max(squared / count, TINY))
+    for p in range(count):
+        for i in range(3):
+            points[p, i] /= radius
+
+
+@inner
+def _fill(
+    seen: Float32, weights: Float32, points: Float64, guesses: Float64, filled: Float32
+) -> bool:
+    """Fill what is hidden in views that show something; False, and nothing done, if nothing is."""
+    views, count, _ = seen.shape
+    hidden = False
+    for k in range(views):
+        shown = total(weights[k])
+        hidden = hidden or (0 < shown < count)
+    if not hidden:
+        return False
+    rotation, shift = np.empty((3, 3)), np.empty(2)
+    for k in range(views):
+        scale = _solve_camera(points, seen[k], weights[k], guesses[k], rotation, shift)
+        mean_x, mean_y = 0.0, 0.0
+        for p in range(count):
+            w = weights[k, p]
+            x, y = _project(points[p], rotation, scale, shift)
+            x, y = w * seen[k, p, 0] + (1 - w) * x, w * seen[k, p, 1] + (1 - w) * y
+            filled[k, p, 0], filled[k, p, 1] = x, y
+            mean_x += x / count
+            mean_y += y / count
+        squared = 0.0
+        for p in range(count):
+            filled[k, p, 0] -= mean_x
+            filled[k, p, 1] -= mean_y
+            squared += filled[k, p, 0] ** 2 + filled[k, p, 1] ** 2
+        size = math.sqrt(max(squared / count, TINY))
+        for p in range(count):
+            filled[k, p, 0] /= size
+            filled[k, p, 1] /= size
+    return True
+
+
+@inner
+def _project(
+    point: Float64, rotation: Float64, scale: float, shift: Float64
+) -> tuple[float, float]:
+    x = rotation[0, 0] * point[0] + rotation[0, 1] * point[1] + rotation[0, 2] * point[2]
+    y = rotation[1, 0] * point[0] + rotation[1, 1] * point[1] + rotation[1, 2] * point[2]
+    return scale * x + shift[0], scale * y + shift[1]
+
+
+@inner
+def _solve_camera(
+    points: Float64,
+    image: Float32,
+    weights: Float32,
+    guess: Float64,
+    rotation: Float64,
+    shift: Float64,
+) -> float:
+    """As `models.optics.weak_perspective.solve_cameras`, for one view; returns the scale."""
+    count = len(points)
+    summed = 0.0
+    for p in range(count):
+        summed += weights[p]
+    summed = max(summed, TINY)
+    mx, my, mz, mu, mv = 0.0, 0.0, 0.0, 0.0, 0.0
+    for p in range(count):
+        w = weights[p] / summed
+        mx += w * points[p, 0]
+        my += w * points[p, 1]
+        mz += w * points[p, 2]
+        mu += w * image[p, 0]
+        mv += w * image[p, 1]
+    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    xu, yu, zu, xv, yv, zv, spread = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for p in range(count):
+        w = weights[p] / summed
+        x, y, z = points[p, 0] - mx, points[p, 1] - my, points[p, 2] - mz
+        u, v = image[p, 0] - mu, image[p, 1] - mv
+        xx += w * x * x
+        xy += w * x * y
+        xz += w * x * z
+        yy += w * y * y
+        yz += w * y * z
+        zz += w * z * z
+        xu += w * x * u
+        yu += w * y * u
+        zu += w * z * u
+        xv += w * x * v
+        yv += w * y * v
+        zv += w * z * v
+        spread += w * (u * u + v * v)
+    variance = xx + yy + zz + TINY
+    ridge = RIDGE * variance
+    pull = ridge * math.sqrt(spread / variance + TINY)
+    matrix, solved = np.empty((3, 3)), np.empty((3, 3))
+    matrix[0, 0], matrix[0, 1], matrix[0, 2] = xx + ridge, xy, xz
+    matrix[1, 0], matrix[1, 1], matrix[1, 2] = xy, yy + ridge, yz
+    matrix[2, 0], matrix[2, 1], matrix[2, 2] = xz, yz, zz + ridge
+    inverse(matrix, solved)
+    affine = np.empty((2, 3))
+    for i in range(3):
+        affine[0, i] = (
+            solved[i, 0] * (xu + pull * guess[0, 0])
+            + solved[i, 1] * (yu + pull * guess[0, 1])
+            + solved[i, 2] * (zu + pull * guess[0, 2])
+        )
+        affine[1, i] = (
+            solved[i, 0] * (xv + pull * guess[1, 0])
+            + solved[i, 1] * (yv + pull * guess[1, 1])
+            + solved[i, 2] * (zv + pull * guess[1, 2])
+        )
+    nearest_orthonormal_rows_into(affine, rotation)
+    match, square = 0.0, 0.0
+    for i in range(2):
+        a, b, c = rotation[i, 0], rotation[i, 1], rotation[i, 2]
+        match += (
+            a * (xu if i == 0 else xv) + b * (yu if i == 0 else yv) + c * (zu if i == 0 else zv)
+        )
+        square += (
+            a * (xx * a + xy * b + xz * c)
+            + b * (xy * a + yy * b + yz * c)
+            + c * (xz * a + yz * b + zz * c)
+        )
+    scale = match / (square + TINY)
+    for i in range(2):
+        shift[i] = (mu if i == 0 else mv) - scale * (
+            rotation[i, 0] * mx + rotation[i, 1] * my + rotation[i, 2] * mz
+        )
+    return scale
+
+
+@inner
+def _mean_distance(
+    points: Float64,
+    image: Float32,
+    weights: Float32,
+    rotation: Float64,
+    scale: float,
+    shift: Float64,
+) -> float:
+    """Reprojection error of one view, mean over what was observed."""
+    summed, seen = 0.0, 0
+    for p in range(len(points)):
+        if weights[p] > 0:
+            x, y = _project(points[p], rotation, scale, shift)
+            summed += math.sqrt((x - image[p, 0]) ** 2 + (y - image[p, 1]) ** 2)
+            seen += 1
+    return summed / max(seen, 1)
+
+
+@inner
+def _misfit(points: Float64, seen: Float32, weights: Float32, guesses: Float64) -> float:
+    """Reprojection error of a frame in units of the structure, mean over what was observed."""
+    rotation, shift = np.empty((3, 3)), np.empty(2)
+    summed, number = 0.0, 0
+    for k in range(len(seen)):
+        observed = 0
+        for p in range(len(points)):
+            observed += weights[k, p] > 0
+        if observed:
+            scale = _solve_camera(points, seen[k], weights[k], guesses[k], rotation, shift)
+            error = _mean_distance(points, seen[k], weights[k], rotation, scale, shift)
+            summed += observed * error / max(scale, 1e-6)
+            number += observed
+    return summed / max(number, 1)
+
+
+@inner
+def _mirror(points: Float64, guesses: Float64) -> None:
+    """Turn a structure into its mirror image through the x-y plane, which looks alike."""
+    for p in range(len(points)):
+        points[p, 2] = -points[p, 2]
+    for k in range(len(guesses)):
+        for i in range(2):
+            guesses[k, i, 2] = -guesses[k, i, 2]
+            guesses[k, 2, i] = -guesses[k, 2, i]
+
+
+@inner
+def _settle(
+    points: Float64,
+    seen: Float32,
+    weights: Float32,
+    guesses: Float64,
+    foreshortening: float,
+    other: Float64,
+    rotations: Float64,
+) -> None:
+    """As `models.network.settling.settle`, for one frame, in place; the last two are scratch."""
+    views = 0
+    for k in range(len(seen)):
+        views += total(weights[k]) > 0
+    mirror = foreshortening < 0
+    if views > 0:
+        copy(points, other)
+        error = _relax(points, seen, weights, guesses, foreshortening, rotations)
+        if views > 1:
+            turned = _relax(other, seen, weights, guesses, -foreshortening, rotations)
+            if turned < DECISIVE * error:
+                copy(other, points)
+                mirror = not mirror
+    if mirror:
+        _mirror(points, guesses)
+    _normalise(points)
+
+
+@inner
+def _relax(
+    points: Float64, seen: Float32, weights: Float32, guesses: Float64, k: float, rotations: Float64
+) -> float:
+    """Alternate cameras and structure; the root of the summed squared errors."""
+    views, count, _ = seen.shape
+    target = np.empty((views, count, 2), np.float32)
+    copy(seen, target)
+    nearer = np.empty((views, count, 2))
+    projected = np.empty((views, count, 2))
+    scales, shift = np.empty(views), np.empty(2)
+    normal, solved, pull = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for round_ in range(ROUNDS + 1):
+        squared = 0.0
+        for v in range(views):
+            scales[v] = _solve_camera(
+                points, target[v], weights[v], guesses[v], rotations[v], shift
+            )
+            _first_order(
+                points, weights[v], rotations[v], scales[v], shift, projected[v], nearer[v]
+            )
+            for p in range(count):
+                for i in range(2):
+                    target[v, p, i] = seen[v, p, i] - k * nearer[v, p, i]
+                    residual = seen[v, p, i] - k * nearer[v, p, i] - projected[v, p, i]
+                    squared += weights[v, p] * residual**2
+        if round_ == ROUNDS:
+            break
+        for p in range(count):
+            fill(normal, 0)
+            fill(pull, 0)
+            for i in range(3):
+                normal[i, i] = STIFFNESS
+            for v in range(views):
+                w = weights[v, p] * scales[v]
+                for axis in range(2):
+                    residual = seen[v, p, axis] - k * nearer[v, p, axis] - projected[v, p, axis]
+                    for i in range(3):
+                        pull[i] += w * rotations[v, axis, i] * residual
+                        for j in range(3):
+                            normal[i, j] += (
+                                w * scales[v] * rotations[v, axis, i] * rotations[v, axis, j]
+                            )
+            inverse(normal, solved)
+            for i in range(3):
+                points[p, i] += (
+                    solved[i, 0] * pull[0] + solved[i, 1] * pull[1] + solved[i, 2] * pull[2]
+                )
+    return math.sqrt(squared)
+
+
+@inner
+def _first_order(
+    points: Float64,
+    weights: Float32,
+    rotation: Float64,
+    scale: float,
+    shift: Float64,
+    projected: Float64,
+    nearer: Float64,
+) -> None:
+    """As `models.network.settling.first_order`, for one view."""
+    count = len(points)
+    summed = 0.0
+    for p in range(count):
+        summed += weights[p]
+    summed = max(summed, 1e-6)
+    z_mean, x_mean, y_mean = 0.0, 0.0, 0.0
+    for p in range(count):
+        x, y = _project(points[p], rotation, scale, shift)
+        z = (
+            rotation[2, 0] * points[p, 0]
+            + rotation[2, 1] * points[p, 1]
+            + rotation[2, 2] * points[p, 2]
+        )
+        projected[p, 0], projected[p, 1] = x, y
+        nearer[p, 0] = z
+        share = weights[p] / summed
+        z_mean += share * z
+        x_mean += share * x
+        y_mean += share * y
+    x_off, y_off = 0.0, 0.0
+    for p in range(count):
+        z = nearer[p, 0] - z_mean
+        nearer[p, 0] = -z * (projected[p, 0] - x_mean)
+        nearer[p, 1] = -z * (projected[p, 1] - y_mean)
+        share = weights[p] / summed
+        x_off += share * nearer[p, 0]
+        y_off += share * nearer[p, 1]
+    for p in range(count):
+        nearer[p, 0] -= x_off
+        nearer[p, 1] -= y_off

@@ -1,0 +1,204 @@
+"""What a training step minimises: reprojection errors, and distances to teachers."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from models.numerics.compiled import compiled
+from models.numerics.rotations import nearest_rotation_into
+
+Floats = NDArray[Any]  # of 32 or 64 bits
+
+STRUCTURE = 3.0  # weight of the distance to the teachers next to the reprojection error
+SOFT = 1e-8  # keeps the gradient of a root finite where a view or a teacher is met exactly
+LEAST_WEIGHT = 1e-6
+
+
+class Batch(NamedTuple):
+    """What one step sees, B frames."""
+
+    keypoints: Tensor  # (B, K, P, 2) normalised
+    weights: Tensor  # (B, K, P)
+    sizes: Tensor  # (B, K) pixels; 0 in virtual frames, whose reprojection is not reported
+    factors: Tensor  # (B,) weight of a frame's reprojection error
+    teachers: Tensor  # (B, P, 3) structures to come near to
+    taught: Tensor  # (B,) 1 where there is such a structure, else 0
+
+    def to(self, device: torch.device) -> "Batch":
+        """Return the batch on a device."""
+        return self if device.type == "cpu" else Batch(*(part.to(device) for part in self))
+
+
+def objective(points: Tensor, projected: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Sum up what a batch's structures (B, P, 3) and projections (B, K, P, 2) cost.
+
+    Returns
+    -------
+    tuple
+        The total, differentiable, and two figures: paper eq. "final_loss", the mean over views of
+        the reprojection error, as a weighted root mean square so that views with gaps count the
+        same; and the mean reprojection error in pixels of what frames of the capture show.
+    """
+    if points.device.type == "cpu":
+        total, figures = _Objective.apply(points, projected, *batch)  # type: ignore[no-untyped-call]
+        return total, figures
+    return plain_objective(points, projected, batch)
+
+
+def plain_objective(points: Tensor, projected: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Do what `objective` does in tensor operations, on any device."""
+    squared = (projected - batch.keypoints).square().sum(-1)
+    weight = batch.weights.sum(-1)  # (B, K)
+    mean = (batch.weights * squared).sum(-1) / weight.clamp_min(LEAST_WEIGHT)
+    there = (weight > 0).to(squared.dtype)
+    norms = there * (mean + SOFT).sqrt()
+    views = there.sum().clamp_min(1)
+    total = (batch.factors[:, None] * norms).sum() / views
+    own = batch.taught / batch.taught.sum().clamp_min(1)
+    total = total + STRUCTURE * (own * _structure_distances(points, batch.teachers)).sum()
+    shown = (batch.weights > 0) & (batch.sizes > 0)[..., None]
+    pixels = (
+        squared.detach().sqrt() * batch.sizes[..., None] * shown
+    ).sum() / shown.sum().clamp_min(1)
+    return total, torch.stack((norms.detach().sum() / views, pixels))
+
+
+def _structure_distances(points: Tensor, teachers: Tensor) -> Tensor:
+    """Root-mean-square distances (N,) of (N, P, 3) from `teachers` after turning these (Kabsch).
+
+    The best turn needs no gradient: at the optimum the distance does not change with it.
+    """
+    with torch.no_grad():
+        u, _, vt = torch.linalg.svd(teachers.mT @ points)
+        u[..., -1] *= (torch.linalg.det(u) * torch.linalg.det(vt)).sign()[:, None]
+        teachers = teachers @ (u @ vt)
+    return ((points - teachers).square().sum(-1).mean(-1) + SOFT).sqrt()
+
+
+class _Objective(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, points: Tensor, projected: Tensor, *batch: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        by_points, by_projected = torch.empty_like(points), torch.empty_like(projected)
+        given = (points, projected, *batch, by_points, by_projected)
+        total, loss, pixels = _objective(*(part.detach().numpy() for part in given))
+        ctx.gradients = (by_points, by_projected)
+        figures = torch.tensor((loss, pixels), dtype=torch.float64)
+        ctx.mark_non_differentiable(figures)
+        return points.new_tensor(total), figures
+
+    @staticmethod
+    def backward(ctx: Any, by_total: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
+        by_points, by_projected = ctx.gradients
+        return by_points * by_total, by_projected * by_total, *(None for _ in Batch._fields)
+
+
+@compiled
+def _objective(
+    points: Floats,
+    projected: Floats,
+    keypoints: Floats,
+    weights: Floats,
+    sizes: Floats,
+    factors: Floats,
+    teachers: Floats,
+    taught: Floats,
+    by_points: Floats,
+    by_projected: Floats,
+) -> tuple[float, float, float]:
+    frames, views = weights.shape[:2]
+    total = loss = pixels = 0.0
+    there = shown = students = 0
+    for n in range(frames):
+        students += 1 if taught[n] > 0 else 0
+        for k in range(views):
+            there += 1 if weights[n, k].any() else 0
+    there = max(there, 1)
+    turn = np.empty((3, 3))
+    for n in range(frames):
+        for k in range(views):
+            norm, distances, seen = _norm(
+                projected[n, k],
+                keypoints[n, k],
+                weights[n, k],
+                factors[n] / there,
+                by_projected[n, k],
+            )
+            loss += norm / there
+            total += factors[n] * norm / there
+            if sizes[n, k] > 0:
+                pixels += sizes[n, k] * distances
+                shown += seen
+        if taught[n] > 0:
+            distance = _distance(points[n], teachers[n], STRUCTURE / students, turn, by_points[n])
+            total += STRUCTURE * distance / students
+        else:
+            by_points[n] = 0
+    return total, loss, pixels / max(shown, 1)
+
+
+@compiled
+def _norm(
+    projected: Floats, keypoints: Floats, weights: Floats, factor: float, gradient: Floats
+) -> tuple[float, float, int]:
+    """Error of one view, the sum of distances of keypoints shown, and their number.
+
+    The gradient is that of `factor` times the error.
+    """
+    weight = squares = distances = 0.0
+    shown = 0
+    for p in range(len(weights)):
+        x, y = projected[p, 0] - keypoints[p, 0], projected[p, 1] - keypoints[p, 1]
+        square = x * x + y * y
+        weight += weights[p]
+        squares += weights[p] * square
+        if weights[p] > 0:
+            distances += math.sqrt(square)
+            shown += 1
+    if shown == 0:
+        gradient[:] = 0
+        return 0.0, 0.0, 0
+    weight = max(weight, LEAST_WEIGHT)
+    norm = math.sqrt(squares / weight + SOFT)
+    pull = factor / (weight * norm)
+    for p in range(len(weights)):
+        for d in range(2):
+            gradient[p, d] = pull * weights[p] * (projected[p, d] - keypoints[p, d])
+    return norm, distances, shown
+
+
+@compiled
+def _distance(
+    points: Floats, teacher: Floats, factor: float, turn: Floats, gradient: Floats
+) -> float:
+    """Root-mean-square distance to the teacher; the gradient is that of `factor` times it."""
+    count = len(points)
+    _turn_onto(teacher, points, turn)
+    squares = 0.0
+    for p in range(count):
+        x, y, z = teacher[p, 0], teacher[p, 1], teacher[p, 2]
+        for d in range(3):
+            off = points[p, d] - turn[d, 0] * x - turn[d, 1] * y - turn[d, 2] * z
+            gradient[p, d] = off
+            squares += off * off
+    distance = math.sqrt(squares / count + SOFT)
+    for p in range(count):
+        for d in range(3):
+            gradient[p, d] *= factor / (count * distance)
+    return distance
+
+
+@compiled
+def _turn_onto(points: Floats, others: Floats, out: Floats) -> None:
+    """Find the rotation that brings points (P, 3) nearest to others."""
+    cross = np.zeros((3, 3))
+    for p in range(len(points)):
+        for i in range(3):
+            for j in range(3):
+                cross[i, j] += float(others[p, i]) * points[p, j]
+    nearest_rotation_into(cross, out)

@@ -1,0 +1,1 @@
+"""The shape priors that a fit can train, a file each."""

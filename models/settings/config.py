@@ -1,0 +1,143 @@
+"""What a fit can be told. Imports no torch, so that an API can show and check it cheaply."""
+
+from itertools import pairwise
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from models.settings.calibration import Camera, KnownLength
+
+Refine = Literal["auto", "off", "full"]
+Arrangement = Literal["auto", "moving", "static"]
+Index = Annotated[int, Field(ge=0)]
+
+WARM_STEPS = 1100  # of a fit that starts from a model, unless it was told otherwise
+MAX_DICTIONARY_ENTRIES = 16_000_000  # the paper's {4096, 2048, ..., 8} needs 11 million
+
+
+class FitConfig(BaseModel):
+    """Everything that decides the outcome of a fit besides the keypoints."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    prior: Literal["hierarchical"] = Field(
+        default="hierarchical",
+        description="The shape prior: `hierarchical` is the multi-layer block-sparse dictionary.",
+    )
+    dictionary_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field(
+        default=(128, 32),
+        min_length=1,
+        max_length=12,
+        description=(
+            "Atoms in the dictionary of each layer, from the keypoints inwards, never increasing."
+            " The last one is the length of the code that describes a structure."
+        ),
+    )
+    steps: int = Field(
+        default=4500, ge=1, le=1_000_000, description="Optimiser steps; each sees one batch."
+    )
+    batch_size: int = Field(default=64, ge=1, le=512, description="Frames in one step.")
+    learning_rate: float = Field(
+        default=1e-2,
+        gt=0,
+        le=1,
+        description="Adam's step size at the start; it falls to zero along half a cosine.",
+    )
+    budget_s: float | None = Field(
+        default=None,
+        ge=1,
+        le=7 * 24 * 3600,
+        description=(
+            "Seconds that training may take, over all attempts, finding the cameras included. The"
+            " fit is laid out for this time, as far as `steps` and what else it was told allow."
+            " Null: as long as its steps take."
+        ),
+    )
+    early_stopping: bool = Field(
+        default=False,
+        description=(
+            "Hold out a twentieth of the frames, from 200 on, and come to an end when predicting"
+            " one of their views from the others gets no better."
+        ),
+    )
+    distillation: bool = Field(
+        default=True,
+        description=(
+            "Let what several views of a frame agree on teach the network about frames with fewer."
+            " Off: the paper's fit, from the reprojection error alone."
+        ),
+    )
+    denoising: bool = Field(
+        default=True,
+        description=(
+            "Remove noise from the keypoints before anything else, in the fit and in lifts, where"
+            " the capture shows that it is white and strong (cameras at rest, many frames)."
+        ),
+    )
+    refine: Refine = Field(
+        default="auto",
+        description=(
+            "Perspective refinement of every frame after the network: `auto` where the residuals"
+            " say that it helps, `full` wherever it can be computed, `off` never (weak perspective,"
+            " as in the paper). Also what lifts do unless they say otherwise."
+        ),
+    )
+    cameras: Arrangement = Field(
+        default="auto",
+        description=(
+            "`static`: the cameras rest relative to each other; `moving`: each may move from frame"
+            " to frame; `auto`: found from the keypoints, view by view."
+        ),
+    )
+    calibration: tuple[Camera | None, ...] | None = Field(
+        default=None,
+        max_length=64,
+        description="What is known of the cameras, one entry per view; null where nothing is.",
+    )
+    known_length: KnownLength | None = Field(
+        default=None, description="A measured distance in the subject: results get its unit."
+    )
+    handedness: tuple[Index, Index, Index, Index] | None = Field(
+        default=None,
+        description=(
+            "Four keypoints a, b, c, d with a positive volume (b-a) x (c-a) . (d-a) in most"
+            " frames, seen in a right-handed frame: decides between a structure and its mirror"
+            " image. Without it perspective decides."
+        ),
+    )
+    seed: int = Field(
+        default=0,
+        ge=0,
+        le=2**32 - 1,
+        description="Decides the initial weights, the order of the frames and the augmentation.",
+    )
+    pck_threshold: float = Field(
+        default=0.1,
+        gt=0,
+        le=1e9,
+        description=(
+            "Distance below which a keypoint counts as correct when a ground truth is given,"
+            " in the unit of that truth (the paper's is 10 cm)."
+        ),
+    )
+
+    @model_validator(mode="after")
+    def _dictionaries_narrow_and_fit_in_memory(self) -> "FitConfig":
+        sizes = self.dictionary_sizes
+        pairs = list(pairwise(sizes))
+        if any(outer < inner for outer, inner in pairs):
+            raise ValueError(f"dictionary_sizes must never increase, got {list(sizes)}")
+        entries = sum(outer * inner for outer, inner in pairs)
+        if entries > MAX_DICTIONARY_ENTRIES:
+            raise ValueError(
+                f"dictionary_sizes {list(sizes)} hold {entries} entries,"
+                f" more than the {MAX_DICTIONARY_ENTRIES} allowed; make the layers narrower"
+            )
+        return self
+
+
+def warm(config: FitConfig, source: FitConfig) -> FitConfig:
+    """Fill in what a fit that starts from a model was not told, for a model fitted so."""
+    suits = {"dictionary_sizes": source.dictionary_sizes, "steps": WARM_STEPS}
+    told = config.model_fields_set
+    return config.model_copy(update={k: v for k, v in suits.items() if k not in told})

@@ -1,0 +1,57 @@
+"""Frames that a fit does not see, to tell when it learns nothing more."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from models.network.priors.hierarchical import HierarchicalPrior
+from models.network.settling import first_order
+from models.optics.weak_perspective import nearest_rotation, solve_cameras
+from models.training.batches import Data
+
+SHARE = 0.05  # of the frames
+LEAST, MOST = 10, 200  # frames
+ROUNDS = 3  # of solving for cameras and foreshortening in turn
+
+
+def split(frames: NDArray[np.int64], seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Divide frames into those to train on and those to hold out; none of few."""
+    count = min(int(SHARE * len(frames)), MOST)
+    if count < LEAST:
+        return frames, frames[:0]
+    order = np.random.default_rng([seed, 0, 4]).permutation(len(frames))
+    return np.sort(frames[order[count:]]), np.sort(frames[order[:count]])
+
+
+class Holdout:
+    """Frames of which one view is predicted from the others, where there are others."""
+
+    def __init__(self, data: Data, seed: int) -> None:
+        self._data = data
+        there = (data.weights > 0).any(-1)  # (H, K)
+        drawn = torch.from_numpy(np.random.default_rng([seed, 1, 4]).random(there.shape))
+        self._hidden = (drawn * there).argmax(1)  # (H,)
+        several = there.sum(1) > 1
+        self._shown = data.weights.clone()
+        self._shown[several, self._hidden[several]] = 0
+
+    @torch.no_grad()
+    def error(self, network: HierarchicalPrior, foreshortening: float) -> float:
+        """Reprojection error in the hidden views as a share of their size, mean over frames.
+
+        Structures are those that the network makes of the other views; a camera for the hidden one
+        is found as `models.optics.weak_perspective.solve_cameras` does, with this foreshortening,
+        to first order.
+        """
+        keypoints, weights = self._data.keypoints, self._data.weights
+        points, _, turns = network.reproject(keypoints, self._shown)
+        guesses, _ = nearest_rotation(turns)
+        target: Tensor = keypoints
+        for _ in range(ROUNDS):
+            cameras = solve_cameras(points[:, None], target, weights, guesses)
+            projected, nearer = first_order(points, weights, cameras)
+            target = keypoints - foreshortening * nearer
+        squared = (target - projected).square().sum(-1)
+        norms = ((weights * squared).sum(-1) / weights.sum(-1).clamp_min(1e-6)).sqrt()
+        return float(norms.gather(1, self._hidden[:, None]).mean())

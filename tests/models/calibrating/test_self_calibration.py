@@ -1,0 +1,342 @@
+"""What is found of cameras that are known, from answers that are off as a network's would be."""
+
+from collections.abc import Generator
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from models.bundle.adjustment import Scene
+from models.calibrating.result import FoundCameras, report
+from models.calibrating.self_calibration import Discovery, NothingFoundError, discover
+from models.capture.metrics import pa_mpjpe
+from models.settings.calibration import Camera, Intrinsics, KnownLength
+from models.settings.config import FitConfig
+from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, Stage, keypoint, make_stage
+
+Float64 = NDArray[np.float64]
+T = TypeVar("T")
+
+AZIMUTHS = [0.0, 80.0, -120.0]
+SHIN = (keypoint("left_knee"), keypoint("left_ankle"))
+TRUNK = (keypoint("left_hip"), keypoint("right_shoulder"))
+# Left, up, and ahead, where the head is held: a volume that is positive in most frames.
+CORNERS = tuple(keypoint(name) for name in ("pelvis", "left_hip", "neck", "head"))
+
+
+@pytest.fixture(scope="module")
+def static() -> Stage:
+    return make_stage(AZIMUTHS, frames=40)
+
+
+@pytest.fixture(scope="module")
+def mixed() -> Stage:
+    return make_stage(AZIMUTHS, frames=40, moving=(2,))
+
+
+@pytest.fixture(scope="module")
+def moving() -> Stage:
+    return make_stage(AZIMUTHS, frames=40, moving=(0, 1, 2))
+
+
+def finished(steps: Generator[None, None, T]) -> T:
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            value: T = stop.value
+            return value
+
+
+def found_by(
+    stage: Stage, *, mirrored: bool = False, sizes: bool = True, **config: Any
+) -> tuple[Discovery, Scene]:
+    image_sizes = [IMAGE_SIZE] * len(stage.lenses) if sizes else None
+    return finished(
+        discover(
+            stage.pixels,
+            stage.weights,
+            stage.answers(mirrored=mirrored),
+            FitConfig.model_validate(config),
+            image_sizes,
+        )
+    )
+
+
+def camera(stage: Stage, view: int, *, posed: bool = True, turned: float = 0.0) -> dict[str, Any]:
+    """Return a view's true calibration; its pose may be left out, or turned by some degrees."""
+    lens = stage.lenses[view]
+    intrinsics = Intrinsics(
+        model="fisheye" if lens.fisheye else "pinhole",
+        fx=lens.focal,
+        fy=lens.focal,
+        cx=lens.centre[0],
+        cy=lens.centre[1],
+        distortion=lens.distortion,
+    )
+    turn = Rotation.from_euler("y", turned, degrees=True).as_matrix()
+    pose = {
+        "rotation": (turn @ stage.rotations[0, view]).tolist(),
+        "translation": stage.translations[0, view].tolist(),
+    }
+    known = {"intrinsics": intrinsics.model_dump(), **(pose if posed else {})}
+    return Camera.model_validate(known).model_dump()
+
+
+def error(stage: Stage, scene: Scene) -> float:
+    """Metres; a mirror image is off by 0.17."""
+    return pa_mpjpe(scene.points.numpy(), stage.points3d, reflection="never").mean
+
+
+def length(points: Float64, ends: tuple[int, int]) -> Float64:
+    lengths: Float64 = np.linalg.norm(points[:, ends[0]] - points[:, ends[1]], axis=-1)
+    return lengths
+
+
+def trunk(stage: Stage) -> float:
+    """Metres."""
+    return float(np.median(length(stage.points3d, TRUNK)))
+
+
+def in_unit(found: Discovery, scene: Scene) -> float:
+    """Return how long trunks are in the user's unit, for cameras at rest."""
+    sizes = found.unit * scene.sizes[:, 0].exp().numpy()
+    return float(np.median(sizes * length(scene.points.numpy(), TRUNK)))
+
+
+def degrees_apart(a: Float64, b: Float64) -> float:
+    return float(np.degrees(Rotation.from_matrix(a @ b.T).magnitude()))
+
+
+def check_lenses(cameras: FoundCameras, focal: float = FOCAL) -> None:
+    """Focal lengths are right to some per cent, and no further off than they say."""
+    off = np.abs(cameras.focals - focal).max(1)
+    assert (off < 0.06 * focal).all()
+    assert (off < 4 * cameras.focal_sds).all()
+    assert (cameras.focal_sds < 0.06 * focal).all()
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_static_rig_is_found(static: Stage, *, mirrored: bool) -> None:
+    found, scene = found_by(static, mirrored=mirrored)
+    cameras = report(found)
+    assert cameras.arrangement == "static"
+    assert cameras.warnings == ()
+    check_lenses(cameras)
+    assert error(static, scene) < 0.012
+    assert found.noise == pytest.approx(1, rel=0.15)
+    # Of the noise, 1.25 px from keypoint to truth, structures take a part.
+    assert (cameras.reprojection_errors < 1.25).all()
+    assert (cameras.reprojection_errors > 0.5).all()
+    turns = static.rotations[0]
+    for view in range(3):
+        ours = cameras.rotations[view] @ cameras.rotations[0].T
+        assert degrees_apart(ours, turns[view] @ turns[0].T) < 1.5
+
+
+def test_image_sizes_need_not_be_known(static: Stage) -> None:
+    found, scene = found_by(static, sizes=False)
+    assert report(found).arrangement == "static"
+    assert error(static, scene) < 0.015
+
+
+def test_moving_cameras_are_found_to_move(moving: Stage) -> None:
+    found, scene = found_by(moving, mirrored=True)
+    cameras = report(found)
+    assert cameras.arrangement == "moving"
+    assert np.isnan(cameras.rotations).all()
+    assert np.isnan(cameras.translations).all()
+    assert np.isnan(cameras.rotation_sds).all()
+    check_lenses(cameras)
+    assert error(moving, scene) < 0.02
+    rotations = scene.rotations.numpy()
+    off = [
+        degrees_apart(ours[1] @ ours[0].T, truth[1] @ truth[0].T)
+        for ours, truth in zip(rotations, moving.rotations, strict=True)
+    ]
+    assert np.median(off) < 2
+
+
+def test_a_resting_pair_is_told_from_a_moving_camera(mixed: Stage) -> None:
+    found, scene = found_by(mixed)
+    cameras = report(found)
+    assert cameras.arrangement == "mixed"
+    assert cameras.resting.tolist() == [True, True, False]
+    assert np.isfinite(cameras.rotations[:2]).all()
+    assert np.isnan(cameras.rotations[2]).all()
+    assert np.isnan(cameras.translation_sds[2]).all()
+    check_lenses(cameras)
+    assert error(mixed, scene) < 0.015
+    turns = mixed.rotations[0]
+    ours = cameras.rotations[1] @ cameras.rotations[0].T
+    assert degrees_apart(ours, turns[1] @ turns[0].T) < 1.5
+    # The moving one is right in every frame, beside the two at rest.
+    lone = int(found.rig.groups[2])
+    pair = int(found.rig.groups[0])
+    for n in (0, 15, 30):
+        relative = scene.rotations[n, lone].numpy() @ scene.rotations[n, pair].numpy().T
+        truth = mixed.rotations[n, 2] @ mixed.rotations[n, 0].T
+        assert degrees_apart(relative @ cameras.rotations[0].T, truth) < 4
+
+
+def test_what_is_declared_of_the_arrangement_counts(static: Stage) -> None:
+    found, scene = found_by(static, cameras="moving")
+    assert report(found).arrangement == "moving"
+    assert "declared" in found.reason
+    assert error(static, scene) < 0.015
+    found, scene = found_by(static, cameras="static")
+    assert report(found).arrangement == "static"
+    assert "declared" in found.reason
+    assert error(static, scene) < 0.012
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_hint_decides_against_what_little_perspective_there_is(*, mirrored: bool) -> None:
+    far = make_stage(AZIMUTHS, frames=30, distance=60, lenses=(Lens(focal=16_000),))
+    a, b, c, d = (far.points3d[:, corner] for corner in CORNERS)
+    volumes = (np.cross(b - a, c - a) * (d - a)).sum(-1)
+    assert np.median(volumes) > 0
+    _, scene = found_by(far, mirrored=mirrored)
+    assert error(far, scene) < 0.02  # a little is enough, without a hint
+    _, scene = found_by(far, mirrored=mirrored, handedness=CORNERS)
+    assert error(far, scene) < 0.02
+    swapped = (CORNERS[1], CORNERS[0], *CORNERS[2:])
+    _, scene = found_by(far, mirrored=mirrored, handedness=swapped)
+    assert error(far, scene) > 0.15
+    image = scene._replace(points=scene.points * scene.points.new_tensor([1, 1, -1]))
+    assert error(far, image) < 0.02
+
+
+def test_a_known_length_gives_the_unit(static: Stage) -> None:
+    known = KnownLength(keypoints=SHIN, length=1000 * float(length(static.points3d, SHIN).mean()))
+    found, scene = found_by(static, known_length=known)
+    assert in_unit(found, scene) == pytest.approx(1000 * trunk(static), rel=0.02)
+    cameras = report(found)  # cameras too
+    for view in (1, 2):
+        apart = np.linalg.norm(centre(cameras.rotations, cameras.translations, view))
+        truth = np.linalg.norm(centre(static.rotations[0], static.translations[0], view))
+        assert apart == pytest.approx(1000 * truth, rel=0.03)
+
+
+def centre(rotations: Float64, translations: Float64, view: int) -> Float64:
+    """Return where a camera stands, seen from the first."""
+    places: Float64 = -np.einsum("kji,kj->ki", rotations, translations)
+    apart: Float64 = places[view] - places[0]
+    return apart
+
+
+def test_a_calibration_is_used_as_it_is_and_gives_metres(static: Stage) -> None:
+    found, scene = found_by(static, calibration=[camera(static, k) for k in range(3)])
+    cameras = report(found)
+    assert cameras.warnings == ()
+    assert "given" in cameras.reason
+    np.testing.assert_allclose(cameras.rotations, static.rotations[0], atol=1e-9)
+    np.testing.assert_allclose(cameras.translations, static.translations[0], rtol=1e-6)
+    np.testing.assert_array_equal(cameras.focals, FOCAL)
+    for deviations in (cameras.focal_sds, cameras.rotation_sds, cameras.translation_sds):
+        assert (deviations == 0).all()
+    assert in_unit(found, scene) == pytest.approx(
+        np.median(length(static.points3d, TRUNK)), rel=0.01
+    )
+    assert error(static, scene) < 0.01
+
+
+def test_poses_of_two_cameras_suffice_for_metres(static: Stage) -> None:
+    given = [camera(static, 0), None, camera(static, 2)]
+    found, scene = found_by(static, calibration=given)
+    cameras = report(found)
+    assert cameras.warnings == ()
+    for view in (0, 2):
+        np.testing.assert_allclose(cameras.rotations[view], static.rotations[0, view], atol=1e-9)
+        assert cameras.focal_sds[view] == 0
+    assert cameras.focal_sds[1] > 0
+    assert cameras.focals[1] == pytest.approx(FOCAL, rel=0.06)
+    assert in_unit(found, scene) == pytest.approx(
+        np.median(length(static.points3d, TRUNK)), rel=0.02
+    )
+
+
+def test_a_bumped_camera_is_named_and_its_calibration_not_used(static: Stage) -> None:
+    given = [camera(static, 0), camera(static, 1), camera(static, 2, turned=6)]
+    found, scene = found_by(static, calibration=given)
+    (warning,) = found.warnings
+    assert "view 2 fits worst" in warning
+    assert "not used" in warning
+    cameras = report(found)
+    assert cameras.arrangement == "static"
+    turns = static.rotations[0]
+    ours = cameras.rotations[2] @ cameras.rotations[0].T
+    assert degrees_apart(ours, turns[2] @ turns[0].T) < 1.5
+    assert error(static, scene) < 0.012
+
+
+def test_a_known_length_that_contradicts_the_calibration_is_said_and_used(static: Stage) -> None:
+    known = KnownLength(keypoints=SHIN, length=2 * float(length(static.points3d, SHIN).mean()))
+    found, scene = found_by(
+        static, calibration=[camera(static, k) for k in range(3)], known_length=known
+    )
+    (warning,) = found.warnings
+    assert "known length" in warning
+    assert in_unit(found, scene) == pytest.approx(2 * trunk(static), rel=0.02)
+
+
+def test_a_focal_length_that_is_unsure_is_improved(static: Stage) -> None:
+    given = [camera(static, k, posed=False) for k in range(3)]
+    for lens in given[:2]:
+        lens["intrinsics"] |= {"fx": 1.1 * FOCAL, "fy": 1.1 * FOCAL}
+    given[0]["intrinsics"]["focal_sd"] = 0.2
+    found, _ = found_by(static, calibration=given)
+    cameras = report(found)
+    assert abs(cameras.focals[0, 0] - FOCAL) < 0.04 * FOCAL
+    assert cameras.focal_sds[0] > 0
+    np.testing.assert_allclose(cameras.focals[1], 1.1 * FOCAL)  # which was said to be sure
+    np.testing.assert_allclose(cameras.focals[2], FOCAL)
+    assert (cameras.focal_sds[1:] == 0).all()
+
+
+def test_a_distorted_lens_is_found() -> None:
+    stage = make_stage(AZIMUTHS, frames=40, lenses=(Lens(distortion=(-0.25,)),), distance=2.5)
+    found, scene = found_by(stage)
+    cameras = report(found)
+    np.testing.assert_allclose(cameras.distortions[:, 0], -0.25, atol=0.05)
+    check_lenses(cameras)
+    assert error(stage, scene) < 0.01
+
+
+def test_a_fisheye_lens_is_taken_as_it_is_given() -> None:
+    lens = Lens(focal=330, distortion=(-0.04, 0.02, -0.006, 0.001), fisheye=True)
+    stage = make_stage(AZIMUTHS, frames=40, lenses=(lens,), distance=1.5, noise=0.5)
+    given = [camera(stage, k, posed=False) for k in range(3)]
+    found, scene = found_by(stage, calibration=given)
+    cameras = report(found)
+    assert cameras.fisheye.all()
+    np.testing.assert_array_equal(cameras.focals, 330)
+    np.testing.assert_allclose(cameras.distortions[:, :4], np.tile(lens.distortion, (3, 1)))
+    assert found.noise == pytest.approx(0.5, rel=0.15)
+    assert error(stage, scene) < 0.01
+    for pinhole in given:
+        pinhole["intrinsics"] |= {"model": "pinhole", "distortion": ()}
+    wrong, _ = found_by(stage, calibration=given)
+    assert wrong.noise > 2 * found.noise
+
+
+def test_a_fisheye_lens_is_found() -> None:
+    lens = Lens(focal=330, fisheye=True)
+    stage = make_stage(AZIMUTHS, frames=40, lenses=(lens,), distance=1.5, noise=0.5)
+    found, scene = found_by(stage)
+    cameras = report(found)
+    assert cameras.fisheye.all()
+    assert "fisheye" in cameras.reason
+    np.testing.assert_allclose(cameras.focals, 330, rtol=0.05)
+    assert error(stage, scene) < 0.02
+
+
+def test_keypoints_that_say_nothing_are_named_as_such(static: Stage) -> None:
+    points, rotations, scales, shifts = static.answers()
+    behind = discover(
+        static.pixels, static.weights, (points, rotations, -scales, shifts), FitConfig(), None
+    )
+    with pytest.raises(NothingFoundError):
+        finished(behind)

@@ -1,0 +1,104 @@
+"""Denoising, against keypoints whose noise is known because it was added."""
+
+import numpy as np
+import pytest
+
+from models.capture.denoising import ViewModel, learn_views
+from models.capture.metrics import pa_mpjpe
+from models.capture.observations import as_observations
+from models.lifting.fitted_prior import FittedPrior
+from models.settings.config import FitConfig
+from models.training.trainer import fit
+from tests.models.rigs import Float64
+
+FRAMES, VIEWS, KEYPOINTS, MODES = 400, 2, 12, 5
+NOISE = 15.0
+
+
+@pytest.fixture(scope="module")
+def clean() -> Float64:
+    """Keypoints (N, K, P, 2) that a few modes explain."""
+    rng = np.random.default_rng(1)
+    size = VIEWS * KEYPOINTS * 2
+    modes = rng.normal(size=(FRAMES, MODES)) @ rng.normal(0, 40, (MODES, size))
+    return (modes + rng.uniform(100, 500, size)).reshape(FRAMES, VIEWS, KEYPOINTS, 2)
+
+
+@pytest.fixture(scope="module")
+def noisy(clean: Float64) -> Float64:
+    return clean + np.random.default_rng(2).normal(0, NOISE, clean.shape)
+
+
+@pytest.fixture(scope="module")
+def model(noisy: Float64) -> ViewModel:
+    found = learn_views(as_observations(noisy))
+    assert found is not None
+    return found
+
+
+def pixels(keypoints: Float64, model: ViewModel, views: list[int]) -> Float64:
+    seen = model.denoise(as_observations(keypoints[:, views]), views)
+    return np.asarray(
+        seen.keypoints * seen.sizes[..., None, None] + seen.centres[..., None, :], np.float64
+    )
+
+
+def test_noise_and_modes_are_told_apart(model: ViewModel) -> None:
+    assert model.noise == pytest.approx(NOISE, rel=0.03)
+    assert model.basis.shape == (VIEWS, KEYPOINTS, 2, MODES)
+
+
+def test_what_is_left_is_what_was_said(clean: Float64, noisy: Float64, model: ViewModel) -> None:
+    left = np.sqrt(np.mean((pixels(noisy, model, [0, 1]) - clean) ** 2))
+    # Five modes of 48 coordinates keep a third of the noise's standard deviation.
+    assert left < 0.4 * NOISE
+    assert model.left == pytest.approx(left, rel=0.1)
+
+
+def test_one_of_the_views_is_denoised_by_itself(
+    clean: Float64, noisy: Float64, model: ViewModel
+) -> None:
+    left = np.sqrt(np.mean((pixels(noisy, model, [1]) - clean[:, [1]]) ** 2))
+    assert left < 0.6 * NOISE
+
+
+def test_gaps_stay_gaps_and_the_rest_is_denoised(clean: Float64, noisy: Float64) -> None:
+    hidden = np.random.default_rng(3).random(clean.shape[:3]) < 0.2
+    gappy = np.where(hidden[..., None], np.nan, noisy)
+    model = learn_views(as_observations(gappy))
+    assert model is not None
+    seen = model.denoise(as_observations(gappy), [0, 1])
+    np.testing.assert_array_equal(seen.weights > 0, ~hidden)
+    left = (pixels(gappy, model, [0, 1]) - clean)[~hidden]
+    assert np.sqrt(np.mean(left**2)) < 0.5 * NOISE
+
+
+def test_clear_keypoints_are_left_alone(clean: Float64) -> None:
+    rng = np.random.default_rng(4)
+    assert learn_views(as_observations(clean + rng.normal(0, 0.2, clean.shape))) is None
+
+
+def test_detail_is_not_taken_for_noise(clean: Float64) -> None:
+    """As with cameras that move: ever smaller components, none of them noise."""
+    rng = np.random.default_rng(5)
+    size = clean[0].size
+    detail = rng.normal(size=(FRAMES, size)) * 60 * 0.9 ** np.arange(size)
+    turned = detail @ np.linalg.qr(rng.normal(size=(size, size)))[0]
+    assert learn_views(as_observations(clean + turned.reshape(clean.shape))) is None
+
+
+def test_few_frames_are_left_alone(noisy: Float64) -> None:
+    assert learn_views(as_observations(noisy[: 2 * noisy[0].size - 1])) is None
+
+
+def test_a_fit_stores_it_and_lifts_with_it(noisy: Float64) -> None:
+    quick = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8, refine="off")
+    prior = fit(noisy, quick)
+    again = FittedPrior.from_bytes(prior.to_bytes())
+    np.testing.assert_array_equal(again.lift(noisy).points3d, prior.lift(noisy).points3d)
+    plain = fit(noisy, quick.model_copy(update={"denoising": False}))
+    assert plain.lift(noisy).reprojection_errors.mean() > NOISE / 2
+    # A view that is named is denoised; of one that is not nothing is known.
+    named, unknown = prior.lift(noisy[:, :1], views=[0]), prior.lift(noisy[:, :1])
+    np.testing.assert_array_equal(plain.lift(noisy).keypoints_used, 12)
+    assert pa_mpjpe(named.points3d, unknown.points3d).mean > 0.01

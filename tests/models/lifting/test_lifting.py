@@ -1,0 +1,408 @@
+"""Lifting with perspective: through `fit` and `lift` alone, and whatever a capture looks like."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from models.capture.metrics import pa_mpjpe
+from models.lifting.fitted_prior import CAMERA_MODELS, FittedPrior, Lift
+from models.settings.config import FitConfig
+from models.training.trainer import Trainer, fit
+from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, Stage, keypoint, make_stage
+
+Float64 = NDArray[np.float64]
+QUICK: dict[str, Any] = {"steps": 30, "dictionary_sizes": (16, 8), "batch_size": 8}
+AZIMUTHS = [0.0, 80.0, -120.0]
+PERSPECTIVE = CAMERA_MODELS.index("perspective")
+SHIN = (keypoint("left_knee"), keypoint("left_ankle"))
+
+
+def filmed(azimuths: list[float], frames: slice) -> Stage:
+    """Film one and the same figure with lenses that bend a little."""
+    lens = Lens(distortion=(-0.12, 0.03))
+    return make_stage(azimuths, frames=80, lenses=(lens,), distance=3).part(frames)
+
+
+SEEN, UNSEEN = slice(0, 60), slice(60, 80)
+
+
+@pytest.fixture(scope="module")
+def stage() -> Stage:
+    return filmed(AZIMUTHS, SEEN)
+
+
+@pytest.fixture(scope="module")
+def prior(stage: Stage) -> FittedPrior:
+    return fit(stage.keypoints, FitConfig(steps=200), image_sizes=[IMAGE_SIZE] * 3)
+
+
+def same(a: Lift, b: Lift, tolerance: float = 0) -> None:
+    """Compare all that two lifts say."""
+    assert a.status == b.status
+    for field in dataclasses.fields(Lift):
+        if field.name != "status":
+            np.testing.assert_allclose(
+                getattr(a, field.name),
+                getattr(b, field.name),
+                rtol=tolerance,
+                atol=tolerance,
+                err_msg=field.name,
+            )
+
+
+def some(lift: Lift, frames: Any, views: Any = slice(None)) -> Lift:
+    """Return some of the frames, and of their views."""
+    parts: dict[str, Any] = {"status": tuple(np.array(lift.status)[frames])}
+    for field in dataclasses.fields(Lift):
+        value = getattr(lift, field.name)
+        if field.name in ("points3d", "continued"):
+            parts[field.name] = value[frames]
+        elif field.name != "status":
+            parts[field.name] = value[frames][:, views]
+    return Lift(**parts)
+
+
+def test_perspective_cameras_project_the_structure_to_the_reported_error(
+    stage: Stage, prior: FittedPrior
+) -> None:
+    lift = prior.lift(stage.keypoints)
+    assert (lift.camera_models == PERSPECTIVE).mean() > 0.9
+    checked = 0
+    for n, k in zip(*np.nonzero(lift.camera_models == PERSPECTIVE), strict=True):
+        lens = Lens(
+            focal=float(lift.focals[n, k, 0]),
+            centre=(float(lift.principal_points[n, k, 0]), float(lift.principal_points[n, k, 1])),
+            distortion=(float(lift.distortions[n, k, 0]),),
+        )
+        assert (lift.distortions[n, k, 1:] == 0).all()
+        assert lift.focals[n, k, 0] == lift.focals[n, k, 1]
+        camera = lift.points3d[n].astype(np.float64) @ lift.rotations[n, k].T
+        camera += lift.translations[n, k]
+        distances = np.linalg.norm(lens.project(camera) - stage.keypoints[n, k], axis=-1)
+        assert np.nanmean(distances) == pytest.approx(lift.reprojection_errors[n, k], abs=0.01)
+        assert lift.scales[n, k] == pytest.approx(lens.focal / lift.translations[n, k, 2], rel=1e-5)
+        checked += 1
+    assert checked > 150
+    assert np.abs(lift.distortions[..., 0]).max() > 0.02  # lenses that bend were put to the test
+    np.testing.assert_allclose(lift.points3d.mean(1), 0, atol=1e-5)
+    turned = lift.rotations @ lift.rotations.mT
+    np.testing.assert_allclose(turned, np.broadcast_to(np.eye(3), turned.shape), atol=1e-5)
+
+
+def test_refinement_is_worth_it(stage: Stage, prior: FittedPrior) -> None:
+    def error(refine: Any) -> float:
+        lift = prior.lift(stage.keypoints, refine=refine)
+        return pa_mpjpe(lift.points3d, stage.points3d, reflection="never").mean
+
+    assert error("auto") < 0.5 * error("off")
+    assert error("auto") < 0.02
+    assert error("full") < 0.02
+    plain = fit(stage.keypoints, FitConfig(steps=200, refine="off")).lift(stage.keypoints)
+    assert error("auto") < pa_mpjpe(plain.points3d, stage.points3d, reflection="never").mean
+
+
+def test_refinement_can_be_left_out(stage: Stage, prior: FittedPrior) -> None:
+    lift = prior.lift(stage.keypoints[:8], refine="off")
+    assert (lift.camera_models == 0).all()
+    assert np.isnan(lift.focals).all()
+    assert np.isnan(lift.translations[..., 2]).all()
+    assert np.isfinite(lift.translations[..., :2]).all()
+    # What a fit was told is what its lifts do.
+    same(prior.lift(stage.keypoints[:8]), prior.lift(stage.keypoints[:8], refine="auto"))
+    never = fit(stage.keypoints[:8], FitConfig(**QUICK, refine="off"))
+    assert never.cameras is None
+    assert np.isnan(never.noise)
+    for refine in ("auto", "full"):
+        refined = never.lift(stage.keypoints[:8], refine=refine)
+        same(refined, never.lift(stage.keypoints[:8], refine="off"))
+
+
+def test_what_is_saved_and_loaded_lifts_alike(stage: Stage, prior: FittedPrior) -> None:
+    copy = FittedPrior.from_bytes(prior.to_bytes())
+    assert copy.to_bytes() == prior.to_bytes()
+    frames = stage.keypoints[:10]
+    for more in ({}, {"refine": "full"}, {"refine": "off"}, {"views": [1, 2, 0]}):
+        same(copy.lift(frames, **more), prior.lift(frames, **more))
+    same(copy.lift(frames[:, 1:], views=[1, 2]), prior.lift(frames[:, 1:], views=[1, 2]))
+    assert prior.cameras is not None
+    assert copy.cameras is not None
+    for field in dataclasses.fields(prior.cameras):
+        ours, theirs = getattr(prior.cameras, field.name), getattr(copy.cameras, field.name)
+        np.testing.assert_array_equal(ours, theirs)
+    assert copy.noise == prior.noise
+
+
+def test_frames_lifted_together_and_one_by_one_are_alike(stage: Stage, prior: FittedPrior) -> None:
+    frames = stage.keypoints[:12].copy()
+    frames[3, 1] = np.nan
+    frames[5, 1:] = np.nan
+    frames[7] = np.nan
+    together = prior.lift(frames, refine="full")
+    for n in np.flatnonzero(np.arange(12) != 7):
+        alone = prior.lift(frames[n : n + 1], refine="full")
+        same(alone, some(together, [n]), tolerance=1e-3)
+    nothing = prior.lift(frames[7:8], refine="full")
+    same(nothing, some(together, [7]))
+    order = np.random.default_rng(0).permutation(12)
+    same(prior.lift(frames[order], refine="full"), some(together, order), tolerance=1e-3)
+
+
+def test_views_may_come_in_any_order_if_they_are_named(stage: Stage, prior: FittedPrior) -> None:
+    frames = stage.keypoints[:10]
+    plain = prior.lift(frames)
+    turned = prior.lift(frames[:, [2, 0, 1]], views=[2, 0, 1])
+    same(turned, some(plain, slice(None), [2, 0, 1]), tolerance=1e-2)
+    # Two of the views, by their names: lenses and relative poses are known.
+    pair = prior.lift(frames[:, [2, 0]], views=[2, 0])
+    assert pa_mpjpe(pair.points3d, stage.points3d[:10], reflection="never").mean < 0.04
+    np.testing.assert_array_equal(pair.focals[:, 1], plain.focals[:, 0])
+    truth = stage.rotations[0, 2] @ stage.rotations[0, 0].T
+    for rotations in pair.rotations:
+        off = Rotation.from_matrix(rotations[0] @ rotations[1].T @ truth.T).magnitude()
+        assert np.degrees(off) < 2
+    # One alone keeps its lens.
+    single = prior.lift(frames[:, 1:2], views=[1])
+    assert np.isfinite(single.points3d).all()
+    refined = single.camera_models[:, 0] == PERSPECTIVE
+    np.testing.assert_array_equal(single.focals[refined, 0], plain.focals[refined, 1])
+
+
+@pytest.mark.parametrize("views", [[0], [0, 1, 2], [1, 1], [0, 3], [-1, 0]])
+def test_views_must_be_different_ones_of_the_fit(
+    stage: Stage, prior: FittedPrior, views: list[int]
+) -> None:
+    with pytest.raises(ValueError, match="2 different views of the 3 of the fit"):
+        prior.lift(stage.keypoints[:2, :2], views=views)
+
+
+def test_cameras_that_the_fit_does_not_know_are_lifted_too(prior: FittedPrior) -> None:
+    other = filmed([-40, 30, 150, 100], UNSEEN)
+    lift = prior.lift(other.keypoints)
+    assert set(lift.status) == {"ok"}
+    assert np.isfinite(lift.points3d).all()
+    weak = prior.lift(other.keypoints, refine="off")
+    error = pa_mpjpe(lift.points3d, other.points3d, reflection="never").mean
+    assert error < pa_mpjpe(weak.points3d, other.points3d, reflection="never").mean
+    assert error < 0.05
+
+
+def test_a_camera_that_was_moved_since_does_no_harm(prior: FittedPrior) -> None:
+    later = filmed([0, 80, -90], UNSEEN)
+    lift = prior.lift(later.keypoints)
+    assert np.median(lift.reprojection_errors) < 2
+    assert pa_mpjpe(lift.points3d, later.points3d, reflection="never").mean < 0.04
+
+
+def test_a_lift_may_start_from_the_one_before(stage: Stage, prior: FittedPrior) -> None:
+    first = prior.lift(stage.keypoints)
+    assert not first.continued.any()
+    again = prior.lift(stage.keypoints, previous=first)
+    assert again.continued.mean() > 0.9
+    assert (again.continued <= (again.camera_models == PERSPECTIVE).all(1)).all()
+    error, before = (
+        pa_mpjpe(x.points3d, stage.points3d, reflection="never").mean for x in (again, first)
+    )
+    assert error == pytest.approx(before, rel=0.02)
+    assert again.reprojection_errors.mean() <= 1.001 * first.reprojection_errors.mean()
+
+
+def test_what_was_before_may_be_anything(stage: Stage, prior: FittedPrior) -> None:
+    plain = prior.lift(stage.keypoints)
+    blind = prior.lift(np.full_like(stage.keypoints, np.nan))
+    same(prior.lift(stage.keypoints, previous=blind), plain)
+    weak = prior.lift(stage.keypoints, refine="off")
+    same(prior.lift(stage.keypoints, previous=weak), plain)
+    # Somebody else, elsewhere, upside down: the network's answer is the better start.
+    other = dataclasses.replace(
+        plain, rotations=plain.rotations @ np.diag([1, -1, -1]).astype(np.float32)
+    )
+    same(prior.lift(stage.keypoints, previous=other), plain)
+
+
+def test_what_was_before_must_be_of_the_same_frames_and_views(
+    stage: Stage, prior: FittedPrior
+) -> None:
+    plain = prior.lift(stage.keypoints)
+    for wrong in (some(plain, slice(1, None)), some(plain, slice(None), [0, 1])):
+        with pytest.raises(ValueError, match="previous must have the shape"):
+            prior.lift(stage.keypoints, previous=wrong)
+
+
+def test_several_threads_lift_as_one(stage: Stage, prior: FittedPrior) -> None:
+    keypoints = np.tile(stage.keypoints, (5, 1, 1, 1))  # more than a slice
+    alone = prior.lift(keypoints)
+    torch.set_num_threads(2)
+    try:
+        same(prior.lift(keypoints), alone)
+        same(prior.lift(keypoints, refine="off"), prior.lift(keypoints, refine="off"))
+    finally:
+        torch.set_num_threads(1)
+
+
+def test_results_have_the_users_unit_and_the_users_rig() -> None:
+    stage = filmed(AZIMUTHS, slice(0, 30))
+    shin = float(np.linalg.norm(stage.points3d[0, SHIN[0]] - stage.points3d[0, SHIN[1]]))
+    lens = {"fx": FOCAL, "fy": FOCAL, "cx": 640, "cy": 512, "distortion": [-0.12, 0.03]}
+    rig = [
+        {
+            "intrinsics": lens,
+            "rotation": stage.rotations[0, k].tolist(),
+            "translation": (100 * stage.translations[0, k]).tolist(),
+        }
+        for k in range(3)
+    ]
+    for told in (
+        {"known_length": {"keypoints": SHIN, "length": 100 * shin}},
+        {"calibration": rig},
+    ):
+        prior = fit(stage.keypoints, FitConfig.model_validate(QUICK | told))
+        lift = prior.lift(stage.keypoints, refine="full")
+        lengths = np.linalg.norm(lift.points3d[:, SHIN[0]] - lift.points3d[:, SHIN[1]], axis=-1)
+        assert np.median(lengths) == pytest.approx(100 * shin, rel=0.03)
+    # The calibration was last: cameras see what they see from where they were said to be.
+    assert prior.cameras is not None
+    np.testing.assert_allclose(prior.cameras.rotations, stage.rotations[0], atol=1e-6)
+    world = prior.cameras.rotations.mT @ (lift.translations - prior.cameras.translations)[..., None]
+    truth = 100 * stage.points3d.mean(1)
+    for k in range(3):  # all three say where the subject is
+        assert np.median(np.linalg.norm(world[:, k, :, 0] - truth, axis=-1)) < 8
+
+
+def keypoints_of(case: str) -> Float64:  # noqa: PLR0911, PLR0912 - a branch per kind of capture
+    frames, _, kind = case.partition(" ")
+    if kind.startswith("frame"):
+        return make_stage(AZIMUTHS, frames=int(frames), hidden=0).keypoints
+    keypoints = make_stage(AZIMUTHS, frames=6, noise=2, hidden=0.1).keypoints
+    rng = np.random.default_rng(0)
+    match case:
+        case "4 keypoints":
+            return keypoints[:, :, [1, 6, 9, 12]]
+        case "one view":
+            return keypoints[:, :1]
+        case "identical views":
+            return np.repeat(keypoints[:, :1], 3, 1)
+        case "views that share no frame":
+            keypoints[np.arange(6), np.arange(6) % 3] *= -1
+            return np.where(keypoints < 0, -keypoints, np.nan)
+        case "an empty view":
+            keypoints[:, 1] = np.nan
+        case "an empty frame":
+            keypoints[4] = np.nan
+        case "7 views":
+            return make_stage([50.0 * k for k in range(7)], frames=4).keypoints
+        case "133 keypoints":
+            share = rng.dirichlet(np.full(16, 0.3), 133)
+            full = make_stage(AZIMUTHS[:2], frames=4, hidden=0).keypoints
+            return np.asarray(np.einsum("nkpc,qp->nkqc", full, share))
+        case "a keypoint never seen":
+            keypoints[:, :, 5] = np.nan
+        case "a coordinate that is no number":
+            keypoints[::2, 1, 3, 0] = np.nan
+        case "half of the keypoints hidden":
+            keypoints[rng.random(keypoints.shape[:3]) < 0.5] = np.nan
+        case "nothing but noise":
+            return rng.uniform(0, 1000, keypoints.shape)
+        case "one pose throughout":
+            return np.repeat(keypoints[:1], 6, 0)
+        case "exact keypoints":
+            return make_stage(AZIMUTHS, frames=6, noise=0, hidden=0).keypoints
+        case "absurd outliers":
+            keypoints[rng.random(keypoints.shape[:3]) < 0.1] = 9e5
+    return keypoints
+
+
+CASES = (
+    *("1 frame", "2 frames", "3 frames", "15 frames", "4 keypoints", "one view"),
+    *("identical views", "views that share no frame", "an empty view", "an empty frame"),
+    *("7 views", "133 keypoints", "a keypoint never seen", "a coordinate that is no number"),
+    *("half of the keypoints hidden", "nothing but noise", "one pose throughout"),
+    *("exact keypoints", "absurd outliers"),
+)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_no_capture_is_too_odd_for_a_finite_answer(case: str) -> None:
+    keypoints = keypoints_of(case)
+    prior = fit(keypoints, FitConfig.model_validate(QUICK))
+    for refine in ("off", "full", "auto"):
+        check(prior.lift(keypoints, refine=refine), keypoints)
+    check_found(prior)
+    copy = FittedPrior.from_bytes(prior.to_bytes())
+    same(copy.lift(keypoints), prior.lift(keypoints))
+
+
+@pytest.mark.parametrize("case", ["one view", "identical views", "views that share no frame"])
+def test_cameras_that_are_declared_static_may_tell_nothing_of_each_other(case: str) -> None:
+    keypoints = keypoints_of(case)
+    told = {"cameras": "static", "refine": "full"}
+    prior = fit(keypoints, FitConfig.model_validate(QUICK | told))
+    check(prior.lift(keypoints), keypoints)
+    check_found(prior)
+
+
+def check_found(prior: FittedPrior) -> None:
+    if prior.cameras is not None:
+        assert np.isfinite(prior.cameras.focals).all()
+        assert (prior.cameras.focals > 0).all()
+        assert prior.cameras.noise > 0
+
+
+def check(lift: Lift, keypoints: Float64) -> None:
+    """Answers are finite where there are some, and there are some wherever 4 keypoints show."""
+    usable = np.isfinite(keypoints).all(-1).sum(-1) >= 4
+    assert [status == "ok" for status in lift.status] == usable.any(1).tolist()
+    np.testing.assert_array_equal(np.isfinite(lift.points3d).all((1, 2)), usable.any(1))
+    np.testing.assert_array_equal(lift.camera_models >= 0, usable)
+    refined = lift.camera_models > 0
+    for values, there in (
+        (lift.rotations.reshape(*usable.shape, 9), usable),
+        (lift.scales[..., None], usable),
+        (lift.translations[..., :2], usable),
+        (lift.translations[..., 2:], refined),
+        (lift.reprojection_errors[..., None], usable),
+        (lift.focals, refined),
+        (lift.principal_points, refined),
+        (lift.distortions, refined),
+    ):
+        np.testing.assert_array_equal(np.isfinite(values).all(-1), there)
+        assert np.isnan(values[~there]).all()
+    determinants = np.linalg.det(lift.rotations[usable].astype(np.float64))
+    np.testing.assert_allclose(determinants, 1, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def interrupted() -> tuple[Float64, dict[str, bytes], bytes]:
+    """Fit a small capture; return it, checkpoints on the way, and the weights at the end."""
+    keypoints = make_stage(AZIMUTHS, frames=15, noise=2).keypoints
+    trainer = Trainer(keypoints, FitConfig.model_validate(QUICK))
+    checkpoints: dict[str, bytes] = {}
+    sought = 0
+    for progress in trainer.run():
+        if progress.stage == "refining":
+            sought += 1
+            when = f"sought {sought}" if progress.step == 10 else "taught anew"
+        else:
+            when = f"step {progress.step}"
+        if when not in checkpoints:
+            checkpoints[when] = trainer.checkpoint()
+    assert trainer.result().cameras is not None
+    return keypoints, checkpoints, trainer.result().to_bytes()
+
+
+@pytest.mark.parametrize(
+    "when", ["step 10", "sought 1", "sought 4", "sought 12", "step 11", "taught anew", "step 27"]
+)
+def test_a_fit_stopped_while_it_seeks_the_cameras_resumes_bit_for_bit(
+    interrupted: tuple[Float64, dict[str, bytes], bytes], when: str
+) -> None:
+    keypoints, checkpoints, expected = interrupted
+    config = FitConfig.model_validate(QUICK)
+    rest = Trainer(keypoints, config, checkpoint=checkpoints[when])
+    for _ in rest.run():
+        pass
+    assert rest.result().to_bytes() == expected

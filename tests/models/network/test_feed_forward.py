@@ -1,0 +1,119 @@
+"""The compiled network against the one that is trained, and against settling in plain tensors."""
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from models.capture.observations import Observations, as_observations
+from models.network.feed_forward import Answers, feed_forward, lay_out, make_answers
+from models.network.priors.hierarchical import HierarchicalPrior
+from models.network.settling import mirrored, settle
+from models.optics.weak_perspective import project, solve_cameras
+
+Float32 = NDArray[np.float32]
+
+SIZES = [(9,), (16, 8), (24, 12, 5)]
+EVERY, NONE = -1.0, 1e9  # frames to be settled
+
+
+def network_of(sizes: tuple[int, ...], keypoints: int, *, seed: int = 0) -> HierarchicalPrior:
+    """Draw a network whose thresholds matter."""
+    network = HierarchicalPrior(keypoints, sizes)
+    network.initialise(seed)
+    generator = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            if parameter.ndim == 1:
+                parameter.copy_(0.1 * torch.randn(parameter.shape, generator=generator))
+    return network.requires_grad_(requires_grad=False)
+
+
+def seen_of(frames: int, views: int, keypoints: int, *, gaps: bool) -> Observations:
+    rng = np.random.default_rng(frames)
+    pixels = rng.normal(500, 80, (frames, views, keypoints, 2))
+    confidence = np.ones(pixels.shape[:3])
+    if gaps:
+        pixels[rng.random(pixels.shape[:3]) < 0.2] = np.nan
+        pixels[rng.random(pixels.shape[:2]) < 0.3] = np.nan
+        confidence = rng.uniform(0.2, 1, pixels.shape[:3])
+        confidence[:, 0] = 1
+    return as_observations(pixels, confidence)
+
+
+def answers_of(
+    network: HierarchicalPrior, seen: Observations, foreshortening: float, trusted: float
+) -> Answers:
+    sizes = tuple(len(part) for part in network.encoder_thresholds)
+    answers = make_answers(*seen.weights.shape)
+    prepared = lay_out(dict(network.named_parameters()), sizes)
+    feed_forward(prepared, seen, foreshortening, trusted, 0, len(seen.sizes), answers)
+    return answers
+
+
+def expected(
+    points: Tensor, guesses: Tensor, seen: Observations
+) -> tuple[Float32, Float32, Float32]:
+    """Structures, rotations and reprojection errors in pixels of tensors; NaN for no answer."""
+    keypoints, weights = torch.from_numpy(seen.keypoints), torch.from_numpy(seen.weights)
+    cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
+    distances = (project(points[:, None], cameras) - keypoints).norm(dim=-1) * (weights > 0)
+    errors = distances.sum(-1).numpy() / np.maximum((seen.weights > 0).sum(-1), 1) * seen.sizes
+    rotations = cameras.rotations.numpy().copy()
+    structures = points.numpy().copy()
+    structures[~seen.usable.any(1)] = np.nan
+    rotations[~seen.usable] = errors[~seen.usable] = np.nan
+    return structures, rotations, errors
+
+
+@pytest.mark.parametrize("sizes", SIZES)
+@pytest.mark.parametrize("gaps", [False, True])
+def test_it_computes_what_was_trained(sizes: tuple[int, ...], *, gaps: bool) -> None:
+    network, seen = network_of(sizes, 11), seen_of(40, 3, 11, gaps=gaps)
+    plain = network(torch.from_numpy(seen.keypoints), torch.from_numpy(seen.weights))
+    for sign in (1.0, -1.0):  # the network's structures may be mirror images
+        points, guesses = plain.points, plain.guesses
+        if sign < 0:
+            points, guesses = mirrored(points, guesses)
+        structures, rotations, errors = expected(points, guesses, seen)
+        found = answers_of(network, seen, sign * 0.1, NONE)
+        np.testing.assert_allclose(found.points3d, structures, atol=2e-4)
+        np.testing.assert_allclose(found.rotations, rotations, atol=2e-3)
+        np.testing.assert_allclose(found.reprojection_errors, errors, rtol=1e-3, atol=1e-2)
+        assert (found.camera_models == np.where(seen.usable, 0, -1)).all()
+        assert (found.keypoints_used == (seen.weights > 0).sum(-1)).all()
+    assert seen.usable.all() != gaps
+
+
+@pytest.mark.parametrize("foreshortening", [0.0, 0.15, -0.15])
+def test_settling_is_that_of_tensors(foreshortening: float) -> None:
+    network, seen = network_of((16, 8), 11), seen_of(60, 3, 11, gaps=True)
+    keypoints, weights = torch.from_numpy(seen.keypoints), torch.from_numpy(seen.weights)
+    plain = network(keypoints, weights)
+    points, guesses = settle(plain.points, keypoints, weights, plain.guesses, foreshortening)
+    structures, _, errors = expected(points, guesses, seen)
+    found = answers_of(network, seen, foreshortening, EVERY)
+    np.testing.assert_allclose(found.points3d, structures, atol=2e-3)
+    np.testing.assert_allclose(found.reprojection_errors, errors, rtol=5e-3, atol=5e-2)
+
+
+def test_only_frames_beyond_what_is_trusted_are_settled() -> None:
+    network, seen = network_of((16, 8), 11), seen_of(60, 3, 11, gaps=False)
+    own, settled = answers_of(network, seen, 0.15, NONE), answers_of(network, seen, 0.15, EVERY)
+    misfits = (own.reprojection_errors / own.scales).mean(1)
+    found = answers_of(network, seen, 0.15, float(np.median(misfits)))
+    odd = misfits > np.median(misfits)
+    assert 20 < odd.sum() < 40
+    np.testing.assert_array_equal(found.points3d[odd], settled.points3d[odd])
+    np.testing.assert_array_equal(found.points3d[~odd], own.points3d[~odd])
+
+
+def test_frames_outside_of_the_slice_are_left_alone() -> None:
+    network, seen = network_of((9,), 6), seen_of(5, 2, 6, gaps=False)
+    whole, part = answers_of(network, seen, 0.1, NONE), make_answers(5, 2, 6)
+    part.points3d[:] = 7
+    prepared = lay_out(dict(network.named_parameters()), (9,))
+    feed_forward(prepared, seen, 0.1, NONE, 1, 3, part)
+    np.testing.assert_array_equal(part.points3d[1:3], whole.points3d[1:3])
+    assert (part.points3d[[0, 3, 4]] == 7).all()

@@ -1,0 +1,157 @@
+"""A figure before perspective cameras whose lenses and poses are known."""
+
+from dataclasses import dataclass
+from itertools import cycle
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from models.capture.synthetic import KEYPOINT_NAMES, synthetic_capture
+
+Float64 = NDArray[np.float64]
+IMAGE_SIZE = (1280, 1024)
+FOCAL = 1100.0
+MIRROR = np.diag([1.0, 1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Lens:
+    """OpenCV's pinhole with radial distortion (k1, k2), or its fisheye (k1 to k4)."""
+
+    focal: float = FOCAL
+    centre: tuple[float, float] = (640.0, 512.0)
+    distortion: tuple[float, ...] = ()
+    fisheye: bool = False
+
+    def project(self, points: Float64) -> Float64:
+        """Pixels (..., 2) of points (..., 3) in the camera's frame."""
+        flat = points[..., :2] / points[..., 2:]
+        radius = np.linalg.norm(flat, axis=-1, keepdims=True)
+        bent = np.arctan(radius) if self.fisheye else radius
+        factor = sum((k * bent ** (2 * i) for i, k in enumerate(self.distortion, start=1)), 1.0)
+        pixels: Float64 = self.focal * flat * bent * factor / radius + self.centre
+        return pixels
+
+
+@dataclass(frozen=True)
+class Stage:
+    """N frames of K views of P keypoints."""
+
+    keypoints: Float64  # (N, K, P, 2) pixels, NaN where not observed
+    points3d: Float64  # (N, P, 3) metres
+    rotations: Float64  # (N, K, 3, 3) x_cam = R x + t
+    translations: Float64  # (N, K, 3) metres
+    lenses: tuple[Lens, ...]
+
+    def part(self, frames: slice) -> "Stage":
+        """Return some of the frames."""
+        return Stage(
+            self.keypoints[frames],
+            self.points3d[frames],
+            self.rotations[frames],
+            self.translations[frames],
+            self.lenses,
+        )
+
+    @property
+    def weights(self) -> Tensor:
+        """1 where a keypoint was observed, (N, K, P)."""
+        return torch.from_numpy(np.isfinite(self.keypoints).all(-1)).double()
+
+    @property
+    def pixels(self) -> Tensor:
+        """Keypoints with 0 where none was observed."""
+        return torch.from_numpy(np.nan_to_num(self.keypoints))
+
+    def answers(
+        self, *, mirrored: bool = False, seed: int = 0
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Structures, rotations, scales and translations such as a network might find.
+
+        They are weak perspective, off by some 7 degrees and a tenth of the radius, and optionally
+        all mirror images. Frames share their frame of reference.
+        """
+        rng = np.random.default_rng(seed)
+        points, rotations = [], []
+        first = self.points3d[0] - self.points3d[0].mean(0)
+        for frame, turned in zip(self.points3d, self.rotations, strict=True):
+            centred = frame - frame.mean(0)
+            heading, _ = Rotation.align_vectors(first, centred)
+            off = Rotation.from_rotvec(np.radians(4) * rng.standard_normal((len(turned), 3)))
+            points.append(heading.apply(centred))
+            rotations.append(off.as_matrix() @ turned @ heading.as_matrix().T)
+        structures, views = np.stack(points), np.stack(rotations)
+        radius = np.sqrt(np.square(structures).sum(-1).mean(-1))  # (N,)
+        structures = structures / radius[:, None, None]
+        structures = structures + 0.06 * rng.standard_normal(structures.shape)
+        centre = self.points3d.mean(1)[:, None, :, None]
+        middle = (self.rotations @ centre)[..., 0] + self.translations  # (N, K, 3)
+        focals = np.array([lens.focal for lens in self.lenses])
+        scales = focals * radius[:, None] / middle[..., 2]
+        scales = scales * np.exp(0.03 * rng.standard_normal(scales.shape))
+        shifts = np.stack(
+            [lens.project(middle[:, k]) for k, lens in enumerate(self.lenses)], axis=1
+        )
+        if mirrored:
+            structures, views = structures @ MIRROR, MIRROR @ views @ MIRROR
+        return (
+            torch.from_numpy(structures),
+            torch.from_numpy(views),
+            torch.from_numpy(scales),
+            torch.from_numpy(shifts),
+        )
+
+
+def around(azimuths: list[float], distance: float = 4.0) -> tuple[Float64, Float64]:
+    """Rotations (K, 3, 3) and translations (K, 3) of cameras at rest that look at one place."""
+    rotations, translations = [], []
+    for number, azimuth in enumerate(azimuths):
+        tilt = [-8.0, -20.0, -3.0][number % 3]
+        # Of the figure's axes (y up) the camera's y is down and its z looks at the figure.
+        turn = Rotation.from_euler("yxz", [180 + azimuth, tilt, 180], degrees=True).inv()
+        rotations.append(turn.as_matrix())
+        translations.append([0.05 * number, 0.1, distance + 0.3 * number])
+    return np.stack(rotations), np.array(translations)
+
+
+def make_stage(
+    azimuths: list[float],
+    *,
+    frames: int = 60,
+    moving: tuple[int, ...] = (),
+    lenses: tuple[Lens, ...] = (Lens(),),
+    noise: float = 1.0,
+    distance: float = 4.0,
+    hidden: float = 0.05,
+    seed: int = 0,
+) -> Stage:
+    """Make a capture of a figure that walks about; views `moving` go round it from frame to frame.
+
+    Lenses repeat if they are fewer than the views. The figure does the same whatever the cameras.
+    """
+    rng = np.random.default_rng(seed)
+    figure = synthetic_capture(frames=frames, views=1, seed=seed).points3d.astype(np.float64)
+    figure += rng.uniform(-0.4, 0.4, (frames, 1, 3)) * [1, 0.2, 1]
+    rotation, translation = around(azimuths, distance)
+    rotations = np.stack([rotation] * frames)
+    translations = np.stack([translation] * frames)
+    for view in moving:
+        for n, azimuth in enumerate(rng.uniform(-180, 180, frames)):
+            turned, shift = around([azimuth], distance)
+            roll = Rotation.from_rotvec(0.1 * rng.standard_normal(3)).as_matrix()
+            rotations[n, view] = roll @ turned[0]
+            translations[n, view] = shift[0] + 0.2 * rng.standard_normal(3)
+    camera = figure[:, None] @ rotations.transpose(0, 1, 3, 2) + translations[:, :, None]
+    used = tuple(lens for lens, _ in zip(cycle(lenses), azimuths, strict=False))
+    keypoints = np.stack([lens.project(camera[:, k]) for k, lens in enumerate(used)], axis=1)
+    keypoints += noise * rng.standard_normal(keypoints.shape)
+    keypoints[rng.random(keypoints.shape[:3]) < hidden] = np.nan
+    return Stage(keypoints, figure, rotations, translations, used)
+
+
+def keypoint(name: str) -> int:
+    """Return the index of a keypoint of the figure."""
+    return KEYPOINT_NAMES.index(name)

@@ -1,0 +1,51 @@
+import subprocess
+import sys
+
+import pytest
+from pydantic import ValidationError
+
+from models.settings.config import FitConfig
+
+
+def test_importing_the_configuration_imports_no_torch() -> None:
+    code = "import sys, models.settings.config; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_every_field_is_described_and_has_a_default() -> None:
+    for field in FitConfig.model_json_schema()["properties"].values():
+        assert field["description"]
+        assert "default" in field
+
+
+def test_the_papers_dictionaries_are_allowed() -> None:
+    sizes = [4096, 2048, 1024, 512, 256, 128, 64, 32, 16, 8]
+    assert FitConfig.model_validate({"dictionary_sizes": sizes}).dictionary_sizes[-1] == 8
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"dictionary_sizes": []},
+        {"dictionary_sizes": [32, 64]},
+        {"dictionary_sizes": [0]},
+        {"dictionary_sizes": [5000]},
+        {"dictionary_sizes": [8] * 13},
+        {"dictionary_sizes": [4096, 4096]},
+        {"steps": 0},
+        {"learning_rate": float("nan")},
+        {"learning_rate": 0},
+        {"pck_threshold": float("inf")},
+        {"seed": -1},
+        {"prior": "other"},
+        {"unknown": 1},
+    ],
+)
+def test_nonsense_is_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        FitConfig.model_validate(wrong)
+
+
+def test_a_configuration_cannot_be_changed() -> None:
+    with pytest.raises(ValidationError):
+        FitConfig().steps = 3  # type: ignore[misc]

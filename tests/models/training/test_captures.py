@@ -1,0 +1,45 @@
+"""Real captures; they are not part of the project, so these tests skip where there are none."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from models.capture.metrics import pa_mpjpe
+from models.settings.config import FitConfig
+from models.training.trainer import fit
+
+ROOT = Path(__file__).parents[3]
+CAPTURES = Path(os.environ.get("FEWVIEW_CAPTURES", ROOT / "../shared/data"))
+
+
+@pytest.fixture(scope="module")
+def human36m() -> dict[str, NDArray[Any]]:
+    path = CAPTURES / "human36m.npz"
+    if not path.exists():
+        pytest.skip(f"{path} is not there; set FEWVIEW_CAPTURES to the folder that holds it")
+    with np.load(path) as arrays:
+        return {name: arrays[name] for name in ("keypoints", "points3d")}
+
+
+def test_human36m_is_lifted_to_within_20_mm_by_weak_perspective(
+    human36m: dict[str, NDArray[Any]],
+) -> None:
+    keypoints, truth = human36m["keypoints"], human36m["points3d"]
+    prior = fit(keypoints, FitConfig(steps=1000, refine="off"))
+    found = prior.lift(keypoints)
+    assert pa_mpjpe(found.points3d, truth, reflection="never").mean < 0.020
+
+
+def test_a_twentieth_of_human36m_is_lifted_to_within_5_mm_by_perspective(
+    human36m: dict[str, NDArray[Any]],
+) -> None:
+    keypoints, truth = human36m["keypoints"][::20], human36m["points3d"][::20]
+    prior = fit(keypoints, FitConfig(steps=300))
+    assert prior.cameras is not None
+    assert prior.cameras.arrangement == "static"
+    found = prior.lift(keypoints)
+    assert pa_mpjpe(found.points3d, truth, reflection="never").mean < 0.005
