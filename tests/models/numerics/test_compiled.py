@@ -1,0 +1,103 @@
+"""Machine code is kept between processes, and never outlives a change of any room's sources."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from models.numerics.compiled import digest_of_sources
+
+ROOT = Path(__file__).parents[3]
+# Root may write everywhere unless this right is taken from it.
+COMMON_USER = () if os.geteuid() else ("setpriv", "--bounding-set", "-dac_override")
+# A compiled function of one room that calls a compiled function of another.
+CALLED = "from models.numerics.compiled import inner\n@inner\ndef two() -> float:\n    return 2.0\n"
+CALLER = """
+from models.numerics.called import two
+from models.numerics.compiled import compiled
+@compiled
+def twice(x: float) -> float:
+    return two() * x
+"""
+ASK = """
+from models.lifting.caller import twice
+print(twice(21.0), sum(twice.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with a copy of `models/` and of the two functions."""
+    shutil.copytree(ROOT / "models", tmp_path / "models", ignore=lambda *_: {"__pycache__"})
+    (tmp_path / "models/numerics/called.py").write_text(CALLED)
+    (tmp_path / "models/lifting/caller.py").write_text(CALLER)
+    return tmp_path
+
+
+@contextmanager
+def write_protected(folder: Path) -> Iterator[None]:
+    paths = [folder, *folder.rglob("*")]
+    for path in paths:
+        path.chmod(path.stat().st_mode & ~0o222)
+    try:
+        yield
+    finally:
+        for path in paths:
+            path.chmod(path.stat().st_mode | 0o200)
+
+
+def ask(folder: Path, **environment: str) -> tuple[float, int]:
+    """Return the answer of a new process, and how many functions it did not have to compile."""
+    inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    user = {"PYTHONPATH": str(folder), "XDG_CACHE_HOME": str(folder / "user")}
+    done = subprocess.run(
+        [*COMMON_USER, sys.executable, "-c", ASK],
+        cwd=folder,
+        env={**inherited, **user, **environment},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    answer, hits = done.stdout.split()
+    return float(answer), int(hits)
+
+
+def test_machine_code_is_kept_until_a_function_of_another_room_changes(folder: Path) -> None:
+    assert ask(folder) == (42.0, 0)
+    assert ask(folder) == (42.0, 1)
+    (folder / "models/numerics/called.py").write_text(CALLED.replace("2.0", "3.0"))
+    assert ask(folder) == (63.0, 0)
+
+
+def test_without_the_digest_of_all_rooms_machine_code_would_be_stale(folder: Path) -> None:
+    """What the test above would show if it proved nothing: Numba sees the caller's file only."""
+    cache = str(folder / "cache")
+    assert ask(folder, NUMBA_CACHE_DIR=cache) == (42.0, 0)
+    (folder / "models/numerics/called.py").write_text(CALLED.replace("2.0", "3.0"))
+    assert ask(folder, NUMBA_CACHE_DIR=cache) == (42.0, 1)
+
+
+def test_machine_code_is_read_where_it_cannot_be_written(folder: Path) -> None:
+    assert ask(folder) == (42.0, 0)
+    with write_protected(folder):
+        assert ask(folder) == (42.0, 1)
+
+
+def test_where_no_folder_can_be_written_every_process_compiles(folder: Path) -> None:
+    with write_protected(folder):
+        assert ask(folder) == (42.0, 0)
+        assert ask(folder) == (42.0, 0)
+
+
+def test_the_digest_sees_contents_and_names(folder: Path) -> None:
+    before = digest_of_sources(folder)
+    called = folder / "models/numerics/called.py"
+    called.rename(folder / "models/capture/called.py")
+    moved = digest_of_sources(folder)
+    (folder / "models/capture/called.py").write_text(CALLED.replace("2.0", "3.0"))
+    assert len({before, moved, digest_of_sources(folder)}) == 3
