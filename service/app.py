@@ -14,12 +14,14 @@ import uvicorn
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
-from service import datasets, errors, fits, health, lift, lifts, models, reconstructions, stream
-from service.bodies import registered_schemas
-from service.engine import Engine
-from service.limits import BodyLimit
+from service.http import errors
+from service.http.limits import BodyLimit
+from service.http.operations import registered_schemas
+from service.http.uploads import LARGE_AT_A_TIME
+from service.realtime import lift, stream
+from service.realtime.engine import Engine
+from service.resources import datasets, fits, health, lifts, models, reconstructions
 from service.settings import Settings
-from service.uploads import LARGE_AT_A_TIME
 from store.database import Store
 from worker.process import die_with_parent
 from worker.queue import connect, open_queue

@@ -72,7 +72,7 @@ def main() -> None:
 
 def serve(arguments: list[str]) -> None:
     """Run ``fewview serve``."""
-    from service.supervisor import StartError, serve  # noqa: PLC0415 (not needed by a worker)
+    from service.process.supervisor import StartError, serve  # noqa: PLC0415 (not needed by a worker)
 
     settings = CliApp.run(Serve, cli_args=arguments)
     try:

@@ -44,7 +44,7 @@ def test_a_floor_knows_nothing_of_what_others_do(floor: str, foreign: set[str]) 
         assert not imported_packages(path) & foreign, path
 
 
-@pytest.mark.parametrize("module", ["worker.runner", "service.supervisor", "service.cli"])
+@pytest.mark.parametrize("module", ["worker.runner", "service.process.supervisor", "service.cli"])
 def test_processes_that_fork_load_neither_torch_nor_numba(module: str) -> None:
     code = f"import sys, {module}; sys.exit(bool({{'torch', 'numba'}} & sys.modules.keys()))"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -10,7 +10,7 @@ import pytest
 
 from models.capture.synthetic import SyntheticCapture
 from models.lifting.fitted_prior import FittedPrior, Lift
-from service.engine import REFINED_FRAMES, SLICE_FRAMES, Engine
+from service.realtime.engine import REFINED_FRAMES, SLICE_FRAMES, Engine
 from service.settings import Settings
 from store import models
 from store.database import Store

@@ -11,7 +11,7 @@ from starlette.testclient import TestClient
 
 from models.capture.synthetic import SyntheticCapture
 from models.lifting.fitted_prior import CAMERA_MODELS, FittedPrior, Lift
-from service.wire import LiftedFrame, frames_json
+from service.wire.schemas import LiftedFrame, frames_json
 from tests.service.conftest import BYTES, JSON, frames_of, problem, to_npz, to_safetensors
 
 Array = np.ndarray[Any, Any]

@@ -16,7 +16,7 @@ from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import FitConfig
 from models.training.trainer import fit
-from service.engine import Engine
+from service.realtime.engine import Engine
 from service.settings import Settings
 from store import models
 from store.database import Store

@@ -19,8 +19,10 @@ from safetensors.numpy import load
 from starlette.testclient import TestClient
 
 from models.capture.synthetic import SyntheticCapture
-from service import datasets, errors, fits, health, lift, lifts, models, reconstructions
+from service.http import errors
 from service.openapi import document
+from service.realtime import lift
+from service.resources import datasets, fits, health, lifts, models, reconstructions
 from tests.service.conftest import CONFIG, Live, frames_of, to_npz
 
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from service import arrays
+from service.wire import arrays
 
 
 def test_an_npz_written_later_has_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,9 +20,9 @@ from websockets.sync.client import ClientConnection, connect
 
 from models.capture.synthetic import SyntheticCapture
 from models.lifting.fitted_prior import CAMERA_MODELS
-from service import messages
-from service.messages import StreamAnswer, StreamDropped, StreamError, StreamReady
 from service.settings import Settings
+from service.wire import stream_messages
+from service.wire.stream_messages import StreamAnswer, StreamDropped, StreamError, StreamReady
 from tests.service.conftest import (
     BYTES,
     JSON,
@@ -485,4 +485,4 @@ def test_every_message_is_in_the_openapi_document(api: TestClient) -> None:
     for side in ("client", "server"):
         for reference in described[side]["oneOf"]:
             name = reference["$ref"].rpartition("/")[2]
-            getattr(messages, name).model_validate(schemas[name]["example"])
+            getattr(stream_messages, name).model_validate(schemas[name]["example"])

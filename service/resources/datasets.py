@@ -8,9 +8,7 @@ import orjson
 from fastapi import APIRouter, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from service.arrays import Arrays
-from service.bodies import page_of, request_body
-from service.deps import (
+from service.http.dependencies import (
     IdempotencyHeader,
     Identifier,
     Limit,
@@ -18,11 +16,15 @@ from service.deps import (
     StoreDep,
     cursor_of,
 )
-from service.errors import BODY_PROBLEMS, invalid, problems
-from service.idempotency import idempotency
+from service.http.errors import BODY_PROBLEMS, invalid, problems
+from service.http.idempotency import idempotency
+from service.http.operations import page_of, request_body
+from service.http.uploads import Upload, UploadBody
 from service.settings import Settings
-from service.uploads import Upload, UploadBody, read_arrays, to_capture
-from service.wire import CONFIDENCE, KEYPOINTS, POINTS3D
+from service.wire.arrays import Arrays
+from service.wire.captures import read_arrays, to_capture
+from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, Name
+from service.wire.skeletons import Skeleton
 from store import datasets, records
 from store.capture import Capture
 from store.datasets import Description
@@ -33,41 +35,11 @@ CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d"})
 DESCRIPTION_ARRAYS = frozenset({"keypoint_names", "edges", "image_sizes"})
 MAX_LISTED = 10_000  # values of an array that describes
 
-Name = Annotated[str, Field(min_length=1, max_length=200)]
-KeypointName = Annotated[str, Field(min_length=1, max_length=100)]
-Edge = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
 MAX_METADATA = 64 * 1024
 
 ImageSize = Annotated[
     list[Annotated[int, Field(ge=1, le=100_000)]], Field(min_length=2, max_length=2)
 ]
-
-
-class Skeleton(BaseModel):
-    """What the keypoints are called and which of them are joined."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    keypoint_names: list[KeypointName] | None = Field(
-        None, description="One unique name per keypoint, in the order of the arrays."
-    )
-    edges: list[Edge] = Field([], max_length=5000, description="Pairs of keypoint indices.")
-
-    def check(self, keypoints: int) -> None:
-        """Raise ``ApiError`` if this is no skeleton of so many keypoints."""
-        names = self.keypoint_names
-        if names is not None and (len(names) != keypoints or len(set(names)) != keypoints):
-            raise invalid(
-                "/skeleton/keypoint_names",
-                f"expected {keypoints} different names, got {len(names)} of which "
-                f"{len(set(names))} differ",
-            )
-        for index, (a, b) in enumerate(self.edges):
-            if a == b or max(a, b) >= keypoints:
-                raise invalid(
-                    f"/skeleton/edges/{index}",
-                    f"expected two different keypoints below {keypoints}, got [{a}, {b}]",
-                )
 
 
 class DatasetDescription(BaseModel):

@@ -14,9 +14,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.settings.config import Index, Refine
-from service.errors import FieldError
-from service.lift import REFINE, VIEWS
-from service.wire import FRAME_CONFIDENCE, FRAME_KEYPOINTS, LIFTED_FRAME, LiftedFrame
+from service.http.errors import FieldError
+from service.wire.schemas import (
+    FRAME_CONFIDENCE,
+    FRAME_KEYPOINTS,
+    LIFTED_FRAME,
+    REFINE,
+    VIEWS,
+    LiftedFrame,
+)
 
 FRAME, ANSWER = 1, 2  # kinds
 WITH_CONFIDENCE = 1  # flag of a frame

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.calibrating.result import FoundCameras
-from service.wire import Distortion, Rotation, Vector2, Vector3
+from service.wire.schemas import Distortion, Rotation, Vector2, Vector3
 
 UNKNOWN = (
     "This model was fitted without refinement (refine: off), or by an older Fewview, or to "

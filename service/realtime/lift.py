@@ -13,28 +13,21 @@ from starlette.responses import Response
 from models.lifting import fitted_prior
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import Index, Refine
-from service.bodies import request_body
-from service.engine import Engine
-from service.errors import BODY_PROBLEMS, invalid, problems
-from service.representations import FormatQuery, arrays_response, binary_responses
+from service.http.errors import BODY_PROBLEMS, invalid, problems
+from service.http.operations import binary_responses, request_body
+from service.http.uploads import LARGE_BYTES, Upload, read_body
+from service.realtime.engine import Engine
+from service.realtime.frames import to_frames
 from service.settings import Settings
-from service.uploads import LARGE_BYTES, Upload, read_arrays, read_body, to_capture
-from service.wire import CONFIDENCE, KEYPOINTS, LIFTED_FRAME, LiftedFrame
+from service.wire.captures import read_arrays
+from service.wire.representations import FormatQuery, arrays_response
+from service.wire.schemas import CONFIDENCE, KEYPOINTS, LIFTED_FRAME, REFINE, VIEWS, LiftedFrame
 from store.capture import Capture
 
 TINY_BYTES = 32 * 1024  # worked on in less time than it takes to switch threads, or not much more
 PATIENCE_SECONDS = 0.1  # before it is looked whether a client still waits
 
 Result = TypeVar("Result")
-
-REFINE = (
-    "Perspective refinement: `auto` where the residuals say that it helps, `full` wherever it can "
-    "be computed, `off` never; without it what the fit was told."
-)
-VIEWS = (
-    "Which of the fitted views these are: one index per view that comes, none twice. Without it "
-    "the fit's own order if as many come, else cameras of which nothing is known."
-)
 
 
 class LiftRequest(BaseModel):
@@ -126,53 +119,6 @@ def _understand(
         return None
     capture = to_frames(asked.frames, asked.confidence, views, prior, settings)
     return _Asked(asked.model, capture, asked.refine or refine, views)
-
-
-def to_frames(
-    frames: object,
-    confidence: object,
-    views: list[int] | None,
-    prior: FittedPrior,
-    settings: Settings,
-    *,
-    field: str = "frames",
-) -> Capture:
-    """Return frames that the prior can lift, from nested lists or arrays; errors name ``field``.
-
-    Raises
-    ------
-    ApiError
-        422 for whatever does not make frames, or not of the keypoints and views of the fit.
-    """
-    expected = prior.keypoints_per_frame
-    capture = to_capture(
-        frames,
-        confidence,
-        settings=settings,
-        keypoints_field=field,
-        expected_keypoints=expected,
-    )
-    _, came_views, came, _ = capture.keypoints.shape
-    if came != expected:
-        raise invalid(
-            f"/{field}",
-            f"expected {expected} keypoints as in the model, got {came}; keep the order of the "
-            "fitted capture and write null for what was not observed",
-        )
-    if views is not None:
-        check_views(views, prior, came_views)
-    return capture
-
-
-def check_views(views: list[int], prior: FittedPrior, came: int) -> None:
-    """Raise ``ApiError`` unless ``views`` says of each view that came which of the fit's it is."""
-    if len(views) != came:
-        raise invalid("/views", f"expected one index per view: {came}, got {len(views)}")
-    if len(set(views)) < came:
-        raise invalid("/views", f"expected different views of the fit, got {views}")
-    fitted = None if prior.cameras is None else len(prior.cameras.resting)
-    if fitted is not None and max(views) >= fitted:
-        raise invalid("/views", f"expected views of the fit, 0 to {fitted - 1}, got {max(views)}")
 
 
 class DirectRoute(APIRoute):

@@ -12,9 +12,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.settings.config import FitConfig
-from service.bodies import page_of, request_body
-from service.datasets import Name
-from service.deps import (
+from service.http.dependencies import (
     IdempotencyHeader,
     Identifier,
     Limit,
@@ -23,10 +21,12 @@ from service.deps import (
     StoreDep,
     cursor_of,
 )
-from service.errors import BODY_PROBLEMS, problems
-from service.events import JobStatus, LastEventId, job_events
-from service.idempotency import idempotency
-from service.uploads import UploadBody
+from service.http.errors import BODY_PROBLEMS, problems
+from service.http.idempotency import idempotency
+from service.http.operations import page_of, request_body
+from service.http.uploads import UploadBody
+from service.resources.job_events import JobStatus, LastEventId, job_events
+from service.wire.schemas import Name
 from store import fits, jobs, records
 from worker.queue import offer
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from models.lifting.fitted_prior import FittedPrior, Lift, join
 from models.settings.config import Refine
-from service.warm import WarmModels
+from service.realtime.warm_models import WarmModels
 from store.database import Store
 
 SLICE_FRAMES = 256  # lifted by the network alone, which takes some 20 us a frame

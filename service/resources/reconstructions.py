@@ -9,13 +9,15 @@ from safetensors.numpy import load
 from starlette.responses import Response
 
 from models.settings.config import Refine
-from service.arrays import Arrays
-from service.deps import EngineDep, SettingsDep, StoreDep
-from service.errors import invalid, problems
-from service.fits import FitDep
-from service.lift import RefineQuery
-from service.representations import FormatQuery, arrays_response, binary_responses
-from service.wire import LIFTED_FRAME, LiftedFrame
+from service.http.dependencies import SettingsDep, StoreDep
+from service.http.errors import invalid, problems
+from service.http.operations import binary_responses
+from service.realtime.dependencies import EngineDep
+from service.realtime.lift import RefineQuery
+from service.resources.fits import FitDep
+from service.wire.arrays import Arrays
+from service.wire.representations import FormatQuery, arrays_response
+from service.wire.schemas import LIFTED_FRAME, LiftedFrame
 from store import datasets, fits, records
 from store.errors import ConflictError
 

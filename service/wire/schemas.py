@@ -6,7 +6,7 @@ import orjson
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 
 from models.lifting.frames_json import frames_to_json
-from service.arrays import Arrays
+from service.wire.arrays import Arrays
 
 _NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
 
@@ -48,12 +48,23 @@ FRAME_CONFIDENCE_SCHEMA = _nullable(_VIEWS_OF_CONFIDENCE) | {
     "description": "views x keypoints, in [0, 1]; 0 or null counts as not observed.",
 }
 
-# Turned into arrays by service.arrays, many times faster than lists validated item by item.
+# Turned into arrays by service.wire.arrays, many times faster than lists validated item by item.
 KEYPOINTS = Annotated[Any, WithJsonSchema(KEYPOINTS_SCHEMA)]
 CONFIDENCE = Annotated[Any, WithJsonSchema(CONFIDENCE_SCHEMA)]
 FRAME_KEYPOINTS = Annotated[Any, WithJsonSchema(FRAME_KEYPOINTS_SCHEMA)]
 FRAME_CONFIDENCE = Annotated[Any, WithJsonSchema(FRAME_CONFIDENCE_SCHEMA)]
 POINTS3D = Annotated[Any, WithJsonSchema(POINTS3D_SCHEMA)]
+
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+
+REFINE = (
+    "Perspective refinement: `auto` where the residuals say that it helps, `full` wherever it can "
+    "be computed, `off` never; without it what the fit was told."
+)
+VIEWS = (
+    "Which of the fitted views these are: one index per view that comes, none twice. Without it "
+    "the fit's own order if as many come, else cameras of which nothing is known."
+)
 
 Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]

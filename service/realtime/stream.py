@@ -12,12 +12,13 @@ from starlette.responses import Response
 from starlette.websockets import WebSocketDisconnect
 
 from models.lifting import fitted_prior
-from service.bodies import register
-from service.engine import Engine
-from service.errors import PROBLEMS, ApiError, FieldError, from_validation, invalid, problems
-from service.frames import Frame, json_object, read_frame, write_answer
-from service.lift import check_views
-from service.messages import (
+from service.http.errors import PROBLEMS, ApiError, FieldError, from_validation, invalid, problems
+from service.http.operations import register
+from service.realtime.engine import Engine
+from service.realtime.frames import check_views
+from service.realtime.stream_frames import Frame, json_object, read_frame, write_answer
+from service.settings import Settings
+from service.wire.stream_messages import (
     StreamAnswer,
     StreamDropped,
     StreamError,
@@ -26,7 +27,6 @@ from service.messages import (
     StreamReady,
     StreamStart,
 )
-from service.settings import Settings
 from store.errors import NotFoundError
 
 FRAMES_IN_HAND = 16  # of one stream; what waits longer is out of date

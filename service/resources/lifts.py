@@ -11,10 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from models.settings.config import Index, Refine
 from models.settings.keypoints import MAX_VIEWS
-from service.bodies import page_of, request_body
-from service.datasets import Name
-from service.deps import (
-    EngineDep,
+from service.http.dependencies import (
     IdempotencyHeader,
     Identifier,
     Limit,
@@ -23,19 +20,16 @@ from service.deps import (
     StoreDep,
     cursor_of,
 )
-from service.errors import BODY_PROBLEMS, problems
-from service.events import JobStatus, LastEventId, job_events
-from service.idempotency import idempotency
-from service.lift import REFINE, VIEWS, check_views
-from service.representations import (
-    BINARY_FORMATS,
-    NPZ,
-    OCTETS,
-    accepted_format,
-    binary_responses,
-    ranged_response,
-)
-from service.uploads import UploadBody
+from service.http.downloads import ranged_response
+from service.http.errors import BODY_PROBLEMS, problems
+from service.http.idempotency import idempotency
+from service.http.negotiation import BINARY_FORMATS, NPZ, OCTETS, accepted_format
+from service.http.operations import binary_responses, page_of, request_body
+from service.http.uploads import UploadBody
+from service.realtime.dependencies import EngineDep
+from service.realtime.frames import check_views
+from service.resources.job_events import JobStatus, LastEventId, job_events
+from service.wire.schemas import REFINE, VIEWS, Name
 from store import datasets, jobs, lifts, records
 from store.errors import ConflictError
 from store.lift_files import Format, result_file

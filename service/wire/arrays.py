@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from service.errors import ApiError, invalid
+from service.http.errors import ApiError, invalid
 
 Arrays = dict[str, NDArray[Any]]
 

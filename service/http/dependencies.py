@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from fastapi import Depends, Header, Path, Query, Request
 from rq import Queue
 
-from service.engine import Engine
 from service.settings import Settings
 from store.database import Store
 
@@ -31,12 +30,6 @@ async def get_queue(request: Request) -> Queue:
     return queue
 
 
-async def get_engine(request: Request) -> Engine:
-    """Return the engine that keeps models warm."""
-    engine: Engine = request.app.state.engine
-    return engine
-
-
 def cursor_of(prefix: str) -> Any:
     """Return what a page's cursor may be: the identifier of a resource with this prefix."""
     return Query(
@@ -48,7 +41,6 @@ def cursor_of(prefix: str) -> Any:
 SettingsDep = Annotated[Settings, Depends(get_settings)]
 StoreDep = Annotated[Store, Depends(get_store)]
 QueueDep = Annotated[Queue, Depends(get_queue)]
-EngineDep = Annotated[Engine, Depends(get_engine)]
 
 IdempotencyHeader = Annotated[
     str | None,

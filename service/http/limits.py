@@ -3,7 +3,7 @@
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.errors import ApiError
+from service.http.errors import ApiError
 
 SMALL_BYTES = 64 * 1024  # what a request takes at least, and what bodies may grow to in the reserve
 RESERVE = 4  # one part in so many is kept for small bodies: large ones cannot lock them out

@@ -9,10 +9,12 @@ from pydantic import ValidationError
 
 from models.lifting.fitted_prior import FittedPrior, Lift
 from models.lifting.frames_json import frames_to_json
-from service.arrays import from_nested
-from service.errors import ApiError, from_validation, invalid
-from service.lift import to_frames
-from service.messages import (
+from service.http.errors import ApiError, from_validation, invalid
+from service.realtime.frames import to_frames
+from service.settings import Settings
+from service.wire.arrays import from_nested
+from service.wire.captures import POINT_AXES
+from service.wire.stream_messages import (
     ANSWER,
     CONTINUED,
     FRAME,
@@ -22,8 +24,6 @@ from service.messages import (
     WITH_CONFIDENCE,
     StreamFrame,
 )
-from service.settings import Settings
-from service.uploads import POINT_AXES
 from store.capture import Capture
 
 Float32 = NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""What FastAPI cannot say of bodies by itself, for the OpenAPI document."""
+"""What the OpenAPI document says of operations and FastAPI cannot see by itself."""
 
 from typing import Any
 
@@ -69,6 +69,18 @@ def _form_fields(form: type[BaseModel] | None) -> dict[str, Any]:
     }
 
 
+def binary_responses(description: str) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI response of an operation that also answers with an array file."""
+    return {
+        200: {
+            "description": description,
+            "content": {
+                "application/octet-stream": {"schema": {"type": "string", "format": "binary"}}
+            },
+        }
+    }
+
+
 def register(*models: type[BaseModel]) -> None:
     """Have the OpenAPI document describe models that no operation refers to."""
     _registered.update(models)
@@ -81,4 +93,4 @@ def registered_schemas() -> dict[str, Any]:
         ref_template=_REFERENCE,
     )
     schemas: dict[str, Any] = definitions["$defs"]
-    return schemas | _forms
+    return schemas | dict(sorted(_forms.items()))

@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from rq import Worker
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.deps import QueueDep, StoreDep
-from service.errors import ApiError, problems
+from service.http.dependencies import QueueDep, StoreDep
+from service.http.errors import ApiError, problems
 
 router = APIRouter(prefix="/health", tags=["health"])
 

@@ -9,21 +9,22 @@ from pydantic import BaseModel, ConfigDict, Field
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
-from service.bodies import page_of, request_body
-from service.cameras import ModelCameras
-from service.datasets import Name, Skeleton
-from service.deps import (
-    EngineDep,
+from service.http.dependencies import (
     IdempotencyHeader,
     Identifier,
     Limit,
     StoreDep,
     cursor_of,
 )
-from service.errors import BODY_PROBLEMS, ApiError, problems
-from service.idempotency import idempotency
-from service.representations import binary_responses, bytes_response
-from service.uploads import UploadBody
+from service.http.downloads import bytes_response
+from service.http.errors import BODY_PROBLEMS, ApiError, problems
+from service.http.idempotency import idempotency
+from service.http.operations import binary_responses, page_of, request_body
+from service.http.uploads import UploadBody
+from service.realtime.dependencies import EngineDep
+from service.wire.cameras import ModelCameras
+from service.wire.schemas import Name
+from service.wire.skeletons import Skeleton
 from store import models, records
 
 router = APIRouter(prefix="/models", tags=["models"])

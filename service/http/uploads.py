@@ -1,4 +1,4 @@
-"""Request bodies that carry arrays: JSON, raw bytes, or multipart/form-data."""
+"""Request bodies, read within their limits: JSON, raw bytes, or multipart/form-data."""
 
 import hashlib
 import os
@@ -6,19 +6,13 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeVar
 
-import numpy as np
 import orjson
 from fastapi import Depends, Request
-from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 from starlette.datastructures import UploadFile
 
-from service import arrays
-from service.arrays import Arrays
-from service.errors import ApiError, from_validation, invalid
+from service.http.errors import ApiError, from_validation, invalid
 from service.settings import Settings
-from store.capture import Capture
-from store.errors import CaptureError
 
 Body = TypeVar("Body", bound=BaseModel)
 
@@ -32,8 +26,6 @@ BINARY_TYPES = (
 )
 LARGE_BYTES = 1024 * 1024
 LARGE_AT_A_TIME = min(4, os.cpu_count() or 1)
-POINT_AXES = ("frames", "views", "keypoints", "x y")
-TRUTH_AXES = ("frames", "keypoints", "x y z")
 
 
 @dataclass(frozen=True)
@@ -147,59 +139,3 @@ async def read_body(request: Request) -> Upload:
 
 
 UploadBody = Annotated[Upload, Depends(read_upload, scope="function")]  # until it is answered
-
-
-def to_capture(
-    keypoints: object,
-    confidence: object = None,
-    points3d: object = None,
-    *,
-    settings: Settings,
-    keypoints_field: str = "keypoints",
-    expected_keypoints: int | None = None,
-) -> Capture:
-    """Check nested lists or arrays against the limits and return the capture they make."""
-    sizes = (None, None, expected_keypoints, 2)
-    limit = settings.max_body_bytes
-    try:
-        pixels = _array(keypoints, keypoints_field, POINT_AXES, sizes, limit)
-        shape = pixels.shape
-        most = (settings.max_frames, settings.max_views, settings.max_keypoints)
-        for axis, count, allowed in zip(POINT_AXES, shape, most, strict=False):
-            if count > allowed:
-                raise CaptureError("keypoints", f"expected at most {allowed} {axis}, got {count}")
-        return Capture.checked(
-            pixels,
-            None
-            if confidence is None
-            else _array(confidence, "confidence", POINT_AXES[:3], shape[:3], limit),
-            None
-            if points3d is None
-            else _array(points3d, "points3d", TRUTH_AXES, (shape[0], shape[2], 3), limit),
-        )
-    except CaptureError as error:
-        name = keypoints_field if error.field == "keypoints" else error.field
-        raise invalid(f"/{name}", str(error)) from error
-
-
-def read_arrays(upload: Upload, settings: Settings, known: frozenset[str]) -> Arrays:
-    """Read the arrays of an upload's file that an operation knows; captures come with others."""
-    found = arrays.from_bytes(upload.data, max_bytes=settings.max_body_bytes)
-    return {name: array for name, array in found.items() if name in known}
-
-
-def _array(
-    value: object,
-    name: str,
-    axes: tuple[str, ...],
-    sizes: tuple[int | None, ...],
-    max_bytes: int,
-) -> NDArray[np.float32]:
-    if isinstance(value, np.ndarray):
-        if value.dtype.kind not in "iuf":
-            raise invalid(f"/{name}", f"expected an array of numbers, got {value.dtype}")
-        if value.ndim != len(axes):
-            raise invalid(f"/{name}", f"expected axes ({', '.join(axes)}), got shape {value.shape}")
-        with np.errstate(over="ignore"):  # what becomes infinite is refused with the infinite
-            return value.astype(np.float32)
-    return arrays.from_nested(value, f"/{name}", axes=axes, sizes=sizes, max_bytes=max_bytes)

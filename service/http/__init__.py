@@ -1,0 +1,15 @@
+"""What any HTTP service needs; it knows nothing of keypoints.
+
+``errors``
+    Every error as RFC 9457 problem details: ``ApiError``, ``invalid``, ``problems``.
+``dependencies``
+    What endpoints ask for: the settings, the store, the queue, the parameters of pages.
+``limits``, ``uploads``
+    Bodies on their way in, held to their limits.
+``negotiation``, ``downloads``
+    Which representation a client gets, and responses of bytes with ranges and entity tags.
+``idempotency``
+    The ``Idempotency-Key`` header.
+``operations``
+    What the OpenAPI document says of an operation and FastAPI cannot see.
+"""

@@ -1,0 +1,1 @@
+"""The processes of ``fewview serve``: ``supervisor`` starts, watches and stops them."""

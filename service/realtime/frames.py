@@ -1,0 +1,54 @@
+"""Frames that a fitted prior can lift: of its keypoints and views."""
+
+from models.lifting.fitted_prior import FittedPrior
+from service.http.errors import invalid
+from service.settings import Settings
+from service.wire.captures import to_capture
+from store.capture import Capture
+
+
+def to_frames(
+    frames: object,
+    confidence: object,
+    views: list[int] | None,
+    prior: FittedPrior,
+    settings: Settings,
+    *,
+    field: str = "frames",
+) -> Capture:
+    """Return frames that the prior can lift, from nested lists or arrays; errors name ``field``.
+
+    Raises
+    ------
+    ApiError
+        422 for whatever does not make frames, or not of the keypoints and views of the fit.
+    """
+    expected = prior.keypoints_per_frame
+    capture = to_capture(
+        frames,
+        confidence,
+        settings=settings,
+        keypoints_field=field,
+        expected_keypoints=expected,
+    )
+    _, came_views, came, _ = capture.keypoints.shape
+    if came != expected:
+        raise invalid(
+            f"/{field}",
+            f"expected {expected} keypoints as in the model, got {came}; keep the order of the "
+            "fitted capture and write null for what was not observed",
+        )
+    if views is not None:
+        check_views(views, prior, came_views)
+    return capture
+
+
+def check_views(views: list[int], prior: FittedPrior, came: int) -> None:
+    """Raise ``ApiError`` unless ``views`` says of each view that came which of the fit's it is."""
+    if len(views) != came:
+        raise invalid("/views", f"expected one index per view: {came}, got {len(views)}")
+    if len(set(views)) < came:
+        raise invalid("/views", f"expected different views of the fit, got {views}")
+    fitted = None if prior.cameras is None else len(prior.cameras.resting)
+    if fitted is not None and max(views) >= fitted:
+        raise invalid("/views", f"expected views of the fit, 0 to {fitted - 1}, got {max(views)}")

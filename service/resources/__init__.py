@@ -1,0 +1,4 @@
+"""What is stored, by the names in the URLs: a module each, with its JSON form and its routes.
+
+``datasets``, ``models``, ``fits``, ``lifts``, ``reconstructions``, ``health``.
+"""

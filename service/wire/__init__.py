@@ -1,0 +1,13 @@
+"""The forms in which things travel: JSON, npz, safetensors, and the bytes of a stream.
+
+``arrays``
+    Arrays from and to bytes, and from nested lists.
+``captures``
+    Keypoints of a request, checked against the limits.
+``schemas``, ``skeletons``, ``cameras``
+    The JSON forms of keypoints and lifts, of skeletons, and of a model's cameras.
+``representations``
+    Answers that carry a lift's arrays, in the form that the client accepts.
+``stream_messages``
+    What is said in a stream of frames.
+"""

@@ -1,0 +1,71 @@
+"""Captures in requests: nested lists or arrays in, a checked capture out."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.http.errors import invalid
+from service.http.uploads import Upload
+from service.settings import Settings
+from service.wire import arrays
+from service.wire.arrays import Arrays
+from store.capture import Capture
+from store.errors import CaptureError
+
+POINT_AXES = ("frames", "views", "keypoints", "x y")
+TRUTH_AXES = ("frames", "keypoints", "x y z")
+
+
+def to_capture(
+    keypoints: object,
+    confidence: object = None,
+    points3d: object = None,
+    *,
+    settings: Settings,
+    keypoints_field: str = "keypoints",
+    expected_keypoints: int | None = None,
+) -> Capture:
+    """Check nested lists or arrays against the limits and return the capture they make."""
+    sizes = (None, None, expected_keypoints, 2)
+    limit = settings.max_body_bytes
+    try:
+        pixels = _array(keypoints, keypoints_field, POINT_AXES, sizes, limit)
+        shape = pixels.shape
+        most = (settings.max_frames, settings.max_views, settings.max_keypoints)
+        for axis, count, allowed in zip(POINT_AXES, shape, most, strict=False):
+            if count > allowed:
+                raise CaptureError("keypoints", f"expected at most {allowed} {axis}, got {count}")
+        return Capture.checked(
+            pixels,
+            None
+            if confidence is None
+            else _array(confidence, "confidence", POINT_AXES[:3], shape[:3], limit),
+            None
+            if points3d is None
+            else _array(points3d, "points3d", TRUTH_AXES, (shape[0], shape[2], 3), limit),
+        )
+    except CaptureError as error:
+        name = keypoints_field if error.field == "keypoints" else error.field
+        raise invalid(f"/{name}", str(error)) from error
+
+
+def read_arrays(upload: Upload, settings: Settings, known: frozenset[str]) -> Arrays:
+    """Read the arrays of an upload's file that an operation knows; captures come with others."""
+    found = arrays.from_bytes(upload.data, max_bytes=settings.max_body_bytes)
+    return {name: array for name, array in found.items() if name in known}
+
+
+def _array(
+    value: object,
+    name: str,
+    axes: tuple[str, ...],
+    sizes: tuple[int | None, ...],
+    max_bytes: int,
+) -> NDArray[np.float32]:
+    if isinstance(value, np.ndarray):
+        if value.dtype.kind not in "iuf":
+            raise invalid(f"/{name}", f"expected an array of numbers, got {value.dtype}")
+        if value.ndim != len(axes):
+            raise invalid(f"/{name}", f"expected axes ({', '.join(axes)}), got shape {value.shape}")
+        with np.errstate(over="ignore"):  # what becomes infinite is refused with the infinite
+            return value.astype(np.float32)
+    return arrays.from_nested(value, f"/{name}", axes=axes, sizes=sizes, max_bytes=max_bytes)

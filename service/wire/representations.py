@@ -1,0 +1,56 @@
+"""Answers that carry a lift's arrays: as JSON, safetensors or npz."""
+
+from typing import Annotated, Any, Literal
+
+import orjson
+from fastapi import Query, Request
+from numpy.typing import NDArray
+from starlette.responses import Response
+
+from service.http.downloads import bytes_response
+from service.http.negotiation import BINARY_FORMATS, NPZ, OCTETS, accepted_format
+from service.wire import arrays
+from service.wire.schemas import frames_json
+
+Format = Literal["json", "safetensors", "npz"]
+FormatQuery = Annotated[
+    Format | None,
+    Query(description="Representation; without it the `Accept` header decides."),
+]
+
+_JSON = "application/json"
+_FORMATS: dict[str, Format] = {
+    "*/*": "json",
+    "application/*": "json",
+    _JSON: "json",
+    **BINARY_FORMATS,
+}
+
+
+def arrays_response(
+    request: Request,
+    found: dict[str, NDArray[Any]],
+    about: dict[str, str | None],
+    *,
+    format: Format | None,
+    filename: str,
+) -> Response:
+    """Answer with a lift's arrays in the format the client accepts.
+
+    ``about`` goes into the JSON object beside ``frames``, or into the safetensors metadata.
+    """
+    chosen = accepted_format(request, format, _FORMATS)
+    if chosen == "json":
+        body = orjson.dumps({**about, "frames": frames_json(found)})
+        return bytes_response(request, body, media_type=_JSON, filename=None)
+    if chosen == "npz":
+        return bytes_response(
+            request, arrays.to_npz(found), media_type=NPZ, filename=f"{filename}.npz"
+        )
+    metadata = {name: value for name, value in about.items() if value is not None}
+    return bytes_response(
+        request,
+        arrays.to_safetensors(found, metadata),
+        media_type=OCTETS,
+        filename=f"{filename}.safetensors",
+    )

@@ -1,0 +1,37 @@
+"""The JSON form of a skeleton: what the keypoints are called and which of them are joined."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.http.errors import invalid
+
+KeypointName = Annotated[str, Field(min_length=1, max_length=100)]
+Edge = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
+
+
+class Skeleton(BaseModel):
+    """What the keypoints are called and which of them are joined."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    keypoint_names: list[KeypointName] | None = Field(
+        None, description="One unique name per keypoint, in the order of the arrays."
+    )
+    edges: list[Edge] = Field([], max_length=5000, description="Pairs of keypoint indices.")
+
+    def check(self, keypoints: int) -> None:
+        """Raise ``ApiError`` if this is no skeleton of so many keypoints."""
+        names = self.keypoint_names
+        if names is not None and (len(names) != keypoints or len(set(names)) != keypoints):
+            raise invalid(
+                "/skeleton/keypoint_names",
+                f"expected {keypoints} different names, got {len(names)} of which "
+                f"{len(set(names))} differ",
+            )
+        for index, (a, b) in enumerate(self.edges):
+            if a == b or max(a, b) >= keypoints:
+                raise invalid(
+                    f"/skeleton/edges/{index}",
+                    f"expected two different keypoints below {keypoints}, got [{a}, {b}]",
+                )
