@@ -36,9 +36,10 @@ from benchmarks.arithmetic import NUMPY, TORCH, Constants, feed_forward, fold
 from benchmarks.captures import add_options, from_options, model_from_options
 from benchmarks.figures import Results, Row, command, console, spread, take_turns
 from models.capture.observations import Observations, as_observations
-from models.network.feed_forward import Answers, lay_out
 from models.network.feed_forward import feed_forward as run_compiled
+from models.network.feed_forward import lay_out, make_answers
 from models.network.priors.hierarchical import HierarchicalPrior
+from models.network.settling import SETTLE_NONE
 
 PRODUCTS = "matrix products alone"
 MEBIBYTE = 1024 * 1024
@@ -290,20 +291,8 @@ def in_numba(model: Model) -> Lifts:
             sizes=np.ones(pairs, np.float32),
             usable=np.ones(pairs, np.bool_),
         )
-        answers = Answers(
-            np.empty((frames, count, 3), np.float32),
-            np.empty((*pairs, 3, 3), np.float32),
-            np.empty(pairs, np.float32),
-            np.empty((*pairs, 3), np.float32),
-            np.empty((*pairs, 2), np.float32),
-            np.empty((*pairs, 2), np.float32),
-            np.empty((*pairs, 8), np.float32),
-            np.empty(pairs, np.int8),
-            np.empty(pairs, np.float32),
-            np.empty(pairs, np.int32),
-            np.empty(frames, np.bool_),
-        )
-        run_compiled(network, seen, 0.0, -1.0, 0, frames, answers)  # 0.0: nothing is settled
+        answers = make_answers(frames, views, count)
+        run_compiled(network, seen, 0.0, SETTLE_NONE, 0, frames, answers)
         return answers.points3d
 
     return lift

@@ -12,6 +12,7 @@ from models.bundle.adjustment import Rig
 from models.bundle.frame import OPTICS
 from models.bundle.shape_model import Doubts, ShapeModel
 from models.calibrating.self_calibration import Discovery
+from models.network.settling import SETTLE_ALL, settle_beyond
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError
 from models.optics.lenses import COEFFICIENTS, Optics
 
@@ -80,6 +81,7 @@ def report(found: Discovery) -> FoundCameras:
 def to_arrays(found: Discovery) -> tuple[Arrays, str]:
     """Return a discovery as tensors and a line of text, for a file."""
     optics = found.rig.optics
+    misfit_limit = 0.0 if found.settling.every_frame else found.settling.misfit_limit
     arrays = {
         "focals": optics.focals,
         "centres": optics.centres,
@@ -95,7 +97,7 @@ def to_arrays(found: Discovery) -> tuple[Arrays, str]:
         "doubt_basis": found.doubts.basis,
         "doubt_scales": found.doubts.scales,
         "numbers": torch.tensor(
-            [found.shapes.spread, found.doubts.spread, found.trusted, found.noise, found.unit],
+            [found.shapes.spread, found.doubts.spread, misfit_limit, found.noise, found.unit],
             dtype=torch.float64,
         ),
     }
@@ -139,7 +141,7 @@ def from_arrays(arrays: Arrays, words: str) -> Discovery:
     a = {name: value.to(torch.float64) for name, value in arrays.items()}
     groups = a["groups"].long()
     views = len(groups)
-    spread, doubt, trusted, noise, unit = a["numbers"].tolist()
+    spread, doubt, misfit_limit, noise, unit = a["numbers"].tolist()
     consistent = (
         views > 0
         and all(
@@ -151,8 +153,8 @@ def from_arrays(arrays: Arrays, words: str) -> Discovery:
         and bool((a["focals"] > 0).all())
         and bool((a["doubt_scales"] > 0).all())
         and min(spread, doubt, noise, unit) > 0
-        and trusted >= 0
-        and math.isfinite(spread + doubt + trusted + noise + unit)
+        and misfit_limit >= 0
+        and math.isfinite(spread + doubt + misfit_limit + noise + unit)
     )
     if not consistent:
         raise WeightsError("the file contradicts itself about the cameras")
@@ -162,7 +164,7 @@ def from_arrays(arrays: Arrays, words: str) -> Discovery:
         a["deviations"],
         ShapeModel(a["shape_mean"], a["shape_basis"], spread),
         Doubts(a["doubt_basis"], doubt, a["doubt_scales"]),
-        trusted,
+        settle_beyond(misfit_limit) if misfit_limit > 0 else SETTLE_ALL,
         noise,
         unit,
         a["errors"],

@@ -36,7 +36,7 @@ from models.bundle.shape_model import (
     learn_shapes,
     no_doubts,
 )
-from models.network.settling import mirrored
+from models.network.settling import SETTLE_ALL, SettlingPolicy, mirrored
 from models.optics.lenses import COEFFICIENTS, Optics, image
 from models.settings.calibration import Camera
 from models.settings.config import FitConfig
@@ -87,7 +87,7 @@ class Discovery:
     deviations: Tensor  # (K, 10) standard deviations of what `adjustment.VIEW` numbers; 0 if kept
     shapes: ShapeModel
     doubts: Doubts
-    trusted: float  # misfit up to which the network's answers do better than settled ones
+    settling: SettlingPolicy  # which frames of a lift are settled
     noise: float  # pixels, of a coordinate of confidence 1
     unit: float  # what a unit of the structure is in the user's unit; 1 without one
     errors: Tensor  # (K,) pixels, mean reprojection error
@@ -237,7 +237,7 @@ def discover(
         _deviations(problem, best),
         best.shapes,
         no_doubts(keypoints.shape[2]),
-        0.0,
+        SETTLE_ALL,
         best.measured,
         1.0 if unit is None else unit,
         errors,

@@ -19,6 +19,7 @@ from models.capture.observations import as_observations
 from models.lifting.frame_refinement import Refiner, make_refiner, refine_frames
 from models.network.feed_forward import Answers, feed_forward, lay_out, make_answers
 from models.network.priors.hierarchical import parameter_shapes
+from models.network.settling import SETTLE_ALL
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, pack, read_about, unpack
 from models.numerics.threads import in_slices
 from models.settings.config import FitConfig, Refine
@@ -178,11 +179,11 @@ class FittedPrior:
         refiner = None if mode == "off" else self._refiner(fitted, count)
         answers = make_answers(frames, count, points_count)
         before = make_answers(0, count, points_count) if previous is None else previous.answers()
-        trusted = -1.0 if self._found is None else self._found.trusted
+        policy = SETTLE_ALL if self._found is None else self._found.settling
 
         def work(part: slice) -> None:
             here = part.start, part.stop
-            feed_forward(self._network, seen, self.foreshortening, trusted, *here, answers)
+            feed_forward(self._network, seen, self.foreshortening, policy, *here, answers)
             if refiner is not None:
                 refine_frames(refiner, seen, before, mode == "full", *here, answers)
 

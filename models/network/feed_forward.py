@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.capture.observations import Observations
-from models.network.settling import DECISIVE, ROUNDS, STIFFNESS
+from models.network.settling import DECISIVE, ROUNDS, STIFFNESS, SettlingPolicy
 from models.numerics.compiled import compiled, inner, reordered
 from models.numerics.matrices import copy, fill, inverse, total
 from models.numerics.rotations import nearest_orthonormal_rows_into
@@ -96,15 +96,15 @@ def feed_forward(
     network: Network,
     seen: Observations,
     foreshortening: float,
-    trusted: float,
+    policy: SettlingPolicy,
     start: int,
     stop: int,
     answers: Answers,
 ) -> None:
     """Write weak-perspective answers for frames from `start` to `stop`; NaN where there is none.
 
-    Frames whose misfit is beyond `trusted` are settled; with `trusted` negative all are, and
-    otherwise the network's structure is mirrored where `foreshortening` says that it must be.
+    The policy says which frames are settled. A structure that is not settled is mirrored if
+    `foreshortening` is negative.
     """
     _, views, count, _ = seen.keypoints.shape
     widest = max(6 * views * max(network.sizes[0], count), 3 * count)
@@ -124,15 +124,14 @@ def feed_forward(
         if _fill(keypoints, weights, points, guesses, filled):
             # What is hidden is filled with its reprojection and the views are read once more.
             _reconstruct(network, filled, weights, points, guesses, left, right)
-        odd = True
-        if trusted >= 0:
-            if foreshortening < 0:
+        if foreshortening != 0:  # where the fit could tell it
+            if (
+                policy.every_frame
+                or _misfit(points, keypoints, weights, guesses) > policy.misfit_limit
+            ):
+                _settle(points, keypoints, weights, guesses, foreshortening, turned, rotations)
+            elif foreshortening < 0:
                 _mirror(points, guesses)
-            odd = _misfit(points, keypoints, weights, guesses) > trusted
-        if odd and foreshortening != 0:
-            if trusted >= 0 and foreshortening < 0:
-                _mirror(points, guesses)
-            _settle(points, keypoints, weights, guesses, foreshortening, turned, rotations)
         copy(points, answers.points3d[n])
         for k in range(views):
             if not seen.usable[n, k]:

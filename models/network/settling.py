@@ -9,6 +9,9 @@ with a foreshortening k > 0 that is the inverse of the distance in units of the 
 mirror image every z changes its sign, and so does the k that fits: its sign is the handedness.
 """
 
+import math
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -18,6 +21,22 @@ ROUNDS = 2  # a third lowers the error by some 2 % and costs a frame 0.3 ms
 STIFFNESS = 0.05  # pull to the network's structure, where one view seen head-on pulls with about 1
 DECISIVE = 0.8  # a frame leaves the handedness of the fit if its error falls below this share
 MIRROR = (1.0, 1.0, -1.0)  # through the x-y plane
+
+
+class SettlingPolicy(NamedTuple):
+    """Which frames of a lift are settled; the others keep the structure of the network."""
+
+    every_frame: bool
+    misfit_limit: float  # otherwise frames whose misfit is larger; in units of the structure
+
+
+SETTLE_ALL = SettlingPolicy(every_frame=True, misfit_limit=0.0)
+SETTLE_NONE = SettlingPolicy(every_frame=False, misfit_limit=math.inf)
+
+
+def settle_beyond(misfit_limit: float) -> SettlingPolicy:
+    """Settle the frames whose misfit, the mean reprojection error, is larger than a limit."""
+    return SettlingPolicy(every_frame=False, misfit_limit=misfit_limit)
 
 
 def settle(

@@ -18,6 +18,7 @@ from models.calibrating.self_calibration import Discovery
 from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.network.priors.hierarchical import HierarchicalPrior
+from models.network.settling import SETTLE_ALL
 from models.optics.lenses import COEFFICIENTS, Optics
 from models.settings.config import FitConfig
 from models.training.trainer import fit
@@ -44,7 +45,7 @@ def compile_lifts() -> None:
         deviations=nothing,
         shapes=ShapeModel(shapes, shapes[..., None], 1.0),
         doubts=Doubts(shapes[..., None], 1.0, torch.ones(1, dtype=torch.float64)),
-        trusted=0.0,
+        settling=SETTLE_ALL,
         noise=1.0,
         unit=1.0,
         errors=nothing[:, 0],

@@ -24,7 +24,12 @@ from models.calibrating.self_calibration import (
 from models.capture.denoising import ViewModel
 from models.lifting.fitted_prior import CurvePoint, FittedPrior, Lift, join, weak_perspective
 from models.network.priors.hierarchical import HierarchicalPrior
-from models.network.settling import estimate_foreshortening
+from models.network.settling import (
+    SETTLE_ALL,
+    SETTLE_NONE,
+    estimate_foreshortening,
+    settle_beyond,
+)
 from models.settings.config import FitConfig
 from models.training.batches import Data
 from models.training.teachers import Teachers, draw_teachers, find_teachers, perspective_teachers
@@ -34,8 +39,7 @@ logger = logging.getLogger(__name__)
 SLICE = 256  # frames between two chances to stop
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
 DOUBT_FRAMES = 600  # plenty to learn what the network's errors are like
-TRUSTED = 0.95  # share of these frames that are like the others
-MOST_MISFIT = 1e9
+USUAL_SHARE = 0.95  # of these frames: so many have a misfit that is usual for the network
 LEAST_DOUBTED = 5  # of these frames
 MOST_DOUBTED = 8  # views; with more it errs as with so many
 
@@ -182,15 +186,15 @@ class Teaching:
         several = (there.sum(1) > 1).nonzero()[:, 0]
         frames = several[:: math.ceil(max(len(several), 1) / DOUBT_FRAMES)]
         pixels, weights, there = data.pixels(frames), data.weights[frames], there[frames]
-        found = replace(found, doubts=no_doubts(pixels.shape[2]), trusted=0.0)
+        found = replace(found, doubts=no_doubts(pixels.shape[2]), settling=SETTLE_ALL)
         lift = self._as_prior(found).lift(pixels, confidence=weights, refine="full")
         truth = torch.from_numpy(lift.points3d).double()
         known = truth.isfinite().all(-1).all(-1)
         rng = np.random.default_rng([self._config.seed, step, 3])
         order = (torch.from_numpy(rng.random(there.shape)) - there.double()).argsort(1).argsort(1)
         candidates = [found]
-        for trusted in (0.0, MOST_MISFIT):
-            prior = self._as_prior(replace(found, trusted=trusted))
+        for policy in (SETTLE_ALL, SETTLE_NONE):
+            prior = self._as_prior(replace(found, settling=policy))
             errors, misfits = [], []
             for count in range(1, min(pixels.shape[1], MOST_DOUBTED) + 1):
                 which = known & (there.sum(1) >= count)
@@ -204,8 +208,10 @@ class Teaching:
                 misfits.append(_misfits(answer))
             if errors:
                 doubts = learn_doubts(errors, found.shapes.mean)
-                limit = np.quantile(np.concatenate(misfits), TRUSTED) if trusted else 0.0
-                candidates.append(replace(found, doubts=doubts, trusted=float(limit)))
+                # A lift settles every frame, or those whose misfit is unusual.
+                limit = float(np.quantile(np.concatenate(misfits), USUAL_SHARE))
+                chosen = policy if policy.every_frame else settle_beyond(limit)
+                candidates.append(replace(found, doubts=doubts, settling=chosen))
         self.doubting = time.perf_counter() - started
         return min(candidates[1:] or candidates, key=lambda c: float(c.doubts.scales.sum()))
 

@@ -9,13 +9,19 @@ from torch import Tensor
 from models.capture.observations import Observations, as_observations
 from models.network.feed_forward import Answers, feed_forward, lay_out, make_answers
 from models.network.priors.hierarchical import HierarchicalPrior
-from models.network.settling import mirrored, settle
+from models.network.settling import (
+    SETTLE_ALL,
+    SETTLE_NONE,
+    SettlingPolicy,
+    mirrored,
+    settle,
+    settle_beyond,
+)
 from models.optics.weak_perspective import project, solve_cameras
 
 Float32 = NDArray[np.float32]
 
 SIZES = [(9,), (16, 8), (24, 12, 5)]
-EVERY, NONE = -1.0, 1e9  # frames to be settled
 
 
 def network_of(sizes: tuple[int, ...], keypoints: int, *, seed: int = 0) -> HierarchicalPrior:
@@ -43,12 +49,12 @@ def seen_of(frames: int, views: int, keypoints: int, *, gaps: bool) -> Observati
 
 
 def answers_of(
-    network: HierarchicalPrior, seen: Observations, foreshortening: float, trusted: float
+    network: HierarchicalPrior, seen: Observations, foreshortening: float, policy: SettlingPolicy
 ) -> Answers:
     sizes = tuple(len(part) for part in network.encoder_thresholds)
     answers = make_answers(*seen.weights.shape)
     prepared = lay_out(dict(network.named_parameters()), sizes)
-    feed_forward(prepared, seen, foreshortening, trusted, 0, len(seen.sizes), answers)
+    feed_forward(prepared, seen, foreshortening, policy, 0, len(seen.sizes), answers)
     return answers
 
 
@@ -77,7 +83,7 @@ def test_it_computes_what_was_trained(sizes: tuple[int, ...], *, gaps: bool) -> 
         if sign < 0:
             points, guesses = mirrored(points, guesses)
         structures, rotations, errors = expected(points, guesses, seen)
-        found = answers_of(network, seen, sign * 0.1, NONE)
+        found = answers_of(network, seen, sign * 0.1, SETTLE_NONE)
         np.testing.assert_allclose(found.points3d, structures, atol=2e-4)
         np.testing.assert_allclose(found.rotations, rotations, atol=2e-3)
         np.testing.assert_allclose(found.reprojection_errors, errors, rtol=1e-3, atol=1e-2)
@@ -93,16 +99,17 @@ def test_settling_is_that_of_tensors(foreshortening: float) -> None:
     plain = network(keypoints, weights)
     points, guesses = settle(plain.points, keypoints, weights, plain.guesses, foreshortening)
     structures, _, errors = expected(points, guesses, seen)
-    found = answers_of(network, seen, foreshortening, EVERY)
+    found = answers_of(network, seen, foreshortening, SETTLE_ALL)
     np.testing.assert_allclose(found.points3d, structures, atol=2e-3)
     np.testing.assert_allclose(found.reprojection_errors, errors, rtol=5e-3, atol=5e-2)
 
 
-def test_only_frames_beyond_what_is_trusted_are_settled() -> None:
+def test_only_frames_beyond_the_limit_of_their_misfit_are_settled() -> None:
     network, seen = network_of((16, 8), 11), seen_of(60, 3, 11, gaps=False)
-    own, settled = answers_of(network, seen, 0.15, NONE), answers_of(network, seen, 0.15, EVERY)
+    own = answers_of(network, seen, 0.15, SETTLE_NONE)
+    settled = answers_of(network, seen, 0.15, SETTLE_ALL)
     misfits = (own.reprojection_errors / own.scales).mean(1)
-    found = answers_of(network, seen, 0.15, float(np.median(misfits)))
+    found = answers_of(network, seen, 0.15, settle_beyond(float(np.median(misfits))))
     odd = misfits > np.median(misfits)
     assert 20 < odd.sum() < 40
     np.testing.assert_array_equal(found.points3d[odd], settled.points3d[odd])
@@ -111,9 +118,9 @@ def test_only_frames_beyond_what_is_trusted_are_settled() -> None:
 
 def test_frames_outside_of_the_slice_are_left_alone() -> None:
     network, seen = network_of((9,), 6), seen_of(5, 2, 6, gaps=False)
-    whole, part = answers_of(network, seen, 0.1, NONE), make_answers(5, 2, 6)
+    whole, part = answers_of(network, seen, 0.1, SETTLE_NONE), make_answers(5, 2, 6)
     part.points3d[:] = 7
     prepared = lay_out(dict(network.named_parameters()), (9,))
-    feed_forward(prepared, seen, 0.1, NONE, 1, 3, part)
+    feed_forward(prepared, seen, 0.1, SETTLE_NONE, 1, 3, part)
     np.testing.assert_array_equal(part.points3d[1:3], whole.points3d[1:3])
     assert (part.points3d[[0, 3, 4]] == 7).all()
