@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from models.capture.observations import as_observations
+from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]
 Part = Literal["extrinsics", "intrinsics"]
@@ -74,7 +75,7 @@ def miscalibrate(
         for place, (row, column) in enumerate(((0, 0), (1, 1), (0, 2), (1, 2))):
             lenses[..., row, column] *= factors[..., place]
     else:
-        poses = _rotations(sigma * rng.standard_normal((*shape, 3))) @ poses
+        poses = rotations_from_vectors(sigma * rng.standard_normal((*shape, 3))) @ poses
         poses[..., 3] += sigma * metre * rng.standard_normal((*shape, 3))
     return lenses @ poses
 
@@ -144,13 +145,3 @@ def _decompose(projections: Float64) -> tuple[Float64, Float64]:
     lenses, rotations = lenses * signs[:, None], rotations * signs[..., None]
     translations = np.linalg.solve(lenses, projections[..., 3:])
     return lenses, np.concatenate((rotations, translations), -1)
-
-
-def _rotations(vectors: Float64) -> Float64:
-    """Rotations (..., 3, 3) by the angle and about the axis of vectors (..., 3): Rodrigues."""
-    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(vectors / np.maximum(angle[..., 0], 1e-12), -1, 0)
-    zero = np.zeros_like(x)
-    cross = np.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).reshape(*x.shape, 3, 3)
-    rotations: Float64 = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
-    return rotations

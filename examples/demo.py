@@ -34,7 +34,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from safetensors.numpy import load
 
-from models.capture.metrics import Accuracy, align, pa_mpjpe, pck
+from models.capture.metrics import Accuracy, pa_mpjpe, pck, procrustes_by_size
 
 HELD_OUT = 0.1  # share of the frames that the fit does not see
 SEED = 0
@@ -478,7 +478,7 @@ def scene(result: Result, frame: int, title: str, *, mirrored: bool) -> Scene:
         structure = structure * np.array([1, 1, -1])
     truth: Array | None = None
     if result.capture.points3d is not None:
-        truth = align(result.capture.points3d[frame, None], structure[None])[0]
+        truth = procrustes_by_size(result.capture.points3d[frame, None], structure[None])[0]
     image = result.capture.keypoints[frame, view].astype(np.float64)
     return Scene(title, image, structure.astype(np.float64), truth)
 

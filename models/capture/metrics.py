@@ -5,6 +5,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from models.numerics.rotations import nearest_rotations
+
 Float64 = NDArray[np.float64]
 Reflection = Literal["either", "never"]
 
@@ -18,16 +20,15 @@ class Accuracy(NamedTuple):
     reflected: bool  # whether all the structures were mirrored
 
 
-def align(points: ArrayLike, truth: ArrayLike) -> Float64:
-    """Move structures (N, P, 3) onto the truth (N, P, 3): frame by frame, never reflected.
+def procrustes_by_size(points: ArrayLike, truth: ArrayLike) -> Float64:
+    """Align structures (N, P, 3) with the truth (N, P, 3), each frame alone, never reflected.
 
     As the paper words it: both are centred, the structure is scaled to the truth's size (root sum
-    of squares), then turned by the rotation nearest to it (Kabsch: singular value decomposition
-    with the sign of the determinant corrected). This is not the scale of least squares, which is
-    smaller by the mean cosine and never gives a larger error.
+    of squares), then rotated as near to it as a rotation can bring it (Kabsch, 1978). Least squares
+    would take another scale: smaller by the mean cosine, with an error that is never larger.
 
-    Keypoints with a NaN in either array take no part, and come out moved like the others where
-    the structure has them. A frame that shares fewer than 3 keypoints comes out as NaN.
+    Keypoints with a NaN in either array are not used to align; where the structure has them, they
+    are moved with the others. A frame that shares fewer than 3 keypoints comes out as NaN.
 
     Raises
     ------
@@ -43,9 +44,9 @@ def align(points: ArrayLike, truth: ArrayLike) -> Float64:
     size_x = np.sqrt(np.square(centred_x).sum((1, 2), keepdims=True))
     size_y = np.sqrt(np.square(centred_y).sum((1, 2), keepdims=True))
 
-    u, _, vt = np.linalg.svd(centred_x.mT @ centred_y)  # row vectors: minimise |x Q - y|
-    u[..., -1] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
-    moved: Float64 = (x - mean_x) * (size_y / np.where(size_x > 0, size_x, 1)) @ (u @ vt) + mean_y
+    rotations = nearest_rotations(centred_y.mT @ centred_x)  # (N, 3, 3)
+    scales = size_y / np.where(size_x > 0, size_x, 1)  # (N, 1, 1)
+    moved: Float64 = scales * (x - mean_x) @ rotations.mT + mean_y
     moved[known.sum(1) < 3] = np.nan
     return moved
 
@@ -80,7 +81,9 @@ def pck(accuracy: Accuracy, threshold: float) -> float:
 
 
 def _errors(points: Float64, truth: ArrayLike) -> tuple[Float64, Float64]:
-    errors = np.linalg.norm(align(points, truth) - np.asarray(truth, np.float64), axis=-1)
+    errors = np.linalg.norm(
+        procrustes_by_size(points, truth) - np.asarray(truth, np.float64), axis=-1
+    )
     known = np.isfinite(errors)
     count = known.sum(1)
     total = np.where(known, errors, 0).sum(1)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from models.numerics.rotations import rotations_from_vectors
+
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
@@ -141,13 +143,13 @@ def _poses(rng: np.random.Generator, frames: int) -> Float64:
     spread = np.array([bone[3] for bone in BONES])[:, None]
     vectors = np.einsum("nm,mpc->npc", mixture, moods)
     vectors = spread * (vectors + 0.3 * rng.standard_normal(vectors.shape))
-    local = _rotations(vectors)  # (N, P, 3, 3)
+    local = rotations_from_vectors(vectors)  # (N, P, 3, 3)
 
     heading = np.zeros((frames, 3))
     heading[:, 1] = rng.uniform(-np.pi, np.pi, frames)
     turned = np.empty_like(local)
     points = np.zeros((frames, len(BONES), 3))
-    turned[:, 0] = _rotations(heading)
+    turned[:, 0] = rotations_from_vectors(heading)
     for joint, (_, parent, offset, _) in enumerate(BONES[1:], start=1):
         turned[:, joint] = turned[:, parent] @ local[:, joint]
         points[:, joint] = points[:, parent] + turned[:, joint] @ np.array(offset)
@@ -175,20 +177,10 @@ def _cameras(
     rotations = np.stack((right, np.cross(forward, right), forward), -2)
     roll = np.zeros((*shape, 3))
     roll[..., 2] = 0.1 * rng.standard_normal(shape)
-    rotations = _rotations(roll) @ rotations
+    rotations = rotations_from_vectors(roll) @ rotations
     aim = 0.1 * rng.standard_normal((*shape, 3))
     translations = np.stack((aim[..., 0], aim[..., 1], away), -1)
     return rotations, translations
-
-
-def _rotations(vectors: Float64) -> Float64:
-    """Rotations (..., 3, 3) by the angle and about the axis of vectors (..., 3): Rodrigues."""
-    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(vectors / np.maximum(angle[..., 0], 1e-12), -1, 0)
-    zero = np.zeros_like(x)
-    cross = np.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).reshape(*x.shape, 3, 3)
-    rotations: Float64 = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
-    return rotations
 
 
 def _within(name: str, value: float, low: float, high: float) -> None:

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial import procrustes
 from scipy.spatial.transform import Rotation
 
-from models.capture.metrics import align, pa_mpjpe, pck
+from models.capture.metrics import pa_mpjpe, pck, procrustes_by_size
 
 
 def _structures(frames: int = 6, keypoints: int = 9, seed: int = 0) -> np.ndarray:
@@ -29,7 +29,9 @@ def test_rotation_agrees_with_scipy_align_vectors() -> None:
     for frame in range(len(truth)):
         turn, _ = Rotation.align_vectors(y[frame], x[frame])
         np.testing.assert_allclose(
-            align(points, truth)[frame], turn.apply(x[frame]) + truth[frame].mean(0), atol=1e-9
+            procrustes_by_size(points, truth)[frame],
+            turn.apply(x[frame]) + truth[frame].mean(0),
+            atol=1e-9,
         )
 
 
@@ -39,7 +41,7 @@ def test_agrees_with_scipy_procrustes_where_that_is_comparable() -> None:
     truth = _structures(frames=1)
     points = truth + 0.1 * _structures(frames=1, seed=3)
     _, _, disparity = procrustes(truth[0], points[0])
-    aligned = align(points, truth)[0]
+    aligned = procrustes_by_size(points, truth)[0]
     centred = truth[0] - truth[0].mean(0)
     size = np.linalg.norm(centred)
     cosine = ((aligned - truth[0].mean(0)) * centred).sum() / size**2
@@ -98,4 +100,4 @@ def test_pck_counts_known_keypoints_under_the_threshold() -> None:
 
 def test_shapes_must_agree() -> None:
     with pytest.raises(ValueError, match=r"\(frames, keypoints, 3\)"):
-        align(np.zeros((2, 5, 3)), np.zeros((2, 6, 3)))
+        procrustes_by_size(np.zeros((2, 5, 3)), np.zeros((2, 6, 3)))
