@@ -216,13 +216,18 @@ class Live:
         found: dict[str, Any] = response.json()
         return found
 
-    def finished(self, fit_id: str) -> dict[str, Any]:
-        def ended() -> dict[str, Any] | None:
-            fit = self.get(f"/fits/{fit_id}")
-            return None if fit["status"] in ("queued", "running") else fit
+    def ended(self, path: str) -> dict[str, Any]:
+        """Wait for the end of a fit or a lift."""
 
-        fit: dict[str, Any] = wait_for(ended, "the end of the fit")
-        return fit
+        def ended() -> dict[str, Any] | None:
+            job = self.get(path)
+            return None if job["status"] in ("queued", "running") else job
+
+        job: dict[str, Any] = wait_for(ended, f"the end of {path}")
+        return job
+
+    def finished(self, fit_id: str) -> dict[str, Any]:
+        return self.ended(f"/fits/{fit_id}")
 
 
 def job_events(live: Live, path: str, after: int | None = None) -> Iterator[tuple[str, int, Any]]:
@@ -302,33 +307,45 @@ def descendants(pid: int) -> set[int]:
     return found - {pid}
 
 
-@pytest.fixture(scope="session")
-def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
-    """Run ``fewview serve``; stop it with SIGTERM, and nothing may stay."""
-    folder = tmp_path_factory.mktemp("live")
+def start_service(folder: Path, *options: str) -> Live:
+    """Start ``fewview serve`` on a data folder and a free port; wait until it says its address."""
     process = subprocess.Popen(
-        tied("-m", "service.cli", "serve", "--port", "0", "--data-dir", str(folder)),
-        env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")}
-        | {"FEWVIEW_LIFT_CHUNK_FRAMES": "16"},  # or no test would have the time to make several
+        tied("-m", "service.cli", "serve", "--port=0", f"--data-dir={folder}", *options),
+        env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")},
         stdout=subprocess.PIPE,
         text=True,
     )
     assert process.stdout is not None
-    said = []
-    for line in process.stdout:
-        said.append(line)
-        if line.startswith("Ctrl-C"):
-            break
-    address = re.search(r"API\s+(http://\S+)", "".join(said))
+    said = ""
+    while "Ctrl-C" not in said:
+        line = process.stdout.readline()
+        assert line, f"the service ended: {said}"
+        said += line
+    address = re.search(r"API\s+(http://\S+)", said)
     assert address, said
-    with httpx2.Client(base_url=address[1], timeout=60) as http:
-        yield Live(address[1], http, process, folder)
-    family = descendants(process.pid)
+    http = httpx2.Client(base_url=address[1], timeout=120)
+    return Live(address[1], http, process, folder)
+
+
+def kill_service(live: Live) -> None:
+    live.http.close()
+    live.process.kill()
+    live.process.wait()
+    assert live.process.stdout is not None
+    live.process.stdout.close()
+
+
+@pytest.fixture(scope="session")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    """Run ``fewview serve``; stop it with SIGTERM, and nothing may stay."""
+    # Of the lengths that are usual, no test would have the time to make several chunks.
+    live = start_service(tmp_path_factory.mktemp("live"), "--lift-chunk-frames=16")
+    yield live
+    family = descendants(live.process.pid)
     assert len(family) >= 3  # Valkey, a worker, the API
-    process.send_signal(signal.SIGTERM)
-    process.stdout.read()
-    process.stdout.close()
-    assert process.wait(30) == 0
+    live.process.send_signal(signal.SIGTERM)
+    assert live.process.wait(30) == 0
+    kill_service(live)  # closes its pipe
     assert not family & processes().keys(), "processes were left behind"
 
 

@@ -1,7 +1,6 @@
 """``fewview serve`` and its parts, killed for real in the middle of what they do."""
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -15,8 +14,16 @@ import numpy as np
 import pytest
 
 from models.capture.synthetic import synthetic_capture
-from tests.processes import tied
-from tests.service.conftest import BYTES, Live, descendants, processes, to_npz, wait_for
+from tests.service.conftest import (
+    BYTES,
+    Live,
+    descendants,
+    kill_service,
+    processes,
+    start_service,
+    to_npz,
+    wait_for,
+)
 
 SLOW = {"steps": 500, "refine": "off"}
 Start = Callable[[], Live]
@@ -28,36 +35,13 @@ def start(tmp_path: Path) -> Iterator[Start]:
     started: list[Live] = []
 
     def start() -> Live:
-        process = subprocess.Popen(
-            tied(
-                *("-m", "service.cli", "serve"),
-                *("--port=0", f"--data-dir={tmp_path / 'data'}"),
-                *("--lease-seconds=2", "--checkpoint-seconds=0.2"),
-            ),
-            env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")},
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert process.stdout is not None
-        said = ""
-        while "Ctrl-C" not in said:
-            line = process.stdout.readline()
-            assert line, f"the service ended: {said}"
-            said += line
-        address = re.search(r"API\s+(http://\S+)", said)
-        assert address
-        http = httpx2.Client(base_url=address[1], timeout=30)
-        live = Live(address[1], http, process, tmp_path / "data")
-        started.append(live)
-        return live
+        options = ("--lease-seconds=2", "--checkpoint-seconds=0.2")
+        started.append(start_service(tmp_path / "data", *options))
+        return started[-1]
 
     yield start
     for live in started:
-        live.http.close()
-        live.process.kill()
-        live.process.wait()
-        assert live.process.stdout is not None
-        live.process.stdout.close()
+        kill_service(live)
 
 
 def part(live: Live, *words: str) -> int:

@@ -27,7 +27,9 @@ def test_older_weights_lift_as_they_did(name: str, refine: Refine) -> None:
         if before.dtype.kind == "i":
             np.testing.assert_array_equal(now, before, err_msg=array)
         else:
-            size = np.sqrt(np.nanmean(before.astype(float) ** 2)) if np.isfinite(before).any() else 1
+            size = (
+                np.sqrt(np.nanmean(before.astype(float) ** 2)) if np.isfinite(before).any() else 1
+            )
             atol = TOLERANCE[refine] * size
             np.testing.assert_allclose(now, before, rtol=0, atol=atol, err_msg=array)
 
