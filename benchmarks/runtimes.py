@@ -36,8 +36,9 @@ from benchmarks.arithmetic import NUMPY, TORCH, Constants, feed_forward, fold
 from benchmarks.captures import add_options, from_options, model_from_options
 from benchmarks.figures import Results, Row, command, console, spread, take_turns
 from models.capture.observations import Observations, as_observations
+from models.network.answers import make_answers
 from models.network.feed_forward import feed_forward as run_compiled
-from models.network.feed_forward import lay_out, make_answers
+from models.network.feed_forward import lay_out
 from models.network.priors.hierarchical import HierarchicalPrior
 from models.network.settling import SETTLE_NONE
 

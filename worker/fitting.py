@@ -14,7 +14,8 @@ import torch
 from safetensors.numpy import save
 
 from models.capture.metrics import pa_mpjpe, pck
-from models.lifting.fitted_prior import FittedPrior, Lift, join
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import Lift, join
 from models.network.priors.hierarchical import multiplications
 from models.numerics.tensor_files import WeightsError
 from models.numerics.threads import use_cores

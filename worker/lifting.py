@@ -7,8 +7,9 @@ from typing import cast
 import torch
 from sqlalchemy.exc import SQLAlchemyError
 
-from models.lifting.fitted_prior import FittedPrior, Lift, join
+from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
+from models.lifting.lift import Lift, join
 from models.settings.config import Refine
 from store import datasets, lift_chunks, lifts, models
 from store.database import Store

@@ -2,22 +2,20 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from itertools import chain
-from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
-from torch import Tensor
+from numpy.typing import ArrayLike
 
 from models.calibrating.result import array_shapes, from_arrays, report, to_arrays
-from models.calibrating.self_calibration import Answers as WeakAnswers
 from models.calibrating.self_calibration import Discovery
 from models.capture.denoising import ViewModel
 from models.capture.observations import as_observations
+from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.lifting.frame_refinement import Refiner, make_refiner, refine_frames
-from models.network.feed_forward import Answers, feed_forward, lay_out, make_answers
+from models.lifting.lift import Lift
+from models.network.answers import Answers, make_answers
+from models.network.feed_forward import feed_forward, lay_out
 from models.network.priors.hierarchical import parameter_shapes
 from models.network.settling import SETTLE_ALL
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, pack, read_about, unpack
@@ -25,65 +23,10 @@ from models.numerics.threads import in_slices
 from models.settings.config import FitConfig, Refine
 from models.settings.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS
 
-Status = Literal["ok", "too_few_keypoints"]
-CAMERA_MODELS = ("weak_perspective", "perspective", "fisheye")
-REASONS: dict[Status, str] = {
-    "ok": "",
-    "too_few_keypoints": (
-        f"no view shows {MIN_KEYPOINTS} keypoints or more that do not all lie at one place"
-    ),
-}
 DENOISER = "denoiser."  # before those of the model of noisy views
 CAMERAS = "cameras."  # before the names of what was found of the cameras, in a file
 LIFTED, REFINED = 64, 16  # frames that a thread takes at a time
 REFINERS = 64  # choices of views to be prepared for
-
-
-class CurvePoint(NamedTuple):
-    """One row of a training curve."""
-
-    step: int
-    loss: float  # running mean
-    reprojection_error: float  # pixels, running mean
-
-
-@dataclass(frozen=True)
-class Lift:
-    """Structures and cameras of N frames of K views; NaN where there is no answer.
-
-    A frame without a usable view has no structure; a view that is not usable has no camera.
-    """
-
-    points3d: NDArray[np.float32]  # (N, P, 3) canonical, centred
-    rotations: NDArray[np.float32]  # (N, K, 3, 3) canonical to camera, det +1
-    scales: NDArray[np.float32]  # (N, K) pixels per unit, at the structure's centre
-    # (N, K, 3): of perspective, x_cam = R X + t in units of the structure; of weak perspective,
-    # (x, y) in pixels and NaN.
-    translations: NDArray[np.float32]
-    focals: NDArray[np.float32]  # (N, K, 2) pixels along x and y; NaN for weak perspective
-    principal_points: NDArray[np.float32]  # (N, K, 2) pixels; NaN for weak perspective
-    distortions: NDArray[np.float32]  # (N, K, 8) OpenCV's order; NaN for weak perspective
-    camera_models: NDArray[np.int8]  # (N, K) index into CAMERA_MODELS, -1 without a camera
-    # (N, K): pixels, mean over the observed keypoints, as they were denoised if they were.
-    reprojection_errors: NDArray[np.float32]
-    keypoints_used: NDArray[np.int32]  # (N, K)
-    continued: NDArray[np.bool_]  # (N,) whether refinement started from the answer before
-    status: tuple[Status, ...]  # N
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Why each frame has its status, in words; empty where it is ok."""
-        return tuple(REASONS[status] for status in self.status)
-
-    @property
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays under the names that they have in files and on the wire."""
-        return {name: getattr(self, name) for name in Answers._fields if name != "continued"}
-
-    def answers(self) -> Answers:
-        """Return the arrays as compiled functions take them."""
-        arrays: dict[str, Any] = {name: getattr(self, name) for name in Answers._fields}
-        return Answers(**arrays)
 
 
 class FittedPrior:
@@ -130,7 +73,7 @@ class FittedPrior:
         confidence: ArrayLike | None = None,
         refine: Refine | None = None,
         views: Sequence[int] | None = None,
-        previous: "Lift | None" = None,
+        previous: Lift | None = None,
     ) -> Lift:
         """Lift frames (N, K, P, 2) in pixels, with any number of views K and any gaps.
 
@@ -178,7 +121,7 @@ class FittedPrior:
         mode = self.config.refine if refine is None else refine
         refiner = None if mode == "off" else self._refiner(fitted, count)
         answers = make_answers(frames, count, points_count)
-        before = make_answers(0, count, points_count) if previous is None else previous.answers()
+        before = make_answers(0, count, points_count) if previous is None else Answers(*previous)
         policy = SETTLE_ALL if self._found is None else self._found.settling
 
         def work(part: slice) -> None:
@@ -188,9 +131,7 @@ class FittedPrior:
                 refine_frames(refiner, seen, before, mode == "full", *here, answers)
 
         in_slices(frames, LIFTED if refiner is None else REFINED, work)
-        answered = np.any(seen.usable, axis=1).tolist()
-        status: list[Status] = ["ok" if some else "too_few_keypoints" for some in answered]
-        return Lift(**answers._asdict(), status=tuple(status))
+        return Lift(*answers)
 
     def _refiner(self, views: Sequence[int] | None, count: int) -> Refiner | None:
         """Return what refines these views, made once for as many choices of views as are usual."""
@@ -222,7 +163,6 @@ class FittedPrior:
 
     def to_bytes(self) -> bytes:
         """Return the prior as safetensors bytes, its configuration in the header."""
-        curve = torch.tensor(self.curve, dtype=torch.float64).reshape(-1, 3)
         about = {
             "config": self.config.model_dump_json(),
             "keypoints": str(self.keypoints_per_frame),
@@ -242,7 +182,7 @@ class FittedPrior:
                 **self._arrays,
                 **{f"{CAMERAS}{name}": value for name, value in cameras.items()},
                 **{f"{DENOISER}{name}": value for name, value in denoiser.items()},
-                "curve": curve,
+                "curve": curve_to_tensor(self.curve),
                 "foreshortening": torch.tensor([self.foreshortening], dtype=torch.float64),
             },
             kind="prior",
@@ -286,38 +226,5 @@ class FittedPrior:
         if cameras:
             parts = {name: arrays.pop(f"{CAMERAS}{name}") for name in cameras}
             found = from_arrays(parts, about["cameras"])
-        curve = tuple(
-            CurvePoint(int(s), loss, error) for s, loss, error in arrays.pop("curve").tolist()
-        )
+        curve = curve_from_tensor(arrays.pop("curve"))
         return cls(config, arrays, curve, arrays.pop("foreshortening").item(), found, denoiser)
-
-
-def join(lifts: Sequence[Lift]) -> Lift:
-    """Join lifts of the same views and keypoints, frame after frame."""
-    joined: dict[str, Any] = {}
-    for field in fields(Lift):
-        parts = [getattr(lift, field.name) for lift in lifts]
-        joined[field.name] = (
-            tuple(chain.from_iterable(parts)) if field.name == "status" else np.concatenate(parts)
-        )
-    return Lift(**joined)
-
-
-def weak_perspective(lift: Lift, frames: NDArray[np.int64] | slice = slice(None)) -> WeakAnswers:
-    """Structures, rotations, scales and translations (x, y) of some frames in float64.
-
-    Harmless numbers stand where there is no answer.
-    """
-    none = ~torch.from_numpy(np.isfinite(lift.scales[frames]))
-
-    def number(array: NDArray[np.float32], without: float) -> Tensor:
-        return torch.nan_to_num(torch.from_numpy(array[frames]).double(), nan=without)
-
-    rotations = number(lift.rotations, 0)
-    rotations[none] = torch.eye(3, dtype=torch.float64)
-    return (
-        number(lift.points3d, 0),
-        rotations,
-        number(lift.scales, 1),
-        number(lift.translations[..., :2], 0),
-    )

@@ -26,7 +26,7 @@ from models.bundle.frame import (
 from models.bundle.initial_poses import gather_frame, start_view
 from models.calibrating.self_calibration import Discovery, size_precision
 from models.capture.observations import Observations
-from models.network.feed_forward import Answers
+from models.network.answers import Answers
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import copy, fill, identity, product, total
 from models.numerics.rotations import nearest_rotation_into

@@ -6,7 +6,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from models.lifting.fitted_prior import CAMERA_MODELS, REASONS
+from models.lifting.lift import CAMERA_MODELS, REASONS
 
 Arrays = dict[str, NDArray[Any]]
 

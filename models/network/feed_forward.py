@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.capture.observations import Observations
+from models.network.answers import Answers
 from models.network.settling import DECISIVE, ROUNDS, STIFFNESS, SettlingPolicy
 from models.numerics.compiled import compiled, inner, reordered
 from models.numerics.matrices import copy, fill, inverse, total
 from models.numerics.rotations import nearest_orthonormal_rows_into
 from models.numerics.tensor_files import Arrays
-from models.optics.lenses import COEFFICIENTS
 from models.optics.weak_perspective import RIDGE, TINY
 
 Float32 = NDArray[np.float32]
@@ -36,40 +36,6 @@ class Network(NamedTuple):
     decoder_thresholds: Float32
     heads: Float32  # (B_L + 6, 6 B_L) code, then rotation
     biases: Float32  # (B_L + 6,)
-
-
-class Answers(NamedTuple):
-    """The arrays of `models.lifting.fitted_prior.Lift`, as the compiled functions write them."""
-
-    points3d: Float32
-    rotations: Float32
-    scales: Float32
-    translations: Float32
-    focals: Float32
-    principal_points: Float32
-    distortions: Float32
-    camera_models: NDArray[np.int8]
-    reprojection_errors: Float32
-    keypoints_used: NDArray[np.int32]
-    continued: NDArray[np.bool_]
-
-
-def make_answers(frames: int, views: int, keypoints: int) -> Answers:
-    """Room for the answers of N frames of K views with P keypoints."""
-    per_view = (frames, views)
-    return Answers(
-        np.empty((frames, keypoints, 3), np.float32),
-        np.empty((*per_view, 3, 3), np.float32),
-        np.empty(per_view, np.float32),
-        np.empty((*per_view, 3), np.float32),
-        np.empty((*per_view, 2), np.float32),
-        np.empty((*per_view, 2), np.float32),
-        np.empty((*per_view, COEFFICIENTS), np.float32),
-        np.empty(per_view, np.int8),
-        np.empty(per_view, np.float32),
-        np.empty(per_view, np.int32),
-        np.empty(frames, np.bool_),
-    )
 
 
 def lay_out(arrays: Arrays, sizes: tuple[int, ...]) -> Network:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from models.calibrating.result import array_shapes, from_arrays, to_arrays
 from models.calibrating.self_calibration import Discovery
-from models.lifting.fitted_prior import CurvePoint
+from models.lifting.curve import CurvePoint
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, pack, read_about, unpack
 from models.training.teachers import Teachers
 

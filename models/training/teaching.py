@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.linalg import LinAlgError  # type: ignore[attr-defined]
 
 from models.bundle.shape_model import align, learn_doubts, no_doubts
+from models.calibrating.self_calibration import Answers as WeakPerspectiveAnswers
 from models.calibrating.self_calibration import (
     Discovery,
     ImageSizes,
@@ -22,7 +23,9 @@ from models.calibrating.self_calibration import (
     same_hand,
 )
 from models.capture.denoising import ViewModel
-from models.lifting.fitted_prior import CurvePoint, FittedPrior, Lift, join, weak_perspective
+from models.lifting.curve import CurvePoint
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import Lift, join
 from models.network.priors.hierarchical import HierarchicalPrior
 from models.network.settling import (
     SETTLE_ALL,
@@ -128,7 +131,7 @@ class Teaching:
         frames = frames[: most_frames(*self._data.keypoints.shape[1:3])]
         pixels, weights = self._data.pixels(frames), self._data.weights[frames]
         prior = self._as_prior(None)
-        answers = weak_perspective(prior.lift(pixels, confidence=weights))
+        answers = weak_perspective_answers(prior.lift(pixels, confidence=weights))
         try:
             self.found, scene = yield from discover(
                 pixels, weights.double(), answers, self._config, self._image_sizes
@@ -221,3 +224,23 @@ def _misfits(lift: Lift) -> NDArray[np.float64]:
     used = lift.keypoints_used
     total = np.nansum(used * lift.reprojection_errors / lift.scales, axis=1)
     return np.asarray(total / used.sum(1), np.float64)
+
+
+def weak_perspective_answers(lift: Lift) -> WeakPerspectiveAnswers:
+    """Structures, rotations, scales and translations (x, y) of a lift in float64.
+
+    Harmless numbers stand where there is no answer.
+    """
+    none = ~torch.from_numpy(np.isfinite(lift.scales))
+
+    def number(array: NDArray[np.float32], without: float) -> Tensor:
+        return torch.nan_to_num(torch.from_numpy(array).double(), nan=without)
+
+    rotations = number(lift.rotations, 0)
+    rotations[none] = torch.eye(3, dtype=torch.float64)
+    return (
+        number(lift.points3d, 0),
+        rotations,
+        number(lift.scales, 1),
+        number(lift.translations[..., :2], 0),
+    )

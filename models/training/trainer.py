@@ -15,7 +15,8 @@ from torch import Tensor, nn
 from models.calibrating.self_calibration import ImageSizes
 from models.capture.denoising import learn_views
 from models.capture.observations import Observations, as_observations
-from models.lifting.fitted_prior import CurvePoint, FittedPrior
+from models.lifting.curve import CurvePoint
+from models.lifting.fitted_prior import FittedPrior
 from models.network.losses import objective
 from models.network.priors.hierarchical import HierarchicalPrior
 from models.settings.config import FitConfig

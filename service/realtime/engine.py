@@ -10,7 +10,7 @@ import asyncio
 import threading
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -18,7 +18,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from models.lifting.fitted_prior import FittedPrior, Lift, join
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import Lift, join
 from models.settings.config import Refine
 from service.realtime.warm_models import WarmModels
 from store.database import Store
@@ -28,7 +29,6 @@ REFINED_FRAMES = 32  # refined, which takes some 1 ms a frame
 CLOSE_SECONDS = 2.0
 
 Float32 = NDArray[np.float32]
-_FIELDS = tuple(field.name for field in fields(Lift))
 
 
 class Way(NamedTuple):
@@ -229,7 +229,9 @@ class Engine:
 def _lift_together(prior: FittedPrior, pieces: list[_Piece]) -> list[_Outcome]:
     way = pieces[0].call.way
     confidence = [c.confidence[start:stop] for c, start, stop in pieces if c.confidence is not None]
-    previous = [part_of(c.previous, start, stop) for c, start, stop in pieces if c.previous]
+    previous = [
+        c.previous.frames(slice(start, stop)) for c, start, stop in pieces if c.previous is not None
+    ]
     more = {"previous": join(previous)} if previous else {}
     lift = prior.lift(
         np.concatenate([call.keypoints[start:stop] for call, start, stop in pieces]),
@@ -240,14 +242,9 @@ def _lift_together(prior: FittedPrior, pieces: list[_Piece]) -> list[_Outcome]:
     )
     stops = accumulate(stop - start for _, start, stop in pieces)
     return [
-        part_of(lift, end - stop + start, end)
+        lift.frames(slice(end - stop + start, end))
         for (_, start, stop), end in zip(pieces, stops, strict=True)
     ]
-
-
-def part_of(lift: Lift, start: int, stop: int) -> Lift:
-    """Return some frames of a lift."""
-    return Lift(**{name: getattr(lift, name)[start:stop] for name in _FIELDS})
 
 
 def _deliver(finished: list[tuple["asyncio.Future[Lift]", _Outcome]]) -> None:

@@ -10,7 +10,7 @@ from fastapi.routing import APIRoute
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
-from models.lifting import fitted_prior
+from models.lifting import lift as lifts
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import Index, Refine
 from service.http.errors import BODY_PROBLEMS, invalid, problems
@@ -207,9 +207,7 @@ async def _run(
         return await asyncio.to_thread(work, *arguments)
 
 
-async def _unless_gone(
-    request: Request, answer: "asyncio.Future[fitted_prior.Lift]"
-) -> fitted_prior.Lift | None:
+async def _unless_gone(request: Request, answer: "asyncio.Future[lifts.Lift]") -> lifts.Lift | None:
     """Wait for the answer; if the client goes away meanwhile, give it up and return None."""
     patience = answer.get_loop().call_later(PATIENCE_SECONDS, _watch, request, answer)
     try:
@@ -223,7 +221,7 @@ async def _unless_gone(
         patience.cancel()
 
 
-def _watch(request: Request, answer: "asyncio.Future[fitted_prior.Lift]") -> None:
+def _watch(request: Request, answer: "asyncio.Future[lifts.Lift]") -> None:
     """Cancel the answer when the client goes away."""
 
     async def disconnected() -> None:

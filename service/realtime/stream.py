@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from starlette.responses import Response
 from starlette.websockets import WebSocketDisconnect
 
-from models.lifting import fitted_prior
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import Lift
 from service.http.errors import PROBLEMS, ApiError, FieldError, from_validation, invalid, problems
 from service.http.operations import register
 from service.realtime.engine import Engine
@@ -136,7 +137,7 @@ class _Conversation:
         engine: Engine,
         settings: Settings,
         start: StreamStart,
-        prior: fitted_prior.FittedPrior,
+        prior: FittedPrior,
     ) -> None:
         self._websocket, self._engine, self._settings = websocket, engine, settings
         self._start, self._prior = start, prior
@@ -145,8 +146,8 @@ class _Conversation:
         self._latest = start.on_overload == "latest"
         self._at_a_time = 1 if self._latest or self._continuity else FRAMES_IN_HAND
         self._arrived: deque[Frame] = deque()
-        self._asked: deque[tuple[Frame, asyncio.Future[fitted_prior.Lift] | None]] = deque()
-        self._previous: fitted_prior.Lift | None = None
+        self._asked: deque[tuple[Frame, asyncio.Future[Lift] | None]] = deque()
+        self._previous: Lift | None = None
         self._something_asked = asyncio.Event()
         self._something_answered = asyncio.Event()
 
@@ -201,7 +202,7 @@ class _Conversation:
             self._asked.append((frame, self._lift(frame)))
             self._something_asked.set()
 
-    def _lift(self, frame: Frame) -> asyncio.Future[fitted_prior.Lift] | None:
+    def _lift(self, frame: Frame) -> asyncio.Future[Lift] | None:
         if frame.capture is None:
             return None
         keypoints = frame.capture.keypoints

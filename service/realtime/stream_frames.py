@@ -7,8 +7,9 @@ import orjson
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from models.lifting.fitted_prior import FittedPrior, Lift
+from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
+from models.lifting.lift import Lift
 from service.http.errors import ApiError, from_validation, invalid
 from service.realtime.frames import to_frames
 from service.settings import Settings

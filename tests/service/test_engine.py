@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from models.capture.synthetic import SyntheticCapture
-from models.lifting.fitted_prior import FittedPrior, Lift
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import Lift
 from service.realtime.engine import REFINED_FRAMES, SLICE_FRAMES, Engine
 from service.settings import Settings
 from store import models

@@ -9,7 +9,8 @@ from safetensors.numpy import load, save
 from starlette.testclient import TestClient
 
 from models.capture.synthetic import SyntheticCapture
-from models.lifting.fitted_prior import CAMERA_MODELS, FittedPrior
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import CAMERA_MODELS
 from models.settings.config import WARM_STEPS, FitConfig
 from service.settings import Settings
 from store import attempts, fits, records

@@ -10,7 +10,8 @@ from safetensors.numpy import load
 from starlette.testclient import TestClient
 
 from models.capture.synthetic import SyntheticCapture
-from models.lifting.fitted_prior import CAMERA_MODELS, FittedPrior, Lift
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import CAMERA_MODELS, Lift
 from service.wire.schemas import LiftedFrame, frames_json
 from tests.service.conftest import BYTES, JSON, frames_of, problem, to_npz, to_safetensors
 
@@ -271,7 +272,6 @@ def test_every_kind_of_camera_on_the_wire() -> None:
         reprojection_errors=values(),
         keypoints_used=np.array([[5, 5, 5, 0]], np.int32),
         continued=np.zeros(1, np.bool_),
-        status=("ok",),
     ).arrays
     frames = orjson.loads(orjson.dumps(frames_json(arrays)))
     check_json(frames, arrays)

@@ -19,7 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from models.capture.synthetic import SyntheticCapture
-from models.lifting.fitted_prior import CAMERA_MODELS
+from models.lifting.lift import CAMERA_MODELS
 from service.settings import Settings
 from service.wire import stream_messages
 from service.wire.stream_messages import StreamAnswer, StreamDropped, StreamError, StreamReady

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import load
 
-from models.lifting.fitted_prior import FittedPrior, Lift
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import Lift
 from models.training.trainer import Trainer
 from store import attempts, datasets, fits
 from store.capture import Capture

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from models.capture.metrics import pa_mpjpe
-from models.lifting.fitted_prior import CAMERA_MODELS, FittedPrior, Lift
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import CAMERA_MODELS, Lift
 from models.settings.config import FitConfig
 from models.training.trainer import Trainer, fit
 from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, Stage, keypoint, make_stage
@@ -44,27 +45,17 @@ def prior(stage: Stage) -> FittedPrior:
 def same(a: Lift, b: Lift, tolerance: float = 0) -> None:
     """Compare all that two lifts say."""
     assert a.status == b.status
-    for field in dataclasses.fields(Lift):
-        if field.name != "status":
-            np.testing.assert_allclose(
-                getattr(a, field.name),
-                getattr(b, field.name),
-                rtol=tolerance,
-                atol=tolerance,
-                err_msg=field.name,
-            )
+    others = b._asdict()
+    for name, found in a._asdict().items():
+        np.testing.assert_allclose(found, others[name], tolerance, tolerance, err_msg=name)
 
 
 def some(lift: Lift, frames: Any, views: Any = slice(None)) -> Lift:
     """Return some of the frames, and of their views."""
-    parts: dict[str, Any] = {"status": tuple(np.array(lift.status)[frames])}
-    for field in dataclasses.fields(Lift):
-        value = getattr(lift, field.name)
-        if field.name in ("points3d", "continued"):
-            parts[field.name] = value[frames]
-        elif field.name != "status":
-            parts[field.name] = value[frames][:, views]
-    return Lift(**parts)
+    chosen = Lift._make(value[frames] for value in lift)
+    shared = {"points3d", "continued"}  # by all views of a frame
+    parts = {n: value[:, views] for n, value in chosen._asdict().items() if n not in shared}
+    return chosen._replace(**parts)
 
 
 def test_perspective_cameras_project_the_structure_to_the_reported_error(
@@ -218,9 +209,7 @@ def test_what_was_before_may_be_anything(stage: Stage, prior: FittedPrior) -> No
     weak = prior.lift(stage.keypoints, refine="off")
     same(prior.lift(stage.keypoints, previous=weak), plain)
     # Somebody else, elsewhere, upside down: the network's answer is the better start.
-    other = dataclasses.replace(
-        plain, rotations=plain.rotations @ np.diag([1, -1, -1]).astype(np.float32)
-    )
+    other = plain._replace(rotations=plain.rotations @ np.diag([1, -1, -1]).astype(np.float32))
     same(prior.lift(stage.keypoints, previous=other), plain)
 
 

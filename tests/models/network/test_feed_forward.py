@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from models.capture.observations import Observations, as_observations
-from models.network.feed_forward import Answers, feed_forward, lay_out, make_answers
+from models.network.answers import Answers, make_answers
+from models.network.feed_forward import feed_forward, lay_out
 from models.network.priors.hierarchical import HierarchicalPrior
 from models.network.settling import (
     SETTLE_ALL,

@@ -1,7 +1,6 @@
 """Fitting and lifting through the public face, on a capture whose truth is known."""
 
 import concurrent.futures
-import dataclasses
 import struct
 
 import numpy as np
@@ -164,11 +163,9 @@ def test_a_prior_survives_its_bytes(small: SyntheticCapture, small_prior: Fitted
     copy = FittedPrior.from_bytes(small_prior.to_bytes())
     assert copy.config == small_prior.config
     assert copy.curve == small_prior.curve
-    for field in dataclasses.fields(small_prior.lift(small.keypoints)):
-        np.testing.assert_array_equal(
-            getattr(copy.lift(small.keypoints), field.name),
-            getattr(small_prior.lift(small.keypoints), field.name),
-        )
+    lifts = (prior.lift(small.keypoints) for prior in (copy, small_prior))
+    for found, expected in zip(*lifts, strict=True):
+        np.testing.assert_array_equal(found, expected)
 
 
 def _spoiled(data: bytes, case: str) -> bytes:  # noqa: PLR0911 - one return per kind of damage

@@ -1,0 +1,51 @@
+"""The arrays of a lift, as the compiled functions write them: structures and cameras of frames."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.optics.lenses import COEFFICIENTS
+
+Float32 = NDArray[np.float32]
+
+
+class Answers(NamedTuple):
+    """Structures and cameras of N frames of K views of P keypoints; NaN where there is no answer.
+
+    A frame without a usable view has no structure; a view that is not usable has no camera. A
+    camera takes the structure to its own axes by R, x right, y down, z forward.
+    """
+
+    points3d: Float32  # (N, P, 3) canonical, centred
+    rotations: Float32  # (N, K, 3, 3) R, canonical to camera, det +1
+    scales: Float32  # (N, K) pixels per unit, at the structure's centre
+    # (N, K, 3): of perspective, x_cam = R X + t in units of the structure; of weak perspective,
+    # (x, y) in pixels and NaN.
+    translations: Float32
+    focals: Float32  # (N, K, 2) pixels along x and y; NaN for weak perspective
+    principal_points: Float32  # (N, K, 2) pixels; NaN for weak perspective
+    distortions: Float32  # (N, K, 8) OpenCV's order; NaN for weak perspective
+    camera_models: NDArray[np.int8]  # (N, K) see `models.lifting.lift`, -1 without a camera
+    # (N, K): pixels, mean over the observed keypoints, as they were denoised if they were.
+    reprojection_errors: Float32
+    keypoints_used: NDArray[np.int32]  # (N, K)
+    continued: NDArray[np.bool_]  # (N,) whether refinement started from the answer before
+
+
+def make_answers(frames: int, views: int, keypoints: int) -> Answers:
+    """Return arrays for the answers of N frames of K views of P keypoints, not yet filled."""
+    per_view = (frames, views)
+    return Answers(
+        points3d=np.empty((frames, keypoints, 3), np.float32),
+        rotations=np.empty((*per_view, 3, 3), np.float32),
+        scales=np.empty(per_view, np.float32),
+        translations=np.empty((*per_view, 3), np.float32),
+        focals=np.empty((*per_view, 2), np.float32),
+        principal_points=np.empty((*per_view, 2), np.float32),
+        distortions=np.empty((*per_view, COEFFICIENTS), np.float32),
+        camera_models=np.empty(per_view, np.int8),
+        reprojection_errors=np.empty(per_view, np.float32),
+        keypoints_used=np.empty(per_view, np.int32),
+        continued=np.empty(frames, np.bool_),
+    )
