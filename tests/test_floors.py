@@ -1,34 +1,104 @@
-"""A folder imports only from the floors below it; who forks never sees torch nor numba."""
+"""The order of the house: what may import what, and how large a thing may grow.
+
+A folder imports only from the floors below it, a room only from the rooms below it.
+"""
 
 import ast
 import subprocess
 import sys
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parent.parent
 FLOORS = ("models", "store", "worker", "service")  # from the bottom
+# Rooms and modules of a floor from the bottom; those of one line do not import each other.
+ROOMS = {
+    "models": (
+        ("settings",),
+        ("numerics",),
+        ("capture",),
+        ("optics",),
+        ("network",),
+        ("bundle",),
+        ("calibrating",),
+        ("lifting",),
+        ("training",),
+    ),
+    "service": (
+        ("settings",),
+        ("http",),
+        ("wire",),
+        ("realtime",),
+        ("resources",),
+        ("app",),
+        ("openapi", "process"),
+        ("cli",),
+    ),
+}
+# What a part of the house does not load, not even through what it imports.
+LIGHT = ("models.settings", "worker.runner", "service.process.supervisor", "service.cli")
 
 
-def imported_packages(path: Path) -> set[str]:
+@cache
+def modules() -> dict[str, Path]:
+    """Return the file of every module in the house; a folder is the module of its `__init__`."""
+    files = [file for floor in FLOORS for file in (ROOT / floor).rglob("*.py")]
+    names = {file: ".".join(file.relative_to(ROOT).with_suffix("").parts) for file in files}
+    return {name.removesuffix(".__init__"): file for file, name in names.items()}
+
+
+@cache
+def imports(module: str) -> frozenset[str]:
+    """Return the names of all modules that a module imports, wherever in its text."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(ast.parse(modules()[module].read_text())):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            names.add(node.module or "")
-    return {name.partition(".")[0] for name in names}
+            assert node.level == 0, f"{module} has a relative import"
+            base = node.module or ""
+            whole = {f"{base}.{alias.name}" for alias in node.names}
+            names.update(name if name in modules() else base for name in whole)
+    return frozenset(names)
+
+
+def parts(module: str) -> tuple[str, str]:
+    """Return the floor and the room of a module; the room is empty for a floor's own `__init__`."""
+    floor, _, rest = module.partition(".")
+    return floor, rest.partition(".")[0]
 
 
 @pytest.mark.parametrize("floor", FLOORS)
-def test_imports_go_down_only(floor: str) -> None:
+def test_a_floor_imports_only_from_floors_below(floor: str) -> None:
     above = set(FLOORS[FLOORS.index(floor) + 1 :])
-    files = sorted((ROOT / floor).rglob("*.py"))
-    assert files
-    for path in files:
-        assert not imported_packages(path) & above, f"{path} imports a floor above its own"
+    mine = [module for module in modules() if parts(module)[0] == floor]
+    assert len(mine) > 3
+    for module in mine:
+        assert not {parts(name)[0] for name in imports(module)} & above, module
+
+
+@pytest.mark.parametrize("floor", ROOMS)
+def test_a_room_imports_only_from_rooms_below(floor: str) -> None:
+    level = {room: number for number, rooms in enumerate(ROOMS[floor]) for room in rooms}
+    mine = [module for module in modules() if parts(module)[0] == floor and parts(module)[1]]
+    assert {parts(module)[1] for module in mine} == level.keys(), "the order must name every room"
+    for module in mine:
+        room = parts(module)[1]
+        for name in imports(module):
+            imported = parts(name)[1]
+            if parts(name)[0] == floor and imported and imported != room:
+                assert level[imported] < level[room], f"{module} imports {name}"
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    graph = {module: imports(module) & modules().keys() for module in modules()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(f"circle of imports: {error.args[1]}")
 
 
 @pytest.mark.parametrize(
@@ -40,11 +110,24 @@ def test_imports_go_down_only(floor: str) -> None:
     ],
 )
 def test_a_floor_knows_nothing_of_what_others_do(floor: str, foreign: set[str]) -> None:
-    for path in (ROOT / floor).rglob("*.py"):
-        assert not imported_packages(path) & foreign, path
+    for module in modules():
+        if parts(module)[0] == floor:
+            assert not {parts(name)[0] for name in imports(module)} & foreign, module
 
 
-@pytest.mark.parametrize("module", ["worker.runner", "service.process.supervisor", "service.cli"])
-def test_processes_that_fork_load_neither_torch_nor_numba(module: str) -> None:
-    code = f"import sys, {module}; sys.exit(bool({{'torch', 'numba'}} & sys.modules.keys()))"
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+@pytest.mark.parametrize("part", LIGHT)
+def test_what_forks_and_what_is_told_to_a_fit_load_neither_torch_nor_numba(part: str) -> None:
+    inside = [module for module in modules() if f"{module}.".startswith(f"{part}.")]
+    assert inside
+    code = f"import sys, {', '.join(inside)}; print({{'torch', 'numba'}} & sys.modules.keys())"
+    ran = subprocess.run(
+        [sys.executable, "-c", code], check=True, cwd=ROOT, capture_output=True, text=True
+    )
+    assert ran.stdout == "set()\n"
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+def test_every_folder_says_what_lives_there(floor: str) -> None:
+    for folder in {file.parent for file in (ROOT / floor).rglob("*.py")}:
+        text = (folder / "__init__.py").read_text()
+        assert ast.get_docstring(ast.parse(text)), f"{folder} needs a docstring in __init__.py"
