@@ -10,6 +10,7 @@ import argparse
 import importlib
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -38,7 +39,6 @@ from benchmarks.figures import Results, Row, command, console, spread, take_turn
 from models.capture.observations import Observations, as_observations
 from models.network.answers import make_answers
 from models.network.feed_forward import feed_forward as run_compiled
-from models.network.feed_forward import lay_out
 from models.network.priors.hierarchical import HierarchicalPrior
 from models.network.settling import SETTLE_NONE
 
@@ -130,6 +130,8 @@ def prepare(arguments: argparse.Namespace) -> Model:
     """Read a model and the frames that show everything."""
     capture = from_options(arguments)
     prior = model_from_options(arguments, capture)
+    if prior.config.prior != "hierarchical":
+        sys.exit(f"--model: the arithmetic is that of a hierarchical prior, got {prior.config.prior}")
     seen = as_observations(capture.keypoints, capture.confidence)
     whole = np.all(seen.weights > 0, axis=(1, 2))
     names = HierarchicalPrior(prior.keypoints_per_frame, prior.config.dictionary_sizes)
@@ -280,7 +282,7 @@ def in_numpy(model: Model) -> Lifts:
 def in_numba(model: Model) -> Lifts:
     """Make what lifts are made with; it also measures the errors, frame by frame."""
     tensors = {name: torch.from_numpy(value) for name, value in model.weights.items()}
-    network = lay_out(tensors, model.sizes)
+    network = HierarchicalPrior.lay_out(tensors, model.sizes)
 
     def lift(keypoints: Float32, weights: Float32) -> Float32:
         frames, views, count, _ = keypoints.shape

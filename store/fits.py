@@ -16,6 +16,7 @@ from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from models.settings.config import FitConfig, warm
+from models.settings.priors import ARCHITECTURE
 from store import jobs
 from store.database import Store
 from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
@@ -47,8 +48,8 @@ def create(
     NotFoundError
         If there is no such dataset, or no such model.
     ConfigError
-        If the configuration speaks of views or keypoints that the dataset has not, or has other
-        dictionaries than the model.
+        If the configuration speaks of views or keypoints that the dataset has not, or another prior
+        or other sizes of it than the model.
     SourceError
         If the model has other keypoints than the dataset.
     QueueFullError
@@ -92,14 +93,15 @@ def _suited(config: FitConfig, session: Session, from_model: str, dataset: Datas
             f"{dataset.keypoints} as in the dataset, got {model.keypoints}",
         )
     source = FitConfig.model_validate(model.config)
-    config = warm(config, source)
-    if config.dictionary_sizes != source.dictionary_sizes:
-        raise ConfigError(
-            "dictionary_sizes",
-            f"a fit keeps the dictionaries of the model it starts from: expected "
-            f"{list(source.dictionary_sizes)}, got {list(config.dictionary_sizes)}; leave it out",
-        )
-    return config
+    has, told = source.model_dump(mode="json"), config.model_dump(mode="json", exclude_unset=True)
+    for field in ARCHITECTURE:
+        if told.get(field, has[field]) != has[field]:
+            raise ConfigError(
+                field,
+                f"a fit keeps the prior and the sizes of the model it starts from: expected "
+                f"{has[field]}, got {told[field]}; leave it out",
+            )
+    return warm(config, source)
 
 
 def _check(config: dict[str, Any], dataset: Dataset) -> None:

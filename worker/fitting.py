@@ -16,7 +16,7 @@ from safetensors.numpy import save
 from models.capture.metrics import pa_mpjpe, pck
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
-from models.network.priors.hierarchical import multiplications
+from models.network.priors.registry import outline
 from models.numerics.tensor_files import WeightsError
 from models.numerics.threads import use_cores
 from models.settings.config import FitConfig
@@ -129,7 +129,7 @@ def _device(settings: WorkerSettings, capture: Capture, config: FitConfig) -> st
     if settings.fit_device != "auto":
         return settings.fit_device
     _, views, keypoints, _ = capture.keypoints.shape
-    frame = multiplications(views, keypoints, config.dictionary_sizes)
+    frame = views * outline(config, keypoints).multiplications()
     pays = frame * config.batch_size >= GPU_MULTIPLICATIONS
     return "cuda" if pays and torch.cuda.is_available() else "cpu"
 

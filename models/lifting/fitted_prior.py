@@ -15,8 +15,8 @@ from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.lifting.frame_refinement import Refiner, make_refiner, refine_frames
 from models.lifting.lift import Lift
 from models.network.answers import Answers, make_answers
-from models.network.feed_forward import feed_forward, lay_out
-from models.network.priors.hierarchical import parameter_shapes
+from models.network.feed_forward import feed_forward
+from models.network.priors.registry import lay_out, parameter_shapes
 from models.network.settling import SETTLE_ALL
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, pack, read_about, unpack
 from models.numerics.threads import in_slices
@@ -48,7 +48,7 @@ class FittedPrior:
         self.curve = curve
         self.foreshortening = foreshortening
         self._arrays = arrays
-        self._network = lay_out(arrays, config.dictionary_sizes)
+        self._network = lay_out(config, arrays)
         self._refiners: dict[int | tuple[int, ...], Refiner] = {}
 
     @property
@@ -64,7 +64,7 @@ class FittedPrior:
     @property
     def keypoints_per_frame(self) -> int:
         """The number of keypoints P that every frame must have."""
-        return len(self._network.first)
+        return self._network.keypoints
 
     def lift(
         self,
@@ -207,7 +207,7 @@ class FittedPrior:
             raise WeightsError("the header holds no valid configuration") from error
         if not MIN_KEYPOINTS <= keypoints <= MAX_KEYPOINTS:
             raise WeightsError(f"the header says {keypoints} keypoints per frame")
-        shapes: Shapes = {**parameter_shapes(keypoints, config.dictionary_sizes)}
+        shapes: Shapes = {**parameter_shapes(config, keypoints)}
         cameras = array_shapes(keypoints, None) if "cameras" in about else {}
         for name, shape in cameras.items():
             shapes[f"{CAMERAS}{name}"] = shape

@@ -5,61 +5,29 @@ frame stay in the processor's nearest cache from its keypoints to its answer, al
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from models.capture.observations import Observations
 from models.network.answers import Answers
+from models.network.priors.dispatch import decode_into, encode_into
+from models.network.priors.prior import Weights
 from models.network.settling import DECISIVE, ROUNDS, STIFFNESS, SettlingPolicy
-from models.numerics.compiled import compiled, inner, reordered
+from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import copy, fill, inverse, total
 from models.numerics.rotations import nearest_orthonormal_rows_into
-from models.numerics.tensor_files import Arrays
 from models.optics.weak_perspective import RIDGE, TINY
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
-PANEL = 256  # columns of a layer at a time: rows of so many stay in the nearest cache
-
-
-class Network(NamedTuple):
-    """The weights of a fitted prior, laid out as the compiled functions read them."""
-
-    sizes: NDArray[np.int64]  # (L,) atoms of each layer
-    first: Float32  # (P, 3 B_1)
-    atoms: Float32  # (3 P, B_1) the same numbers
-    dictionaries: Float32  # D_2, D_3, ... one after the other, each (B_{l-1}, B_l)
-    encoder_thresholds: Float32  # of the first layer three times, then of the others
-    decoder_thresholds: Float32
-    heads: Float32  # (B_L + 6, 6 B_L) code, then rotation
-    biases: Float32  # (B_L + 6,)
-
-
-def lay_out(arrays: Arrays, sizes: tuple[int, ...]) -> Network:
-    """Lay out the parameters of a `models.network.priors.hierarchical.HierarchicalPrior`."""
-    a = {name: np.ascontiguousarray(value.numpy(), np.float32) for name, value in arrays.items()}
-    layers = range(1, len(sizes))
-    nothing = np.zeros(0, np.float32)
-    keypoints = len(a["first"])
-    thresholds = [a[f"encoder_thresholds.{i}"] for i in range(len(sizes))]
-    return Network(
-        np.array(sizes),
-        a["first"],
-        a["first"].reshape(3 * keypoints, -1),
-        np.concatenate([nothing, *(a[f"dictionaries.{i - 1}"].ravel() for i in layers)]),
-        np.concatenate([np.tile(thresholds[0], 3), *thresholds[1:]]),
-        np.concatenate([nothing, *(a[f"decoder_thresholds.{i - 1}"] for i in layers)]),
-        np.concatenate((a["unrotate.weight"], a["rotate.weight"])),
-        np.concatenate((a["unrotate.bias"], a["rotate.bias"])),
-    )
+LEAST_WEIGHT = np.float32(1e-6)
 
 
 @compiled
 def feed_forward(
-    network: Network,
+    network: Weights,
     seen: Observations,
     foreshortening: float,
     policy: SettlingPolicy,
@@ -73,8 +41,6 @@ def feed_forward(
     `foreshortening` is negative.
     """
     _, views, count, _ = seen.keypoints.shape
-    widest = max(6 * views * max(network.sizes[0], count), 3 * count)
-    left, right = np.empty(widest, np.float32), np.empty(widest, np.float32)
     filled = np.empty((views, count, 2), np.float32)
     guesses, rotations = np.empty((views, 3, 3)), np.empty((views, 3, 3))
     shift, points = np.empty(2), np.empty((count, 3))
@@ -86,10 +52,10 @@ def feed_forward(
         _blank(answers, n, weights)
         if total(seen.usable[n]) == 0:
             continue
-        _reconstruct(network, keypoints, weights, points, guesses, left, right)
+        _reconstruct(network, keypoints, weights, points, guesses)
         if _fill(keypoints, weights, points, guesses, filled):
             # What is hidden is filled with its reprojection and the views are read once more.
-            _reconstruct(network, filled, weights, points, guesses, left, right)
+            _reconstruct(network, filled, weights, points, guesses)
         if foreshortening != 0:  # where the fit could tell it
             if (
                 policy.every_frame
@@ -133,110 +99,25 @@ def _blank(answers: Answers, n: int, weights: Float32) -> None:
 
 @inner
 def _reconstruct(
-    network: Network,
-    seen: Float32,
-    weights: Float32,
-    points: Float64,
-    guesses: Float64,
-    left: Float32,
-    right: Float32,
+    network: Weights, seen: Float32, weights: Float32, points: Float64, guesses: Float64
 ) -> None:
-    """See `HierarchicalPrior`: encode views (K, P, 2), pool, decode to points (P, 3)."""
-    views, count, _ = seen.shape
-    sizes, layers = network.sizes, len(network.sizes)
-    rows = left[: 2 * views * count].reshape(2 * views, count)
-    for k in range(views):
-        for p in range(count):
-            rows[2 * k, p], rows[2 * k + 1, p] = seen[k, p, 0], seen[k, p, 1]
-    width = 3 * sizes[0]
-    block = right[: 2 * views * width].reshape(2 * views, width)
-    _layer(rows, network.first, network.encoder_thresholds[:width], block)
-    start, threshold = 0, width
-    here, there = right, left
-    for layer in range(1, layers):
-        m, b = sizes[layer - 1], sizes[layer]
-        dictionary = network.dictionaries[start : start + m * b].reshape(m, b)
-        _layer(
-            here[: 6 * views * m].reshape(6 * views, m),
-            dictionary,
-            network.encoder_thresholds[threshold : threshold + b],
-            there[: 6 * views * b].reshape(6 * views, b),
-        )
-        here, there = there, here
-        start, threshold = start + m * b, threshold + b
-    size = sizes[layers - 1]
-    flat = here[: 6 * size * views].reshape(views, 6 * size)
+    """See `models.network.priors.prior.Prior`: encode views (K, P, 2), pool, decode to (P, 3)."""
+    views, size = len(seen), network.code_size
+    codes = np.empty((views, size), np.float32)
+    matrices = np.empty((views, 2, 3))
+    encode_into(network, seen, codes, matrices)
     votes = np.float32(0)
     for k in range(views):
         votes += total(weights[k])
-    code = there[:size]
-    fill(code, 0)
-    rows_of_rotation = np.empty((2, 3))
+    code = np.zeros(size, np.float32)
     for k in range(views):
-        for i in range(6):
-            rows_of_rotation[i // 3, i % 3] = (
-                _dot(network.heads[size + i], flat[k]) + network.biases[size + i]
-            )
-        nearest_orthonormal_rows_into(rows_of_rotation, guesses[k])
-        vote = total(weights[k]) / max(votes, np.float32(1e-6))
+        nearest_orthonormal_rows_into(matrices[k], guesses[k])
+        vote = total(weights[k]) / max(votes, LEAST_WEIGHT)
         if vote > 0:
             for i in range(size):
-                code[i] += vote * (_dot(network.heads[i], flat[k]) + network.biases[i])
-    threshold = len(network.decoder_thresholds)
-    start = len(network.dictionaries)
-    for layer in range(layers - 1, 0, -1):
-        m, b = sizes[layer - 1], sizes[layer]
-        start, threshold = start - m * b, threshold - m
-        dictionary = network.dictionaries[start : start + m * b].reshape(m, b)
-        for i in range(m):
-            value = _dot(dictionary[i], there[:b]) - network.decoder_thresholds[threshold + i]
-            here[i] = max(value, np.float32(0))
-        here, there = there, here
-    for p in range(count):
-        for i in range(3):
-            points[p, i] = _dot(network.atoms[3 * p + i], there[: sizes[0]])
+                code[i] += vote * codes[k, i]
+    decode_into(network, code, points)
     _normalise(points)
-
-
-@reordered
-def _layer(rows: Float32, dictionary: Float32, threshold: Float32, out: Float32) -> None:
-    """Paper eq. "encoder": ReLU(rows (n, m) D (m, b) - threshold), in panels."""
-    n, m = rows.shape
-    width = dictionary.shape[1]
-    fours = m - m % 4
-    for begin in range(0, width, PANEL):
-        end = min(begin + PANEL, width)
-        for i in range(n):
-            for j in range(begin, end):
-                out[i, j] = -threshold[j]
-        for k in range(0, fours, 4):
-            d0, d1 = dictionary[k, begin:end], dictionary[k + 1, begin:end]
-            d2, d3 = dictionary[k + 2, begin:end], dictionary[k + 3, begin:end]
-            for i in range(n):
-                a, b, c, d = rows[i, k], rows[i, k + 1], rows[i, k + 2], rows[i, k + 3]
-                if a == 0 and b == 0 and c == 0 and d == 0:
-                    continue  # codes are sparse
-                row = out[i, begin:end]
-                for j in range(end - begin):
-                    row[j] += (a * d0[j] + b * d1[j]) + (c * d2[j] + d * d3[j])
-        for k in range(fours, m):
-            d0 = dictionary[k, begin:end]
-            for i in range(n):
-                a = rows[i, k]
-                row = out[i, begin:end]
-                for j in range(end - begin):
-                    row[j] += a * d0[j]
-        for i in range(n):
-            for j in range(begin, end):
-                out[i, j] = max(out[i, j], np.float32(0))
-
-
-@reordered
-def _dot(a: Float32, b: Float32) -> np.float32:
-    summed = np.float32(0)
-    for i in range(len(a)):
-        summed += a[i] * b[i]
-    return summed
 
 
 @inner

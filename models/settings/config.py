@@ -1,18 +1,24 @@
 """What a fit can be told. Imports no torch, so that an API can show and check it cheaply."""
 
-from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from models.settings.calibration import Camera, KnownLength
+from models.settings.priors import (
+    ARCHITECTURE,
+    PRIORS,
+    DictionarySizes,
+    MlpSizes,
+    PriorName,
+    check_dictionary_sizes,
+)
 
 Refine = Literal["auto", "off", "full"]
 Arrangement = Literal["auto", "moving", "static"]
 Index = Annotated[int, Field(ge=0)]
 
 WARM_STEPS = 1100  # of a fit that starts from a model, unless it was told otherwise
-MAX_DICTIONARY_ENTRIES = 16_000_000  # the paper's {4096, 2048, ..., 8} needs 11 million
 
 
 class FitConfig(BaseModel):
@@ -20,29 +26,38 @@ class FitConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    prior: Literal["hierarchical"] = Field(
+    prior: PriorName = Field(
         default="hierarchical",
-        description="The shape prior: `hierarchical` is the multi-layer block-sparse dictionary.",
+        description=(
+            "The shape prior: `hierarchical` is the paper's multi-layer block-sparse dictionary,"
+            " sized by `dictionary_sizes`; `mlp` a plain encoder and decoder, sized by `mlp`."
+        ),
     )
-    dictionary_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field(
+    learning_rate: float = Field(
+        # From the field above, the only one that the default may depend on.
+        default_factory=lambda told: PRIORS[told["prior"]].learning_rate,
+        gt=0,
+        le=1,
+        description=(
+            "Adam's step size at the start; it falls to zero along half a cosine. Default: what"
+            " suits the prior, 0.01 for `hierarchical`, 0.002 for `mlp`."
+        ),
+    )
+    dictionary_sizes: DictionarySizes = Field(
         default=(128, 32),
         min_length=1,
         max_length=12,
         description=(
-            "Atoms in the dictionary of each layer, from the keypoints inwards, never increasing."
-            " The last one is the length of the code that describes a structure."
+            "Atoms in the dictionary of each layer of the prior `hierarchical`, from the keypoints"
+            " inwards, never increasing. The last one is the length of the code that describes a"
+            " structure."
         ),
     )
+    mlp: MlpSizes = Field(default=MlpSizes(), description="Sizes of the prior `mlp`.")
     steps: int = Field(
         default=4500, ge=1, le=1_000_000, description="Optimiser steps; each sees one batch."
     )
     batch_size: int = Field(default=64, ge=1, le=512, description="Frames in one step.")
-    learning_rate: float = Field(
-        default=1e-2,
-        gt=0,
-        le=1,
-        description="Adam's step size at the start; it falls to zero along half a cosine.",
-    )
     budget_s: float | None = Field(
         default=None,
         ge=1,
@@ -122,22 +137,28 @@ class FitConfig(BaseModel):
     )
 
     @model_validator(mode="after")
-    def _dictionaries_narrow_and_fit_in_memory(self) -> "FitConfig":
-        sizes = self.dictionary_sizes
-        pairs = list(pairwise(sizes))
-        if any(outer < inner for outer, inner in pairs):
-            raise ValueError(f"dictionary_sizes must never increase, got {list(sizes)}")
-        entries = sum(outer * inner for outer, inner in pairs)
-        if entries > MAX_DICTIONARY_ENTRIES:
-            raise ValueError(
-                f"dictionary_sizes {list(sizes)} hold {entries} entries,"
-                f" more than the {MAX_DICTIONARY_ENTRIES} allowed; make the layers narrower"
-            )
+    def _sizes_are_those_of_the_prior(self) -> "FitConfig":
+        check_dictionary_sizes(self.dictionary_sizes)
+        for name, settings in PRIORS.items():
+            default = type(self).model_fields[settings.sizes].default
+            if name != self.prior and getattr(self, settings.sizes) != default:
+                raise ValueError(
+                    f"{settings.sizes} is for the prior {name!r}, got the prior {self.prior!r};"
+                    f" leave {settings.sizes} out, or set prior to {name!r}"
+                )
         return self
+
+    @property
+    def sizes(self) -> Any:
+        """The sizes of the prior that was chosen."""
+        return getattr(self, PRIORS[self.prior].sizes)
 
 
 def warm(config: FitConfig, source: FitConfig) -> FitConfig:
-    """Fill in what a fit that starts from a model was not told, for a model fitted so."""
-    suits = {"dictionary_sizes": source.dictionary_sizes, "steps": WARM_STEPS}
-    told = config.model_fields_set
-    return config.model_copy(update={k: v for k, v in suits.items() if k not in told})
+    """Fill in what a fit that starts from a model was not told, for a model fitted so.
+
+    What it was told of `ARCHITECTURE` must be as in the model.
+    """
+    suits = {field: getattr(source, field) for field in ARCHITECTURE} | {"steps": WARM_STEPS}
+    told = {name: getattr(config, name) for name in config.model_fields_set}
+    return FitConfig.model_validate(suits | told)

@@ -5,7 +5,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from models.network.priors.hierarchical import HierarchicalPrior
+from models.network.priors.prior import Prior
 from models.network.settling import first_order
 from models.optics.weak_perspective import nearest_rotation, solve_cameras
 from models.training.batches import Data
@@ -37,7 +37,7 @@ class Holdout:
         self._shown[several, self._hidden[several]] = 0
 
     @torch.no_grad()
-    def error(self, network: HierarchicalPrior, foreshortening: float) -> float:
+    def error(self, network: Prior, foreshortening: float) -> float:
         """Reprojection error in the hidden views as a share of their size, mean over frames.
 
         Structures are those that the network makes of the other views; a camera for the hidden one
@@ -45,8 +45,8 @@ class Holdout:
         to first order.
         """
         keypoints, weights = self._data.keypoints, self._data.weights
-        points, _, turns = network.reproject(keypoints, self._shown)
-        guesses, _ = nearest_rotation(turns)
+        points, _, matrices = network.reproject(keypoints, self._shown)
+        guesses, _ = nearest_rotation(matrices)
         target: Tensor = keypoints
         for _ in range(ROUNDS):
             cameras = solve_cameras(points[:, None], target, weights, guesses)

@@ -17,19 +17,17 @@ from models.bundle.shape_model import Doubts, ShapeModel
 from models.calibrating.self_calibration import Discovery
 from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
-from models.network.priors.hierarchical import HierarchicalPrior
+from models.network.priors.registry import PRIORS, make_prior
 from models.network.settling import SETTLE_ALL
 from models.optics.lenses import COEFFICIENTS, Optics
 from models.settings.config import FitConfig
 from models.training.trainer import fit
 
-VIEWS, KEYPOINTS, ATOMS = 2, 4, 2
+VIEWS, KEYPOINTS = 2, 4
 
 
 def compile_lifts() -> None:
-    """Lift a frame of noise with a prior of noise in every way there is."""
-    network = HierarchicalPrior(KEYPOINTS, (ATOMS,))
-    network.initialise(0)
+    """Lift a frame of noise with priors of noise, each there is, in every way there is."""
     rng = np.random.default_rng(0)
     shapes = torch.from_numpy(rng.standard_normal((KEYPOINTS, 3)))
     nothing = torch.zeros(VIEWS, 10, dtype=torch.float64)
@@ -52,10 +50,14 @@ def compile_lifts() -> None:
         reason="",
         warnings=(),
     )
-    weights = {name: value.detach() for name, value in network.named_parameters()}
-    prior = FittedPrior(FitConfig(dictionary_sizes=(ATOMS,)), weights, (), 0.1, found)
     keypoints = rng.normal(0, 100, (1, VIEWS, KEYPOINTS, 2))
-    prior.lift(keypoints, previous=prior.lift(keypoints, refine="full"))
+    for name in PRIORS:
+        config = FitConfig(prior=name)
+        network = make_prior(config, KEYPOINTS)
+        network.initialise(0)
+        weights = {name: value.detach() for name, value in network.named_parameters()}
+        prior = FittedPrior(config, weights, (), 0.1, found)
+        prior.lift(keypoints, previous=prior.lift(keypoints, refine="full"))
 
 
 def compile_fits() -> None:

@@ -15,12 +15,12 @@ import torch
 from torch import Tensor
 
 from models.bundle.adjustment import turn
-from models.network.priors.hierarchical import HierarchicalPrior
+from models.network.priors.prior import Prior
 from models.network.settling import estimate_foreshortening, first_order, mirrored, settle
 from models.optics.weak_perspective import solve_cameras
 
 TEACHERS = 2000  # at most; others are drawn at the next refresh
-NUMBERS = 2_000_000  # at most, in a sixth of the widest layer for all teachers together: memory
+NUMBERS = 12_000_000  # at most, in the widest layer for all teachers together: memory
 ROUNDS = 12  # of settling; with two, teachers repeat the errors of the network they came from
 FORESHORTENED = slice(250)  # teachers that foreshortening is estimated from
 UPRIGHT = 0.1  # weight of "cameras stand upright" next to "cameras do not roll"
@@ -40,13 +40,13 @@ class Teachers(NamedTuple):
 
 @torch.no_grad()
 def find_teachers(
-    network: HierarchicalPrior, keypoints: Tensor, weights: Tensor, *, most: int, seed: list[int]
+    network: Prior, keypoints: Tensor, weights: Tensor, *, most: int, seed: list[int]
 ) -> Teachers | None:
     """Settle at most `most` frames, drawn by `seed`, of those with two views or more.
 
     `keypoints` (N, K, P, 2) and `weights` (N, K, P) are normalised. None without such frames.
     """
-    drawn, places = draw_teachers(weights, most=most, widest=network.widest(weights), seed=seed)
+    drawn, places = draw_teachers(weights, most=most, widest=weights.shape[1] * network.width(), seed=seed)
     if not len(drawn):
         return None
     keypoints, weights = keypoints[drawn], weights[drawn]
@@ -81,7 +81,10 @@ def find_teachers(
 def draw_teachers(
     weights: Tensor, *, most: int, widest: int, seed: list[int]
 ) -> tuple[Tensor, Tensor]:
-    """Draw at most `most` of the frames with two views or more; (T,), and their places (N,)."""
+    """Draw at most `most` of the frames with two views or more; (T,), and their places (N,).
+
+    `widest` is how many numbers the widest layer of the network has for a frame.
+    """
     frames = np.flatnonzero(((weights > 0).any(-1).sum(1) > 1).numpy())
     most = max(1, min(most, TEACHERS, NUMBERS // widest))
     drawn = torch.from_numpy(np.random.default_rng(seed).permutation(frames)[:most])

@@ -26,7 +26,7 @@ from models.capture.denoising import ViewModel
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
-from models.network.priors.hierarchical import HierarchicalPrior
+from models.network.priors.prior import Prior
 from models.network.settling import (
     SETTLE_ALL,
     SETTLE_NONE,
@@ -52,7 +52,7 @@ class Teaching:
 
     def __init__(
         self,
-        network: HierarchicalPrior,
+        network: Prior,
         data: Data,
         config: FitConfig,
         image_sizes: ImageSizes | None,
@@ -83,7 +83,7 @@ class Teaching:
                     self._network, data.keypoints, data.weights, most=most, seed=seed
                 )
             return
-        widest = self._network.widest(data.weights)
+        widest = data.weights.shape[1] * self._network.width()
         drawn, places = draw_teachers(
             data.weights, most=len(data.weights), widest=widest, seed=seed
         )

@@ -18,8 +18,10 @@ from models.capture.observations import Observations, as_observations
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
 from models.network.losses import objective
-from models.network.priors.hierarchical import HierarchicalPrior
+from models.network.priors.prior import Prior
+from models.network.priors.registry import make_prior
 from models.settings.config import FitConfig
+from models.settings.priors import ARCHITECTURE
 from models.training import checkpoints
 from models.training.adam import Adam
 from models.training.batches import Batches, Data
@@ -80,7 +82,7 @@ class Trainer:
         ValueError
             When no frame has a usable view, the arrays are malformed (see `as_observations`),
             `image_sizes` or the configuration's calibration do not have one entry per view, or
-            `start` has other keypoints or dictionaries.
+            `start` has other keypoints, another prior, or other sizes of it.
         WeightsError
             When the checkpoint is damaged, or was made for other data or another configuration.
         """
@@ -107,10 +109,10 @@ class Trainer:
             self._holdout = Holdout(Data.of(observations, held), config.seed) if len(held) else None
         self._data = Data.of(observations, frames)
         self._batches = Batches(self._data, size=config.batch_size, seed=config.seed)
-        self._network = HierarchicalPrior(observations.keypoints.shape[2], config.dictionary_sizes)
+        self._network = make_prior(config, observations.keypoints.shape[2])
         self._network.initialise(config.seed)
         if start is not None:
-            _begin_with(self._network, start)
+            _begin_with(self._network, config, start)
         # The trained weights live on the device; all but the steps reads the CPU's.
         self._device = torch.device(device)
         self._trained = self._network
@@ -346,11 +348,11 @@ def fit(
     return trainer.result()
 
 
-def _begin_with(network: HierarchicalPrior, start: FittedPrior) -> None:
-    """Copy the weights of a prior."""
-    found = (start.keypoints_per_frame, start.config.dictionary_sizes)
-    wanted = (network.keypoints, tuple(len(part) for part in network.encoder_thresholds))
-    for what, has, needs in zip(("keypoints", "dictionary_sizes"), found, wanted, strict=True):
+def _begin_with(network: Prior, config: FitConfig, start: FittedPrior) -> None:
+    """Copy the weights of a prior of the same architecture."""
+    pairs = {name: (getattr(start.config, name), getattr(config, name)) for name in ARCHITECTURE}
+    pairs["keypoints"] = (start.keypoints_per_frame, network.keypoints)
+    for what, (has, needs) in pairs.items():
         if has != needs:
             raise ValueError(f"the prior to start from has {what} {has}, the fit {needs}")
     network.load_state_dict(start.weights)

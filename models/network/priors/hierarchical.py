@@ -1,35 +1,120 @@
-"""The hierarchical neural shape prior: 2D keypoints of the views of a frame -> structure, cameras.
+"""The prior `hierarchical`: dictionaries of several layers, block-sparse.
 
 Dabhi, Wang, Saluja, Jeni, Fasel, Lucey: *High Fidelity 3D Reconstructions with Limited Physical
-Views*, 3DV 2021; "paper" below. Read top to bottom: encoder, rotation factorisation, pooling,
-decoder, cameras.
+Views*, 3DV 2021; "paper" below. Read top to bottom: encoder, rotation factorisation, decoder; then
+the same once more, compiled.
 """
 
 from itertools import pairwise
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from models.network.reprojection import fill, reproject
-from models.optics.weak_perspective import WeakPerspective, nearest_rotation, solve_cameras
+from models.network.priors.layers import Float32, affine_into
+from models.network.priors.prior import Prior
+from models.numerics.compiled import inner, reordered
+from models.numerics.tensor_files import Arrays
 
 
-class Reconstruction(NamedTuple):
-    """What the prior sees in N frames of K views."""
+class DictionaryWeights(NamedTuple):
+    """The parameters of a `HierarchicalPrior`, laid out for the compiled functions."""
 
-    points: Tensor  # (N, P, 3) canonical structure, centred, root-mean-square radius 1
-    cameras: WeakPerspective  # (N, K)
-    guesses: Tensor  # (N, K, 3, 3) the rotations that the encoder factored out
+    keypoints: int
+    code_size: int
+    sizes: NDArray[np.int64]  # (L,) atoms of each layer
+    first: Float32  # (P, 3 B_1)
+    atoms: Float32  # (3 P, B_1) the same numbers
+    dictionaries: Float32  # D_2, D_3, ... one after the other, each (B_{l-1}, B_l)
+    encoder_biases: Float32  # minus the thresholds: of the first layer three times, of the others
+    decoder_thresholds: Float32
+    heads: Float32  # (B_L + 6, 6 B_L) code, then rotation
+    biases: Float32  # (B_L + 6,)
 
 
-class HierarchicalPrior(nn.Module):
+@inner
+def _encode_into(
+    weights: DictionaryWeights, views: Float32, codes: Float32, matrices: NDArray[np.float64]
+) -> None:
+    """Do what `HierarchicalPrior.encode` does, for the K views of a frame."""
+    count, keypoints, _ = views.shape
+    sizes = weights.sizes
+    rows = np.empty((2 * count, keypoints), np.float32)
+    for k in range(count):
+        for p in range(keypoints):
+            rows[2 * k, p], rows[2 * k + 1, p] = views[k, p, 0], views[k, p, 1]
+    width = 3 * sizes[0]
+    block = np.empty((2 * count, width), np.float32)
+    affine_into(rows, weights.first, weights.encoder_biases[:width], block)
+    _rectify(block)
+    block = block.reshape(6 * count, sizes[0])
+    start, bias = 0, width
+    for layer in range(1, len(sizes)):
+        m, b = sizes[layer - 1], sizes[layer]
+        dictionary = weights.dictionaries[start : start + m * b].reshape(m, b)
+        narrower = np.empty((6 * count, b), np.float32)
+        affine_into(block, dictionary, weights.encoder_biases[bias : bias + b], narrower)
+        _rectify(narrower)
+        block, start, bias = narrower, start + m * b, bias + b
+    size = weights.code_size
+    flat = block.reshape(count, 6 * size)
+    for k in range(count):
+        for i in range(size):
+            codes[k, i] = _dot(weights.heads[i], flat[k]) + weights.biases[i]
+        for i in range(6):
+            matrices[k, i // 3, i % 3] = (
+                _dot(weights.heads[size + i], flat[k]) + weights.biases[size + i]
+            )
+
+
+@inner
+def _decode_into(weights: DictionaryWeights, code: Float32, points: NDArray[np.float64]) -> None:
+    """Do what `HierarchicalPrior.decode` does, for one code."""
+    sizes = weights.sizes
+    threshold, start = len(weights.decoder_thresholds), len(weights.dictionaries)
+    for layer in range(len(sizes) - 1, 0, -1):
+        m, b = sizes[layer - 1], sizes[layer]
+        start, threshold = start - m * b, threshold - m
+        dictionary = weights.dictionaries[start : start + m * b].reshape(m, b)
+        wider = np.empty(m, np.float32)
+        for i in range(m):
+            value = _dot(dictionary[i], code) - weights.decoder_thresholds[threshold + i]
+            wider[i] = max(value, np.float32(0))
+        code = wider
+    for p in range(len(points)):
+        for i in range(3):
+            points[p, i] = _dot(weights.atoms[3 * p + i], code)
+
+
+@inner
+def _rectify(block: Float32) -> None:
+    """Set what is negative to zero: thresholds were subtracted before."""
+    for i in range(block.shape[0]):
+        for j in range(block.shape[1]):
+            block[i, j] = max(block[i, j], np.float32(0))
+
+
+@reordered
+def _dot(a: Float32, b: Float32) -> np.float32:
+    summed = np.float32(0)
+    for i in range(len(a)):
+        summed += a[i] * b[i]
+    return summed
+
+
+class HierarchicalPrior(Prior):
     """Dictionaries of L layers, shared by encoder and decoder, with their sparsity thresholds."""
 
+    laid_out = DictionaryWeights
+    encode_into = staticmethod(_encode_into)
+    decode_into = staticmethod(_decode_into)
+
     def __init__(self, keypoints: int, sizes: tuple[int, ...]) -> None:
-        super().__init__()
-        self.keypoints = keypoints
+        super().__init__(keypoints, code_size=sizes[-1])
         layers = range(1, len(sizes))
+        self.sizes = sizes
         # D_1 is (P, 3 B_1), one 3D point per keypoint and atom; D_l is (B_{l-1}, B_l).
         self.first = nn.Parameter(torch.empty(keypoints, 3 * sizes[0]))
         self.dictionaries = nn.ParameterList(torch.empty(sizes[i - 1], sizes[i]) for i in layers)
@@ -37,21 +122,6 @@ class HierarchicalPrior(nn.Module):
         self.decoder_thresholds = nn.ParameterList(torch.empty(sizes[i - 1]) for i in layers)
         self.unrotate = nn.Linear(6 * sizes[-1], sizes[-1])
         self.rotate = nn.Linear(6 * sizes[-1], 6)
-
-    def initialise(self, seed: int) -> None:
-        """Draw the weights anew from `seed`, leaving torch's own generator alone."""
-        generator = torch.Generator().manual_seed(seed)
-        for name, parameter in self.named_parameters():
-            if parameter.ndim == 1:
-                nn.init.zeros_(parameter)
-            else:
-                # Rows are what a layer reads, save for nn.Linear, which stores its transpose.
-                fan_in = parameter.shape[1 if name.endswith("weight") else 0]
-                nn.init.normal_(parameter, std=fan_in**-0.5, generator=generator)
-
-    def widest(self, weights: Tensor) -> int:
-        """Numbers in a sixth of the widest layer for one frame of `weights` (N, K, P)."""
-        return weights.shape[1] * max(weights.shape[2], len(self.encoder_thresholds[0]))
 
     def encode(self, views: Tensor) -> tuple[Tensor, Tensor]:
         """Codes (M, B_L) of M centred views (M, P, 2), and matrices (M, 2, 3) near rotations."""
@@ -61,7 +131,7 @@ class HierarchicalPrior(nn.Module):
         rows = views.mT.reshape(-1, self.keypoints)  # (2 M, P)
         threshold = self.encoder_thresholds[0].repeat(3)
         block = torch.relu_(torch.addmm(-threshold, rows, self.first))  # (2 M, 3 B_1)
-        block = block.reshape(6 * len(views), len(self.encoder_thresholds[0]))  # (6 M, B_1)
+        block = block.reshape(6 * len(views), self.sizes[0])  # (6 M, B_1)
         for dictionary, threshold in zip(
             self.dictionaries, self.encoder_thresholds[1:], strict=True
         ):
@@ -80,70 +150,32 @@ class HierarchicalPrior(nn.Module):
         atoms = self.first.reshape(3 * self.keypoints, -1)  # (3 P, B_1)
         return (code @ atoms.T).reshape(-1, self.keypoints, 3)
 
-    def forward(self, keypoints: Tensor, weights: Tensor) -> Reconstruction:
-        """Reconstruct frames from normalised keypoints (N, K, P, 2) with weights (N, K, P)."""
-        points, _, turns = self.reproject(keypoints, weights)
-        guesses, _ = nearest_rotation(turns)
-        cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
-        return Reconstruction(points, cameras, guesses)
+    def width(self) -> int:
+        """Numbers of the first layer, whose rows are six for a view."""
+        return 6 * max(self.keypoints, self.sizes[0])
 
-    def reproject(self, keypoints: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Reconstruct frames as `forward` does, as far as training needs it.
+    def multiplications(self) -> int:
+        """About how many multiplications the encoder takes for a view."""
+        inner_layers = sum(outer * inner for outer, inner in pairwise(self.sizes))
+        return 6 * self.keypoints * self.sizes[0] + 6 * inner_layers
 
-        Returns
-        -------
-        tuple
-            Structures (N, P, 3), their projections (N, K, P, 2), and matrices (N, K, 2, 3) whose
-            nearest rotations are the guesses.
-        """
-        votes = weights.sum(-1)  # (N, K)
-        there = votes > 0
-        # Pooling, paper eq. "pool", as a mean over the views that are there, weighted by how much
-        # of the object each one shows: a sum would shrink the code when a view is missing.
-        votes = (votes / votes.sum(-1, keepdim=True).clamp_min(1e-6))[:, None]  # (N, 1, K)
-
-        nothing = keypoints.new_zeros
-        codes = nothing(*there.shape, len(self.unrotate.bias))
-        turns = nothing(*there.shape, 2, 3)
-        codes, turns = self._read(keypoints, there, codes, turns)
-        points, projected = self._geometry(votes, codes, turns, keypoints, weights)
-        hidden = (weights < 1).any(-1) & there
-        if hidden.any():
-            # What is hidden is filled with its reprojection and the views are read once more.
-            filled = fill(projected, keypoints, weights)
-            codes, turns = self._read(filled, hidden, codes, turns)
-            points, projected = self._geometry(votes, codes, turns, keypoints, weights)
-        return points, projected, turns
-
-    def _read(
-        self, seen: Tensor, which: Tensor, codes: Tensor, turns: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Renew codes (N, K, B_L) and matrices (N, K, 2, 3) of the views `which` (N, K)."""
-        views = seen.flatten(0, 1)
-        if which.all():
-            new_codes, new_turns = self.encode(views)
-        else:
-            places = which.flatten().nonzero()[:, 0]
-            parts = self.encode(views[places])
-            new_codes = codes.flatten(0, 1).index_copy(0, places, parts[0])
-            new_turns = turns.flatten(0, 1).index_copy(0, places, parts[1])
-        return new_codes.view_as(codes), new_turns.view_as(turns)
-
-    def _geometry(
-        self, votes: Tensor, codes: Tensor, turns: Tensor, keypoints: Tensor, weights: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        pooled = (votes @ codes)[:, 0]  # (N, B_L)
-        return reproject(self.decode(pooled), turns, keypoints, weights)
-
-
-def multiplications(views: int, keypoints: int, sizes: tuple[int, ...]) -> int:
-    """Return about how many multiplications the encoder takes for a frame, which are most."""
-    layers = pairwise(sizes)
-    return views * (6 * keypoints * sizes[0] + 6 * sum(outer * inner for outer, inner in layers))
-
-
-def parameter_shapes(keypoints: int, sizes: tuple[int, ...]) -> dict[str, tuple[int, ...]]:
-    """Name and shape of every parameter of such a prior, without allocating any."""
-    with torch.device("meta"):
-        network = HierarchicalPrior(keypoints, sizes)
-    return {name: tuple(value.shape) for name, value in network.named_parameters()}
+    @classmethod
+    def lay_out(cls, arrays: Arrays, sizes: tuple[int, ...]) -> DictionaryWeights:
+        """Lay out the parameters, by name, for the compiled functions."""
+        a = {name: np.ascontiguousarray(part.numpy(), np.float32) for name, part in arrays.items()}
+        layers = range(1, len(sizes))
+        nothing = np.zeros(0, np.float32)
+        keypoints = len(a["first"])
+        thresholds = [a[f"encoder_thresholds.{i}"] for i in range(len(sizes))]
+        return DictionaryWeights(
+            keypoints,
+            sizes[-1],
+            np.array(sizes),
+            a["first"],
+            a["first"].reshape(3 * keypoints, -1),
+            np.concatenate([nothing, *(a[f"dictionaries.{i - 1}"].ravel() for i in layers)]),
+            -np.concatenate([np.tile(thresholds[0], 3), *thresholds[1:]]),
+            np.concatenate([nothing, *(a[f"decoder_thresholds.{i - 1}"] for i in layers)]),
+            np.concatenate((a["unrotate.weight"], a["rotate.weight"])),
+            np.concatenate((a["unrotate.bias"], a["rotate.bias"])),
+        )
