@@ -131,7 +131,9 @@ def prepare(arguments: argparse.Namespace) -> Model:
     capture = from_options(arguments)
     prior = model_from_options(arguments, capture)
     if prior.config.prior != "hierarchical":
-        sys.exit(f"--model: the arithmetic is that of a hierarchical prior, got {prior.config.prior}")
+        sys.exit(
+            f"--model: the arithmetic is that of a hierarchical prior, got {prior.config.prior}"
+        )
     seen = as_observations(capture.keypoints, capture.confidence)
     whole = np.all(seen.weights > 0, axis=(1, 2))
     names = HierarchicalPrior(prior.keypoints_per_frame, prior.config.dictionary_sizes)

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from models.settings.calibration import Camera, KnownLength
 from models.settings.priors import (
@@ -33,16 +33,6 @@ class FitConfig(BaseModel):
             " sized by `dictionary_sizes`; `mlp` a plain encoder and decoder, sized by `mlp`."
         ),
     )
-    learning_rate: float = Field(
-        # From the field above, the only one that the default may depend on.
-        default_factory=lambda told: PRIORS[told["prior"]].learning_rate,
-        gt=0,
-        le=1,
-        description=(
-            "Adam's step size at the start; it falls to zero along half a cosine. Default: what"
-            " suits the prior, 0.01 for `hierarchical`, 0.002 for `mlp`."
-        ),
-    )
     dictionary_sizes: DictionarySizes = Field(
         default=(128, 32),
         min_length=1,
@@ -53,11 +43,23 @@ class FitConfig(BaseModel):
             " structure."
         ),
     )
-    mlp: MlpSizes = Field(default=MlpSizes(), description="Sizes of the prior `mlp`.")
+    mlp: MlpSizes = Field(
+        default=MlpSizes(), description="Sizes of the encoder and decoder of the prior `mlp`."
+    )
     steps: int = Field(
         default=4500, ge=1, le=1_000_000, description="Optimiser steps; each sees one batch."
     )
     batch_size: int = Field(default=64, ge=1, le=512, description="Frames in one step.")
+    learning_rate: float | None = Field(
+        default=None,
+        validate_default=True,
+        gt=0,
+        le=1,
+        description=(
+            "Adam's step size at the start; it falls to zero along half a cosine. Null, which is"
+            " replaced by it: what suits the prior, 0.01 for `hierarchical`, 0.002 for `mlp`."
+        ),
+    )
     budget_s: float | None = Field(
         default=None,
         ge=1,
@@ -135,6 +137,12 @@ class FitConfig(BaseModel):
             " in the unit of that truth (the paper's is 10 cm)."
         ),
     )
+
+    @field_validator("learning_rate")
+    @classmethod
+    def _suits_the_prior(cls, rate: float | None, told: ValidationInfo) -> float | None:
+        prior = told.data.get("prior")  # there is none if it is not valid
+        return PRIORS[prior].learning_rate if rate is None and prior is not None else rate
 
     @model_validator(mode="after")
     def _sizes_are_those_of_the_prior(self) -> "FitConfig":

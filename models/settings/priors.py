@@ -30,7 +30,7 @@ ARCHITECTURE = ("prior", *(settings.sizes for settings in PRIORS.values()))
 
 
 class MlpSizes(BaseModel):
-    """Sizes of the prior `mlp`."""
+    """How large the prior `mlp` is."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -6,6 +6,7 @@ fit is short of time, or learns nothing more: then the rest of it is laid out an
 
 import math
 from dataclasses import dataclass, replace
+from typing import cast
 
 from models.settings.config import FitConfig
 
@@ -32,7 +33,8 @@ class Schedule:
         refreshes: tuple[float, ...] = REFRESHES if config.refine == "off" else DISCOVERY
         if not config.distillation and config.refine == "off":
             refreshes = ()
-        return cls(config.learning_rate, refreshes, config.steps, config.steps)
+        rate = cast("float", config.learning_rate)  # which the configuration has filled in
+        return cls(rate, refreshes, config.steps, config.steps)
 
     def share_at(self, step: int) -> float:
         """Return the share of the fit that is done before a step."""

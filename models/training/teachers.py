@@ -46,7 +46,9 @@ def find_teachers(
 
     `keypoints` (N, K, P, 2) and `weights` (N, K, P) are normalised. None without such frames.
     """
-    drawn, places = draw_teachers(weights, most=most, widest=weights.shape[1] * network.width(), seed=seed)
+    drawn, places = draw_teachers(
+        weights, most=most, widest=weights.shape[1] * network.width(), seed=seed
+    )
     if not len(drawn):
         return None
     keypoints, weights = keypoints[drawn], weights[drawn]

@@ -145,8 +145,6 @@ def from_validation(error: ValidationError | RequestValidationError) -> ApiError
     """Return the errors that pydantic found, each with a pointer to its field."""
     found = []
     for item in error.errors():
-        if item["type"] == "default_factory_not_called":
-            continue  # what the default depends on is wrong, and is reported itself
         place = [str(part).replace("~", "~0").replace("/", "~1") for part in item["loc"]]
         if isinstance(error, RequestValidationError):  # query, path or header comes first
             place = place[1:]

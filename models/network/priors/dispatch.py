@@ -17,8 +17,6 @@ from models.network.priors.registry import PRIORS
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
-OPTIONS = {"error_model": "numpy"}  # as in models.numerics.compiled
-
 
 def encode_into(weights: Weights, views: Float32, codes: Float32, matrices: Float64) -> None:
     """Write codes (K, B) and matrices near rotations (K, 2, 3) of normalised views (K, P, 2)."""
@@ -30,7 +28,7 @@ def decode_into(weights: Weights, code: Float32, points: Float64) -> None:
     raise NotImplementedError("only compiled functions call this")
 
 
-@overload(encode_into, jit_options=OPTIONS)
+@overload(encode_into, jit_options={"error_model": "numpy"})
 def _choose_encoder(weights: Any, views: Any, codes: Any, matrices: Any) -> Any:
     encode = _prior_of(weights).encode_into
 
@@ -40,7 +38,7 @@ def _choose_encoder(weights: Any, views: Any, codes: Any, matrices: Any) -> Any:
     return call
 
 
-@overload(decode_into, jit_options=OPTIONS)
+@overload(decode_into, jit_options={"error_model": "numpy"})
 def _choose_decoder(weights: Any, code: Any, points: Any) -> Any:
     decode = _prior_of(weights).decode_into
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from models.capture.observations import Observations, as_observations
 from models.network.answers import Answers, make_answers
-from models.network.feed_forward import feed_forward, lay_out
+from models.network.feed_forward import feed_forward
 from models.network.priors.hierarchical import HierarchicalPrior
 from models.network.settling import (
     SETTLE_ALL,
@@ -52,9 +52,8 @@ def seen_of(frames: int, views: int, keypoints: int, *, gaps: bool) -> Observati
 def answers_of(
     network: HierarchicalPrior, seen: Observations, foreshortening: float, policy: SettlingPolicy
 ) -> Answers:
-    sizes = tuple(len(part) for part in network.encoder_thresholds)
     answers = make_answers(*seen.weights.shape)
-    prepared = lay_out(dict(network.named_parameters()), sizes)
+    prepared = network.lay_out(dict(network.named_parameters()), network.sizes)
     feed_forward(prepared, seen, foreshortening, policy, 0, len(seen.sizes), answers)
     return answers
 
@@ -121,7 +120,7 @@ def test_frames_outside_of_the_slice_are_left_alone() -> None:
     network, seen = network_of((9,), 6), seen_of(5, 2, 6, gaps=False)
     whole, part = answers_of(network, seen, 0.1, SETTLE_NONE), make_answers(5, 2, 6)
     part.points3d[:] = 7
-    prepared = lay_out(dict(network.named_parameters()), (9,))
+    prepared = network.lay_out(dict(network.named_parameters()), network.sizes)
     feed_forward(prepared, seen, 0.1, SETTLE_NONE, 1, 3, part)
     np.testing.assert_array_equal(part.points3d[1:3], whole.points3d[1:3])
     assert (part.points3d[[0, 3, 4]] == 7).all()
