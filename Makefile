@@ -1,5 +1,6 @@
 # make demo   set up, then run the main job end to end: `make demo CAPTURE=file.npz` for your own
-# make test   set up, then lint, type-check and test
+# make test   set up, then lint, type-check and test everything
+# make check  lint, type-check and test what you changed: docs/development.md
 # make fidelity   measure errors: `make fidelity CAPTURE=file.npz`, else on the example
 # make benchmark  time lifts; benchmark-load, -fit, -scaling, -runtimes: see benchmarks/README.md
 # make performance   write all figures of docs/performance.md anew
@@ -11,18 +12,29 @@ CAPTURE ?=
 ARGUMENTS ?=
 IMAGE_SIZE ?=
 
-.PHONY: demo test serve openapi benchmark fidelity performance clean
+.PHONY: demo test check lint types serve openapi benchmark fidelity performance clean
 
-demo: .venv/ready
+demo: .venv/compiled
 	$(BIN)/python examples/demo.py $(if $(CAPTURE),"$(CAPTURE)")
 
-test: .venv/ready
+# Four tests at a time: many wait for processes, so two cores are busy.
+test: lint
+	$(MAKE) --jobs 2 types .venv/compiled
+	$(BIN)/pytest --numprocesses 4 --dist worksteal
+
+check: lint types
+	rooms=$$($(BIN)/python tests/rooms_changed.py) && if [ -z "$$rooms" ]; \
+	then echo "No file that has tests was changed."; \
+	else $(BIN)/pytest --numprocesses 2 --dist worksteal tests/test_floors.py $$rooms; fi
+
+lint: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/pytest
 
-serve: .venv/ready
+types: .venv/ready
+	$(BIN)/mypy
+
+serve: .venv/compiled
 	$(BIN)/fewview serve
 
 benchmark: .venv/ready
@@ -55,6 +67,10 @@ openapi: .venv/ready
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	touch $@
+
+# The inner loops as machine code, before several processes want it at a time.
+.venv/compiled: .venv/ready $(shell find models -name '*.py')
 	$(BIN)/python -m models.training.precompile
 	touch $@
 
