@@ -5,12 +5,12 @@ import math
 import torch
 from torch import Tensor
 
-MEAN, SQUARE = 0.9, 0.999  # what the running means keep of themselves at each step
-TINY = 1e-8
+MEAN_KEPT, SQUARE_KEPT = 0.9, 0.999  # what the running means keep of themselves at each step
+SMALLEST_ROOT = 1e-8  # added to the root of the squares, which is divided by
 
 
 class Adam:
-    """Kingma and Ba, *Adam: a method for stochastic optimization*, 2015, of one tensor."""
+    """Kingma and Ba, *Adam: a method for stochastic optimization*, 2015, of one tensor (W,)."""
 
     def __init__(self, weights: Tensor) -> None:
         self.weights = weights
@@ -18,8 +18,8 @@ class Adam:
 
     @torch.no_grad()
     def step(self, gradient: Tensor, *, count: int, rate: float) -> None:
-        """Take step number `count`, from 1 on."""
-        self.mean.lerp_(gradient, 1 - MEAN)
-        self.square.mul_(SQUARE).addcmul_(gradient, gradient, value=1 - SQUARE)
-        root = self.square.sqrt().div_(math.sqrt(1 - SQUARE**count)).add_(TINY)
-        self.weights.addcdiv_(self.mean, root, value=-rate / (1 - MEAN**count))
+        """Take step number `count`, from 1 on, along a gradient (W,)."""
+        self.mean.lerp_(gradient, 1 - MEAN_KEPT)
+        self.square.mul_(SQUARE_KEPT).addcmul_(gradient, gradient, value=1 - SQUARE_KEPT)
+        root = self.square.sqrt().div_(math.sqrt(1 - SQUARE_KEPT**count)).add_(SMALLEST_ROOT)
+        self.weights.addcdiv_(self.mean, root, value=-rate / (1 - MEAN_KEPT**count))

@@ -12,8 +12,10 @@ from models.network.losses import Batch
 from models.training.teachers import Teachers
 from models.training.virtual_views import drop_views, virtual_views
 
-VIRTUAL = (0.1, 0.5)  # shares of a batch that virtual views take, if all frames are taught or none
-TAUGHT = 0.02  # weight of the (weak-perspective) reprojection error where teachers know perspective
+# Shares of a batch that virtual views take if all frames have a teacher, and if none has.
+VIRTUAL_IF_TAUGHT, VIRTUAL_IF_NOT = 0.1, 0.5
+# Weight of the reprojection error, which is weak perspective's, where teachers know perspective.
+TAUGHT_WEIGHT = 0.02
 
 
 class Data(NamedTuple):
@@ -25,38 +27,41 @@ class Data(NamedTuple):
     centres: Tensor  # (N, K, 2) pixels
 
     @classmethod
-    def of(cls, seen: Observations, frames: NDArray[np.int64]) -> "Data":
-        """Take some frames of a capture."""
+    def of(cls, observations: Observations, frames: NDArray[np.int64]) -> "Data":
+        """Take some frames (N,) of a capture."""
         return cls(
             *(
                 torch.from_numpy(part[frames])
-                for part in (seen.keypoints, seen.weights, seen.sizes, seen.centres)
+                for part in (
+                    observations.keypoints,
+                    observations.weights,
+                    observations.sizes,
+                    observations.centres,
+                )
             )
         )
 
     def pixels(self, frames: Tensor) -> Tensor:
-        """Keypoints (T, K, P, 2) of some frames in pixels, in float64."""
+        """Return keypoints (T, K, P, 2) of some frames (T,) in pixels, in float64."""
         sizes, centres = self.sizes[frames].double(), self.centres[frames].double()
         return self.keypoints[frames] * sizes[..., None, None] + centres[..., None, :]
 
 
 class Batches:
-    """Batches that are functions of seed, step and teachers only."""
+    """Batches that depend on the seed, the step and the teachers only."""
 
     def __init__(self, data: Data, *, size: int, seed: int) -> None:
         self._data = data
         self._size = min(size, len(data.keypoints))
         self._seed = seed
-        self._epoch = (-1, np.empty(0, np.int64))
+        self._epoch: tuple[int, NDArray[np.int64]] | None = None  # the last one and its order
 
     def draw(self, step: int, teachers: Teachers | None, *, perspective: bool) -> Batch:
         """Draw the batch of a step; `perspective` says that teachers were refined with it."""
         frames = torch.from_numpy(self._frames(step))
         virtual = 0
         if teachers is not None:
-            taught = len(teachers.points) / len(teachers.places)
-            share = VIRTUAL[1] + (VIRTUAL[0] - VIRTUAL[1]) * taught if perspective else VIRTUAL[1]
-            virtual = int(share * len(frames))
+            virtual = int(_virtual_share(teachers, perspective=perspective) * len(frames))
         own = len(frames) - virtual
         frames = frames[:own]
         data, size = self._data, self._size
@@ -75,17 +80,17 @@ class Batches:
             return batch
 
         rng = np.random.default_rng([self._seed, step, 1])
-        batch.teachers[own:], batch.keypoints[own:], batch.weights[own:] = virtual_views(
-            teachers, data.weights, virtual, rng
-        )
+        views = virtual_views(teachers, data.weights, virtual, rng)
+        batch.teachers[own:] = views.points
+        batch.keypoints[own:] = views.keypoints
+        batch.weights[own:] = views.weights
         batch.taught[own:] = 1
-        places = teachers.places[frames]
-        known = (places >= 0).nonzero()[:, 0]
-        batch.teachers[known] = teachers.points[places[known]]
-        batch.taught[known] = 1
+        taught = teachers.taught[frames].nonzero()[:, 0]
+        batch.teachers[taught] = teachers.points[teachers.indices[frames[taught]]]
+        batch.taught[taught] = 1
         if perspective:
-            batch.weights[known] = drop_views(batch.weights[known], rng)
-            batch.factors.sub_((1 - TAUGHT) * batch.taught)
+            batch.weights[taught] = drop_views(batch.weights[taught], rng)
+            batch.factors.sub_((1 - TAUGHT_WEIGHT) * batch.taught)
         return batch
 
     def _frames(self, step: int) -> NDArray[np.int64]:
@@ -97,7 +102,15 @@ class Batches:
         return picked
 
     def _order(self, epoch: int) -> NDArray[np.int64]:
-        if epoch != self._epoch[0]:
+        if self._epoch is None or self._epoch[0] != epoch:
             rng = np.random.default_rng([self._seed, epoch])
             self._epoch = (epoch, rng.permutation(len(self._data.keypoints)))
         return self._epoch[1]
+
+
+def _virtual_share(teachers: Teachers, *, perspective: bool) -> float:
+    """Return the share of a batch that virtual views take."""
+    if not perspective:
+        return VIRTUAL_IF_NOT
+    taught = len(teachers.points) / len(teachers.taught)
+    return VIRTUAL_IF_NOT + (VIRTUAL_IF_TAUGHT - VIRTUAL_IF_NOT) * taught

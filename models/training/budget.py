@@ -1,19 +1,19 @@
-"""Laying out what is left of a fit for the time there is."""
+"""Planning what is left of a fit for the time that is left."""
 
 import time
 from dataclasses import dataclass
 
 from models.training.schedule import Schedule
 
-EVERY = 25  # steps between two looks at the time
-WARM = 5  # first steps, which say nothing about the next
-RECENT = 0.1  # weight of the newest step in the running mean
-# Shares of the time that is left, as long as there is no measure: finding the cameras; a lesson,
-# which makes teachers anew; what comes after the last step.
-CAMERAS, LESSON, LAST = 0.35, 0.04, 0.08
-SEARCH = 0.6  # share of the time that is left after which cameras are given up
-DEAR = 0.2  # share of the time that is left: a lesson that costs more is left out
-LONGEST = 0.15  # share of the budget that is kept for the end at most
+PLAN_EVERY = 25  # steps
+WARM_UP_STEPS = 5  # which say nothing about how long the next ones take
+NEWEST_WEIGHT = 0.1  # of the newest step in the running mean
+# Shares of the time that is left, used as long as nothing was measured: finding the cameras; a
+# refresh, which makes teachers anew; the result, after the last step.
+CALIBRATION_SHARE, REFRESH_SHARE, RESULT_SHARE = 0.35, 0.04, 0.08
+CALIBRATION_LIMIT = 0.6  # share of the time that is left after which the search for cameras ends
+REFRESH_LIMIT = 0.2  # share of the time that is left: a refresh that takes more is left out
+RESULT_LIMIT = 0.15  # share of the budget that is kept for the result at most
 
 
 @dataclass
@@ -21,51 +21,65 @@ class Clock:
     """The time that a fit has taken, over all its attempts, and what its parts take."""
 
     seconds: float = 0.0
-    pace: float = 0.0  # seconds of a step, running mean
-    lesson: float = 0.0  # seconds of the last lesson; 0 before there was one
-    _mark: float = 0.0
+    step_seconds: float = 0.0  # of a step, running mean
+    refresh_seconds: float | None = None  # of the last refresh; None before there was one
+
+    def __post_init__(self) -> None:
+        self.start()
 
     def start(self) -> None:
         """Count from now on."""
-        self._mark = time.perf_counter()
+        self._counted_until = time.perf_counter()
 
-    def tick(self) -> float:
-        """Count what has passed since the last look, and return it."""
+    def count(self) -> float:
+        """Add the seconds since the last count or start, and return them."""
         now = time.perf_counter()
-        passed, self._mark = now - self._mark, now
+        passed, self._counted_until = now - self._counted_until, now
         self.seconds += passed
         return passed
 
-    def stepped(self, step: int) -> None:
-        """Count a step."""
-        took = self.tick()
-        self.pace = took if step <= WARM else self.pace + RECENT * (took - self.pace)
+    def count_step(self, step: int) -> None:
+        """Add the seconds of a step, and learn from them how long a step takes."""
+        took = self.count()
+        newest = 1.0 if step <= WARM_UP_STEPS else NEWEST_WEIGHT
+        self.step_seconds += newest * (took - self.step_seconds)
 
 
-def affordable(clock: Clock, budget: float) -> bool:
-    """Whether a lesson is worth its time."""
-    return clock.lesson <= DEAR * (budget - clock.seconds)
+def can_afford_refresh(clock: Clock, budget_s: float) -> bool:
+    """Whether making teachers anew is worth its time."""
+    return (clock.refresh_seconds or 0.0) <= REFRESH_LIMIT * (budget_s - clock.seconds)
 
 
-def relaid(
-    schedule: Schedule, step: int, clock: Clock, budget: float, *, cameras: bool, ending: float
+def plan_within_budget(
+    schedule: Schedule,
+    step: int,
+    clock: Clock,
+    budget_s: float,
+    *,
+    cameras_sought: bool,
+    result_seconds: float | None,
 ) -> Schedule:
     """Fill the time that is left with what is left of the fit, at the present pace.
 
     Parameters
     ----------
-    cameras
-        Whether they will be looked for.
-    ending
-        Seconds that the result will take, 0 as long as that is not known.
+    cameras_sought
+        Whether the cameras are still to be found, at the next refresh.
+    result_seconds
+        How long the result will take; None as long as that was not measured.
     """
-    lessons = len(schedule.refreshes) - schedule.refreshes_by(step)
-    left = budget - clock.seconds
-    keep = min(ending or LAST * left, LONGEST * budget)
-    if cameras and lessons:
-        keep += CAMERAS * left
-        lessons -= 1
-    if affordable(clock, budget):
-        keep += lessons * (clock.lesson or LESSON * left)
-    steps = min(max(int((left - keep) / clock.pace), 0), schedule.steps_left(step))
-    return schedule if steps == schedule.steps - step else schedule.shortened(step, steps)
+    refreshes = len(schedule.refreshes) - schedule.refreshes_due(step)
+    left = budget_s - clock.seconds
+    result = RESULT_SHARE * left if result_seconds is None else result_seconds
+    reserved = min(result, RESULT_LIMIT * budget_s)
+    if cameras_sought and refreshes:
+        reserved += CALIBRATION_SHARE * left
+        refreshes -= 1
+    if can_afford_refresh(clock, budget_s):
+        each = REFRESH_SHARE * left if clock.refresh_seconds is None else clock.refresh_seconds
+        reserved += refreshes * each
+    affordable = max(int((left - reserved) / clock.step_seconds), 0)
+    steps_left = min(affordable, schedule.full_steps_left(step))
+    if steps_left == schedule.steps - step:
+        return schedule
+    return schedule.with_steps_left(step, steps_left)

@@ -1,5 +1,6 @@
-"""Checkpoints of a fit, as safetensors bytes."""
+"""Checkpoints of a fit, as safetensors bytes: its numbers in the header, the rest as tensors."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -7,33 +8,13 @@ from torch import Tensor
 
 from models.calibrating.result import array_shapes, from_arrays, to_arrays
 from models.calibrating.self_calibration import Discovery
-from models.lifting.curve import CurvePoint
+from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, pack, read_about, unpack
+from models.training.state import TrainerState, state_from_json, state_to_json
 from models.training.teachers import Teachers
 
-TEACHERS, CAMERAS = "teachers.", "cameras."
-
-
-class State(NamedTuple):
-    """Numbers of a fit at one step."""
-
-    step: float
-    loss: float
-    error: float
-    steps: float  # this and the next two are the schedule's
-    since: float
-    done: float
-    seconds: float  # this and the next two are the clock's
-    pace: float
-    lesson: float
-    taught: float
-    mirrored: float
-    found_at: float
-    given_up: float
-    doubting: float
-    least: float
-    least_at: float
-    hurries: float
+TEACHERS, CAMERAS = "teachers.", "cameras."  # before the names of their arrays
+MOMENTS = ("first_moment", "second_moment")
 
 
 class Checkpoint(NamedTuple):
@@ -41,30 +22,26 @@ class Checkpoint(NamedTuple):
 
     weights: Tensor  # (W,) of the network
     moments: tuple[Tensor, Tensor]  # (W,) each, of Adam
-    state: State
-    curve: list[CurvePoint]
+    state: TrainerState
+    curve: Sequence[CurvePoint]
     teachers: Teachers | None
-    found: Discovery | None
+    self_calibration: Discovery | None
 
 
 def write(checkpoint: Checkpoint, *, config: str, data: str) -> bytes:
-    """Write a checkpoint of a fit of some configuration and data, both told apart by strings."""
+    """Write a checkpoint of a fit; the strings identify its configuration and its data."""
     arrays: Arrays = {
         "weights": checkpoint.weights,
-        "first_moment": checkpoint.moments[0],
-        "second_moment": checkpoint.moments[1],
-        "curve": torch.tensor(checkpoint.curve, dtype=torch.float64).reshape(-1, 3),
+        **dict(zip(MOMENTS, checkpoint.moments, strict=True)),
+        "curve": curve_to_tensor(checkpoint.curve),
     }
-    # Infinity is written as the largest number: files with anything else are taken for damaged.
-    arrays["state"] = torch.tensor(checkpoint.state, dtype=torch.float64).nan_to_num()
-    about = {"config": config, "data": data}
+    about = {"config": config, "data": data, "state": state_to_json(checkpoint.state)}
     if checkpoint.teachers is not None:
         about["teachers"] = str(len(checkpoint.teachers.points))
         for name, value in checkpoint.teachers._asdict().items():
-            number = _number(value) if isinstance(value, float) else value
-            arrays[f"{TEACHERS}{name}"] = number.double() if name == "places" else number
-    if checkpoint.found is not None:
-        cameras, about["cameras"] = to_arrays(checkpoint.found)
+            arrays[f"{TEACHERS}{name}"] = _as_floats(value)
+    if checkpoint.self_calibration is not None:
+        cameras, about["cameras"] = to_arrays(checkpoint.self_calibration)
         arrays |= {f"{CAMERAS}{name}": value for name, value in cameras.items()}
     return pack(arrays, kind="checkpoint", about=about)
 
@@ -74,68 +51,81 @@ def read(
     *,
     config: str,
     data: str,
-    numbers: int,
+    weights: int,
     shape: tuple[int, int, int],
 ) -> Checkpoint:
     """Read a checkpoint of the same configuration and data.
 
-    `numbers` W of a network are expected, and N, K, P of the data.
+    `weights` is the number W of the network's weights, `shape` are N, K and P of the data.
 
     Raises
     ------
     WeightsError
-        When it is damaged or was made for other data or another configuration.
+        When it is damaged, was written by another version, or was made for other data or another
+        configuration.
     """
     about = read_about(written, kind="checkpoint")
     if about.get("config") != config:
         raise WeightsError("the checkpoint was made for another configuration; start anew")
     if about.get("data") != data:
         raise WeightsError("the checkpoint was made for other keypoints; start anew")
-    shapes: Shapes = dict.fromkeys(("weights", "first_moment", "second_moment"), (numbers,))
-    shapes |= {"curve": (None, 3), "state": (len(State._fields),)}
+    state = state_from_json(about.get("state", ""))
     frames, views, keypoints = shape
+    shapes: Shapes = dict.fromkeys(("weights", *MOMENTS), (weights,))
+    shapes["curve"] = (None, 3)
     if "teachers" in about:
-        shapes |= {
-            f"{TEACHERS}points": (None, keypoints, 3),
-            f"{TEACHERS}rotations": (None, views, 3, 3),
-            f"{TEACHERS}seen": (None, views),
-            f"{TEACHERS}ups": (None, 3),
-            f"{TEACHERS}places": (frames,),
-            f"{TEACHERS}foreshortening": (1,),
-            f"{TEACHERS}noise": (1,),
-        }
+        for name, expected in _teacher_shapes(frames, views, keypoints).items():
+            shapes[f"{TEACHERS}{name}"] = expected
     if "cameras" in about:
         for name, expected in array_shapes(keypoints, views).items():
             shapes[f"{CAMERAS}{name}"] = expected
     arrays = unpack(written, shapes=shapes)
-    teachers = found = None
-    if "teachers" in about:
-        parts = _under(TEACHERS, arrays)
-        teachers = Teachers(
-            points=parts["points"],
-            rotations=parts["rotations"],
-            seen=parts["seen"],
-            ups=parts["ups"],
-            places=parts["places"].long(),
-            foreshortening=parts["foreshortening"].item(),
-            noise=parts["noise"].item(),
-        )
-    if "cameras" in about:
-        found = from_arrays(_under(CAMERAS, arrays), about["cameras"])
+    first, second = (arrays[name] for name in MOMENTS)
     return Checkpoint(
         weights=arrays["weights"],
-        moments=(arrays["first_moment"], arrays["second_moment"]),
-        state=State(*arrays["state"].tolist()),
-        curve=[CurvePoint(int(s), loss, error) for s, loss, error in arrays["curve"].tolist()],
-        teachers=teachers,
-        found=found,
+        moments=(first, second),
+        state=state,
+        curve=curve_from_tensor(arrays["curve"]),
+        teachers=_read_teachers(_below(TEACHERS, arrays)) if "teachers" in about else None,
+        self_calibration=(
+            from_arrays(_below(CAMERAS, arrays), about["cameras"]) if "cameras" in about else None
+        ),
     )
 
 
-def _number(value: float) -> Tensor:
+def _teacher_shapes(frames: int, views: int, keypoints: int) -> Shapes:
+    return {
+        "points": (None, keypoints, 3),
+        "rotations": (None, views, 3, 3),
+        "observed": (None, views),
+        "up_axes": (None, 3),
+        "taught": (frames,),
+        "indices": (frames,),
+        "foreshortening": (1,),
+        "noise": (1,),
+    }
+
+
+def _read_teachers(parts: Arrays) -> Teachers:
+    return Teachers(
+        points=parts["points"],
+        rotations=parts["rotations"],
+        observed=parts["observed"],
+        up_axes=parts["up_axes"],
+        taught=parts["taught"].bool(),
+        indices=parts["indices"].long(),
+        foreshortening=parts["foreshortening"].item(),
+        noise=parts["noise"].item(),
+    )
+
+
+def _as_floats(value: Tensor | float) -> Tensor:
+    """Return a part of the teachers as files hold it: tensors of floats."""
+    if isinstance(value, Tensor):
+        return value if value.is_floating_point() else value.double()
     return torch.tensor([value], dtype=torch.float64)
 
 
-def _under(prefix: str, arrays: Arrays) -> Arrays:
+def _below(prefix: str, arrays: Arrays) -> Arrays:
     """Return the arrays whose names begin with `prefix`, without it."""
     return {n.removeprefix(prefix): value for n, value in arrays.items() if n.startswith(prefix)}

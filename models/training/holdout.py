@@ -1,4 +1,4 @@
-"""Frames that a fit does not see, to tell when it learns nothing more."""
+"""Frames that a fit does not see, which tell when it learns nothing more."""
 
 import numpy as np
 import torch
@@ -10,30 +10,33 @@ from models.network.settling import first_order
 from models.optics.weak_perspective import nearest_rotation, solve_cameras
 from models.training.batches import Data
 
-SHARE = 0.05  # of the frames
-LEAST, MOST = 10, 200  # frames
+HELD_OUT_SHARE = 0.05  # of the frames
+LEAST_FRAMES, MOST_FRAMES = 10, 200  # that are held out
 ROUNDS = 3  # of solving for cameras and foreshortening in turn
 
 
 def split(frames: NDArray[np.int64], seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Divide frames into those to train on and those to hold out; none of few."""
-    count = min(int(SHARE * len(frames)), MOST)
-    if count < LEAST:
+    """Divide frames (N,) into those to train on and those to hold out, which may be none.
+
+    Of few frames none is held out.
+    """
+    count = min(int(HELD_OUT_SHARE * len(frames)), MOST_FRAMES)
+    if count < LEAST_FRAMES:
         return frames, frames[:0]
     order = np.random.default_rng([seed, 0, 4]).permutation(len(frames))
     return np.sort(frames[order[count:]]), np.sort(frames[order[:count]])
 
 
 class Holdout:
-    """Frames of which one view is predicted from the others, where there are others."""
+    """H frames of which one view is predicted from the others, where there are others."""
 
     def __init__(self, data: Data, seed: int) -> None:
         self._data = data
-        there = (data.weights > 0).any(-1)  # (H, K)
-        drawn = torch.from_numpy(np.random.default_rng([seed, 1, 4]).random(there.shape))
-        self._hidden = (drawn * there).argmax(1)  # (H,)
-        several = there.sum(1) > 1
-        self._shown = data.weights.clone()
+        observed = (data.weights > 0).any(-1)  # (H, K)
+        drawn = torch.from_numpy(np.random.default_rng([seed, 1, 4]).random(observed.shape))
+        self._hidden = (drawn * observed).argmax(1)  # (H,) the view that is predicted
+        several = observed.sum(1) > 1
+        self._shown = data.weights.clone()  # (H, K, P)
         self._shown[several, self._hidden[several]] = 0
 
     @torch.no_grad()

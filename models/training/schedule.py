@@ -1,7 +1,8 @@
-"""When a fit does what: learning rate, and the steps at which it makes teachers.
+"""When a fit does what: its learning rate, and the steps at which it makes teachers.
 
-Everything is a function of the share of the fit that is done. Steps and shares go together unless a
-fit is short of time, or learns nothing more: then the rest of it is laid out anew over fewer steps.
+Both depend on the share of the fit that is done. Every step adds as much to it as any other, unless
+a fit is short of time or learns nothing more: what is left of it is then planned anew over fewer
+steps.
 """
 
 import math
@@ -10,58 +11,63 @@ from typing import cast
 
 from models.settings.config import FitConfig
 
-REFRESHES = (1 / 2, 3 / 4)  # shares after which settled teachers are (re)made
-# Shares after which the cameras are found, and teachers with them, and after which the teachers are
-# made anew, with the network in place of the shape model.
-DISCOVERY = (1 / 3, 1 / 2, 2 / 3, 5 / 6)
+# Shares of the fit after which teachers are made, and made anew with a better network.
+WEAK_PERSPECTIVE_REFRESHES = (1 / 2, 3 / 4)
+# With perspective, the cameras are found at the first of these.
+PERSPECTIVE_REFRESHES = (1 / 3, 1 / 2, 2 / 3, 5 / 6)
+NEARLY_DONE = 1 - 1e-9  # share: what is left of a fit must not be nothing, as it is divided by
 
 
 @dataclass(frozen=True)
 class Schedule:
     """The plan of a fit from some step on."""
 
-    rate: float  # Adam's step size at the start
+    learning_rate: float  # Adam's step size at the start
     refreshes: tuple[float, ...]  # shares of the fit after which teachers are made
-    most: float  # steps of a whole fit that has all the time it needs
+    full_steps: int  # of a whole fit that has all the time it needs
     steps: int  # at which the fit ends
-    since: int = 0  # step at which this plan began
-    done: float = 0.0  # share of the fit that was done by then
+    first_step: int = 0  # step at which this plan began
+    done_before: float = 0.0  # share of the fit that was done by then
 
     @classmethod
     def of(cls, config: FitConfig) -> "Schedule":
         """Plan the fit that is configured."""
-        refreshes: tuple[float, ...] = REFRESHES if config.refine == "off" else DISCOVERY
-        if not config.distillation and config.refine == "off":
-            refreshes = ()
+        refreshes: tuple[float, ...] = PERSPECTIVE_REFRESHES
+        if config.refine == "off":
+            refreshes = WEAK_PERSPECTIVE_REFRESHES if config.distillation else ()
         rate = cast("float", config.learning_rate)  # which the configuration has filled in
         return cls(rate, refreshes, config.steps, config.steps)
 
     def share_at(self, step: int) -> float:
         """Return the share of the fit that is done before a step."""
-        ahead = max(self.steps - self.since, 1)
-        return self.done + (1 - self.done) * (step - self.since) / ahead
+        planned = max(self.steps - self.first_step, 1)
+        return self.done_before + (1 - self.done_before) * (step - self.first_step) / planned
 
-    def refreshes_by(self, step: int) -> int:
+    def refreshes_due(self, step: int) -> int:
         """Return how many times teachers are to be made before a step is taken."""
-        ahead = self.steps - self.since
-        shares = [(share - self.done) / (1 - self.done) for share in self.refreshes]
-        return sum(self.since + int(share * ahead) <= step for share in shares)
+        planned = self.steps - self.first_step
+        shares = [(share - self.done_before) / (1 - self.done_before) for share in self.refreshes]
+        return sum(self.first_step + int(share * planned) <= step for share in shares)
 
-    def rate_at(self, step: int, *, found: bool) -> float:
-        """Return the learning rate: half a cosine, two if the cameras are found on the way."""
-        start = self.refreshes[0] if found else 0.0
+    def rate_at(self, step: int, *, calibrated: bool) -> float:
+        """Return the learning rate of a step, which falls to zero along half a cosine.
+
+        When the cameras are found (`calibrated`), it starts again from the top.
+        """
+        start = self.refreshes[0] if calibrated else 0.0
         phase = max(self.share_at(step) - start, 0) / (1 - start)
-        return self.rate / 2 * (1 + math.cos(math.pi * phase))
+        return self.learning_rate / 2 * (1 + math.cos(math.pi * phase))
 
-    def steps_left(self, step: int) -> int:
+    def full_steps_left(self, step: int) -> int:
         """Return how many steps the rest takes that has all the time it needs."""
-        return round((1 - self.share_at(step)) * self.most)
+        return round((1 - self.share_at(step)) * self.full_steps)
 
-    def shortened(self, step: int, steps_left: int) -> "Schedule":
-        """Do what is left in so many steps."""
-        share = min(self.share_at(step), 1 - 1e-9)
-        return replace(self, since=step, done=share, steps=step + steps_left)
+    def with_steps_left(self, step: int, steps_left: int) -> "Schedule":
+        """Plan to do what is left at a step in so many more steps."""
+        share = min(self.share_at(step), NEARLY_DONE)
+        return replace(self, first_step=step, done_before=share, steps=step + steps_left)
 
-    def advanced(self, step: int, share: float) -> "Schedule":
-        """Leave out what lies before a share of the fit."""
-        return replace(self, since=step, done=share, steps=step + round((1 - share) * self.most))
+    def skipped_to(self, step: int, share: float) -> "Schedule":
+        """Go on at a step as if this share of the fit were done."""
+        left = round((1 - share) * self.full_steps)
+        return replace(self, first_step=step, done_before=share, steps=step + left)

@@ -19,11 +19,11 @@ from models.network.priors.prior import Prior
 from models.network.settling import estimate_foreshortening, first_order, mirrored, settle
 from models.optics.weak_perspective import solve_cameras
 
-TEACHERS = 2000  # at most; others are drawn at the next refresh
-NUMBERS = 12_000_000  # at most, in the widest layer for all teachers together: memory
+MOST_TEACHERS = 2000  # others are drawn at the next refresh
+MOST_NUMBERS = 12_000_000  # in the widest layer for all teachers together: memory
 ROUNDS = 12  # of settling; with two, teachers repeat the errors of the network they came from
-FORESHORTENED = slice(250)  # teachers that foreshortening is estimated from
-UPRIGHT = 0.1  # weight of "cameras stand upright" next to "cameras do not roll"
+FORESHORTENING_TEACHERS = slice(250)  # teachers that foreshortening is estimated from
+UPRIGHT_WEIGHT = 0.1  # of "cameras stand upright" next to "cameras do not roll"
 
 
 class Teachers(NamedTuple):
@@ -31,9 +31,10 @@ class Teachers(NamedTuple):
 
     points: Tensor  # (T, P, 3) centred, root-mean-square radius 1, in the network's handedness
     rotations: Tensor  # (T, K, 3, 3) of the cameras that saw them
-    seen: Tensor  # (T, K) 1 where there was such a camera
-    ups: Tensor  # (T, 3) unit vectors along gravity, either way
-    places: Tensor  # (N,) place of every frame of the capture among the teachers, -1 if it has none
+    observed: Tensor  # (T, K) 1 where there was such a camera, else 0
+    up_axes: Tensor  # (T, 3) unit vectors along gravity, upwards or downwards
+    taught: Tensor  # (N,) whether a frame of the capture has a teacher
+    indices: Tensor  # (N,) which teacher that is; of no meaning for other frames
     foreshortening: float  # k in the network's handedness, see models.network.settling
     noise: float  # standard deviation of a keypoint's coordinate, as a share of its view's size
 
@@ -46,17 +47,15 @@ def find_teachers(
 
     `keypoints` (N, K, P, 2) and `weights` (N, K, P) are normalised. None without such frames.
     """
-    drawn, places = draw_teachers(
-        weights, most=most, widest=weights.shape[1] * network.width(), seed=seed
-    )
-    if not len(drawn):
+    frames = draw_frames(weights, most=most, width=network.width(), seed=seed)
+    if not len(frames):
         return None
-    keypoints, weights = keypoints[drawn], weights[drawn]
+    count = len(weights)
+    keypoints, weights = keypoints[frames], weights[frames]
 
     points, _, guesses = network(keypoints, weights)
-    foreshortening = estimate_foreshortening(
-        *(part[FORESHORTENED] for part in (points, keypoints, weights, guesses)), rounds=ROUNDS
-    )
+    some = (part[FORESHORTENING_TEACHERS] for part in (points, keypoints, weights, guesses))
+    foreshortening = estimate_foreshortening(*some, rounds=ROUNDS)
     early = settle(points, keypoints, weights, guesses, foreshortening)
     points, guesses = settle(points, keypoints, weights, guesses, foreshortening, rounds=ROUNDS)
     # Two views have hardly more equations than unknowns: more rounds would settle on their noise.
@@ -68,70 +67,92 @@ def find_teachers(
         points, guesses = mirrored(points, guesses)
 
     cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
-    seen = (weights.sum(-1) > 0).to(weights.dtype)
+    observed = (weights.sum(-1) > 0).to(weights.dtype)  # (T, K)
     projected, nearer = first_order(points, weights, cameras)
-    squared = (keypoints - projected - foreshortening * nearer).square().sum(-1)
-    # Noise: residual over degrees of freedom. A structure has 3 P numbers and a view's camera 6,
-    # less the 7 of a similarity.
+    squared = (keypoints - projected - foreshortening * nearer).square().sum(-1)  # (T, K, P)
+    noise = _noise(squared, weights, observed)
+    return as_teachers(points, cameras.rotations, observed, frames, count, foreshortening, noise)
+
+
+def _noise(squared: Tensor, weights: Tensor, observed: Tensor) -> float:
+    """Return the noise of a coordinate from squared errors (T, K, P): over degrees of freedom.
+
+    A structure has 3 P unknowns and a view's camera 6, less the 7 of a similarity.
+    """
     shown = weights > 0  # (T, K, P)
-    unknown = 3 * shown.any(1).sum(-1) + 6 * seen.sum(1) - 7
+    unknown = 3 * shown.any(1).sum(-1) + 6 * observed.sum(1) - 7
     freedom = (2 * shown.sum((1, 2)) - unknown).clamp_min(0).sum()
-    noise = float(((weights * squared).sum() / freedom.clamp_min(1)).sqrt()) if freedom else 0.0
-    return as_teachers(points, cameras.rotations, seen, places, foreshortening, noise)
+    return float(((weights * squared).sum() / freedom.clamp_min(1)).sqrt()) if freedom else 0.0
 
 
-def draw_teachers(
-    weights: Tensor, *, most: int, widest: int, seed: list[int]
-) -> tuple[Tensor, Tensor]:
-    """Draw at most `most` of the frames with two views or more; (T,), and their places (N,).
+def draw_frames(weights: Tensor, *, most: int, width: int, seed: list[int]) -> Tensor:
+    """Draw at most `most` of the frames with two views or more; their indices (T,).
 
-    `widest` is how many numbers the widest layer of the network has for a frame.
+    `weights` (N, K, P) are those of the capture; `width` is how many numbers the widest layer of
+    the network has for a view.
     """
     frames = np.flatnonzero(((weights > 0).any(-1).sum(1) > 1).numpy())
-    most = max(1, min(most, TEACHERS, NUMBERS // widest))
-    drawn = torch.from_numpy(np.random.default_rng(seed).permutation(frames)[:most])
-    places = torch.full((len(weights),), -1)
-    places[drawn] = torch.arange(len(drawn))
-    return drawn, places
+    widest = weights.shape[1] * width
+    most = max(1, min(most, MOST_TEACHERS, MOST_NUMBERS // widest))
+    return torch.from_numpy(np.random.default_rng(seed).permutation(frames)[:most])
 
 
 def as_teachers(
     points: Tensor,
     rotations: Tensor,
-    seen: Tensor,
-    places: Tensor,
+    observed: Tensor,
+    frames: Tensor,
+    count: int,
     foreshortening: float,
     noise: float,
 ) -> Teachers:
-    """Make teachers of settled structures and the rotations of the cameras that saw them."""
+    """Make teachers of settled structures and the rotations of the cameras that saw them.
+
+    They come from `frames` (T,) of the `count` N of the capture.
+    """
     # Cameras hardly roll: their x axes are level, and up is what is most at right angles to all
     # of them; where they are too much alike to tell, along their y axes.
     x, y = rotations[..., 0, :], rotations[..., 1, :]  # (T, K, 3)
-    level = torch.einsum("tk,tki,tkj->tij", seen, x, x)
-    upright = torch.einsum("tk,tki,tkj->tij", seen, y, y)
-    ups = torch.linalg.eigh(UPRIGHT * upright - level).eigenvectors[..., -1]
-    return Teachers(points, rotations, seen, ups, places, foreshortening, noise)
+    level = torch.einsum("tk,tki,tkj->tij", observed, x, x)
+    upright = torch.einsum("tk,tki,tkj->tij", observed, y, y)
+    up_axes = torch.linalg.eigh(UPRIGHT_WEIGHT * upright - level).eigenvectors[..., -1]
+    taught = torch.zeros(count, dtype=torch.bool)
+    indices = torch.zeros(count, dtype=torch.long)
+    taught[frames] = True
+    indices[frames] = torch.arange(len(frames))
+    return Teachers(points, rotations, observed, up_axes, taught, indices, foreshortening, noise)
 
 
 def perspective_teachers(
     points: Tensor,
     rotations: Tensor,
     translations: Tensor,
-    seen: Tensor,
-    places: Tensor,
+    observed: Tensor,
+    frames: Tensor,
+    count: int,
     *,
     noise: float,
     reflected: bool,
 ) -> Teachers:
     """Make teachers of structures (T, P, 3) seen by perspective cameras, `x_cam = R X + t`.
 
-    Rotations are (T, K, 3, 3), translations (T, K, 3) in units of the structures; `reflected` if
-    the network's structures are mirror images of these.
+    Parameters
+    ----------
+    rotations, translations
+        (T, K, 3, 3) and (T, K, 3), in units of the structures.
+    observed
+        (T, K) whether there was such a camera; of others there may be any finite numbers.
+    frames, count
+        Indices (T,) of the frames that the structures come from, of the N of the capture.
+    noise
+        Standard deviation of a coordinate as a share of its view's size.
+    reflected
+        Whether the network's structures are mirror images of these.
     """
     radius = points.square().sum(-1).mean(-1).sqrt()  # (T,)
     distances = translations.norm(dim=-1) / radius[:, None]  # (T, K)
-    there = seen.to(points.dtype)
-    foreshortening = float((there / distances).sum() / there.sum())
+    weights = observed.to(points.dtype)
+    foreshortening = float((weights / distances).sum() / weights.sum())
     # Weak perspective looks along the ray to the subject, not along the axis of the lens.
     rays = torch.nn.functional.normalize(translations, dim=-1)
     ahead = rays.new_tensor([0.0, 0.0, 1.0]).expand_as(rays)
@@ -144,5 +165,5 @@ def perspective_teachers(
         points, rotations = mirrored(points, rotations)
         foreshortening = -foreshortening  # depths change their sign
     return as_teachers(
-        points.float(), rotations.float(), there.float(), places, foreshortening, noise
+        points.float(), rotations.float(), weights.float(), frames, count, foreshortening, noise
     )

@@ -1,4 +1,4 @@
-"""What a fit learns beside the network's weights: cameras, how far off it is, teachers."""
+"""What a fit makes beside the network's weights: cameras, the network's errors, teachers."""
 
 import logging
 import math
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.linalg import LinAlgError  # type: ignore[attr-defined]
 
-from models.bundle.shape_model import align, learn_doubts, no_doubts
 from models.calibrating.self_calibration import Answers as WeakPerspectiveAnswers
 from models.calibrating.self_calibration import (
     Discovery,
@@ -27,24 +26,17 @@ from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
 from models.network.priors.prior import Prior
-from models.network.settling import (
-    SETTLE_ALL,
-    SETTLE_NONE,
-    estimate_foreshortening,
-    settle_beyond,
-)
+from models.network.settling import estimate_foreshortening
 from models.settings.config import FitConfig
 from models.training.batches import Data
-from models.training.teachers import Teachers, draw_teachers, find_teachers, perspective_teachers
+from models.training.network_errors import learn_errors_of_network
+from models.training.state import TeachingState
+from models.training.teachers import Teachers, draw_frames, find_teachers, perspective_teachers
 
 logger = logging.getLogger(__name__)
 
-SLICE = 256  # frames between two chances to stop
+LIFTED_FRAMES = 256  # between two chances to stop
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
-DOUBT_FRAMES = 600  # plenty to learn what the network's errors are like
-USUAL_SHARE = 0.95  # of these frames: so many have a misfit that is usual for the network
-LEAST_DOUBTED = 5  # of these frames
-MOST_DOUBTED = 8  # views; with more it errs as with so many
 
 
 class Teaching:
@@ -58,55 +50,59 @@ class Teaching:
         image_sizes: ImageSizes | None,
         denoiser: ViewModel | None,
     ) -> None:
+        self.state = TeachingState("not_sought" if config.refine == "off" else "sought")
         self.teachers: Teachers | None = None
-        self.found: Discovery | None = None
-        self.found_at = -1  # step; what is interrupted there goes on with what was found
-        self.mirrored = False  # whether the network's structures are mirror images
-        self.given_up = config.refine == "off"  # cameras are not looked for
-        self.doubting = 0.0  # seconds that it took to learn the network's doubts, last time
+        self.self_calibration: Discovery | None = None
         self._network = network
         self._data = data
         self._config = config
         self._image_sizes = image_sizes
         self._denoiser = denoiser
 
-    def refresh(self, step: int, *, most: int) -> Iterator[None]:
-        """Make teachers anew, and find the cameras first if need be; yields now and then.
+    def make_teachers(self, step: int, *, most: int) -> Iterator[None]:
+        """Make teachers anew, and find the cameras first if they are sought.
 
-        `most` teachers are settled at most, if no cameras are to be found.
+        Yields now and then, to be stopped there: what was made until then is kept. A fit that goes
+        on from its last checkpoint at the same step goes on with the cameras it had found.
+        Without cameras, `most` teachers are settled at most.
         """
-        config, data = self._config, self._data
+        config, data, state = self._config, self._data, self.state
         seed = [config.seed, step, 2]
-        if self.given_up:
+        if state.cameras == "not_sought":
             if config.distillation:
                 self.teachers = find_teachers(
                     self._network, data.keypoints, data.weights, most=most, seed=seed
                 )
             return
-        widest = data.weights.shape[1] * self._network.width()
-        drawn, places = draw_teachers(
-            data.weights, most=len(data.weights), widest=widest, seed=seed
-        )
-        if not len(drawn):
+        every, width = len(data.weights), self._network.width()
+        frames = draw_frames(data.weights, most=every, width=width, seed=seed)
+        if not len(frames):
             return
-        if self.found is None:
-            yield from self._discover(drawn)
-            if self.found is None:
+        if self.self_calibration is None:
+            yield from self._find_cameras(frames)
+            if self.self_calibration is None:
                 return
-            self.found_at = step
-        elif self.found_at != step:
-            self.found = self._doubted(self.found, step)
+            state.cameras, state.found_at_step = "found", step
+        elif state.found_at_step != step:
+            self.self_calibration = self._with_network_errors(self.self_calibration, step)
         if config.distillation:
-            yield from self._refine_teachers(drawn, places)
+            yield from self._make_perspective_teachers(self.self_calibration, frames)
+
+    def stop_searching(self) -> None:
+        """Go on without cameras if they are not found by now."""
+        if self.self_calibration is None:
+            self.state.cameras = "not_sought"
 
     def result(self, step: int, curve: list[CurvePoint]) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
-        found = None if self.found is None else self._doubted(self.found, step)
+        found = self.self_calibration
+        if found is not None:
+            found = self._with_network_errors(found, step)
         return self._as_prior(found, self._denoiser, curve)
 
     def _as_prior(
         self,
-        found: Discovery | None,
+        self_calibration: Discovery | None,
         denoiser: ViewModel | None = None,
         curve: list[CurvePoint] | None = None,
     ) -> FittedPrior:
@@ -115,119 +111,78 @@ class Teaching:
         with torch.inference_mode():
             seen = self._network(keypoints, weights)
             foreshortening = estimate_foreshortening(seen.points, keypoints, weights, seen.guesses)
-        if found is not None:
-            foreshortening = abs(foreshortening) * (-1 if self.mirrored else 1)
+        if self_calibration is not None:
+            foreshortening = abs(foreshortening) * (-1 if self.state.mirrored else 1)
         return FittedPrior(
             config=self._config,
             arrays={n: value.detach().clone() for n, value in self._network.named_parameters()},
             curve=tuple(curve or ()),
             foreshortening=foreshortening,
-            found=found,
+            found=self_calibration,
             denoiser=denoiser,
         )
 
-    def _discover(self, frames: Tensor) -> Iterator[None]:
-        """Find the cameras from frames with two views or more."""
+    def _find_cameras(self, frames: Tensor) -> Iterator[None]:
+        """Find the cameras from frames (T,) with two views or more, if their keypoints tell."""
         frames = frames[: most_frames(*self._data.keypoints.shape[1:3])]
         pixels, weights = self._data.pixels(frames), self._data.weights[frames]
         prior = self._as_prior(None)
-        answers = weak_perspective_answers(prior.lift(pixels, confidence=weights))
+        answers = _weak_perspective(prior.lift(pixels, confidence=weights))
         try:
-            self.found, scene = yield from discover(
+            found, scene = yield from discover(
                 pixels, weights.double(), answers, self._config, self._image_sizes
             )
         except (LinAlgError, NothingFoundError):
             logger.warning("The keypoints do not say what the cameras are", exc_info=True)
             return
         if self._denoiser is not None:
-            reason = f"{self.found.reason}; {self._denoiser.noise:.3g} px of noise were removed"
-            noise = max(self.found.noise, self._denoiser.left)
-            self.found = replace(self.found, reason=reason, noise=noise)
-        turned = not same_hand(scene.points, answers[0])
-        self.mirrored = (prior.foreshortening < 0) != turned
+            reason = f"{found.reason}; {self._denoiser.noise:.3g} px of noise were removed"
+            found = replace(found, reason=reason, noise=max(found.noise, self._denoiser.left))
+        self.self_calibration = found
+        scene_is_mirrored = not same_hand(scene.points, answers[0])
+        self.state.mirrored = (prior.foreshortening < 0) != scene_is_mirrored
 
-    def _refine_teachers(self, frames: Tensor, places: Tensor) -> Iterator[None]:
-        """Make teachers of `frames`, whose places among all frames are `places`."""
-        prior = self._as_prior(self.found)
-        parts = []
-        for some in torch.split(frames, SLICE):
+    def _with_network_errors(self, self_calibration: Discovery, step: int) -> Discovery:
+        """Measure the network's errors as they are now, and the time that it takes."""
+        started = time.perf_counter()
+        measured = learn_errors_of_network(
+            self_calibration, self._data, self._as_prior, seed=[self._config.seed, step, 3]
+        )
+        self.state.result_seconds = time.perf_counter() - started
+        return measured
+
+    def _make_perspective_teachers(
+        self, self_calibration: Discovery, frames: Tensor
+    ) -> Iterator[None]:
+        """Make teachers of frames (T,), as far as they can be refined."""
+        prior = self._as_prior(self_calibration)
+        lifts = []
+        for some in torch.split(frames, LIFTED_FRAMES):
             yield
-            parts.append(
-                prior.lift(
-                    self._data.pixels(some), confidence=self._data.weights[some], refine="full"
-                )
-            )
-        lift = join(parts)
-        there = torch.from_numpy(lift.camera_models > 0)
-        fine = there.any(1)
-        if not fine.any():
+            pixels, weights = self._data.pixels(some), self._data.weights[some]
+            lifts.append(prior.lift(pixels, confidence=weights, refine="full"))
+        lift = join(lifts)
+        observed = torch.from_numpy(lift.camera_models > 0)  # (T, K)
+        refined = observed.any(1)
+        if not refined.any():
             return
-        places[frames] = torch.where(fine, fine.cumsum(0) - 1, -1)
-        sizes = self._data.sizes[frames][fine][there[fine]]
-        rotations, translations = (
-            torch.from_numpy(lift.rotations),
-            torch.from_numpy(lift.translations),
-        )
+        sizes = self._data.sizes[frames][refined][observed[refined]]
+        rotations = torch.from_numpy(lift.rotations)
+        translations = torch.from_numpy(lift.translations)
         self.teachers = perspective_teachers(
-            torch.from_numpy(lift.points3d)[fine],
-            torch.where(there[..., None, None], rotations, torch.eye(3))[fine],
-            torch.where(there[..., None], translations, 1.0)[fine],
-            there[fine],
-            places,
+            torch.from_numpy(lift.points3d)[refined],
+            torch.where(observed[..., None, None], rotations, torch.eye(3))[refined],
+            torch.where(observed[..., None], translations, 1.0)[refined],
+            observed[refined],
+            frames[refined],
+            len(self._data.keypoints),
             noise=prior.noise / float(sizes.mean()),
-            reflected=self.mirrored,
+            reflected=self.state.mirrored,
         )
 
-    def _doubted(self, found: Discovery, step: int) -> Discovery:
-        """Learn how far the network is off with one view, two, and so on, settled or as it is.
 
-        The measure is what refinement with the shape model alone makes of all views: one that
-        trusts the network would find it ever more trustworthy.
-        """
-        started, data = time.perf_counter(), self._data
-        there = (data.weights > 0).any(-1)
-        several = (there.sum(1) > 1).nonzero()[:, 0]
-        frames = several[:: math.ceil(max(len(several), 1) / DOUBT_FRAMES)]
-        pixels, weights, there = data.pixels(frames), data.weights[frames], there[frames]
-        found = replace(found, doubts=no_doubts(pixels.shape[2]), settling=SETTLE_ALL)
-        lift = self._as_prior(found).lift(pixels, confidence=weights, refine="full")
-        truth = torch.from_numpy(lift.points3d).double()
-        known = truth.isfinite().all(-1).all(-1)
-        rng = np.random.default_rng([self._config.seed, step, 3])
-        order = (torch.from_numpy(rng.random(there.shape)) - there.double()).argsort(1).argsort(1)
-        candidates = [found]
-        for policy in (SETTLE_ALL, SETTLE_NONE):
-            prior = self._as_prior(replace(found, settling=policy))
-            errors, misfits = [], []
-            for count in range(1, min(pixels.shape[1], MOST_DOUBTED) + 1):
-                which = known & (there.sum(1) >= count)
-                if which.sum() < LEAST_DOUBTED:
-                    break
-                shown = (weights * (order < count)[..., None])[which]
-                answer = prior.lift(pixels[which], confidence=shown, refine="off")
-                points = torch.from_numpy(answer.points3d).double()
-                aligned, _ = align(points, found.shapes.mean)
-                errors.append(align(truth[which], aligned)[0] - aligned)
-                misfits.append(_misfits(answer))
-            if errors:
-                doubts = learn_doubts(errors, found.shapes.mean)
-                # A lift settles every frame, or those whose misfit is unusual.
-                limit = float(np.quantile(np.concatenate(misfits), USUAL_SHARE))
-                chosen = policy if policy.every_frame else settle_beyond(limit)
-                candidates.append(replace(found, doubts=doubts, settling=chosen))
-        self.doubting = time.perf_counter() - started
-        return min(candidates[1:] or candidates, key=lambda c: float(c.doubts.scales.sum()))
-
-
-def _misfits(lift: Lift) -> NDArray[np.float64]:
-    """Reprojection error (N,) in units of the structure, as the compiled network has it."""
-    used = lift.keypoints_used
-    total = np.nansum(used * lift.reprojection_errors / lift.scales, axis=1)
-    return np.asarray(total / used.sum(1), np.float64)
-
-
-def weak_perspective_answers(lift: Lift) -> WeakPerspectiveAnswers:
-    """Structures, rotations, scales and translations (x, y) of a lift in float64.
+def _weak_perspective(lift: Lift) -> WeakPerspectiveAnswers:
+    """Return structures, rotations, scales and translations (x, y) of a lift in float64.
 
     Harmless numbers stand where there is no answer.
     """

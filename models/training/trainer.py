@@ -1,43 +1,50 @@
 """Fitting a prior to keypoints alone: minimise the reprojection error, resumably."""
 
-import copy
 import hashlib
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
-from torch import Tensor, nn
+from numpy.typing import ArrayLike, NDArray
 
 from models.calibrating.self_calibration import ImageSizes
 from models.capture.denoising import learn_views
 from models.capture.observations import Observations, as_observations
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
-from models.network.losses import objective
 from models.network.priors.prior import Prior
 from models.network.priors.registry import make_prior
 from models.settings.config import FitConfig
 from models.settings.priors import ARCHITECTURE
 from models.training import checkpoints
-from models.training.adam import Adam
 from models.training.batches import Batches, Data
-from models.training.budget import EVERY, SEARCH, WARM, Clock, affordable, relaid
-from models.training.checkpoints import Checkpoint, State
+from models.training.budget import (
+    CALIBRATION_LIMIT,
+    PLAN_EVERY,
+    WARM_UP_STEPS,
+    can_afford_refresh,
+    plan_within_budget,
+)
+from models.training.checkpoints import Checkpoint
 from models.training.holdout import Holdout, split
+from models.training.learner import Learner
 from models.training.schedule import Schedule
+from models.training.state import BestError, TrainerState
 from models.training.teaching import Teaching
 
 CURVE_ROWS = 200
-RECENT = 0.05  # weight of the newest batch in the running means
-PATIENCE, TOLERANCE = 0.1, 0.01  # share of the steps in which this share of the error must go
-CHECKS = 100  # of the held-out frames in a fit
-TAIL = 0.1  # share of the steps that the end takes of a fit that learns nothing more
+NEWEST_WEIGHT = 0.05  # of the newest batch in the running means
+# Early stopping: in PATIENCE of the steps, TOLERANCE of the error of the held-out frames must go.
+PATIENCE, TOLERANCE = 0.1, 0.01
+HOLDOUT_CHECKS = 100  # looks at the held-out frames in a fit
+LAST_SHARE = 0.1  # of the steps: what a fit that learns nothing more takes to come to its end
+TEACHER_SHARE = 3  # at most a third as many weak-perspective teachers as steps: each takes its time
 
 StoppedBy = Literal["steps", "budget", "early"]
+Stage = Literal["training", "refining"]
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,7 @@ class Progress:
     loss: float  # running mean over recent batches
     reprojection_error: float  # pixels, running mean over recent batches
     seconds_left: float
-    stage: Literal["training", "refining"] = "training"
+    stage: Stage = "training"
     stopped_by: StoppedBy | None = None  # what ended the fit; None while it goes on
 
 
@@ -84,243 +91,212 @@ class Trainer:
             `image_sizes` or the configuration's calibration do not have one entry per view, or
             `start` has other keypoints, another prior, or other sizes of it.
         WeightsError
-            When the checkpoint is damaged, or was made for other data or another configuration.
+            When the checkpoint is damaged, was written by another version, or was made for other
+            data or another configuration.
         """
         observations = as_observations(keypoints, confidence)
-        frames = np.flatnonzero(observations.usable.any(1))
-        if not frames.size:
-            raise ValueError(
-                "no frame has a usable view: a view needs at least 4 observed keypoints"
-                " that do not all lie at one place"
-            )
-        views = observations.keypoints.shape[1]
-        for name, given in (("image_sizes", image_sizes), ("calibration", config.calibration)):
-            if given is not None and len(given) != views:
-                raise ValueError(f"{name} must have one entry per view ({views}), got {len(given)}")
+        frames = _usable_frames(observations)
+        _check_entries_per_view(observations, config, image_sizes)
         self.config = config
-        self.step = 0
         self._fingerprint = _fingerprint(observations, image_sizes)
         denoiser = learn_views(observations) if config.denoising else None
         if denoiser is not None:
-            observations = denoiser.denoise(observations, range(views))
+            observations = denoiser.denoise(observations, range(observations.keypoints.shape[1]))
         self._holdout: Holdout | None = None
         if config.early_stopping:
-            frames, held = split(frames, config.seed)
-            self._holdout = Holdout(Data.of(observations, held), config.seed) if len(held) else None
+            frames, held_out = split(frames, config.seed)
+            if len(held_out):
+                self._holdout = Holdout(Data.of(observations, held_out), config.seed)
         self._data = Data.of(observations, frames)
         self._batches = Batches(self._data, size=config.batch_size, seed=config.seed)
         self._network = make_prior(config, observations.keypoints.shape[2])
         self._network.initialise(config.seed)
         if start is not None:
             _begin_with(self._network, config, start)
-        # The trained weights live on the device; all but the steps reads the CPU's.
-        self._device = torch.device(device)
-        self._trained = self._network
-        if self._device.type != "cpu":
-            self._trained = copy.deepcopy(self._network).to(self._device)
-        weights, self._gradient = _flatten(self._trained)
-        self._adam = Adam(weights)
+        self._learner = Learner(self._network, torch.device(device))
         self._teaching = Teaching(self._network, self._data, config, image_sizes, denoiser)
-        self._schedule = Schedule.of(config)
-        self._clock = Clock()
-        self._taught = 0  # how many refreshes of the teachers lie behind
-        self._least = (math.inf, 0)  # error of the held-out frames, and its step
-        self._hurries = False  # nothing more is learned
-        self._loss = self._error = 0.0
+        self._state = TrainerState(Schedule.of(config), self._teaching.state)
         self._curve: list[CurvePoint] = []
         if checkpoint is not None:
             self._restore(checkpoint)
 
     @property
+    def step(self) -> int:
+        """How many optimiser steps were taken."""
+        return self._state.step
+
+    @property
     def seconds(self) -> float:
         """The time that training has taken, over all attempts."""
-        return self._clock.seconds
+        return self._state.clock.seconds
 
     @property
     def stopped_by(self) -> StoppedBy | None:
         """What ended the fit; None if it can go on."""
-        if self.step < self._schedule.steps:
+        state = self._state
+        if state.step < state.schedule.steps:
             return None
-        if self._hurries:
+        if state.ends_early:
             return "early"
-        return "steps" if self.step >= self.config.steps else "budget"
+        return "steps" if state.step >= self.config.steps else "budget"
 
     def run(self) -> Iterator[Progress]:
         """Take the remaining steps, yielding after each; stop iterating to pause."""
-        self._clock.start()
-        while self.step < self._schedule.steps:
-            yield from self._refresh()
+        state = self._state
+        state.clock.start()
+        while state.step < state.schedule.steps:
+            yield from self._make_due_teachers()
             if self.stopped_by is not None:
                 break
-            loss, error = self._advance()
-            first = self.step == 0
-            self._loss = _running(self._loss, loss, first=first)
-            self._error = _running(self._error, error, first=first)
-            self.step += 1
-            self._look_ahead()
-            self._clock.stepped(self.step)
-            if self.step % math.ceil(self._schedule.steps / CURVE_ROWS) == 0 or self.stopped_by:
-                self._curve.append(CurvePoint(self.step, self._loss, self._error))
+            loss, error = self._take_step()
+            newest = NEWEST_WEIGHT if state.step else None
+            state.loss = _running_mean(state.loss, loss, newest)
+            state.reprojection_error = _running_mean(state.reprojection_error, error, newest)
+            state.step += 1
+            self._plan_rest()
+            state.clock.count_step(state.step)
+            curve_every = math.ceil(state.schedule.steps / CURVE_ROWS)
+            if state.step % curve_every == 0 or self.stopped_by is not None:
+                self._add_to_curve()
             yield self._progress("training")
-            self._clock.start()
-
-    def _refresh(self) -> Iterator[Progress]:
-        """Make the teachers that are due."""
-        due = self._schedule.refreshes_by(self.step)
-        if due <= self._taught:
-            return
-        budget, clock, teaching = self.config.budget_s or math.inf, self._clock, self._teaching
-        searching = teaching.found is None and not teaching.given_up
-        if searching or affordable(clock, budget):
-            begun = clock.seconds
-            limit = begun + (SEARCH if searching else 1) * (budget - begun)
-            # A fit of few steps spends little on teachers.
-            self._fetch()
-            lesson = teaching.refresh(self.step, most=self._schedule.steps // 3)
-            for _ in lesson:
-                clock.tick()
-                if clock.seconds > limit:
-                    # Cameras that were not found in time never are.
-                    teaching.given_up = teaching.found is None
-                    break
-                yield self._progress("refining")
-                clock.start()
-            clock.tick()
-            if not searching:
-                clock.lesson = clock.seconds - begun
-        if not self._taught:
-            self._least = (math.inf, self.step)  # foreshortening is known from here on
-        self._taught = due
-        self._plan()
-        if self.stopped_by is not None:  # no time is left for another step
-            self._curve.append(CurvePoint(self.step, self._loss, self._error))
-            yield self._progress("refining")
-
-    def _look_ahead(self) -> None:
-        """Lay out the rest anew where time is short, or nothing more is learned."""
-        if self.config.budget_s is not None and self.step % EVERY == 0:
-            self._plan()
-        if self._holdout is not None and self.step % math.ceil(self.config.steps / CHECKS) == 0:
-            self._check(self._holdout)
-
-    def _plan(self) -> None:
-        if self.config.budget_s is not None and self.step > WARM:
-            teaching = self._teaching
-            self._schedule = relaid(
-                self._schedule,
-                self.step,
-                self._clock,
-                self.config.budget_s,
-                cameras=not teaching.given_up and teaching.found is None,
-                ending=teaching.doubting,
-            )
-
-    def _check(self, holdout: Holdout) -> None:
-        """Go on to what comes next if the held-out frames gain nothing any more."""
-        self._fetch()
-        teachers = self._teaching.teachers
-        error = holdout.error(self._network, 0.0 if teachers is None else teachers.foreshortening)
-        if error < (1 - TOLERANCE) * self._least[0]:
-            self._least = (error, self.step)
-        elif self.step - self._least[1] >= PATIENCE * self.config.steps and not self._hurries:
-            refreshes = self._schedule.refreshes
-            if refreshes and not self._taught:
-                self._schedule = self._schedule.advanced(self.step, refreshes[0])
-            elif (tail := math.ceil(TAIL * self.config.steps)) < self._schedule.steps - self.step:
-                self._schedule = self._schedule.shortened(self.step, tail)
-                self._taught, self._hurries = len(refreshes), True
-
-    def _progress(self, stage: Literal["training", "refining"]) -> Progress:
-        steps, clock = self._schedule.steps, self._clock
-        left = clock.seconds / max(self.step, 1) * (steps - self.step)
-        if self.config.budget_s is not None:
-            left = max(min(left, self.config.budget_s - clock.seconds), 0.0)
-        return Progress(self.step, steps, self._loss, self._error, left, stage, self.stopped_by)
+            state.clock.start()
 
     def result(self) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
-        self._fetch()
+        self._learner.update_network()
         return self._teaching.result(self.step, self._curve)
-
-    def _fetch(self) -> None:
-        """Bring the trained weights to the CPU."""
-        if self._trained is not self._network:
-            self._network.load_state_dict(self._trained.state_dict())
-
-    def _advance(self) -> tuple[float, float]:
-        """Take one optimiser step; the loss and the reprojection error in pixels."""
-        found = self._teaching.found is not None
-        batch = self._batches.draw(self.step, self._teaching.teachers, perspective=found)
-        batch = batch.to(self._device)
-        points, projected, _ = self._trained.reproject(batch.keypoints, batch.weights)
-        total, figures = objective(points, projected, batch)
-        self._gradient.zero_()
-        torch.autograd.backward(total)
-        rate = self._schedule.rate_at(self.step, found=found)
-        self._adam.step(self._gradient, count=self.step + 1, rate=rate)
-        loss, error = figures.tolist()
-        return loss, error
 
     def checkpoint(self) -> bytes:
         """Return everything needed to go on, as safetensors bytes."""
-        adam = self._adam
-        schedule, clock, teaching = self._schedule, self._clock, self._teaching
+        saved = Checkpoint(
+            weights=self._learner.weights,
+            moments=self._learner.moments,
+            state=self._state,
+            curve=self._curve,
+            teachers=self._teaching.teachers,
+            self_calibration=self._teaching.self_calibration,
+        )
         return checkpoints.write(
-            Checkpoint(
-                weights=adam.weights.cpu(),
-                moments=(adam.mean.cpu(), adam.square.cpu()),
-                state=State(
-                    step=self.step,
-                    loss=self._loss,
-                    error=self._error,
-                    steps=schedule.steps,
-                    since=schedule.since,
-                    done=schedule.done,
-                    seconds=clock.seconds,
-                    pace=clock.pace,
-                    lesson=clock.lesson,
-                    taught=self._taught,
-                    mirrored=teaching.mirrored,
-                    found_at=teaching.found_at,
-                    given_up=teaching.given_up,
-                    doubting=teaching.doubting,
-                    least=self._least[0],
-                    least_at=self._least[1],
-                    hurries=self._hurries,
-                ),
-                curve=self._curve,
-                teachers=teaching.teachers,
-                found=teaching.found,
-            ),
-            config=self.config.model_dump_json(),
-            data=self._fingerprint,
+            saved, config=self.config.model_dump_json(), data=self._fingerprint
         )
 
-    def _restore(self, data: bytes) -> None:
+    def _restore(self, checkpoint: bytes) -> None:
         frames, views, keypoints, _ = self._data.keypoints.shape
-        found = checkpoints.read(
-            data,
+        saved = checkpoints.read(
+            checkpoint,
             config=self.config.model_dump_json(),
             data=self._fingerprint,
-            numbers=len(self._adam.weights),
+            weights=len(self._learner.weights),
             shape=(frames, views, keypoints),
         )
-        state, teaching = found.state, self._teaching
-        self.step, self._loss, self._error = int(state.step), state.loss, state.error
-        self._schedule = replace(
-            self._schedule, steps=int(state.steps), since=int(state.since), done=state.done
+        self._learner.resume(saved.weights, saved.moments)
+        self._state, self._curve = saved.state, list(saved.curve)
+        self._teaching.state = saved.state.teaching
+        self._teaching.teachers = saved.teachers
+        self._teaching.self_calibration = saved.self_calibration
+
+    def _take_step(self) -> tuple[float, float]:
+        """Take one optimiser step; return the loss and the reprojection error in pixels."""
+        teaching, step = self._teaching, self._state.step
+        calibrated = teaching.self_calibration is not None
+        batch = self._batches.draw(step, teaching.teachers, perspective=calibrated)
+        rate = self._state.schedule.rate_at(step, calibrated=calibrated)
+        return self._learner.step(batch, count=step + 1, rate=rate)
+
+    def _make_due_teachers(self) -> Iterator[Progress]:
+        """Find the cameras and make the teachers that are due."""
+        state = self._state
+        due = state.schedule.refreshes_due(state.step)
+        if due <= state.refreshes_done:
+            return
+        searching = state.teaching.cameras == "sought"
+        if searching or can_afford_refresh(state.clock, self._budget):
+            yield from self._make_teachers(searching=searching)
+        if not state.refreshes_done:
+            # The foreshortening is known from here on: errors are not what they were before.
+            state.best = BestError(step=state.step)
+        state.refreshes_done = due
+        self._plan_within_budget()
+        if self.stopped_by is not None:  # no time is left for another step
+            self._add_to_curve()
+            yield self._progress("refining")
+
+    def _make_teachers(self, *, searching: bool) -> Iterator[Progress]:
+        """Make teachers for as long as there is time."""
+        clock, budget = self._state.clock, self._budget
+        begun = clock.seconds
+        limit = begun + (CALIBRATION_LIMIT if searching else 1) * (budget - begun)
+        self._learner.update_network()
+        most = self._state.schedule.steps // TEACHER_SHARE
+        for _ in self._teaching.make_teachers(self.step, most=most):
+            clock.count()
+            if clock.seconds > limit:
+                self._teaching.stop_searching()
+                break
+            yield self._progress("refining")
+            clock.start()
+        clock.count()
+        if not searching:
+            clock.refresh_seconds = clock.seconds - begun
+
+    @property
+    def _budget(self) -> float:
+        """Seconds that the fit may take."""
+        return math.inf if self.config.budget_s is None else self.config.budget_s
+
+    def _plan_rest(self) -> None:
+        """Plan the rest anew where time is short, or nothing more is learned."""
+        if self.step % PLAN_EVERY == 0:
+            self._plan_within_budget()
+        if (
+            self._holdout is not None
+            and self.step % math.ceil(self.config.steps / HOLDOUT_CHECKS) == 0
+        ):
+            self._check_holdout(self._holdout)
+
+    def _plan_within_budget(self) -> None:
+        state = self._state
+        if self.config.budget_s is not None and state.step > WARM_UP_STEPS:
+            state.schedule = plan_within_budget(
+                state.schedule,
+                state.step,
+                state.clock,
+                self.config.budget_s,
+                cameras_sought=state.teaching.cameras == "sought",
+                result_seconds=state.teaching.result_seconds,
+            )
+
+    def _check_holdout(self, holdout: Holdout) -> None:
+        """Go on to what comes next if the held-out frames gain nothing any more."""
+        state = self._state
+        self._learner.update_network()
+        teachers = self._teaching.teachers
+        error = holdout.error(self._network, 0.0 if teachers is None else teachers.foreshortening)
+        best = state.best
+        if best.error is None or error < (1 - TOLERANCE) * best.error:
+            state.best = BestError(error, state.step)
+            return
+        if state.ends_early or state.step - best.step < PATIENCE * self.config.steps:
+            return
+        refreshes, last_steps = state.schedule.refreshes, math.ceil(LAST_SHARE * self.config.steps)
+        if refreshes and not state.refreshes_done:
+            state.schedule = state.schedule.skipped_to(state.step, refreshes[0])
+        elif last_steps < state.schedule.steps - state.step:
+            state.schedule = state.schedule.with_steps_left(state.step, last_steps)
+            state.refreshes_done, state.ends_early = len(refreshes), True
+
+    def _add_to_curve(self) -> None:
+        state = self._state
+        self._curve.append(CurvePoint(state.step, state.loss, state.reprojection_error))
+
+    def _progress(self, stage: Stage) -> Progress:
+        state, steps = self._state, self._state.schedule.steps
+        left = state.clock.seconds / max(state.step, 1) * (steps - state.step)
+        if self.config.budget_s is not None:
+            left = max(min(left, self.config.budget_s - state.clock.seconds), 0.0)
+        return Progress(
+            state.step, steps, state.loss, state.reprojection_error, left, stage, self.stopped_by
         )
-        self._clock = Clock(state.seconds, state.pace, state.lesson)
-        self._taught, self._hurries = int(state.taught), state.hurries > 0
-        self._least = (state.least, int(state.least_at))
-        self._curve = found.curve
-        teaching.teachers, teaching.found = found.teachers, found.found
-        teaching.mirrored, teaching.given_up = state.mirrored > 0, state.given_up > 0
-        teaching.found_at, teaching.doubting = int(state.found_at), state.doubting
-        adam = self._adam
-        adam.weights.copy_(found.weights)
-        adam.mean.copy_(found.moments[0])
-        adam.square.copy_(found.moments[1])
 
 
 def fit(
@@ -358,22 +334,28 @@ def _begin_with(network: Prior, config: FitConfig, start: FittedPrior) -> None:
     network.load_state_dict(start.weights)
 
 
-def _flatten(network: nn.Module) -> tuple[Tensor, Tensor]:
-    """Make all weights of a network, and their gradients, parts of one: one call updates them."""
-    parameters = list(network.parameters())
-    whole = torch.cat([part.detach().flatten() for part in parameters])
-    gradient = torch.zeros_like(whole)
-    start = 0
-    for part in parameters:
-        place = slice(start, start + part.numel())
-        part.data = whole[place].view_as(part)
-        part.grad = gradient[place].view_as(part)
-        start = place.stop
-    return whole, gradient
+def _usable_frames(observations: Observations) -> NDArray[np.int64]:
+    frames = np.flatnonzero(observations.usable.any(1))
+    if not frames.size:
+        raise ValueError(
+            "no frame has a usable view: a view needs at least 4 observed keypoints"
+            " that do not all lie at one place"
+        )
+    return frames
 
 
-def _running(mean: float, value: float, *, first: bool) -> float:
-    return value if first else mean + RECENT * (value - mean)
+def _check_entries_per_view(
+    observations: Observations, config: FitConfig, image_sizes: ImageSizes | None
+) -> None:
+    views = observations.keypoints.shape[1]
+    for name, given in (("image_sizes", image_sizes), ("calibration", config.calibration)):
+        if given is not None and len(given) != views:
+            raise ValueError(f"{name} must have one entry per view ({views}), got {len(given)}")
+
+
+def _running_mean(mean: float, value: float, newest: float | None) -> float:
+    """Let a running mean follow a value by the share `newest`; it begins with the first one."""
+    return value if newest is None else mean + newest * (value - mean)
 
 
 def _fingerprint(observations: Observations, image_sizes: ImageSizes | None) -> str:

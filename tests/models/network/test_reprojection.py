@@ -157,7 +157,7 @@ def test_virtual_cameras_look_as_those_of_the_capture_do() -> None:
     points = normalise(_drawn(1, 40, 3, seed=0)).float()
     level = torch.tensor([[[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]])  # y down, z up in the structure
     teachers = distillation.as_teachers(
-        points, level[None].expand(1, 2, 3, 3), torch.ones(1, 2), torch.zeros(1).long(), 0.1, 0.0
+        points, level[None].expand(1, 2, 3, 3), torch.ones(1, 2), torch.tensor([0]), 1, 0.1, 0.0
     )
     weights = torch.ones(1, 2, 40)
     rng = np.random.default_rng(0)

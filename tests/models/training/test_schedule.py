@@ -7,9 +7,9 @@ from models.capture.metrics import pa_mpjpe
 from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import WARM_STEPS, FitConfig, warm
-from models.training.budget import Clock, relaid
+from models.training.budget import Clock, plan_within_budget
 from models.training.holdout import split
-from models.training.schedule import DISCOVERY, Schedule
+from models.training.schedule import PERSPECTIVE_REFRESHES, Schedule
 from models.training.trainer import Progress, Trainer, fit
 
 QUICK = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8)
@@ -23,35 +23,50 @@ def capture() -> SyntheticCapture:
 
 def test_a_schedule_goes_from_its_rate_to_nothing_and_starts_again_with_the_cameras() -> None:
     plan = Schedule.of(FitConfig(steps=4500, learning_rate=0.01))
-    refreshes = [next(s for s in range(4501) if plan.refreshes_by(s) > i) for i in range(4)]
+    refreshes = [next(s for s in range(4501) if plan.refreshes_due(s) > i) for i in range(4)]
     assert refreshes == [1500, 2250, 3000, 3750]
-    assert plan.rate_at(0, found=False) == 0.01
-    assert plan.rate_at(2250, found=False) == pytest.approx(0.005)
-    assert plan.rate_at(1500, found=True) == pytest.approx(0.01)
-    assert plan.rate_at(4499, found=True) < 1e-7
+    assert plan.rate_at(0, calibrated=False) == 0.01
+    assert plan.rate_at(2250, calibrated=False) == pytest.approx(0.005)
+    assert plan.rate_at(1500, calibrated=True) == pytest.approx(0.01)
+    assert plan.rate_at(4499, calibrated=True) < 1e-7
 
 
 def test_what_is_left_is_laid_out_for_the_time_that_is_left() -> None:
     plan = Schedule.of(FitConfig(steps=4500))
-    clock = Clock(seconds=2.0, pace=0.01, lesson=0.5)
-    # 8 s are left: 1 for the end, 3 lessons of 0.5 s, the rest for steps of 10 ms.
-    late = relaid(plan, 2000, clock, 10.0, cameras=False, ending=1.0)
+    clock = Clock(seconds=2.0, step_seconds=0.01, refresh_seconds=0.5)
+    # 8 s are left: 1 for the end, 3 refreshes of 0.5 s, the rest for steps of 10 ms.
+    late = plan_within_budget(plan, 2000, clock, 10.0, cameras_sought=False, result_seconds=1.0)
     assert late.steps == pytest.approx(2000 + 550, abs=1)
     assert late.share_at(2000) == plan.share_at(2000)
-    assert late.rate_at(2000, found=True) == plan.rate_at(2000, found=True)
-    assert late.rate_at(late.steps - 1, found=True) < 1e-6
-    assert late.refreshes_by(late.steps) == len(DISCOVERY)
+    assert late.rate_at(2000, calibrated=True) == plan.rate_at(2000, calibrated=True)
+    assert late.rate_at(late.steps - 1, calibrated=True) < 1e-6
+    assert late.refreshes_due(late.steps) == len(PERSPECTIVE_REFRESHES)
     # The search for cameras gets its share of what is left, before anybody knows what it takes.
-    early = relaid(plan, 1000, clock, 10.0, cameras=True, ending=1.0)
+    early = plan_within_budget(plan, 1000, clock, 10.0, cameras_sought=True, result_seconds=1.0)
     assert early.steps < 1000 + 550
-    # A lesson that is dear is left out, so that there are steps.
-    dear = relaid(plan, 2000, Clock(2.0, 0.01, lesson=3.0), 10.0, cameras=False, ending=1.0)
+    # A refresh that is dear is left out, so that there are steps.
+    dear = plan_within_budget(
+        plan,
+        2000,
+        Clock(2.0, 0.01, refresh_seconds=3.0),
+        10.0,
+        cameras_sought=False,
+        result_seconds=1.0,
+    )
     assert dear.steps == pytest.approx(2000 + 700, abs=1)
     # With time enough, nothing changes; without any, this is the end.
-    assert relaid(plan, 2000, clock, 1e4, cameras=False, ending=1.0) is plan
-    assert relaid(plan, 2000, clock, 1.0, cameras=False, ending=1.0).steps == 2000
+    assert (
+        plan_within_budget(plan, 2000, clock, 1e4, cameras_sought=False, result_seconds=1.0) is plan
+    )
+    assert (
+        plan_within_budget(plan, 2000, clock, 1.0, cameras_sought=False, result_seconds=1.0).steps
+        == 2000
+    )
     # Time that was short may be plenty after all.
-    assert relaid(late, 2100, clock, 1e4, cameras=False, ending=1.0).steps > 4000
+    assert (
+        plan_within_budget(late, 2100, clock, 1e4, cameras_sought=False, result_seconds=1.0).steps
+        > 4000
+    )
 
 
 @pytest.mark.parametrize("refine", ["auto", "off"])

@@ -63,10 +63,10 @@ def test_without_two_views_there_are_no_teachers() -> None:
 def test_teachers_are_few_and_come_from_frames_with_two_views() -> None:
     keypoints, weights = _observed(_mostly_single_views())
     teachers = _teachers(keypoints, weights)
-    taught = (teachers.places >= 0).nonzero()[:, 0]
+    taught = teachers.taught.nonzero()[:, 0]
     assert len(taught) == len(teachers.points) == 50
     assert ((weights[taught].sum(-1) > 0).sum(1) > 1).all()
-    assert sorted(teachers.places[taught].tolist()) == list(range(50))
+    assert sorted(teachers.indices[taught].tolist()) == list(range(50))
     torch.testing.assert_close(teachers.points.square().sum(-1).mean(-1), torch.ones(50))
 
 

@@ -5,11 +5,13 @@ import struct
 
 import numpy as np
 import pytest
+import torch
+from safetensors.torch import load
 
 from models.capture.metrics import pa_mpjpe, pck
 from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
-from models.numerics.tensor_files import WeightsError
+from models.numerics.tensor_files import WeightsError, pack, read_about
 from models.settings.config import FitConfig
 from models.training.trainer import Progress, Trainer, fit
 
@@ -272,6 +274,28 @@ def test_progress_counts_to_the_end_and_the_error_falls(small: SyntheticCapture)
     assert seen[-1].reprojection_error < 0.5 * seen[0].reprojection_error
     assert prior.curve[-1] == (250, seen[-1].loss, seen[-1].reprojection_error)
     assert 100 <= len(prior.curve) <= 300
+
+
+def _with_state(checkpoint: bytes, state: str | None) -> bytes:
+    """Return a checkpoint with other numbers or, as the first version had it, as a tensor."""
+    about = read_about(checkpoint, kind="checkpoint")
+    arrays = load(checkpoint)
+    del about["state"]
+    if state is None:
+        arrays["state"] = torch.zeros(17, dtype=torch.float64)
+    else:
+        about["state"] = state
+    return pack(arrays, kind="checkpoint", about=about)
+
+
+def test_checkpoints_of_another_version_are_refused(small: SyntheticCapture) -> None:
+    data = Trainer(small.keypoints, QUICK).checkpoint()
+    state = read_about(data, kind="checkpoint")["state"]
+    Trainer(small.keypoints, QUICK, checkpoint=_with_state(data, state))  # the same again
+    others = (None, "", "{}", state.replace('"step"', '"stage"'), state.replace("sought", "asked"))
+    for other in others:
+        with pytest.raises(WeightsError, match="another version"):
+            Trainer(small.keypoints, QUICK, checkpoint=_with_state(data, other))
 
 
 @pytest.mark.parametrize("case", ["config", "keypoints", "confidence", "prior", "truncated"])

@@ -1,0 +1,105 @@
+"""How far the network's structures are off, measured on the frames of a fit.
+
+The measure is what refinement makes of all views of a frame with the shape model alone: one that
+trusts the network would find it ever more trustworthy. The network is shown one of the views, two,
+and so on.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from models.bundle.shape_model import align, learn_doubts, no_doubts
+from models.calibrating.self_calibration import Discovery
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import Lift
+from models.network.settling import SETTLE_ALL, SETTLE_NONE, SettlingPolicy, settle_beyond
+from models.training.batches import Data
+
+MOST_FRAMES = 600  # plenty to learn what the network's errors are like
+LEAST_FRAMES = 5  # with some number of views, to learn from these at all
+MOST_VIEWS = 8  # with more, the network errs as with so many
+USUAL_SHARE = 0.95  # of the frames have a misfit that is usual for the network
+
+MakePrior = Callable[[Discovery], FittedPrior]
+
+
+class _Sample(NamedTuple):
+    """F frames with two views or more, and their structures as all views tell them."""
+
+    pixels: Tensor  # (F, K, P, 2)
+    weights: Tensor  # (F, K, P)
+    order: Tensor  # (F, K) in which the views are shown: those that were observed come first
+    observed: Tensor  # (F,) how many these are
+    structures: Tensor  # (F, P, 3)
+
+
+def learn_errors_of_network(
+    self_calibration: Discovery, data: Data, make_prior: MakePrior, *, seed: list[int]
+) -> Discovery:
+    """Return the self-calibration with the network's errors as they are now.
+
+    They are measured for two policies of settling: every frame, or only frames whose misfit is
+    unusual. The policy with the smaller errors is kept.
+    """
+    unknown = no_doubts(data.keypoints.shape[2])
+    blank = replace(self_calibration, doubts=unknown, settling=SETTLE_ALL)
+    sample = _sample(data, make_prior(blank), seed)
+    candidates = []
+    for policy in (SETTLE_ALL, SETTLE_NONE):
+        candidate = replace(blank, settling=policy)
+        learnt = _learn(candidate, sample, make_prior(candidate))
+        if learnt is not None:
+            candidates.append(learnt)
+    return min(candidates, key=lambda c: float(c.doubts.scales.sum()), default=blank)
+
+
+def _sample(data: Data, prior: FittedPrior, seed: list[int]) -> _Sample:
+    observed = (data.weights > 0).any(-1)  # (N, K)
+    several = (observed.sum(1) > 1).nonzero()[:, 0]
+    frames = several[:: math.ceil(max(len(several), 1) / MOST_FRAMES)]
+    pixels, weights, observed = data.pixels(frames), data.weights[frames], observed[frames]
+    structures = prior.lift(pixels, confidence=weights, refine="full").points3d
+    drawn = torch.from_numpy(np.random.default_rng(seed).random(observed.shape))
+    order = (drawn - observed.double()).argsort(1).argsort(1)
+    return _Sample(pixels, weights, order, observed.sum(1), torch.from_numpy(structures).double())
+
+
+def _learn(candidate: Discovery, sample: _Sample, prior: FittedPrior) -> Discovery | None:
+    """Learn the errors of the network with one policy of settling; None from too few frames."""
+    mean = candidate.shapes.mean
+    known = sample.structures.isfinite().all(-1).all(-1)  # (F,)
+    errors, misfits = [], []
+    for views in range(1, min(sample.pixels.shape[1], MOST_VIEWS) + 1):
+        chosen = known & (sample.observed >= views)
+        if chosen.sum() < LEAST_FRAMES:
+            break
+        shown = (sample.weights * (sample.order < views)[..., None])[chosen]
+        lift = prior.lift(sample.pixels[chosen], confidence=shown, refine="off")
+        answers, _ = align(torch.from_numpy(lift.points3d).double(), mean)
+        errors.append(align(sample.structures[chosen], answers)[0] - answers)
+        misfits.append(_misfits(lift))
+    if not errors:
+        return None
+    policy = _settling_in_lifts(candidate.settling, np.concatenate(misfits))
+    return replace(candidate, doubts=learn_doubts(errors, mean), settling=policy)
+
+
+def _settling_in_lifts(measured: SettlingPolicy, misfits: NDArray[np.float64]) -> SettlingPolicy:
+    """Return the policy of lifts for one that was measured: frames unlike any may be settled."""
+    if measured.every_frame:
+        return measured
+    return settle_beyond(float(np.quantile(misfits, USUAL_SHARE)))
+
+
+def _misfits(lift: Lift) -> NDArray[np.float64]:
+    """Return reprojection errors (N,) in units of the structure, as the compiled network does."""
+    used = lift.keypoints_used
+    total = np.nansum(used * lift.reprojection_errors / lift.scales, axis=1)
+    return np.asarray(total / used.sum(1), np.float64)
