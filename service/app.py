@@ -13,6 +13,7 @@ from typing import Any
 import uvicorn
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
+from pydantic import BaseModel
 
 from service.http import errors
 from service.http.limits import BodyLimit
@@ -101,7 +102,9 @@ def _describe(app: FastAPI) -> None:
             for unused in ("HTTPValidationError", "ValidationError"):
                 schemas.pop(unused, None)
             for name, kind in ((n, k) for module in RESOURCES for n, k in vars(module).items()):
-                if "example" in schemas.get(name, {}):  # FastAPI has taken its nulls out
+                is_schema = isinstance(kind, type) and issubclass(kind, BaseModel)
+                if is_schema and "example" in schemas.get(name, {}):
+                    # FastAPI has taken its nulls out.
                     schemas[name]["example"] = kind.model_config["json_schema_extra"]["example"]
             for path in ("/fits/{fit_id}/events", "/lifts/{lift_id}/events"):
                 events = schema["paths"][path]["get"]["responses"]["200"]

@@ -117,7 +117,8 @@ def test_a_fit_that_learns_nothing_more_ends_early() -> None:
     assert seen[-1].stopped_by == "early"
     assert seen[-1].step == seen[-1].steps < 400
     through: list[Progress] = []
-    fit(rigid, config.model_copy(update={"early_stopping": False}), on_progress=through.append)
+    patient = config.model_copy(update={"early_stopping": False, "refine": "off"})
+    fit(rigid, patient, on_progress=through.append)
     assert (through[-1].stopped_by, through[-1].step) == ("steps", 400)
 
 

@@ -16,7 +16,7 @@ from store.fits import get
 from store.settings import StoreSettings
 from tests.service.conftest import Live, kill_service, problem, start_service
 
-ARCHIVE = Path(__file__).parents[1] / "fixtures" / "data_folder.tar.xz"
+ARCHIVE = Path(__file__).parents[2] / "fixtures" / "data_folder.tar.xz"
 
 
 @pytest.fixture(scope="module")
