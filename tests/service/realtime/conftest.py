@@ -1,0 +1,116 @@
+"""A served app whose streams are open to tests, and frames as they travel."""
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import httpx2
+import numpy as np
+import orjson
+import pytest
+from websockets.sync.client import ClientConnection, connect
+
+from models.lifting.lift import CAMERA_MODELS
+from service.settings import Settings
+from service.wire.stream_messages import StreamAnswer, StreamReady
+from tests.service.conftest import (
+    JSON,
+    frames_of,
+    nested,
+    served,
+)
+
+Array = np.ndarray[Any, Any]
+
+VIEW = np.dtype(
+    "<i4, (3,3)<f4, <f4, 3<f4, 2<f4, 2<f4, 8<f4, <f4",
+)
+VIEW.names = (
+    "camera",
+    "rotation",
+    "scale",
+    "translation",
+    "focal",
+    "principal_point",
+    "distortion",
+    "reprojection_error",
+)
+
+
+@pytest.fixture(scope="module")
+def http(settings: Settings, model: str) -> Iterator[httpx2.Client]:
+    with served(settings) as client:
+        yield client
+
+
+@contextmanager
+def opened(http: httpx2.Client) -> Iterator[ClientConnection]:
+    url = f"ws://{http.base_url.host}:{http.base_url.port}/lift/stream"
+    with connect(url, compression=None, proxy=None) as socket:
+        yield socket
+
+
+@contextmanager
+def started(http: httpx2.Client, model: str, **more: Any) -> Iterator[ClientConnection]:
+    with opened(http) as socket:
+        socket.send(orjson.dumps({"model": model, **more}).decode())
+        ready = StreamReady.model_validate_json(socket.recv(timeout=60))
+        assert ready.model == model
+        assert ready.keypoints == 16
+        yield socket
+
+
+def as_bytes(sequence: int, keypoints: Array, confidence: Array | None = None) -> bytes:
+    """Return a frame (K, P, 2) in the layout of docs/streaming.md."""
+    data = struct.pack("<BBHI", 1, confidence is not None, len(keypoints), sequence)
+    data += keypoints.astype("<f4").tobytes()
+    return data if confidence is None else data + confidence.astype("<f4").tobytes()
+
+
+def as_json(sequence: int, keypoints: Array) -> str:
+    frame = [nested(view) for view in keypoints]
+    return orjson.dumps({"sequence": sequence, "keypoints": frame}).decode()
+
+
+def read_bytes(data: str | bytes) -> tuple[int, int, Array, Array]:
+    """Return sequence, flags, points3d (P, 3) and views of an answer in bytes."""
+    assert isinstance(data, bytes), data
+    kind, flags, count, sequence = struct.unpack_from("<BBHI", data)
+    assert kind == 2
+    points = np.frombuffer(data[8 : len(data) - count * 108], "<f4").reshape(-1, 3)
+    return sequence, flags, points, np.frombuffer(data[len(data) - count * 108 :], VIEW)
+
+
+def read_json(data: str | bytes) -> dict[str, Any]:
+    assert isinstance(data, str)
+    StreamAnswer.model_validate_json(data)
+    found: dict[str, Any] = orjson.loads(data)
+    return found
+
+
+def lifted(http: httpx2.Client, model: str, keypoints: Array, **more: Any) -> list[dict[str, Any]]:
+    body = {"model": model, "frames": frames_of(keypoints), **more}
+    response = http.post("/lift", content=orjson.dumps(body), headers=JSON)
+    assert response.status_code == 200, response.text
+    found: list[dict[str, Any]] = response.json()["frames"]
+    return found
+
+
+def check(points: Any, views: Any, expected: dict[str, Any]) -> None:
+    """Compare the structure and the cameras in bytes with an answer of POST /lift."""
+    if expected["status"] != "ok":
+        assert np.isnan(points).all()
+        return
+    np.testing.assert_allclose(points, expected["points3d"], rtol=1e-3, atol=1e-4)
+    for view, other in zip(views, expected["views"], strict=True):
+        if other is None:
+            assert view["camera"] == -1
+            assert np.isnan(view["scale"])
+            continue
+        assert CAMERA_MODELS[view["camera"]] == other["camera"]
+        for name in ("rotation", "scale", "focal", "principal_point", "reprojection_error"):
+            if other[name] is None:
+                assert np.isnan(view[name]).all()
+            else:
+                np.testing.assert_allclose(view[name], other[name], rtol=1e-3, atol=1e-3)

@@ -1,0 +1,196 @@
+"""Reconstructions: of a fit's own frames, stored, and refined otherwise when asked."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import load, save
+from starlette.testclient import TestClient
+
+from models.capture.synthetic import SyntheticCapture
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import CAMERA_MODELS
+from service.settings import Settings
+from store import attempts, fits, records
+from store.database import Store
+from tests.service.conftest import (
+    CONFIG,
+    Live,
+    assert_can_be_resumed,
+    make_dataset,
+    problem,
+)
+
+
+def test_the_reconstruction_is_the_same_in_every_format(
+    live: Live, fitted: dict[str, Any], capture: SyntheticCapture
+) -> None:
+    url = f"/fits/{fitted['id']}/reconstruction"
+    data = live.http.get(url)
+    assert data.headers["content-type"] == "application/json"
+    octets = live.http.get(url, headers={"Accept": "application/octet-stream"})
+    assert "safetensors" in octets.headers["content-disposition"]
+    arrays = load(octets.content)
+    npz = live.http.get(f"{url}?format=npz")
+    assert npz.headers["content-type"] == "application/x-npz"
+    path = live.data_dir / "reconstruction.npz"
+    path.write_bytes(npz.content)
+    with np.load(path) as file:
+        assert set(file.files) == set(arrays)
+        for name in file.files:
+            np.testing.assert_array_equal(file[name], arrays[name])
+
+    n, k, p, _ = capture.keypoints.shape
+    assert {name: array.shape for name, array in arrays.items()} == {
+        "points3d": (n, p, 3),
+        "rotations": (n, k, 3, 3),
+        "scales": (n, k),
+        "translations": (n, k, 3),
+        "focals": (n, k, 2),
+        "principal_points": (n, k, 2),
+        "distortions": (n, k, 8),
+        "camera_models": (n, k),
+        "reprojection_errors": (n, k),
+        "keypoints_used": (n, k),
+    }
+    body = data.json()
+    assert body["fit_id"] == fitted["id"]
+    assert body["model_id"] == fitted["model_id"]
+    assert len(body["frames"]) == n
+    for index, frame in enumerate(body["frames"]):
+        assert frame["status"] == "ok"
+        assert frame["reason"] is None
+        np.testing.assert_array_equal(np.float32(frame["points3d"]), arrays["points3d"][index])
+        for view, camera in enumerate(frame["views"]):
+            if camera is None:
+                assert np.isnan(arrays["scales"][index, view])
+                assert arrays["camera_models"][index, view] == -1
+                continue
+            assert camera["camera"] == CAMERA_MODELS[arrays["camera_models"][index, view]]
+            for name, plural in (
+                ("rotation", "rotations"),
+                ("scale", "scales"),
+                ("translation", "translations"),
+                ("focal", "focals"),
+                ("principal_point", "principal_points"),
+                ("distortion", "distortions"),
+                ("reprojection_error", "reprojection_errors"),
+            ):
+                value = arrays[plural][index, view]
+                if name == "translation" and camera["camera"] == "weak_perspective":
+                    value = value[:2]
+                if camera[name] is None:
+                    assert np.isnan(value).all()
+                else:
+                    np.testing.assert_array_equal(np.float32(camera[name]), value)
+    assert body["frames"][7]["views"][1] is None  # the view that saw nothing
+    np.testing.assert_array_equal(arrays["keypoints_used"][0], (capture.confidence[0] > 0).sum(-1))
+    problem(live.http.get(url, headers={"Accept": "image/png"}), 406, "not_acceptable")
+    problem(live.http.get(f"{url}?format=png"), 422, "invalid_input", "/format")
+
+
+def test_a_reconstruction_can_be_refined_otherwise(
+    live: Live, fitted: dict[str, Any], capture: SyntheticCapture
+) -> None:
+    url = f"/fits/{fitted['id']}/reconstruction"
+    stored = live.http.get(f"{url}?format=safetensors")
+    same = live.http.get(f"{url}?format=safetensors&refine={fitted['config']['refine']}")
+    assert same.content == stored.content
+    weights = live.http.get(f"/models/{fitted['model_id']}/weights").content
+    prior = FittedPrior.from_bytes(weights)
+    for refine in ("off", "full"):
+        answer = live.http.get(f"{url}?format=safetensors&refine={refine}")
+        assert answer.status_code == 200, answer.text
+        arrays = load(answer.content)
+        assert arrays.keys() == load(stored.content).keys()
+        here = prior.lift(capture.keypoints, confidence=capture.confidence, refine=refine)
+        np.testing.assert_allclose(arrays["points3d"], here.points3d, rtol=1e-4, atol=1e-5)
+        np.testing.assert_array_equal(arrays["camera_models"], here.camera_models)
+    assert (
+        load(live.http.get(f"{url}?format=safetensors&refine=off").content)["camera_models"] <= 0
+    ).all()
+    problem(live.http.get(f"{url}?refine=some"), 422, "invalid_input", "/refine")
+
+
+def test_what_is_gone_cannot_be_refined_otherwise(live: Live) -> None:
+    dataset = make_dataset(live.http, frames=30)
+    fit = live.finished(live.fit(dataset["id"], steps=5)["id"])
+    url = f"/fits/{fit['id']}/reconstruction"
+    assert live.http.get(f"{url}?refine=off").status_code == 200
+    assert live.http.delete(f"/datasets/{dataset['id']}").status_code == 204
+    assert dataset["id"] in problem(live.http.get(f"{url}?refine=off"), 404, "not_found")
+    assert live.http.delete(f"/models/{fit['model_id']}").status_code == 204
+    assert "deleted" in problem(live.http.get(f"{url}?refine=off"), 409, "conflict")
+    assert live.http.get(f"{url}?refine=auto").status_code == 200
+
+
+def stored_fit(
+    settings: Settings, dataset: dict[str, Any], reconstruction: bytes, **columns: Any
+) -> str:
+    """Record a fit that succeeded, without running it; return its identifier."""
+    store = Store(settings)
+    fit = fits.create(store, dataset_id=dataset["id"], name="f", config=CONFIG)
+    attempt = attempts.claim(store, fit.id, lease_seconds=60)
+    assert attempt is not None
+    attempts.succeed(
+        store,
+        attempt,
+        weights=b"",
+        reconstruction=reconstruction,
+        progress=columns.pop("progress", None),
+        describe={"keypoints": 16, "config": CONFIG, "training_curve": [], "metrics": {}},
+    )
+    with store.writing() as session:
+        for name, value in ({"config": CONFIG} | columns).items():
+            setattr(session.get(records.Fit, fit.id), name, value)
+    store.close()
+    return fit.id
+
+
+def test_records_of_older_versions_are_served(api: TestClient, settings: Settings) -> None:
+    """A reconstruction without perspective; progress without a stage."""
+    old = {
+        "points3d": np.random.default_rng(0).normal(size=(3, 16, 3)),
+        "rotations": np.tile(np.eye(3), (3, 2, 1, 1)),
+        "scales": np.array([[2.0, np.nan]] * 3),
+        "translations": np.array([[[5.0, 6.0], [np.nan, np.nan]]] * 3),
+        "reprojection_errors": np.array([[1.0, np.nan]] * 3),
+    }
+    arrays = {name: array.astype(np.float32) for name, array in old.items()}
+    arrays["keypoints_used"] = np.array([[16, 0]] * 3, np.int32)
+    progress = {"step": 9, "steps": 9, "loss": 1, "reprojection_error": 1, "seconds_left": 0}
+    fit = stored_fit(settings, make_dataset(api), save(arrays), progress=progress)
+
+    assert api.get(f"/fits/{fit}").json()["progress"] == {
+        "stage": "training",
+        "stopped_by": None,
+        **progress,
+    }
+    for url in (f"/fits/{fit}/reconstruction", f"/fits/{fit}/reconstruction?refine=off"):
+        answer = api.get(url)
+        assert answer.status_code == 200, answer.text
+        for frame in answer.json()["frames"]:
+            assert frame["views"][1] is None
+            view = frame["views"][0]
+            assert (view["camera"], view["translation"]) == ("weak_perspective", [5.0, 6.0])
+            assert view["focal"] is None
+    found = load(api.get(f"/fits/{fit}/reconstruction?format=safetensors").content)
+    assert found["translations"].shape == (3, 2, 3)
+    assert found["camera_models"].tolist() == [[0, -1]] * 3
+    assert all(found[name].dtype == np.float32 for name in ("translations", "focals"))
+
+
+def test_a_long_fit_is_refined_otherwise_in_parts(api: TestClient, settings: Settings) -> None:
+    fit = stored_fit(settings, make_dataset(api), b"", frames=settings.max_frames + 1)
+    response = api.get(f"/fits/{fit}/reconstruction?refine=full")
+    detail = problem(response, 422, "invalid_input", "/refine")
+    assert "in parts with POST /lift" in detail
+
+
+@pytest.mark.parametrize("what", ["reconstruction", "weights"])
+def test_downloads_can_be_resumed(live: Live, fitted: dict[str, Any], what: str) -> None:
+    if what == "weights":
+        url = f"/models/{fitted['model_id']}/weights"
+    else:
+        url = f"/fits/{fitted['id']}/reconstruction?format=safetensors"
+    assert_can_be_resumed(live, url)
