@@ -155,9 +155,10 @@ class HierarchicalPrior(Prior):
         return 6 * max(self.keypoints, self.sizes[0])
 
     def multiplications(self) -> int:
-        """About how many multiplications the encoder takes for a view."""
+        """Multiplications of the encoder for a view."""
         inner_layers = sum(outer * inner for outer, inner in pairwise(self.sizes))
-        return 6 * self.keypoints * self.sizes[0] + 6 * inner_layers
+        heads = self.sizes[-1] * (self.sizes[-1] + 6)
+        return 6 * (self.keypoints * self.sizes[0] + inner_layers + heads)
 
     @classmethod
     def lay_out(cls, arrays: Arrays, sizes: tuple[int, ...]) -> DictionaryWeights:

@@ -152,7 +152,7 @@ class MlpPrior(Prior):
         return max(self.sizes.width, 2 * self.keypoints)
 
     def multiplications(self) -> int:
-        """About how many multiplications the encoder takes for a view."""
+        """Multiplications of the encoder for a view."""
         layers = (self.entry, *self.blocks, self.unrotate, self.rotate)
         return sum(layer.weight.numel() for layer in layers)
 

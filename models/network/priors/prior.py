@@ -72,7 +72,7 @@ class Prior(nn.Module, ABC):
 
     @abstractmethod
     def multiplications(self) -> int:
-        """About how many multiplications the encoder takes for a view, which are most."""
+        """Multiplications of the encoder for a view, which are most of a step's."""
 
     @classmethod
     @abstractmethod

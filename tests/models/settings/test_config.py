@@ -4,7 +4,7 @@ import sys
 import pytest
 from pydantic import ValidationError
 
-from models.settings.config import FitConfig
+from models.settings.config import WARM_STEPS, FitConfig, warm
 
 
 def test_importing_the_configuration_imports_no_torch() -> None:
@@ -38,12 +38,31 @@ def test_the_papers_dictionaries_are_allowed() -> None:
         {"pck_threshold": float("inf")},
         {"seed": -1},
         {"prior": "other"},
+        {"prior": "mlp", "dictionary_sizes": [16, 8]},
+        {"mlp": {"width": 16}},
+        {"prior": "mlp", "mlp": {"width": 2000}},
+        {"prior": "mlp", "mlp": {"blocks": -1}},
+        {"prior": "mlp", "mlp": {"decoder": "cubic"}},
         {"unknown": 1},
     ],
 )
 def test_nonsense_is_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         FitConfig.model_validate(wrong)
+
+
+def test_the_learning_rate_suits_the_prior_unless_it_is_told() -> None:
+    assert FitConfig().learning_rate == 1e-2
+    assert FitConfig(prior="mlp").learning_rate == 2e-3
+    assert FitConfig(prior="mlp", learning_rate=None).learning_rate == 2e-3
+    assert FitConfig(prior="mlp", learning_rate=0.5).learning_rate == 0.5
+
+
+@pytest.mark.parametrize("source", [FitConfig(dictionary_sizes=(16, 8)), FitConfig(prior="mlp")])
+def test_a_start_from_a_model_takes_its_prior_over(source: FitConfig) -> None:
+    suited = warm(FitConfig(seed=3), source)
+    assert (suited.prior, suited.sizes, suited.seed) == (source.prior, source.sizes, 3)
+    assert (suited.learning_rate, suited.steps) == (source.learning_rate, WARM_STEPS)
 
 
 def test_a_configuration_cannot_be_changed() -> None:
