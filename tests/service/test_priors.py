@@ -83,7 +83,7 @@ def test_a_fit_that_is_told_another_prior_than_its_model_is_refused(
     ("config", "pointer", "fix"),
     [
         ({"prior": "transformer"}, "/config/prior", "'hierarchical' or 'mlp'"),
-        ({"prior": "mlp", "mlp": {"width": 2}}, "/config/mlp/width", "at least 4"),
+        ({"prior": "mlp", "mlp": {"width": 2}}, "/config/mlp/width", "greater than or equal to 4"),
         ({"prior": "mlp", "mlp": {"depth": 2}}, "/config/mlp/depth", ""),
         ({"mlp": SIZES}, "/config", "set prior to 'mlp'"),
         ({"prior": "mlp", "dictionary_sizes": [8]}, "/config", "leave dictionary_sizes out"),
