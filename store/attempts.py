@@ -7,11 +7,11 @@ from typing import Any
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
-from store import fits, models
+from store import fits, lookup, models
 from store.database import Store
 from store.errors import LeaseLostError
 from store.ids import new_id
-from store.records import Fit
+from store.records import FitJob
 
 
 @dataclass(frozen=True)
@@ -36,21 +36,21 @@ def claim(store: Store, fit_id: str, *, lease_seconds: float) -> Attempt | None:
     now = time.time()
     with store.writing() as session:
         number = session.scalar(
-            update(Fit)
+            update(FitJob)
             .where(
-                Fit.id == fit_id,
-                (Fit.status == "queued")
-                | ((Fit.status == "running") & (Fit.lease_expires_at < now)),
-                Fit.cancel_requested_at.is_(None),
+                FitJob.id == fit_id,
+                (FitJob.status == "queued")
+                | ((FitJob.status == "running") & (FitJob.lease_expires_at < now)),
+                FitJob.cancel_requested_at.is_(None),
             )
             .values(
                 status="running",
-                attempt=Fit.attempt + 1,
-                revision=Fit.revision + 1,
+                attempt=FitJob.attempt + 1,
+                revision=FitJob.revision + 1,
                 lease_expires_at=now + lease_seconds,
-                started_at=func.coalesce(Fit.started_at, now),  # of the first attempt
+                started_at=func.coalesce(FitJob.started_at, now),  # of the first attempt
             )
-            .returning(Fit.attempt)
+            .returning(FitJob.attempt)
         )
     return None if number is None else Attempt(fit_id, number, lease_seconds)
 
@@ -65,7 +65,7 @@ def beat(store: Store, attempt: Attempt, progress: dict[str, Any] | None) -> boo
     """
     values: dict[str, Any] = {"lease_expires_at": time.time() + attempt.lease_seconds}
     if progress is not None:
-        values |= {"progress": progress, "revision": Fit.revision + 1}
+        values |= {"progress": progress, "revision": FitJob.revision + 1}
     with store.writing() as session:
         asked = _write(session, attempt, values)
     return asked is not None
@@ -77,7 +77,7 @@ def save_checkpoint(store: Store, attempt: Attempt, data: bytes) -> None:
     store.objects.put(key, data)
     try:
         with store.writing() as session:
-            old = session.scalar(select(Fit.checkpoint_key).where(Fit.id == attempt.fit_id))
+            old = session.scalar(select(FitJob.checkpoint_key).where(FitJob.id == attempt.fit_id))
             _write(session, attempt, {"checkpoint_key": key})
     except LeaseLostError:
         store.objects.delete(key)
@@ -87,7 +87,7 @@ def save_checkpoint(store: Store, attempt: Attempt, data: bytes) -> None:
 
 def load_checkpoint(store: Store, fit_id: str) -> bytes | None:
     """Return the last checkpoint of a fit, or None if it has none."""
-    key = fits.get(store, fit_id).checkpoint_key
+    key = lookup.get(store, FitJob, fit_id).checkpoint_key
     return None if key is None else store.objects.get(key)
 
 
@@ -114,7 +114,7 @@ def succeed(
     str
         The model's identifier.
     """
-    fit = fits.get(store, attempt.fit_id)
+    fit = lookup.get(store, FitJob, attempt.fit_id)
     model = models.new_record(store, weights, name=fit.name, fit_id=fit.id, **describe)
     reconstruction_key = f"fits/{fit.id}/{new_id('reconstruction')}.safetensors"
     store.objects.put(reconstruction_key, reconstruction)
@@ -143,7 +143,7 @@ def end(
 ) -> None:
     """End the attempt's fit as ``failed`` or ``cancelled``."""
     with store.writing() as session:
-        key = session.scalar(select(Fit.checkpoint_key).where(Fit.id == attempt.fit_id))
+        key = session.scalar(select(FitJob.checkpoint_key).where(FitJob.id == attempt.fit_id))
         _write(session, attempt, fits.ended(status) | {"error": error})
     store.objects.delete(key)
 
@@ -153,23 +153,48 @@ def release(store: Store, attempt: Attempt) -> None:
 
     If the user asked to cancel meanwhile, that is done instead.
     """
-    back = {"status": "queued", "lease_expires_at": None, "revision": Fit.revision + 1}
+    back = {"status": "queued", "lease_expires_at": None, "revision": FitJob.revision + 1}
     with store.writing() as session:
         asked = _write(session, attempt, back)
         if asked is not None:  # nobody would claim it any more
             session.execute(
-                update(Fit).where(Fit.id == attempt.fit_id).values(**fits.ended("cancelled"))
+                update(FitJob).where(FitJob.id == attempt.fit_id).values(**fits.ended("cancelled"))
             )
+
+
+def give_up(store: Store, attempt: Attempt, why: str) -> None:
+    """Give the fit back because of an error; after too many of them it fails.
+
+    Raises
+    ------
+    NotFoundError
+        If the fit was deleted.
+    LeaseLostError
+        If another attempt or a terminal state has taken this one's place.
+    """
+    with store.writing() as session:
+        fit = lookup.lock(session, FitJob, attempt.fit_id)
+        if fit.attempt != attempt.number or fit.status != "running":
+            raise _lost(attempt)
+        fits.lose(fit, time.time(), "internal_error", why)
 
 
 def _write(session: Session, attempt: Attempt, values: dict[str, Any]) -> float | None:
     """Write as ``attempt``; return when cancellation was asked for, if it was."""
     statement = (
-        update(Fit)
-        .where(Fit.id == attempt.fit_id, Fit.attempt == attempt.number, Fit.status == "running")
+        update(FitJob)
+        .where(
+            FitJob.id == attempt.fit_id,
+            FitJob.attempt == attempt.number,
+            FitJob.status == "running",
+        )
         .values(**values)
     )
-    row = session.execute(statement.returning(Fit.cancel_requested_at)).first()
+    row = session.execute(statement.returning(FitJob.cancel_requested_at)).first()
     if row is None:
-        raise LeaseLostError(f"Attempt {attempt.number} no longer owns fit {attempt.fit_id}.")
+        raise _lost(attempt)
     return row[0]
+
+
+def _lost(attempt: Attempt) -> LeaseLostError:
+    return LeaseLostError(f"Attempt {attempt.number} no longer owns fit {attempt.fit_id}.")

@@ -14,7 +14,8 @@ from store.database import Store
 from store.errors import CaptureError, NotFoundError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
-from store.records import Chunk, Dataset, Fit, Lift
+from store.lookup import get
+from store.records import Chunk, Dataset, FitJob, LiftJob
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ def create(
     with store.reading() as session:  # before anything is stored in vain
         earlier = replayed(session, idempotency)
     if earlier is not None:
-        return get(store, earlier)
+        return get(store, Dataset, earlier)
     key = _put_chunk(store, dataset_id, capture)
     with store.writing() as session:
         earlier = replayed(session, idempotency)
@@ -65,7 +66,7 @@ def create(
             remember(session, idempotency, dataset_id)
     if earlier is not None:
         store.objects.delete(key)
-        return get(store, earlier)
+        return get(store, Dataset, earlier)
     return dataset
 
 
@@ -86,7 +87,7 @@ def append(
     CaptureError
         If views or keypoints are not the dataset's, or it would grow beyond ``max_frames``.
     """
-    dataset = get(store, dataset_id)
+    dataset = get(store, Dataset, dataset_id)
     expected = (dataset.views, dataset.keypoints)
     if capture.keypoints.shape[1:3] != expected:
         raise CaptureError(
@@ -101,7 +102,7 @@ def append(
             with store.reading() as session:
                 if replayed(session, idempotency) is not None:
                     break
-            dataset = get(store, dataset_id)
+            dataset = get(store, Dataset, dataset_id)
             if dataset.frames + capture.frames > max_frames:
                 raise CaptureError(
                     "keypoints",
@@ -142,25 +143,7 @@ def append(
     finally:
         if not appended:
             store.objects.delete(key)
-    return get(store, dataset_id)
-
-
-def get(store: Store, dataset_id: str) -> Dataset:
-    """Return the record of a dataset; raise ``NotFoundError`` if there is none."""
-    with store.reading() as session:
-        dataset = session.get(Dataset, dataset_id)
-    if dataset is None:
-        raise NotFoundError("dataset", dataset_id)
-    return dataset
-
-
-def page(store: Store, *, limit: int, after: str | None) -> list[Dataset]:
-    """Return up to ``limit`` datasets, newest first, older than ``after`` if it is given."""
-    query = select(Dataset).order_by(Dataset.id.desc()).limit(limit)
-    if after is not None:
-        query = query.where(Dataset.id < after)
-    with store.reading() as session:
-        return list(session.scalars(query))
+    return get(store, Dataset, dataset_id)
 
 
 def load(store: Store, dataset_id: str, *, frames: int | None = None) -> Capture:
@@ -228,7 +211,7 @@ def delete(store: Store, dataset_id: str) -> None:
         If a fit or a lift of it is queued or running.
     """
     with store.writing() as session:
-        for column in (Fit.dataset_id, Lift.dataset_id):
+        for column in (FitJob.dataset_id, LiftJob.dataset_id):
             jobs.refuse_if_used(session, "Dataset", column, dataset_id)
         keys = session.scalars(select(Chunk.key).where(Chunk.dataset_id == dataset_id)).all()
         gone = session.execute(

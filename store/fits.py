@@ -21,7 +21,8 @@ from store import jobs
 from store.database import Store
 from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
 from store.idempotency import Idempotency
-from store.records import Dataset, Fit, Model
+from store.lookup import lock
+from store.records import Dataset, FitJob, Model
 
 
 def create(
@@ -34,7 +35,7 @@ def create(
     job_id: str | None = None,
     max_queued: int | None = None,
     idempotency: Idempotency | None = None,
-) -> Fit:
+) -> FitJob:
     """Record a queued fit of the dataset as it is now.
 
     What ``config``, fields of :class:`models.settings.config.FitConfig`, leaves out is filled in:
@@ -56,17 +57,15 @@ def create(
         If ``max_queued`` fits wait already.
     """
 
-    def make(session: Session, fit_id: str) -> Fit:
+    def make(session: Session, fit_id: str) -> FitJob:
         # Locked against deletion, so that no fit is queued of a dataset that is gone.
-        dataset = session.get(Dataset, dataset_id, with_for_update=True)
-        if dataset is None:
-            raise NotFoundError("dataset", dataset_id)
+        dataset = lock(session, Dataset, dataset_id)
         complete = FitConfig.model_validate(config)
         if from_model is not None:
             complete = _suited(complete, session, from_model, dataset)
         filled_in = complete.model_dump(mode="json")
         _check(filled_in, dataset)
-        return _new(
+        return FitJob(
             id=fit_id,
             name=name,
             dataset_id=dataset_id,
@@ -77,7 +76,7 @@ def create(
         )
 
     return jobs.create(
-        store, Fit, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
+        store, FitJob, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
     )
 
 
@@ -125,48 +124,7 @@ def _check(config: dict[str, Any], dataset: Dataset) -> None:
             )
 
 
-def refuse(
-    store: Store,
-    *,
-    dataset_id: str,
-    name: str,
-    config: dict[str, Any],
-    from_model: str | None = None,
-    job_id: str,
-    error: dict[str, Any],
-) -> str:
-    """Record a job that can never run, so that whoever queued it can read why; return the fit."""
-
-    def make(_: Session, fit_id: str) -> Fit:
-        return _new(
-            id=fit_id,
-            name=name,
-            dataset_id=dataset_id,
-            frames=0,
-            config=config,
-            from_model=from_model,
-            job_id=job_id,
-        )
-
-    return jobs.refuse(store, Fit, make, job_id=job_id, error=error)
-
-
-def _new(**columns: Any) -> Fit:
-    return Fit(**jobs.new_columns(), attempt=0, crashes=0, **columns)
-
-
-def get(store: Store, fit_id: str) -> Fit:
-    """Return the record of a fit; raise ``NotFoundError`` if there is none."""
-    return jobs.get(store, Fit, fit_id)
-
-
-def by_job(store: Store, job_id: str) -> Fit | None:
-    """Return the fit that a queue job carries, or None."""
-    with store.reading() as session:
-        return session.scalar(select(Fit).where(Fit.job_id == job_id))
-
-
-def request_cancel(store: Store, fit_id: str) -> Fit:
+def cancel(store: Store, fit_id: str) -> FitJob:
     """Cancel a queued fit at once, or ask the attempt that runs it to stop.
 
     Cancelling a cancelled fit is no error.
@@ -180,7 +138,7 @@ def request_cancel(store: Store, fit_id: str) -> Fit:
     """
     now = time.time()
     with store.writing() as session:
-        fit = jobs.lock_to_cancel(session, Fit, fit_id)
+        fit = jobs.lock_to_cancel(session, FitJob, fit_id)
         if fit.status != "cancelled" and fit.cancel_requested_at is None:
             fit.cancel_requested_at = now
             fit.revision += 1
@@ -190,26 +148,38 @@ def request_cancel(store: Store, fit_id: str) -> Fit:
     return fit
 
 
-def recover(store: Store) -> list[Fit]:
+def recover(store: Store) -> list[FitJob]:
     """Deal with fits whose attempt died; return all queued fits, oldest first.
 
     A fit whose lease ran out is queued again, or cancelled if that was asked, or failed if it has
     taken down too many workers.
     """
     now = time.time()
-    lost = (Fit.status == "running") & (Fit.lease_expires_at < now)
-    queued = select(Fit).where(Fit.status == "queued").order_by(Fit.id)
+    lost = (FitJob.status == "running") & (FitJob.lease_expires_at < now)
+    queued = select(FitJob).where(FitJob.status == "queued").order_by(FitJob.id)
     with store.reading() as session:  # the common case takes no write lock
-        any_lost = session.scalar(select(Fit.id).where(lost).limit(1)) is not None
+        any_lost = session.scalar(select(FitJob.id).where(lost).limit(1)) is not None
     if any_lost:
         with store.writing() as session:
-            for fit in session.scalars(select(Fit).where(lost).with_for_update(skip_locked=True)):
-                _lose(fit, now)
+            for fit in session.scalars(
+                select(FitJob).where(lost).with_for_update(skip_locked=True)
+            ):
+                lose(
+                    fit,
+                    now,
+                    "worker_lost",
+                    "the worker died each time; it may have run out of memory. Try fewer frames "
+                    "or smaller dictionaries.",
+                )
     with store.reading() as session:
         return list(session.scalars(queued))
 
 
-def _lose(fit: Fit, now: float) -> None:
+def lose(fit: FitJob, now: float, code: str, why: str) -> None:
+    """Queue a fit again whose attempt died or met an error; cancel it if that was asked.
+
+    One that has had too many such attempts fails, with ``code`` and with ``why`` in its message.
+    """
     fit.crashes += 1
     fit.revision += 1
     fit.lease_expires_at = None
@@ -217,11 +187,7 @@ def _lose(fit: Fit, now: float) -> None:
         _end(fit, "cancelled", now)
     elif fit.crashes >= jobs.MAX_CRASHES:
         _end(fit, "failed", now)
-        fit.error = {
-            "code": "worker_lost",
-            "message": f"The worker died {fit.crashes} times while fitting; it may have run out "
-            "of memory. Try fewer frames or smaller dictionaries.",
-        }
+        fit.error = {"code": code, "message": f"Tried {fit.crashes} times: {why}"}
     else:
         fit.status = "queued"
 
@@ -237,16 +203,18 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
     now = time.time()
     with store.reading() as session:
         asked = session.scalar(
-            select(Fit.cancel_requested_at).where(Fit.job_id == job_id, Fit.status == "running")
+            select(FitJob.cancel_requested_at).where(
+                FitJob.job_id == job_id, FitJob.status == "running"
+            )
         )
     if asked is None or now - asked < patience_seconds:
         return False
     with store.writing() as session:
         taken = session.execute(
-            update(Fit)
-            .where(Fit.job_id == job_id, Fit.status == "running")
+            update(FitJob)
+            .where(FitJob.job_id == job_id, FitJob.status == "running")
             .values(**ended("cancelled"))
-            .returning(Fit.id)
+            .returning(FitJob.id)
         ).first()
     return taken is not None
 
@@ -254,18 +222,14 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
 def delete(store: Store, fit_id: str) -> None:
     """Delete a fit that has ended, and its reconstruction; its model stays.
 
-    Raises
-    ------
-    NotFoundError
-        If there is no such fit.
-    ConflictError
-        If it is queued or running.
+    Raises as :func:`store.jobs.delete` does.
     """
-    with store.writing() as session:
-        fit = jobs.lock_to_delete(session, Fit, fit_id)
+
+    def forget(session: Session, fit: FitJob) -> list[str]:
         session.execute(update(Model).where(Model.fit_id == fit_id).values(fit_id=None))
-        session.delete(fit)
-    store.objects.delete(fit.reconstruction_key, fit.checkpoint_key)
+        return [key for key in (fit.reconstruction_key, fit.checkpoint_key) if key is not None]
+
+    jobs.delete(store, FitJob, fit_id, forget)
 
 
 def ended(status: str) -> dict[str, Any]:
@@ -275,16 +239,16 @@ def ended(status: str) -> dict[str, Any]:
         "finished_at": time.time(),
         "lease_expires_at": None,
         "checkpoint_key": None,
-        "revision": Fit.revision + 1,
+        "revision": FitJob.revision + 1,
     }
 
 
-def _end(fit: Fit, status: str, now: float) -> None:
+def _end(fit: FitJob, status: str, now: float) -> None:
     fit.status, fit.finished_at = status, now
     fit.lease_expires_at = fit.checkpoint_key = None  # the sweep removes the checkpoint itself
 
 
-def load_reconstruction(store: Store, fit: Fit) -> bytes:
+def load_reconstruction(store: Store, fit: FitJob) -> bytes:
     """Return the reconstruction of a fit (safetensors).
 
     Raises

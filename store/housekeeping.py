@@ -5,7 +5,7 @@ import time
 from sqlalchemy import delete, select
 
 from store.database import Store
-from store.records import Chunk, Fit, IdempotencyKey, LiftChunk, Model
+from store.records import Chunk, FitJob, IdempotencyKey, LiftChunk, Model
 
 ORPHAN_SECONDS = 3600.0  # an object this old belongs to no write still under way
 KEY_SECONDS = 24 * 3600.0
@@ -25,8 +25,8 @@ def sweep(store: Store, *, orphan_seconds: float = ORPHAN_SECONDS) -> int:
     with store.reading() as session:
         for column in (
             Chunk.key,
-            Fit.checkpoint_key,
-            Fit.reconstruction_key,
+            FitJob.checkpoint_key,
+            FitJob.reconstruction_key,
             LiftChunk.arrays_key,
             LiftChunk.lines_key,
             Model.weights_key,

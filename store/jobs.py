@@ -1,4 +1,8 @@
-"""What fits and lifts have in common: work that is recorded here and carried by the queue."""
+"""What fits and lifts have in common: work that is recorded here and carried by the queue.
+
+A function that treats both alike takes the kind of record, :class:`store.records.FitJob` or
+:class:`store.records.LiftJob`. What differs is in ``store.fits`` and ``store.lifts``.
+"""
 
 import time
 from collections.abc import Callable
@@ -8,27 +12,28 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from store.database import Store
-from store.errors import ConflictError, NotFoundError, QueueFullError
+from store.errors import ConflictError, QueueFullError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
-from store.records import Fit, Lift
+from store.lookup import get, lock
+from store.records import FitJob, LiftJob
 
 TERMINAL = ("succeeded", "failed", "cancelled")
 MAX_CRASHES = 5  # workers that one fit, or one chunk of a lift, may take down
 
-Kind = TypeVar("Kind", Fit, Lift)
-Make = Callable[[Session, str], Kind]  # of a record, in this session, with this identifier
+Job = TypeVar("Job", FitJob, LiftJob)
+Make = Callable[[Session, str], Job]  # of a record, in this session, with this identifier
 
 
 def create(
     store: Store,
-    kind: type[Kind],
-    make: Make[Kind],
+    kind: type[Job],
+    make: Make[Job],
     *,
     job_id: str | None,
     max_queued: int | None,
     idempotency: Idempotency | None,
-) -> Kind:
+) -> Job:
     """Record a queued job, or return the one that this request, or this queue job, made before.
 
     Raises
@@ -36,7 +41,7 @@ def create(
     QueueFullError
         If ``max_queued`` of its kind wait already.
     """
-    identifier = new_id(_name(kind))
+    identifier = new_id(kind.noun)
     with store.writing() as session:
         earlier = replayed(session, idempotency)
         if earlier is None and job_id is not None:
@@ -44,7 +49,7 @@ def create(
         if earlier is None:
             waiting = select(func.count()).select_from(kind).where(kind.status == "queued")
             if max_queued is not None and (session.scalar(waiting) or 0) >= max_queued:
-                raise QueueFullError(_name(kind), max_queued)
+                raise QueueFullError(kind.noun, max_queued)
             made = make(session, identifier)
             session.add(made)
             remember(session, idempotency, identifier)
@@ -52,52 +57,41 @@ def create(
 
 
 def refuse(
-    store: Store, kind: type[Kind], make: Make[Kind], *, job_id: str, error: dict[str, Any]
+    store: Store, kind: type[Job], *, job_id: str, error: dict[str, Any], **columns: Any
 ) -> str:
-    """Record a job that can never run, so that whoever queued it can read why; return its id."""
+    """Record a job that can never run, so that whoever queued it can read why; return its id.
+
+    Parameters
+    ----------
+    columns
+        What the job said of itself.
+    """
     with store.writing() as session:
         known = session.scalar(select(kind.id).where(kind.job_id == job_id))
         if known is not None:
             return known
-        refused = make(session, new_id(_name(kind)))
-        refused.status, refused.error, refused.finished_at = "failed", error, refused.created_at
+        now = time.time()
+        refused = kind(
+            id=new_id(kind.noun),
+            job_id=job_id,
+            status="failed",
+            created_at=now,
+            finished_at=now,
+            error=error,
+            frames=0,
+            **columns,
+        )
         session.add(refused)
     return refused.id
 
 
-def new_columns() -> dict[str, Any]:
-    """Return the columns of any job that is queued now."""
-    return {"created_at": time.time(), "status": "queued", "revision": 1}
-
-
-def get(store: Store, kind: type[Kind], identifier: str) -> Kind:
-    """Return the record of a job; raise ``NotFoundError`` if there is none."""
+def by_job(store: Store, kind: type[Job], job_id: str) -> Job | None:
+    """Return the record of this kind that a queue job asked for, or None."""
     with store.reading() as session:
-        found = session.get(kind, identifier)
-    if found is None:
-        raise NotFoundError(_name(kind), identifier)
-    return found
+        return session.scalar(select(kind).where(kind.job_id == job_id))
 
 
-def page(
-    store: Store, kind: type[Kind], *, limit: int, after: str | None, **equal: str | None
-) -> list[Kind]:
-    """Return up to ``limit`` jobs, newest first, older than ``after`` if it is given.
-
-    Parameters
-    ----------
-    equal
-        What columns must hold; None allows anything.
-    """
-    query = select(kind).order_by(kind.id.desc()).limit(limit)
-    if after is not None:
-        query = query.where(kind.id < after)
-    query = query.filter_by(**{name: value for name, value in equal.items() if value is not None})
-    with store.reading() as session:
-        return list(session.scalars(query))
-
-
-def lock_to_cancel(session: Session, kind: type[Kind], identifier: str) -> Kind:
+def lock_to_cancel(session: Session, kind: type[Job], identifier: str) -> Job:
     """Return a job that may be cancelled, or is already.
 
     Raises
@@ -107,16 +101,24 @@ def lock_to_cancel(session: Session, kind: type[Kind], identifier: str) -> Kind:
     ConflictError
         If it has ended otherwise.
     """
-    job = _lock(session, kind, identifier)
+    job = lock(session, kind, identifier)
     if job.status in ("succeeded", "failed"):
         raise ConflictError(
-            f"{kind.__name__} {identifier!r} has already {job.status}; it cannot be cancelled."
+            f"{kind.noun.capitalize()} {identifier!r} has already {job.status}; it cannot be "
+            "cancelled."
         )
     return job
 
 
-def lock_to_delete(session: Session, kind: type[Kind], identifier: str) -> Kind:
-    """Return a job that has ended.
+def delete(
+    store: Store, kind: type[Job], identifier: str, forget: Callable[[Session, Job], list[str]]
+) -> None:
+    """Delete a job that has ended, and its objects.
+
+    Parameters
+    ----------
+    forget
+        Removes what else the records say of the job, and returns the keys of its objects.
 
     Raises
     ------
@@ -125,10 +127,15 @@ def lock_to_delete(session: Session, kind: type[Kind], identifier: str) -> Kind:
     ConflictError
         If it is queued or running.
     """
-    job = _lock(session, kind, identifier)
-    if job.status not in TERMINAL:
-        raise ConflictError(f"{kind.__name__} {identifier!r} is {job.status}: cancel it first.")
-    return job
+    with store.writing() as session:
+        job = lock(session, kind, identifier)
+        if job.status not in TERMINAL:
+            raise ConflictError(
+                f"{kind.noun.capitalize()} {identifier!r} is {job.status}: cancel it first."
+            )
+        keys = forget(session, job)
+        session.delete(job)
+    store.objects.delete(*keys)
 
 
 def refuse_if_used(session: Session, what: str, column: Any, identifier: str) -> None:
@@ -139,7 +146,7 @@ def refuse_if_used(session: Session, what: str, column: Any, identifier: str) ->
     what
         The kind of thing that is to be deleted, for the message.
     column
-        ``Fit.dataset_id``, ``Lift.model_id``, ...
+        ``FitJob.dataset_id``, ``LiftJob.model_id``, ...
     """
     kind = column.class_
     busy = session.scalars(
@@ -148,16 +155,5 @@ def refuse_if_used(session: Session, what: str, column: Any, identifier: str) ->
     if busy:
         raise ConflictError(
             f"{what} {identifier!r} is in use by {', '.join(busy[:5])}: cancel these "
-            f"{_name(kind)}s or wait for them to end."
+            f"{kind.noun}s or wait for them to end."
         )
-
-
-def _lock(session: Session, kind: type[Kind], identifier: str) -> Kind:
-    job = session.get(kind, identifier, with_for_update=True)
-    if job is None:
-        raise NotFoundError(_name(kind), identifier)
-    return job
-
-
-def _name(kind: type[Kind]) -> str:
-    return kind.__name__.lower()

@@ -12,7 +12,7 @@ from store.database import Store
 from store.errors import LeaseLostError
 from store.ids import new_id
 from store.lift_files import Layout, pack
-from store.records import Lift, LiftChunk
+from store.records import LiftChunk, LiftJob
 
 RECENT_CHUNKS = 16  # by whose pace the time left is told
 
@@ -85,7 +85,7 @@ def beat(store: Store, helper: Helper, _progress: object = None) -> None:
         & LiftChunk.finished_at.is_(None)
     )
     with store.reading() as session:  # the common case takes no write lock
-        status = session.scalar(select(Lift.status).where(Lift.id == helper.lift_id))
+        status = session.scalar(select(LiftJob.status).where(LiftJob.id == helper.lift_id))
         until = session.scalar(select(func.min(LiftChunk.lease_expires_at)).where(mine))
     if status is None or status in jobs.TERMINAL:
         raise LeaseLostError(f"Lift {helper.lift_id} has ended.")
@@ -135,7 +135,7 @@ def finish(
             store.objects.delete(arrays_key, lines_key)
 
 
-def _count(session: Session, lift: Lift, chunk: LiftChunk, layout: Layout) -> None:
+def _count(session: Session, lift: LiftJob, chunk: LiftChunk, layout: Layout) -> None:
     """Count a finished chunk, and end the lift with its last."""
     lift.layout = lift.layout or layout
     lift.chunks_done += 1
@@ -147,7 +147,7 @@ def _count(session: Session, lift: Lift, chunk: LiftChunk, layout: Layout) -> No
         lift.seconds_left = _seconds_left(session, lift)
 
 
-def _seconds_left(session: Session, lift: Lift) -> float | None:
+def _seconds_left(session: Session, lift: LiftJob) -> float | None:
     """Tell how long the frames left take, at the pace of the chunks finished last."""
     session.flush()
     recent = session.scalars(
@@ -191,7 +191,7 @@ def fail(store: Store, helper: Helper, code: str, message: str) -> None:
     store.objects.delete(*keys)
 
 
-def _lose(session: Session, lift: Lift, chunk: LiftChunk, code: str, why: str) -> list[str]:
+def _lose(session: Session, lift: LiftJob, chunk: LiftChunk, code: str, why: str) -> list[str]:
     """Free a chunk that took down its helper; return the objects of a lift that fails of it."""
     chunk.crashes += 1
     chunk.holder = chunk.lease_expires_at = None
@@ -210,13 +210,13 @@ def _lose(session: Session, lift: Lift, chunk: LiftChunk, code: str, why: str) -
     )
 
 
-def _running(session: Session, lift_id: str) -> Lift | None:
+def _running(session: Session, lift_id: str) -> LiftJob | None:
     """Lock a lift before any of its chunks, as everyone does; None if it has ended or is gone."""
-    lift = session.get(Lift, lift_id, with_for_update=True)
+    lift = session.get(LiftJob, lift_id, with_for_update=True)
     return None if lift is None or lift.status in jobs.TERMINAL else lift
 
 
-def _held(session: Session, helper: Helper, chunk: LiftChunk) -> tuple[Lift, LiftChunk]:
+def _held(session: Session, helper: Helper, chunk: LiftChunk) -> tuple[LiftJob, LiftChunk]:
     lift = _running(session, helper.lift_id)
     mine = session.get(LiftChunk, (chunk.lift_id, chunk.first_frame), with_for_update=True)
     if lift is None or mine is None or mine.holder != helper.token:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from store.crc import combine
-from store.records import Lift, LiftChunk
+from store.records import LiftChunk, LiftJob
 
 Format = Literal["jsonl", "npz", "safetensors"]
 
@@ -106,7 +106,7 @@ class ResultFile:
 
 
 def result_file(
-    lift: Lift, chunks: Sequence[LiftChunk], wanted: Format, metadata: dict[str, str]
+    lift: LiftJob, chunks: Sequence[LiftChunk], wanted: Format, metadata: dict[str, str]
 ) -> ResultFile:
     """Return the result of a lift that succeeded, laid out in a format.
 

@@ -16,9 +16,10 @@ from sqlalchemy.orm import Session
 
 from store import jobs
 from store.database import Store
-from store.errors import LiftError, NotFoundError
+from store.errors import LiftError
 from store.idempotency import Idempotency
-from store.records import Dataset, Lift, LiftChunk, Model
+from store.lookup import lock
+from store.records import Dataset, LiftChunk, LiftJob, Model
 
 CHUNK_NUMBERS = 2**20  # keypoints of a chunk, over all views: its results take some 30 MB
 
@@ -35,7 +36,7 @@ def create(
     job_id: str | None = None,
     max_queued: int | None = None,
     idempotency: Idempotency | None = None,
-) -> Lift:
+) -> LiftJob:
     """Record a queued lift of the dataset as it is now.
 
     A ``job_id`` that already has a lift gives that lift back; without one, the lift's own
@@ -56,18 +57,14 @@ def create(
         If ``max_queued`` lifts wait already.
     """
 
-    def make(session: Session, lift_id: str) -> Lift:
+    def make(session: Session, lift_id: str) -> LiftJob:
         # Locked against deletion, so that no lift is queued of what is gone.
-        dataset = session.get(Dataset, dataset_id, with_for_update=True)
-        if dataset is None:
-            raise NotFoundError("dataset", dataset_id)
-        model = session.get(Model, model_id, with_for_update=True)
-        if model is None:
-            raise NotFoundError("model", model_id)
+        dataset = lock(session, Dataset, dataset_id)
+        model = lock(session, Model, model_id)
         _check(views, dataset, model)
         size = max(1, min(chunk_frames, CHUNK_NUMBERS // (dataset.views * dataset.keypoints)))
         starts = range(0, dataset.frames, size)
-        lift = _new(
+        lift = LiftJob(
             id=lift_id,
             name=name,
             dataset_id=dataset_id,
@@ -92,7 +89,7 @@ def create(
         return lift
 
     return jobs.create(
-        store, Lift, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
+        store, LiftJob, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
     )
 
 
@@ -111,43 +108,15 @@ def _check(views: list[int] | None, dataset: Dataset, model: Model) -> None:
         )
 
 
-def refuse(
-    store: Store, *, model_id: str, dataset_id: str, name: str, job_id: str, error: dict[str, Any]
-) -> str:
-    """Record a job that can never run, so that whoever queued it can read why; return the lift."""
-
-    def make(_: Session, lift_id: str) -> Lift:
-        return _new(
-            id=lift_id,
-            name=name,
-            dataset_id=dataset_id,
-            model_id=model_id,
-            frames=0,
-            chunks=0,
-            job_id=job_id,
-        )
-
-    return jobs.refuse(store, Lift, make, job_id=job_id, error=error)
-
-
-def _new(**columns: Any) -> Lift:
-    return Lift(**jobs.new_columns(), helpers=0, chunks_done=0, frames_done=0, **columns)
-
-
-def get(store: Store, lift_id: str) -> Lift:
-    """Return the record of a lift; raise ``NotFoundError`` if there is none."""
-    return jobs.get(store, Lift, lift_id)
-
-
-def by_job(store: Store, job_id: str) -> Lift | None:
+def helped(store: Store, job_id: str) -> LiftJob | None:
     """Return the lift that a queue job asked for, or helps with; or None."""
     with store.reading() as session:
         return session.scalar(
-            select(Lift).where((Lift.job_id == job_id) | (Lift.id == helped_by(job_id)))
+            select(LiftJob).where((LiftJob.job_id == job_id) | (LiftJob.id == helped_by(job_id)))
         )
 
 
-def waiting_job(lift: Lift) -> str:
+def waiting_job(lift: LiftJob) -> str:
     """Return the identifier of the queue job that calls the next helper.
 
     The first is the job that asked for the lift; each that starts makes the next.
@@ -160,10 +129,10 @@ def helped_by(job_id: str) -> str:
     return job_id.rpartition("-")[0]
 
 
-def call_next(store: Store, lift_id: str, job_id: str) -> Lift | None:
+def call_next(store: Store, lift_id: str, job_id: str) -> LiftJob | None:
     """Note that ``job_id`` has started; return the lift if another job may help beside it."""
     with store.writing() as session:
-        lift = session.get(Lift, lift_id, with_for_update=True)
+        lift = session.get(LiftJob, lift_id, with_for_update=True)
         if lift is None or lift.status in jobs.TERMINAL or waiting_job(lift) != job_id:
             return None
         lift.helpers += 1
@@ -175,14 +144,16 @@ def call_next(store: Store, lift_id: str, job_id: str) -> Lift | None:
     return None if unclaimed is None else lift
 
 
-def recover(store: Store) -> list[Lift]:
+def recover(store: Store) -> list[LiftJob]:
     """Return the lifts that have chunks for a helper to do, oldest first."""
     chunks = select(LiftChunk.first_frame).where(
-        LiftChunk.lift_id == Lift.id, *claimable(time.time())
+        LiftChunk.lift_id == LiftJob.id, *claimable(time.time())
     )
-    active = Lift.status.in_(("queued", "running"))
+    active = LiftJob.status.in_(("queued", "running"))
     with store.reading() as session:
-        return list(session.scalars(select(Lift).where(active, chunks.exists()).order_by(Lift.id)))
+        return list(
+            session.scalars(select(LiftJob).where(active, chunks.exists()).order_by(LiftJob.id))
+        )
 
 
 def claimable(now: float) -> tuple[Any, ...]:
@@ -191,7 +162,7 @@ def claimable(now: float) -> tuple[Any, ...]:
     return LiftChunk.finished_at.is_(None), free
 
 
-def cancel(store: Store, lift_id: str) -> Lift:
+def cancel(store: Store, lift_id: str) -> LiftJob:
     """Cancel a lift at once, whoever works at it. Cancelling a cancelled lift is no error.
 
     Raises
@@ -203,7 +174,7 @@ def cancel(store: Store, lift_id: str) -> Lift:
     """
     keys: list[str] = []
     with store.writing() as session:
-        lift = jobs.lock_to_cancel(session, Lift, lift_id)
+        lift = jobs.lock_to_cancel(session, LiftJob, lift_id)
         if lift.status != "cancelled":
             keys = end(session, lift, "cancelled")
     store.objects.delete(*keys)
@@ -211,7 +182,7 @@ def cancel(store: Store, lift_id: str) -> Lift:
 
 
 def end(
-    session: Session, lift: Lift, status: str, error: dict[str, Any] | None = None
+    session: Session, lift: LiftJob, status: str, error: dict[str, Any] | None = None
 ) -> list[str]:
     """End a lift; return the objects that are to be deleted once that is committed.
 
@@ -223,7 +194,7 @@ def end(
     return [] if status == "succeeded" else _drop_chunks(session, lift)
 
 
-def _drop_chunks(session: Session, lift: Lift) -> list[str]:
+def _drop_chunks(session: Session, lift: LiftJob) -> list[str]:
     gone = session.execute(
         sql_delete(LiftChunk)
         .where(LiftChunk.lift_id == lift.id)
@@ -237,7 +208,7 @@ def was_cancelled(store: Store, job_id: str, *, patience_seconds: float) -> bool
 
     Whoever runs it must then be stopped.
     """
-    lift = by_job(store, job_id)
+    lift = helped(store, job_id)
     return (
         lift is not None
         and lift.status == "cancelled"
@@ -246,23 +217,11 @@ def was_cancelled(store: Store, job_id: str, *, patience_seconds: float) -> bool
 
 
 def delete(store: Store, lift_id: str) -> None:
-    """Delete a lift that has ended, and its result.
-
-    Raises
-    ------
-    NotFoundError
-        If there is no such lift.
-    ConflictError
-        If it is queued or running.
-    """
-    with store.writing() as session:
-        lift = jobs.lock_to_delete(session, Lift, lift_id)
-        keys = _drop_chunks(session, lift)
-        session.delete(lift)
-    store.objects.delete(*keys)
+    """Delete a lift that has ended, and its result; raises as :func:`store.jobs.delete` does."""
+    jobs.delete(store, LiftJob, lift_id, _drop_chunks)
 
 
-def finished_chunks(store: Store, lift: Lift) -> list[LiftChunk]:
+def finished_chunks(store: Store, lift: LiftJob) -> list[LiftChunk]:
     """Return the chunks of a lift that are done, in the order of their frames."""
     query = (
         select(LiftChunk)

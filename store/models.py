@@ -12,7 +12,8 @@ from store.database import Store
 from store.errors import NotFoundError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
-from store.records import Fit, Lift, Model
+from store.lookup import get, lock
+from store.records import FitJob, LiftJob, Model
 
 
 def new_record(store: Store, weights: bytes, **columns: Any) -> Model:
@@ -37,7 +38,7 @@ def create(
     with store.reading() as session:  # before anything is stored in vain
         earlier = replayed(session, idempotency)
     if earlier is not None:
-        return get(store, earlier)
+        return get(store, Model, earlier)
     model = new_record(store, weights, **columns)
     with store.writing() as session:
         earlier = replayed(session, idempotency)
@@ -46,16 +47,7 @@ def create(
             remember(session, idempotency, model.id)
     if earlier is not None:
         store.objects.delete(model.weights_key)
-        return get(store, earlier)
-    return model
-
-
-def get(store: Store, model_id: str) -> Model:
-    """Return the record of a model; raise ``NotFoundError`` if there is none."""
-    with store.reading() as session:
-        model = session.get(Model, model_id)
-    if model is None:
-        raise NotFoundError("model", model_id)
+        return get(store, Model, earlier)
     return model
 
 
@@ -84,15 +76,6 @@ def load_weights(store: Store, model: Model) -> bytes:
         raise NotFoundError("model", model.id) from error
 
 
-def page(store: Store, *, limit: int, after: str | None) -> list[Model]:
-    """Return up to ``limit`` models, newest first, older than ``after`` if it is given."""
-    query = select(Model).order_by(Model.id.desc()).limit(limit)
-    if after is not None:
-        query = query.where(Model.id < after)
-    with store.reading() as session:
-        return list(session.scalars(query))
-
-
 def delete(store: Store, model_id: str) -> None:
     """Delete a model and its weights.
 
@@ -104,10 +87,8 @@ def delete(store: Store, model_id: str) -> None:
         If a lift with it is queued or running.
     """
     with store.writing() as session:
-        jobs.refuse_if_used(session, "Model", Lift.model_id, model_id)
-        model = session.get(Model, model_id, with_for_update=True)
-        if model is None:
-            raise NotFoundError("model", model_id)
-        session.execute(update(Fit).where(Fit.model_id == model_id).values(model_id=None))
+        jobs.refuse_if_used(session, "Model", LiftJob.model_id, model_id)
+        model = lock(session, Model, model_id)
+        session.execute(update(FitJob).where(FitJob.model_id == model_id).values(model_id=None))
         session.delete(model)
     store.objects.delete(model.weights_key)

@@ -1,6 +1,7 @@
 """The tables. Times are seconds since the epoch (UTC); identifiers come from ``store.ids``."""
 
-from typing import Any
+import time
+from typing import Any, ClassVar
 
 from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -21,6 +22,7 @@ class Record(DeclarativeBase):
 class Dataset(Record):
     """A stored capture: what is known of it without reading its arrays."""
 
+    noun: ClassVar = "dataset"  # in messages and URLs
     __tablename__ = "datasets"
 
     id: Mapped[str] = mapped_column(primary_key=True)
@@ -59,24 +61,27 @@ class Job:
 
     id: Mapped[str] = mapped_column(primary_key=True)
     name: Mapped[str]
-    created_at: Mapped[float]
+    created_at: Mapped[float] = mapped_column(default=time.time)
     started_at: Mapped[float | None]
     finished_at: Mapped[float | None]
     dataset_id: Mapped[str] = mapped_column(index=True)
     frames: Mapped[int] = mapped_column(BigInteger)  # of the dataset when the job was made
     job_id: Mapped[str] = mapped_column(unique=True)
-    status: Mapped[str]  # queued, running, succeeded, failed, cancelled
-    revision: Mapped[int]
+    status: Mapped[str] = mapped_column(
+        default="queued"
+    )  # queued, running, succeeded, failed, cancelled
+    revision: Mapped[int] = mapped_column(default=1)
     error: Mapped[dict[str, Any] | None]
 
 
-class Fit(Job, Record):
+class FitJob(Job, Record):
     """A fit job.
 
     ``attempt`` is the fencing token: it grows with every claim, and a write that carries an older
     one changes nothing.
     """
 
+    noun: ClassVar = "fit"
     __tablename__ = "fits"
     __table_args__ = (Index("fits_by_status", "status"),)
 
@@ -84,27 +89,28 @@ class Fit(Job, Record):
     from_model: Mapped[str | None]  # whose weights it starts with
     progress: Mapped[dict[str, Any] | None]
     cancel_requested_at: Mapped[float | None]
-    attempt: Mapped[int]
-    crashes: Mapped[int]
+    attempt: Mapped[int] = mapped_column(default=0)
+    crashes: Mapped[int] = mapped_column(default=0)
     lease_expires_at: Mapped[float | None]
     checkpoint_key: Mapped[str | None]
     reconstruction_key: Mapped[str | None]
     model_id: Mapped[str | None]
 
 
-class Lift(Job, Record):
+class LiftJob(Job, Record):
     """The lift of a whole dataset. ``helpers`` counts the queue jobs that have worked at it."""
 
+    noun: ClassVar = "lift"
     __tablename__ = "lifts"
     __table_args__ = (Index("lifts_by_status", "status"),)
 
     model_id: Mapped[str] = mapped_column(index=True)
     refine: Mapped[str | None]
     views: Mapped[list[Any] | None]
-    helpers: Mapped[int]
-    chunks: Mapped[int]
-    chunks_done: Mapped[int]
-    frames_done: Mapped[int] = mapped_column(BigInteger)
+    helpers: Mapped[int] = mapped_column(default=0)
+    chunks: Mapped[int] = mapped_column(default=0)
+    chunks_done: Mapped[int] = mapped_column(default=0)
+    frames_done: Mapped[int] = mapped_column(BigInteger, default=0)
     seconds_left: Mapped[float | None]
     layout: Mapped[list[Any] | None]  # of a frame's arrays, see store.lift_files
 
@@ -135,6 +141,7 @@ class LiftChunk(Record):
 class Model(Record):
     """A fitted prior: its weights are an object, its figures are here."""
 
+    noun: ClassVar = "model"
     __tablename__ = "models"
 
     id: Mapped[str] = mapped_column(primary_key=True)

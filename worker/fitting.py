@@ -21,12 +21,14 @@ from models.numerics.tensor_files import WeightsError
 from models.numerics.threads import use_cores
 from models.settings.config import FitConfig
 from models.training.trainer import Trainer
-from store import attempts, datasets, fits, models
+from store import attempts, datasets, lookup, models
 from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
-from store.errors import LeaseLostError, NotFoundError
-from worker.pulse import Pulse
+from store.errors import LeaseLostError
+from store.records import Dataset, FitJob, Model
+from worker.heartbeat import Heartbeat
+from worker.outcomes import Outcomes, recorded
 from worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
@@ -36,7 +38,9 @@ GPU_MULTIPLICATIONS = 200_000_000  # in a step: about what a core does while a G
 CHECKPOINT_SHARE = 20  # checkpoints may take a twentieth of the time, however large they are
 
 
-def run_attempt(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings) -> None:
+def run_attempt(
+    store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerSettings
+) -> None:
     """Run a claimed fit until it succeeds, fails, is cancelled, or this process must leave.
 
     The outcome is in the fit's record. Whatever else ends the attempt is recorded as a failure and
@@ -44,24 +48,21 @@ def run_attempt(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSe
     """
     torch.set_num_threads(settings.fit_threads)
     use_cores(len(os.sched_getaffinity(0)))  # which changes no digit, and is over soon
-    try:
-        _run(store, attempt, pulse, settings)
-    except LeaseLostError:
-        logger.warning("Fit %s is no longer ours: leaving it alone", attempt.fit_id)
-    except NotFoundError as error:
-        _fail(store, attempt, f"{error.kind}_not_found", str(error))
-    except ValueError as error:
-        _fail(store, attempt, "unusable_capture", str(error))
-        logger.exception("Fit %s failed", attempt.fit_id)
-    except BaseException as error:
-        _fail(store, attempt, "internal_error", f"{type(error).__name__}: {error}"[:500])
-        raise
+    fail = partial(_fail, store, attempt)
+    outcomes = Outcomes(
+        fail=fail,
+        try_again=partial(attempts.give_up, store, attempt),
+        fault=partial(fail, "internal_error"),
+        unusable="unusable_capture",
+    )
+    with recorded(attempt.fit_id, outcomes):
+        _run(store, attempt, heartbeat, settings)
 
 
-def _run(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings) -> None:
+def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerSettings) -> None:
     started = time.monotonic()
-    fit = fits.get(store, attempt.fit_id)
-    dataset = datasets.get(store, fit.dataset_id)
+    fit = lookup.get(store, FitJob, attempt.fit_id)
+    dataset = lookup.get(store, Dataset, fit.dataset_id)
     config = FitConfig.model_validate(fit.config)
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
     checkpoint = attempts.load_checkpoint(store, fit.id)
@@ -71,11 +72,11 @@ def _run(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings)
 
     def stopped() -> bool:
         """End the attempt if it has to end now; return whether it did."""
-        if pulse.lost:
+        if heartbeat.lost:
             raise LeaseLostError
-        if pulse.cancel:
+        if heartbeat.cancel:
             attempts.end(store, attempt, "cancelled")
-        elif pulse.leave:
+        elif heartbeat.leave:
             attempts.save_checkpoint(store, attempt, trainer.checkpoint())
             attempts.release(store, attempt)
         elif time.monotonic() - started > settings.max_fit_seconds:
@@ -87,7 +88,7 @@ def _run(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings)
 
     next_checkpoint = time.monotonic() + settings.checkpoint_seconds
     for progress in trainer.run():
-        pulse.progress = _finite(asdict(progress))
+        heartbeat.progress = _finite(asdict(progress))
         if stopped():
             return
         now = time.monotonic()
@@ -110,7 +111,7 @@ def _run(store: Store, attempt: Attempt, pulse: Pulse, settings: WorkerSettings)
         attempt,
         weights=prior.to_bytes(),
         reconstruction=save(lift.arrays),
-        progress=pulse.progress,
+        progress=heartbeat.progress,
         describe={
             "dataset_id": fit.dataset_id,
             "views": capture.keypoints.shape[1],
@@ -135,7 +136,7 @@ def _device(settings: WorkerSettings, capture: Capture, config: FitConfig) -> st
 
 
 def _load(store: Store, model_id: str) -> FittedPrior:
-    return FittedPrior.from_bytes(models.load_weights(store, models.get(store, model_id)))
+    return FittedPrior.from_bytes(models.load_weights(store, lookup.get(store, Model, model_id)))
 
 
 def _resume(
@@ -191,10 +192,7 @@ def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]
 
 
 def _fail(store: Store, attempt: Attempt, code: str, message: str) -> None:
-    try:
-        attempts.end(store, attempt, "failed", error={"code": code, "message": message})
-    except LeaseLostError:
-        logger.warning("Fit %s is no longer ours: its failure is not recorded", attempt.fit_id)
+    attempts.end(store, attempt, "failed", error={"code": code, "message": message})
 
 
 def _finite(figures: dict[str, Any]) -> dict[str, Any]:

@@ -8,15 +8,16 @@ from typing import Any
 
 from rq import get_current_job
 
-from store import attempts, fits, lift_chunks, lifts
+from store import attempts, jobs, lift_chunks, lookup
 from store.database import Store
 from store.errors import NotFoundError
-from store.records import Fit, Lift
-from worker.pulse import Pulse
+from store.jobs import Job
+from store.records import FitJob, LiftJob
+from worker.heartbeat import Heartbeat
 from worker.queue import KnownJob, open_queue
 from worker.reconciler import adopt
 from worker.settings import WorkerSettings
-from worker.turn import Turn
+from worker.time_slice import TimeSlice
 
 logger = logging.getLogger(__name__)
 
@@ -51,16 +52,15 @@ def fit(
         If the fit failed: its code and message, as in the record.
     """
     with _opened() as (job, store, settings):
-        known = fits.by_job(store, job.id)
-        fit_id = adopt(store, job, settings) if known is None else known.id
+        fit_id = _recorded(store, FitJob, job, settings)
         attempt = attempts.claim(store, fit_id, lease_seconds=settings.lease_seconds)
         if attempt is not None:
             logger.info("Fit %s: attempt %d starts", fit_id, attempt.number)
-            with Pulse(partial(attempts.beat, store, attempt)) as pulse:
+            with Heartbeat(partial(attempts.beat, store, attempt)) as heartbeat:
                 from worker.fitting import run_attempt  # noqa: PLC0415 (torch takes seconds)
 
-                run_attempt(store, attempt, pulse, settings)
-        record = fits.get(store, fit_id)
+                run_attempt(store, attempt, heartbeat, settings)
+        record = lookup.get(store, FitJob, fit_id)
         _report(record)
     return {"fit_id": record.id, "status": record.status, "model_id": record.model_id}
 
@@ -95,8 +95,7 @@ def lift(
         If the lift failed: its code and message, as in the record.
     """
     with _opened() as (job, store, settings):
-        known = lifts.by_job(store, job.id)
-        lift_id = adopt(store, job, settings) if known is None else known.id
+        lift_id = _recorded(store, LiftJob, job, settings)
         return _help(job, store, settings, lift_id)
 
 
@@ -116,21 +115,27 @@ def _help(
     helper = lift_chunks.join(lift_id, lease_seconds=settings.lease_seconds)
     chunk = lift_chunks.claim(store, helper)
     if chunk is not None:
-        turn = Turn(open_queue(job.connection), settings, lift_id)
-        turn.call_next(store, job.id)
-        with Pulse(partial(lift_chunks.beat, store, helper)) as pulse:
+        time_slice = TimeSlice(open_queue(job.connection), settings, lift_id)
+        time_slice.call_next(store, job.id)
+        with Heartbeat(partial(lift_chunks.beat, store, helper)) as heartbeat:
             from worker.lifting import do_chunks  # noqa: PLC0415 (torch takes seconds)
 
-            do_chunks(store, helper, chunk, pulse, settings, turn)
+            do_chunks(store, helper, chunk, heartbeat, settings, time_slice)
     try:
-        record = lifts.get(store, lift_id)
+        record = lookup.get(store, LiftJob, lift_id)
     except NotFoundError:  # deleted since the job was queued
         return {"lift_id": lift_id, "status": None}
     _report(record)
     return {"lift_id": lift_id, "status": record.status}
 
 
-def _report(record: Fit | Lift) -> None:
+def _recorded(store: Store, kind: type[Job], job: KnownJob, settings: WorkerSettings) -> str:
+    """Return the identifier of what a job asks for; it may be on no record yet."""
+    known = jobs.by_job(store, kind, job.id)
+    return adopt(store, job, settings) if known is None else known.id
+
+
+def _report(record: FitJob | LiftJob) -> None:
     """Say how a job ended; raise ``RuntimeError`` for one that failed, for RQ to see."""
     logger.info("%s: %s", record.id, record.status)
     if record.error is not None:

@@ -1,26 +1,22 @@
 """Doing chunks of a lift: frames and weights in, arrays and JSON lines out."""
 
-import logging
-from contextlib import suppress
+from functools import partial
 from typing import cast
 
 import torch
-from sqlalchemy.exc import SQLAlchemyError
 
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import Lift, join
 from models.settings.config import Refine
-from store import datasets, lift_chunks, lifts, models
+from store import datasets, lift_chunks, lookup, models
 from store.database import Store
-from store.errors import LeaseLostError, NotFoundError
 from store.lift_chunks import Helper
-from store.records import LiftChunk
-from worker.pulse import Pulse
+from store.records import LiftChunk, LiftJob, Model
+from worker.heartbeat import Heartbeat
+from worker.outcomes import Outcomes, recorded
 from worker.settings import WorkerSettings
-from worker.turn import Turn
-
-logger = logging.getLogger(__name__)
+from worker.time_slice import TimeSlice
 
 SLICE_FRAMES = 512  # lifted between two looks at what is asked of the helper
 
@@ -29,9 +25,9 @@ def do_chunks(
     store: Store,
     helper: Helper,
     first: LiftChunk,
-    pulse: Pulse,
+    heartbeat: Heartbeat,
     settings: WorkerSettings,
-    turn: Turn,
+    time_slice: TimeSlice,
 ) -> None:
     """Do a claimed chunk and then others, until none is left or this process must leave.
 
@@ -39,45 +35,43 @@ def do_chunks(
     """
     torch.set_num_threads(settings.fit_threads)
     chunk: LiftChunk | None = first
-    try:
+
+    def try_again(why: str) -> None:
+        if chunk is not None:
+            lift_chunks.give_up(store, helper, chunk, why)
+
+    outcomes = Outcomes(
+        fail=partial(lift_chunks.fail, store, helper),
+        try_again=try_again,
+        fault=try_again,
+        unusable="invalid_arguments",
+    )
+    with recorded(helper.lift_id, outcomes):
         prior = _load_prior(store, helper.lift_id)
         while chunk is not None:
-            _do(store, helper, chunk, pulse, prior)
-            if pulse.lost or pulse.leave or turn.is_over():
+            _do(store, helper, chunk, heartbeat, prior)
+            if heartbeat.lost or heartbeat.leave or time_slice.is_over():
                 return
             chunk = lift_chunks.claim(store, helper)
-    except LeaseLostError:
-        logger.warning("Lift %s is no longer ours: leaving it alone", helper.lift_id)
-    except NotFoundError as error:
-        lift_chunks.fail(store, helper, f"{error.kind}_not_found", str(error))
-    except ValueError as error:
-        lift_chunks.fail(store, helper, "invalid_arguments", str(error))
-        logger.exception("Lift %s failed", helper.lift_id)
-    except SQLAlchemyError:  # nothing can be written: the chunk is free once its lease runs out
-        raise
-    except BaseException as error:
-        if chunk is not None:
-            with suppress(LeaseLostError):
-                why = f"{type(error).__name__}: {error}"
-                lift_chunks.give_up(store, helper, chunk, why)
-        raise
 
 
 def _load_prior(store: Store, lift_id: str) -> FittedPrior:
-    model = models.get(store, lifts.get(store, lift_id).model_id)
+    model = lookup.get(store, Model, lookup.get(store, LiftJob, lift_id).model_id)
     return FittedPrior.from_bytes(models.load_weights(store, model))
 
 
-def _do(store: Store, helper: Helper, chunk: LiftChunk, pulse: Pulse, prior: FittedPrior) -> None:
+def _do(
+    store: Store, helper: Helper, chunk: LiftChunk, heartbeat: Heartbeat, prior: FittedPrior
+) -> None:
     """Do one chunk, unless the process must leave: then it is given back."""
-    lift = lifts.get(store, helper.lift_id)
+    lift = lookup.get(store, LiftJob, helper.lift_id)
     end = chunk.first_frame + chunk.frames
     capture = datasets.load_frames(store, lift.dataset_id, chunk.first_frame, end)
     parts: list[Lift] = []
     for start in range(0, chunk.frames, SLICE_FRAMES):
-        if pulse.lost:
+        if heartbeat.lost:
             return
-        if pulse.leave:
+        if heartbeat.leave:
             lift_chunks.release(store, helper, chunk)
             return
         part = slice(start, start + SLICE_FRAMES)

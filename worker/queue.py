@@ -17,7 +17,7 @@ from rq.job import Job
 from models.settings.config import FitConfig, Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from store.lifts import waiting_job
-from store.records import Fit, Lift
+from store.records import FitJob, LiftJob
 
 logger = logging.getLogger(__name__)
 
@@ -104,12 +104,12 @@ def open_queue(connection: Redis) -> Queue:
     return Queue(QUEUE, connection=connection, job_class=KnownJob, serializer=PlainDataSerializer)
 
 
-def enqueue(queue: Queue, record: Fit | Lift) -> None:
+def enqueue(queue: Queue, record: FitJob | LiftJob) -> None:
     """Put a recorded fit on the queue, as any producer would, or a call for help with a lift.
 
     Twice is harmless: only one job can claim the fit, or a chunk of the lift.
     """
-    if isinstance(record, Fit):
+    if isinstance(record, FitJob):
         function, job_id = FIT_JOB, record.job_id
         arguments = {"dataset_id": record.dataset_id, "config": record.config, "name": record.name}
         if record.from_model is not None:
@@ -123,11 +123,11 @@ def enqueue(queue: Queue, record: Fit | Lift) -> None:
         job_id=job_id,
         result_ttl=RESULT_SECONDS,
         failure_ttl=FAILURE_SECONDS,
-        meta={f"{type(record).__name__.lower()}_id": record.id},
+        meta={f"{record.noun}_id": record.id},
     )
 
 
-def offer(queue: Queue, record: Fit | Lift) -> None:
+def offer(queue: Queue, record: FitJob | LiftJob) -> None:
     """Do the same if the queue can be reached; if not, a reconciler will when it is back."""
     try:
         enqueue(queue, record)

@@ -2,16 +2,17 @@
 
 import logging
 import time
+from functools import partial
 
 from redis import Redis
 from rq import Queue
 from rq.exceptions import DeserializationError
 
 from models.settings.config import FitConfig
-from store import fits, lifts
+from store import fits, jobs, lifts
 from store.database import Store
 from store.errors import InputError, NotFoundError
-from store.records import Fit, Lift
+from store.records import FitJob, LiftJob
 from worker.queue import (
     HELP_JOB,
     LIFT_JOB,
@@ -51,7 +52,7 @@ class Reconciler:
                 self._adopt(job_id)
         self._known.intersection_update(waiting)  # bounded by the queue's length
         now = time.monotonic()
-        work: dict[str, Fit | Lift] = {fit.job_id: fit for fit in fits.recover(self._store)}
+        work: dict[str, FitJob | LiftJob] = {fit.job_id: fit for fit in fits.recover(self._store)}
         work |= {lifts.waiting_job(lift): lift for lift in lifts.recover(self._store)}
         lost = work.keys() - set(waiting)
         self._lost_since = {job_id: self._lost_since.get(job_id, now) for job_id in lost}
@@ -64,7 +65,10 @@ class Reconciler:
 
     def _adopt(self, job_id: str) -> None:
         self._known.add(job_id)
-        if fits.by_job(self._store, job_id) is None and lifts.by_job(self._store, job_id) is None:
+        if (
+            jobs.by_job(self._store, FitJob, job_id) is None
+            and lifts.helped(self._store, job_id) is None
+        ):
             job = self._queue.fetch_job(job_id)
             if isinstance(job, KnownJob) and not calls(job, HELP_JOB):
                 adopt(self._store, job, self._settings)
@@ -83,12 +87,12 @@ def adopt(store: Store, job: KnownJob, settings: WorkerSettings) -> str:
 
     A job that can never run is recorded as failed, so that its producer can read why.
     """
-    kind = "lift" if calls(job, LIFT_JOB) else "fit"
+    is_lift = calls(job, LIFT_JOB)
     arguments: dict[str, object] = {}
     try:
         job.check_function()
         arguments = arguments_of(job)
-        if kind == "lift":
+        if is_lift:
             identifier = _create_lift(store, job, arguments, settings)
         else:
             identifier = _create_fit(store, job, arguments)
@@ -99,28 +103,31 @@ def adopt(store: Store, job: KnownJob, settings: WorkerSettings) -> str:
         NotFoundError,
         InputError,
     ) as error:
-        said = {
-            "dataset_id": str(arguments.get("dataset_id", ""))[:200],
-            "name": str(arguments.get("name") or kind)[:200],
-            "job_id": job.id,
-        }
-        problem = {
-            "code": (
-                f"{error.kind}_not_found"
-                if isinstance(error, NotFoundError)
-                else "invalid_arguments"
-            ),
-            "message": str(error.__cause__ or error),
-        }
-        if kind == "lift":
-            model_id = str(arguments.get("model_id", ""))[:200]
-            identifier = lifts.refuse(store, model_id=model_id, error=problem, **said)
-        else:
-            from_model = str(arguments.get("from_model") or "")[:200] or None
-            identifier = fits.refuse(store, config={}, from_model=from_model, error=problem, **said)
-    job.meta[f"{kind}_id"] = identifier
+        identifier = _refuse(store, job, arguments, error)
+    job.meta["lift_id" if is_lift else "fit_id"] = identifier
     job.save_meta()  # type: ignore[no-untyped-call]
     return identifier
+
+
+def _refuse(store: Store, job: KnownJob, arguments: dict[str, object], error: Exception) -> str:
+    """Record a fit or a lift that failed before it began, with what its job said."""
+
+    def said(name: str, otherwise: str = "") -> str:
+        return str(arguments.get(name) or otherwise)[:200]
+
+    code = f"{error.kind}_not_found" if isinstance(error, NotFoundError) else "invalid_arguments"
+    refusal = partial(
+        jobs.refuse,
+        store,
+        job_id=job.id,
+        error={"code": code, "message": str(error.__cause__ or error)},
+        dataset_id=said("dataset_id"),
+    )
+    if calls(job, LIFT_JOB):
+        return refusal(LiftJob, name=said("name", "lift"), model_id=said("model_id"))
+    return refusal(
+        FitJob, name=said("name", "fit"), config={}, from_model=said("from_model") or None
+    )
 
 
 def _create_fit(store: Store, job: KnownJob, arguments: dict[str, object]) -> str:

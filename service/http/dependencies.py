@@ -3,9 +3,9 @@
 They are asynchronous because FastAPI runs all others in threads, which takes longer than they do.
 """
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import Depends, Header, Path, Query, Request
+from fastapi import Depends, Header, Path, Request
 from rq import Queue
 
 from service.settings import Settings
@@ -30,14 +30,6 @@ async def get_queue(request: Request) -> Queue:
     return queue
 
 
-def cursor_of(prefix: str) -> Any:
-    """Return what a page's cursor may be: the identifier of a resource with this prefix."""
-    return Query(
-        pattern=f"^{prefix}_[0-9a-z]{{26}}$",
-        description="`next_cursor` of the page before; leave out for the first.",
-    )
-
-
 SettingsDep = Annotated[Settings, Depends(get_settings)]
 StoreDep = Annotated[Store, Depends(get_store)]
 QueueDep = Annotated[Queue, Depends(get_queue)]
@@ -52,5 +44,4 @@ IdempotencyHeader = Annotated[
         "makes nothing new and gets the same answer.",
     ),
 ]
-Limit = Annotated[int, Query(ge=1, le=200, description="Items on a page.")]
 Identifier = Annotated[str, Path(max_length=200)]

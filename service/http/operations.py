@@ -2,21 +2,12 @@
 
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 _REFERENCE = "#/components/schemas/{model}"
 _registered: set[type[BaseModel]] = set()
 _forms: dict[str, Any] = {}
-
-
-def page_of(item: type[BaseModel]) -> ConfigDict:
-    """Return the configuration of a page's model: an example made of one item's."""
-    extra = item.model_config.get("json_schema_extra")
-    assert isinstance(extra, dict)  # noqa: S101
-    return ConfigDict(
-        json_schema_extra={"example": {"items": [extra["example"]], "next_cursor": None}}
-    )
 
 
 def request_body(

@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from models.lifting.fitted_prior import FittedPrior
-from store import models
+from store import lookup, models
 from store.database import Store
 from store.errors import NotFoundError
+from store.records import Model
 
 logger = logging.getLogger(__name__)
 
@@ -76,7 +77,7 @@ class WarmModels:
 
     def _load(self, model_id: str) -> FittedPrior:
         try:
-            record = models.get(self._store, model_id)
+            record = lookup.get(self._store, Model, model_id)
             prior = FittedPrior.from_bytes(models.load_weights(self._store, record))
             _prepare(prior)
         finally:
@@ -92,7 +93,7 @@ class WarmModels:
     def warm_newest(self) -> None:
         """Make the newest model warm, and ready what all lifts need, before anyone asks."""
         try:
-            for record in models.page(self._store, limit=1, after=None):
+            for record in lookup.page(self._store, Model, limit=1, after=None):
                 self.prior(record.id)
         except Exception:  # whoever asks will be told
             logger.exception("The newest model could not be read")

@@ -11,21 +11,20 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from service.http.dependencies import (
     IdempotencyHeader,
     Identifier,
-    Limit,
     SettingsDep,
     StoreDep,
-    cursor_of,
 )
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.idempotency import idempotency
-from service.http.operations import page_of, request_body
+from service.http.operations import request_body
 from service.http.uploads import Upload, UploadBody
+from service.resources.pages import Limit, Page, cursor_of, page_of
 from service.settings import Settings
 from service.wire.arrays import Arrays
 from service.wire.captures import read_arrays, to_capture
 from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, Name
 from service.wire.skeletons import Skeleton
-from store import datasets, records
+from store import datasets, lookup, records
 from store.capture import Capture
 from store.datasets import Description
 
@@ -189,13 +188,10 @@ class Dataset(BaseModel):
         )
 
 
-class DatasetPage(BaseModel):
+class DatasetPage(Page[Dataset]):
     """Datasets, newest first."""
 
     model_config = page_of(Dataset)
-
-    items: list[Dataset]
-    next_cursor: str | None
 
 
 def _read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capture, Description]:
@@ -315,17 +311,19 @@ def list_datasets(
     cursor: Annotated[str | None, cursor_of("ds")] = None,
 ) -> DatasetPage:
     """List datasets, newest first."""
-    found = datasets.page(store, limit=limit + 1, after=cursor)
-    return DatasetPage(
-        items=[Dataset.of(record) for record in found[:limit]],
-        next_cursor=found[limit - 1].id if len(found) > limit else None,
+    return DatasetPage.read(
+        store,
+        records.Dataset,
+        Dataset.of,
+        limit=limit,
+        cursor=cursor,
     )
 
 
 @router.get("/{dataset_id}", responses=problems("not_found"))
 def get_dataset(dataset_id: Identifier, store: StoreDep) -> Dataset:
     """Describe a dataset."""
-    return Dataset.of(datasets.get(store, dataset_id))
+    return Dataset.of(lookup.get(store, records.Dataset, dataset_id))
 
 
 @router.delete(

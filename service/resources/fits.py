@@ -1,34 +1,30 @@
 """Fits: jobs that turn a dataset into a model."""
 
-from collections.abc import AsyncIterator
 from contextlib import suppress
 from datetime import datetime
-from functools import partial
 from typing import Annotated, Literal, Self
 
 import redis.exceptions
 from fastapi import APIRouter, Depends, Query, Request, Response, status
-from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
+from rq import Queue
 
 from models.settings.config import FitConfig
 from service.http.dependencies import (
     IdempotencyHeader,
-    Identifier,
-    Limit,
     QueueDep,
     SettingsDep,
     StoreDep,
-    cursor_of,
 )
 from service.http.errors import BODY_PROBLEMS, problems
 from service.http.idempotency import idempotency
-from service.http.operations import page_of, request_body
+from service.http.operations import request_body
 from service.http.uploads import UploadBody
-from service.resources.job_events import JobStatus, LastEventId, job_events
+from service.resources.jobs import JobStatus, Words, add_job_routes, announce, finder
+from service.resources.pages import Limit, Page, cursor_of, page_of
 from service.wire.schemas import Name
-from store import fits, jobs, records
-from worker.queue import offer
+from store import fits, records
+from store.database import Store
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
@@ -148,7 +144,7 @@ class Fit(BaseModel):
     error: FitError | None
 
     @classmethod
-    def of(cls, record: records.Fit) -> Self:
+    def of(cls, record: records.FitJob) -> Self:
         """Return the wire form of a record."""
         return cls.model_validate(
             {
@@ -172,21 +168,13 @@ class Fit(BaseModel):
         )
 
 
-class FitPage(BaseModel):
+class FitPage(Page[Fit]):
     """Fits, newest first."""
 
     model_config = page_of(Fit)
 
-    items: list[Fit]
-    next_cursor: str | None
 
-
-def find_fit(fit_id: Identifier, store: StoreDep) -> records.Fit:
-    """Return the fit named in the path, or end in 404."""
-    return fits.get(store, fit_id)
-
-
-FitDep = Annotated[records.Fit, Depends(find_fit)]
+FitDep = Annotated[records.FitJob, Depends(finder(records.FitJob))]
 
 
 @router.post(
@@ -219,9 +207,7 @@ def create_fit(
         max_queued=settings.max_queued_fits,
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )
-    if record.status == "queued":
-        offer(queue, record)
-    response.headers["Location"] = f"/fits/{record.id}"
+    announce(record, queue, response)
     return Fit.of(record)
 
 
@@ -235,67 +221,37 @@ def list_fits(
     job_id: Annotated[str | None, Query(max_length=200)] = None,
 ) -> FitPage:
     """List fits, newest first; `job_id` finds the fit of a job you queued yourself."""
-    found = jobs.page(
+    return FitPage.read(
         store,
-        records.Fit,
-        limit=limit + 1,
-        after=cursor,
+        records.FitJob,
+        Fit.of,
+        limit=limit,
+        cursor=cursor,
         status=status,
         dataset_id=dataset_id,
         job_id=job_id,
     )
-    return FitPage(
-        items=[Fit.of(record) for record in found[:limit]],
-        next_cursor=found[limit - 1].id if len(found) > limit else None,
-    )
 
 
-@router.get("/{fit_id}", responses=problems("not_found"))
-def get_fit(fit: FitDep) -> Fit:
-    """Describe a fit and its progress."""
-    return Fit.of(fit)
-
-
-@router.delete(
-    "/{fit_id}",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems("not_found", "conflict"),
-)
-def delete_fit(fit_id: Identifier, store: StoreDep) -> None:
-    """Delete a fit that has ended, and its reconstruction; its model stays."""
-    fits.delete(store, fit_id)
-
-
-@router.post(
-    "/{fit_id}/cancel",
-    status_code=status.HTTP_202_ACCEPTED,
-    responses=problems("not_found", "conflict"),
-)
-def cancel_fit(fit_id: Identifier, store: StoreDep, queue: QueueDep, response: Response) -> Fit:
-    """Cancel a queued fit at once, a running one within two seconds."""
-    record = fits.request_cancel(store, fit_id)
+def _cancel(store: Store, queue: Queue, fit_id: str) -> records.FitJob:
+    record = fits.cancel(store, fit_id)
     if record.status == "cancelled":
         # Best effort: a cancelled fit cannot be claimed, its job would end at once.
         with suppress(redis.exceptions.RedisError):
             queue.remove(record.job_id)
-    response.headers["Location"] = f"/fits/{record.id}"
-    return Fit.of(record)
+    return record
 
 
-@router.get(
-    "/{fit_id}/events",
-    response_class=EventSourceResponse,
-    responses=problems("not_found"),
+add_job_routes(
+    router,
+    records.FitJob,
+    Fit,
+    Fit.of,
+    cancel=_cancel,
+    delete=fits.delete,
+    words=Words(
+        delete="Delete a fit that has ended, and its reconstruction; its model stays.",
+        cancel="Cancel a queued fit at once, a running one within two seconds.",
+        progress="while it goes on",
+    ),
 )
-async def stream_fit_events(
-    fit: FitDep,
-    store: StoreDep,
-    last_event_id: LastEventId = None,
-) -> AsyncIterator[ServerSentEvent]:
-    """Follow a fit: server-sent events `progress` while it goes on, then one `end`.
-
-    The data of every event is the fit as `GET /fits/{fit_id}` gives it, its id grows with every
-    change. Close the stream on `end`.
-    """
-    async for event in job_events(fit, partial(fits.get, store, fit.id), Fit.of, last_event_id):
-        yield event

@@ -1,39 +1,36 @@
 """Big lifts: jobs that lift a stored dataset of any length."""
 
-from collections.abc import AsyncIterator
 from datetime import datetime
 from functools import partial
 from typing import Annotated, Self
 
 from fastapi import APIRouter, Depends, Query, Request, Response, status
-from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
+from rq import Queue
 
 from models.settings.config import Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from service.http.dependencies import (
     IdempotencyHeader,
-    Identifier,
-    Limit,
     QueueDep,
     SettingsDep,
     StoreDep,
-    cursor_of,
 )
 from service.http.downloads import ranged_response
 from service.http.errors import BODY_PROBLEMS, problems
 from service.http.idempotency import idempotency
 from service.http.negotiation import BINARY_FORMATS, NPZ, OCTETS, accepted_format
-from service.http.operations import binary_responses, page_of, request_body
+from service.http.operations import binary_responses, request_body
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
 from service.realtime.frames import check_views
-from service.resources.job_events import JobStatus, LastEventId, job_events
+from service.resources.jobs import JobStatus, Words, add_job_routes, announce, finder
+from service.resources.pages import Limit, Page, cursor_of, page_of
 from service.wire.schemas import REFINE, VIEWS, Name
-from store import datasets, jobs, lifts, records
+from store import lifts, lookup, records
+from store.database import Store
 from store.errors import ConflictError
 from store.lift_files import Format, result_file
-from worker.queue import offer
 
 router = APIRouter(prefix="/lifts", tags=["lifts"])
 
@@ -134,28 +131,20 @@ class LiftJob(BaseModel):
     error: LiftFailure | None
 
     @classmethod
-    def of(cls, record: records.Lift) -> Self:
+    def of(cls, record: records.LiftJob) -> Self:
         """Return the wire form of a record."""
         shared = {name: getattr(record, name) for name in cls.model_fields if name != "progress"}
         progress = {name: getattr(record, name) for name in LiftProgress.model_fields}
         return cls.model_validate({**shared, "progress": progress})
 
 
-class LiftPage(BaseModel):
+class LiftPage(Page[LiftJob]):
     """Lifts, newest first."""
 
     model_config = page_of(LiftJob)
 
-    items: list[LiftJob]
-    next_cursor: str | None
 
-
-def find_lift(lift_id: Identifier, store: StoreDep) -> records.Lift:
-    """Return the lift named in the path, or end in 404."""
-    return lifts.get(store, lift_id)
-
-
-LiftDep = Annotated[records.Lift, Depends(find_lift)]
+LiftDep = Annotated[records.LiftJob, Depends(finder(records.LiftJob))]
 
 
 @router.post(
@@ -182,7 +171,7 @@ def create_lift(
     """
     body = upload.json(LiftCreate)
     if body.views is not None:
-        dataset = datasets.get(store, body.dataset_id)
+        dataset = lookup.get(store, records.Dataset, body.dataset_id)
         check_views(body.views, engine.prior(body.model_id), dataset.views)
     record = lifts.create(
         store,
@@ -191,9 +180,7 @@ def create_lift(
         max_queued=settings.max_queued_lifts,
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )
-    if record.status == "queued":
-        offer(queue, record)
-    response.headers["Location"] = f"/lifts/{record.id}"
+    announce(record, queue, response)
     return LiftJob.of(record)
 
 
@@ -208,66 +195,37 @@ def list_lifts(
     job_id: Annotated[str | None, Query(max_length=200)] = None,
 ) -> LiftPage:
     """List lifts, newest first; `job_id` finds the lift of a job you queued yourself."""
-    found = jobs.page(
+    return LiftPage.read(
         store,
-        records.Lift,
-        limit=limit + 1,
-        after=cursor,
+        records.LiftJob,
+        LiftJob.of,
+        limit=limit,
+        cursor=cursor,
         status=status,
         model_id=model_id,
         dataset_id=dataset_id,
         job_id=job_id,
     )
-    return LiftPage(
-        items=[LiftJob.of(record) for record in found[:limit]],
-        next_cursor=found[limit - 1].id if len(found) > limit else None,
-    )
 
 
-@router.get("/{lift_id}", responses=problems("not_found"))
-def get_lift(lift: LiftDep) -> LiftJob:
-    """Describe a lift and its progress."""
-    return LiftJob.of(lift)
+def _cancel(store: Store, _queue: Queue, lift_id: str) -> records.LiftJob:
+    return lifts.cancel(store, lift_id)
 
 
-@router.delete(
-    "/{lift_id}",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems("not_found", "conflict"),
+add_job_routes(
+    router,
+    records.LiftJob,
+    LiftJob,
+    LiftJob.of,
+    cancel=_cancel,
+    delete=lifts.delete,
+    words=Words(
+        delete="Delete a lift that has ended, and its result.",
+        cancel="Cancel a lift at once; its workers leave it within two seconds, and nothing of it "
+        "stays.",
+        progress="as chunks get done",
+    ),
 )
-def delete_lift(lift_id: Identifier, store: StoreDep) -> None:
-    """Delete a lift that has ended, and its result."""
-    lifts.delete(store, lift_id)
-
-
-@router.post(
-    "/{lift_id}/cancel",
-    status_code=status.HTTP_202_ACCEPTED,
-    responses=problems("not_found", "conflict"),
-)
-def cancel_lift(lift_id: Identifier, store: StoreDep, response: Response) -> LiftJob:
-    """Cancel a lift at once; its workers leave it within two seconds, and nothing of it stays."""
-    record = lifts.cancel(store, lift_id)
-    response.headers["Location"] = f"/lifts/{record.id}"
-    return LiftJob.of(record)
-
-
-@router.get(
-    "/{lift_id}/events",
-    response_class=EventSourceResponse,
-    responses=problems("not_found"),
-)
-async def stream_lift_events(
-    lift: LiftDep, store: StoreDep, last_event_id: LastEventId = None
-) -> AsyncIterator[ServerSentEvent]:
-    """Follow a lift: server-sent events `progress` as chunks get done, then one `end`.
-
-    The data of every event is the lift as `GET /lifts/{lift_id}` gives it, its id grows with every
-    change. Close the stream on `end`.
-    """
-    read = partial(lifts.get, store, lift.id)
-    async for event in job_events(lift, read, LiftJob.of, last_event_id):
-        yield event
 
 
 @router.get(

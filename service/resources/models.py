@@ -12,20 +12,19 @@ from models.settings.config import FitConfig
 from service.http.dependencies import (
     IdempotencyHeader,
     Identifier,
-    Limit,
     StoreDep,
-    cursor_of,
 )
 from service.http.downloads import bytes_response
 from service.http.errors import BODY_PROBLEMS, ApiError, problems
 from service.http.idempotency import idempotency
-from service.http.operations import binary_responses, page_of, request_body
+from service.http.operations import binary_responses, request_body
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
+from service.resources.pages import Limit, Page, cursor_of, page_of
 from service.wire.cameras import ModelCameras
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
-from store import models, records
+from store import lookup, models, records
 
 router = APIRouter(prefix="/models", tags=["models"])
 
@@ -116,13 +115,10 @@ class Model(BaseModel):
         )
 
 
-class ModelPage(BaseModel):
+class ModelPage(Page[Model]):
     """Models, newest first."""
 
     model_config = page_of(Model)
-
-    items: list[Model]
-    next_cursor: str | None
 
 
 class ModelImport(BaseModel):
@@ -141,17 +137,19 @@ def list_models(
     cursor: Annotated[str | None, cursor_of("mdl")] = None,
 ) -> ModelPage:
     """List models, newest first."""
-    found = models.page(store, limit=limit + 1, after=cursor)
-    return ModelPage(
-        items=[Model.of(record) for record in found[:limit]],
-        next_cursor=found[limit - 1].id if len(found) > limit else None,
+    return ModelPage.read(
+        store,
+        records.Model,
+        Model.of,
+        limit=limit,
+        cursor=cursor,
     )
 
 
 @router.get("/{model_id}", responses=problems("not_found"))
 def get_model(model_id: Identifier, store: StoreDep) -> Model:
     """Describe a model: configuration, training curve, errors."""
-    return Model.of(models.get(store, model_id))
+    return Model.of(lookup.get(store, records.Model, model_id))
 
 
 @router.get("/{model_id}/cameras", responses=problems("not_found"))
@@ -171,7 +169,7 @@ def get_model_cameras(model_id: Identifier, engine: EngineDep) -> ModelCameras:
 )
 def download_weights(model_id: Identifier, store: StoreDep, request: Request) -> Response:
     """Download a model's weights (safetensors), whole or a range of their bytes."""
-    record = models.get(store, model_id)
+    record = lookup.get(store, records.Model, model_id)
     return bytes_response(
         request,
         models.load_weights(store, record),

@@ -111,7 +111,7 @@ def _completed(arrays: Arrays) -> Arrays:
 
 
 def _lift_again(
-    fit: records.Fit, refine: Refine, store: StoreDep, engine: EngineDep, settings: SettingsDep
+    fit: records.FitJob, refine: Refine, store: StoreDep, engine: EngineDep, settings: SettingsDep
 ) -> Arrays:
     """Lift the frames of a fit with its model, refined otherwise than the fit was told.
 

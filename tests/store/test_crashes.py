@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from store import datasets, housekeeping
+from store import datasets, housekeeping, lookup
 from store.capture import extend_checksum
 from store.database import Store
+from store.records import Dataset
 
 WRITER = """
 import sys
@@ -44,7 +45,7 @@ def test_killed_writers_leave_whole_datasets_and_orphans_that_are_swept(
             writer.stdout.readline()
             time.sleep(rng.uniform(0.02, 0.2))
             writer.kill()
-    stored = datasets.page(store, limit=10_000, after=None)
+    stored = lookup.page(store, Dataset, limit=10_000, after=None)
     assert stored
     for dataset in stored:
         capture = datasets.load(store, dataset.id)

@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from models.settings.config import WARM_STEPS, FitConfig
-from store import attempts, datasets, fits, housekeeping, models
+from store import attempts, datasets, fits, housekeeping, lookup, models
 from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
@@ -19,7 +19,7 @@ from store.errors import (
 )
 from store.idempotency import Idempotency
 from store.jobs import MAX_CRASHES
-from store.records import Fit
+from store.records import FitJob, Model
 
 DESCRIBE = {
     "keypoints": 5,
@@ -30,12 +30,12 @@ DESCRIBE = {
 
 
 @pytest.fixture
-def fit(store: Store, capture: Capture) -> Fit:
+def fit(store: Store, capture: Capture) -> FitJob:
     dataset = datasets.create(store, capture, Description("a"))
     return fits.create(store, dataset_id=dataset.id, name="f", config={"seed": 1})
 
 
-def claim(store: Store, fit: Fit, lease_seconds: float = 60) -> Attempt:
+def claim(store: Store, fit: FitJob, lease_seconds: float = 60) -> Attempt:
     attempt = attempts.claim(store, fit.id, lease_seconds=lease_seconds)
     assert attempt is not None
     return attempt
@@ -62,7 +62,7 @@ def objects(store: Store) -> set[str]:
     ],
 )
 def test_a_config_must_speak_of_the_datasets_views_and_keypoints(
-    store: Store, fit: Fit, config: dict[str, Any], said: str
+    store: Store, fit: FitJob, config: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(ConfigError, match=said) as refused:
         fits.create(store, dataset_id=fit.dataset_id, name="f", config=config)
@@ -93,8 +93,8 @@ def _model(store: Store, *, keypoints: int) -> str:
     ).id
 
 
-def test_a_fit_may_start_from_a_model_of_the_same_keypoints(store: Store, fit: Fit) -> None:
-    def start(model_id: str, config: dict[str, Any]) -> Fit:
+def test_a_fit_may_start_from_a_model_of_the_same_keypoints(store: Store, fit: FitJob) -> None:
+    def start(model_id: str, config: dict[str, Any]) -> FitJob:
         return fits.create(
             store, dataset_id=fit.dataset_id, name="f", config=config, from_model=model_id
         )
@@ -115,18 +115,18 @@ def test_a_fit_may_start_from_a_model_of_the_same_keypoints(store: Store, fit: F
         start(good, {})
 
 
-def test_one_attempt_at_a_time(store: Store, fit: Fit) -> None:
+def test_one_attempt_at_a_time(store: Store, fit: FitJob) -> None:
     claim(store, fit)
     assert attempts.claim(store, fit.id, lease_seconds=60) is None
-    assert fits.get(store, fit.id).status == "running"
+    assert lookup.get(store, FitJob, fit.id).status == "running"
 
 
-def test_a_stale_attempt_can_write_nothing(store: Store, fit: Fit) -> None:
+def test_a_stale_attempt_can_write_nothing(store: Store, fit: FitJob) -> None:
     stale = claim(store, fit, lease_seconds=0.01)
     attempts.save_checkpoint(store, stale, b"old")
     time.sleep(0.02)
     fresh = claim(store, fit)
-    before = fits.get(store, fit.id)
+    before = lookup.get(store, FitJob, fit.id)
     for write in (
         lambda: attempts.beat(store, stale, {"step": 99}),
         lambda: attempts.save_checkpoint(store, stale, b"stale"),
@@ -136,7 +136,7 @@ def test_a_stale_attempt_can_write_nothing(store: Store, fit: Fit) -> None:
     ):
         with pytest.raises(LeaseLostError):
             write()
-    after = fits.get(store, fit.id)
+    after = lookup.get(store, FitJob, fit.id)
     assert (after.status, after.revision, after.progress, after.model_id) == (
         "running",
         before.revision,
@@ -145,23 +145,25 @@ def test_a_stale_attempt_can_write_nothing(store: Store, fit: Fit) -> None:
     )
     assert attempts.load_checkpoint(store, fit.id) == b"old"
     assert objects(store) == {"chunk", "checkpoint"}
-    assert models.page(store, limit=1, after=None) == []
+    assert lookup.page(store, Model, limit=1, after=None) == []
     succeed(store, fresh)
 
 
-def test_success_leaves_model_and_reconstruction_and_no_checkpoint(store: Store, fit: Fit) -> None:
+def test_success_leaves_model_and_reconstruction_and_no_checkpoint(
+    store: Store, fit: FitJob
+) -> None:
     attempt = claim(store, fit)
     attempts.save_checkpoint(store, attempt, b"1")
     attempts.save_checkpoint(store, attempt, b"2")
     model_id = succeed(store, attempt)
-    record = fits.get(store, fit.id)
+    record = lookup.get(store, FitJob, fit.id)
     assert (record.status, record.model_id) == ("succeeded", model_id)
-    assert models.get(store, model_id).fit_id == fit.id
+    assert lookup.get(store, Model, model_id).fit_id == fit.id
     assert objects(store) == {"chunk", "weights.safetensors", "reconstruction"}
 
 
 @pytest.mark.parametrize("status", ["succeeded", "failed", "cancelled"])
-def test_terminal_states_are_never_left(store: Store, fit: Fit, status: str) -> None:
+def test_terminal_states_are_never_left(store: Store, fit: FitJob, status: str) -> None:
     attempt = claim(store, fit)
     if status == "succeeded":
         succeed(store, attempt)
@@ -172,80 +174,80 @@ def test_terminal_states_are_never_left(store: Store, fit: Fit, status: str) -> 
     with pytest.raises(LeaseLostError):
         attempts.beat(store, attempt, None)
     if status == "cancelled":
-        fits.request_cancel(store, fit.id)
+        fits.cancel(store, fit.id)
     else:
         with pytest.raises(ConflictError):
-            fits.request_cancel(store, fit.id)
-    assert fits.get(store, fit.id).status == status
+            fits.cancel(store, fit.id)
+    assert lookup.get(store, FitJob, fit.id).status == status
 
 
-def test_cancelling(store: Store, fit: Fit) -> None:
+def test_cancelling(store: Store, fit: FitJob) -> None:
     attempt = claim(store, fit)
     assert attempts.beat(store, attempt, None) is False
-    asked = fits.request_cancel(store, fit.id)
+    asked = fits.cancel(store, fit.id)
     assert asked.status == "running"
     assert attempts.beat(store, attempt, None) is True
     assert fits.enforce_cancel(store, fit.job_id, patience_seconds=60) is False
     assert fits.enforce_cancel(store, fit.job_id, patience_seconds=0) is True
-    assert fits.get(store, fit.id).status == "cancelled"
+    assert lookup.get(store, FitJob, fit.id).status == "cancelled"
     with pytest.raises(LeaseLostError):
         succeed(store, attempt)
 
 
-def test_a_queued_fit_is_cancelled_at_once(store: Store, fit: Fit) -> None:
-    assert fits.request_cancel(store, fit.id).status == "cancelled"
+def test_a_queued_fit_is_cancelled_at_once(store: Store, fit: FitJob) -> None:
+    assert fits.cancel(store, fit.id).status == "cancelled"
     assert attempts.claim(store, fit.id, lease_seconds=60) is None
 
 
-def test_a_fit_nobody_runs_any_more_is_cancelled_at_once(store: Store, fit: Fit) -> None:
+def test_a_fit_nobody_runs_any_more_is_cancelled_at_once(store: Store, fit: FitJob) -> None:
     attempt = claim(store, fit, lease_seconds=0.01)
     time.sleep(0.02)
-    assert fits.request_cancel(store, fit.id).status == "cancelled"
+    assert fits.cancel(store, fit.id).status == "cancelled"
     with pytest.raises(LeaseLostError):
         attempts.beat(store, attempt, None)
 
 
-def test_a_lost_fit_is_queued_again_and_given_up_in_the_end(store: Store, fit: Fit) -> None:
+def test_a_lost_fit_is_queued_again_and_given_up_in_the_end(store: Store, fit: FitJob) -> None:
     for crash in range(1, MAX_CRASHES + 1):
         claim(store, fit, lease_seconds=0.001)
         time.sleep(0.005)
         queued = [lost.id for lost in fits.recover(store)]
         assert queued == ([fit.id] if crash < MAX_CRASHES else [])
-    record = fits.get(store, fit.id)
+    record = lookup.get(store, FitJob, fit.id)
     assert record.status == "failed"
     assert record.error is not None
     assert record.error["code"] == "worker_lost"
 
 
-def test_a_released_fit_counts_no_crash_and_keeps_its_checkpoint(store: Store, fit: Fit) -> None:
+def test_a_released_fit_counts_no_crash_and_keeps_its_checkpoint(store: Store, fit: FitJob) -> None:
     attempt = claim(store, fit)
     attempts.save_checkpoint(store, attempt, b"half")
     attempts.release(store, attempt)
-    record = fits.get(store, fit.id)
+    record = lookup.get(store, FitJob, fit.id)
     assert (record.status, record.crashes) == ("queued", 0)
     claim(store, fit)
     assert attempts.load_checkpoint(store, fit.id) == b"half"
 
 
-def test_a_fit_released_as_it_is_cancelled_is_cancelled(store: Store, fit: Fit) -> None:
+def test_a_fit_released_as_it_is_cancelled_is_cancelled(store: Store, fit: FitJob) -> None:
     attempt = claim(store, fit)
-    fits.request_cancel(store, fit.id)
+    fits.cancel(store, fit.id)
     attempts.release(store, attempt)
-    assert fits.get(store, fit.id).status == "cancelled"
+    assert lookup.get(store, FitJob, fit.id).status == "cancelled"
     assert fits.recover(store) == []
 
 
-def test_whoever_ends_a_fit_its_checkpoint_goes(store: Store, fit: Fit) -> None:
+def test_whoever_ends_a_fit_its_checkpoint_goes(store: Store, fit: FitJob) -> None:
     attempt = claim(store, fit)
     attempts.save_checkpoint(store, attempt, b"half")
-    fits.request_cancel(store, fit.id)
+    fits.cancel(store, fit.id)
     assert fits.enforce_cancel(store, fit.job_id, patience_seconds=0)
     housekeeping.sweep(store, orphan_seconds=-1)
     assert objects(store) == {"chunk"}
 
 
 def test_only_so_many_fits_wait_and_a_repeated_request_is_none_of_them(
-    store: Store, fit: Fit
+    store: Store, fit: FitJob
 ) -> None:
     def create(idempotency: Idempotency | None) -> str:
         return fits.create(
@@ -263,24 +265,24 @@ def test_only_so_many_fits_wait_and_a_repeated_request_is_none_of_them(
         create(None)
 
 
-def test_attempts_count_starts(store: Store, fit: Fit) -> None:
+def test_attempts_count_starts(store: Store, fit: FitJob) -> None:
     claim(store, fit, lease_seconds=0.001)
     time.sleep(0.005)
     fits.recover(store)
     assert claim(store, fit).number == 2
 
 
-def test_one_fit_per_job(store: Store, fit: Fit) -> None:
+def test_one_fit_per_job(store: Store, fit: FitJob) -> None:
     first = fits.create(store, dataset_id=fit.dataset_id, name="x", config={}, job_id="job")
     again = fits.create(store, dataset_id=fit.dataset_id, name="x", config={}, job_id="job")
     assert first.id == again.id
 
 
-def test_deleting_a_fit_keeps_its_model(store: Store, fit: Fit) -> None:
+def test_deleting_a_fit_keeps_its_model(store: Store, fit: FitJob) -> None:
     attempt = claim(store, fit)
     with pytest.raises(ConflictError):
         fits.delete(store, fit.id)
     model_id = succeed(store, attempt)
     fits.delete(store, fit.id)
-    assert models.get(store, model_id).fit_id is None
+    assert lookup.get(store, Model, model_id).fit_id is None
     assert "reconstruction" not in objects(store)

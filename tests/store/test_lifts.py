@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load
 
-from store import datasets, housekeeping, lift_chunks, lifts, models
+from store import datasets, housekeeping, lift_chunks, lifts, lookup, models
 from store.capture import Capture
 from store.crc import combine
 from store.database import Store
@@ -19,7 +19,7 @@ from store.errors import ConflictError, LeaseLostError, LiftError, NotFoundError
 from store.jobs import MAX_CRASHES
 from store.lift_chunks import Helper
 from store.lift_files import Format, ResultFile, result_file
-from store.records import Lift, LiftChunk
+from store.records import LiftChunk, LiftJob
 
 FRAMES, CHUNK = 12, 5
 RNG = np.random.default_rng(0)
@@ -37,18 +37,18 @@ def make_model(store: Store, keypoints: int = 5) -> str:
 
 
 @pytest.fixture
-def lift(store: Store, capture: Capture) -> Lift:
+def lift(store: Store, capture: Capture) -> LiftJob:
     dataset = datasets.create(store, capture, Description("a"))
     return create(store, dataset.id)
 
 
-def create(store: Store, dataset_id: str, **more: Any) -> Lift:
+def create(store: Store, dataset_id: str, **more: Any) -> LiftJob:
     model_id = more.pop("model_id", None) or make_model(store)
     asked: dict[str, Any] = {"name": "l", "chunk_frames": CHUNK} | more
     return lifts.create(store, model_id=model_id, dataset_id=dataset_id, **asked)
 
 
-def join(lift: Lift, lease_seconds: float = 60) -> Helper:
+def join(lift: LiftJob, lease_seconds: float = 60) -> Helper:
     return lift_chunks.join(lift.id, lease_seconds=lease_seconds)
 
 
@@ -69,21 +69,21 @@ def objects(store: Store) -> list[str]:
     return [key for key, _ in store.objects.list() if key.startswith("lifts/")]
 
 
-def test_helpers_share_the_chunks_and_the_last_ends_the_lift(store: Store, lift: Lift) -> None:
+def test_helpers_share_the_chunks_and_the_last_ends_the_lift(store: Store, lift: LiftJob) -> None:
     assert (lift.status, lift.frames, lift.chunks) == ("queued", 12, 3)
     ours, theirs = join(lift), join(lift)
     first, second = claim(store, ours), claim(store, theirs)
-    assert lifts.get(store, lift.id).status == "running"
+    assert lookup.get(store, LiftJob, lift.id).status == "running"
     finish(store, theirs, second)
     third = claim(store, theirs)
     assert [(c.first_frame, c.frames) for c in (first, second, third)] == [(0, 5), (5, 5), (10, 2)]
     assert lift_chunks.claim(store, join(lift)) is None
     finish(store, theirs, third)
-    half = lifts.get(store, lift.id)
+    half = lookup.get(store, LiftJob, lift.id)
     assert (half.status, half.frames_done, half.chunks_done) == ("running", 7, 2)
     assert half.seconds_left is not None
     finish(store, ours, first)
-    ended = lifts.get(store, lift.id)
+    ended = lookup.get(store, LiftJob, lift.id)
     assert (ended.status, ended.frames_done, ended.seconds_left) == ("succeeded", 12, None)
     assert lift.revision < half.revision < ended.revision
     assert len(objects(store)) == 6
@@ -93,7 +93,7 @@ def test_helpers_share_the_chunks_and_the_last_ends_the_lift(store: Store, lift:
 
 
 def test_a_chunk_whose_lease_ran_out_is_anyones_and_its_old_holder_writes_nothing(
-    store: Store, lift: Lift
+    store: Store, lift: LiftJob
 ) -> None:
     stale = join(lift, lease_seconds=0.01)
     chunk = claim(store, stale)
@@ -113,10 +113,10 @@ def test_a_chunk_whose_lease_ran_out_is_anyones_and_its_old_holder_writes_nothin
     finish(store, fresh, again)
     with pytest.raises(LeaseLostError):
         finish(store, fresh, again)  # what is done stays as it is
-    assert lifts.get(store, lift.id).chunks_done == 1
+    assert lookup.get(store, LiftJob, lift.id).chunks_done == 1
 
 
-def test_a_beat_keeps_the_lease(store: Store, lift: Lift) -> None:
+def test_a_beat_keeps_the_lease(store: Store, lift: LiftJob) -> None:
     helper = join(lift, lease_seconds=0.5)
     chunk = claim(store, helper)
     for _ in range(8):
@@ -128,11 +128,11 @@ def test_a_beat_keeps_the_lease(store: Store, lift: Lift) -> None:
 
 @pytest.mark.parametrize("how", ["lease", "error"])
 def test_a_chunk_that_takes_down_its_workers_ends_the_lift(
-    store: Store, lift: Lift, how: str
+    store: Store, lift: LiftJob, how: str
 ) -> None:
     finish(store, done := join(lift), claim(store, done))
     for _ in range(MAX_CRASHES):
-        assert lifts.get(store, lift.id).status == "running"
+        assert lookup.get(store, LiftJob, lift.id).status == "running"
         helper = join(lift, lease_seconds=0.001)
         chunk = claim(store, helper)
         assert chunk.first_frame == CHUNK
@@ -140,7 +140,7 @@ def test_a_chunk_that_takes_down_its_workers_ends_the_lift(
             lift_chunks.give_up(store, helper, chunk, "MemoryError: no more")
         time.sleep(0.005)
     assert lift_chunks.claim(store, join(lift)) is None
-    record = lifts.get(store, lift.id)
+    record = lookup.get(store, LiftJob, lift.id)
     assert record.status == "failed"
     assert record.error is not None
     assert record.error["code"] == ("worker_lost" if how == "lease" else "internal_error")
@@ -148,14 +148,14 @@ def test_a_chunk_that_takes_down_its_workers_ends_the_lift(
     assert objects(store) == []
 
 
-def test_a_chunk_given_back_counts_as_no_crash(store: Store, lift: Lift) -> None:
+def test_a_chunk_given_back_counts_as_no_crash(store: Store, lift: LiftJob) -> None:
     for _ in range(MAX_CRASHES + 1):
         helper = join(lift)
         lift_chunks.release(store, helper, claim(store, helper))
     assert claim(store, join(lift)).crashes == 0
 
 
-def test_cancelling_is_at_once_and_final(store: Store, lift: Lift) -> None:
+def test_cancelling_is_at_once_and_final(store: Store, lift: LiftJob) -> None:
     helper = join(lift)
     finish(store, helper, claim(store, helper))
     chunk = claim(store, helper)
@@ -166,7 +166,7 @@ def test_cancelling_is_at_once_and_final(store: Store, lift: Lift) -> None:
     with pytest.raises(LeaseLostError):
         finish(store, helper, chunk)
     lift_chunks.fail(store, helper, "x", "y")
-    assert lifts.get(store, lift.id).error is None
+    assert lookup.get(store, LiftJob, lift.id).error is None
     assert lift_chunks.claim(store, helper) is None
     assert lifts.recover(store) == []
     assert objects(store) == []
@@ -174,7 +174,7 @@ def test_cancelling_is_at_once_and_final(store: Store, lift: Lift) -> None:
     assert not lifts.was_cancelled(store, lift.job_id, patience_seconds=60)
 
 
-def test_a_lift_that_ended_otherwise_cannot_be_cancelled(store: Store, lift: Lift) -> None:
+def test_a_lift_that_ended_otherwise_cannot_be_cancelled(store: Store, lift: LiftJob) -> None:
     with pytest.raises(ConflictError):
         lifts.delete(store, lift.id)
     lift_chunks.fail(store, join(lift), "dataset_not_found", "gone")
@@ -182,10 +182,10 @@ def test_a_lift_that_ended_otherwise_cannot_be_cancelled(store: Store, lift: Lif
         lifts.cancel(store, lift.id)
     lifts.delete(store, lift.id)
     with pytest.raises(NotFoundError):
-        lifts.get(store, lift.id)
+        lookup.get(store, LiftJob, lift.id)
 
 
-def test_each_job_that_starts_makes_room_for_one_more(store: Store, lift: Lift) -> None:
+def test_each_job_that_starts_makes_room_for_one_more(store: Store, lift: LiftJob) -> None:
     first = lifts.waiting_job(lift)
     assert first == lift.job_id == lift.id
     claim(store, join(lift))
@@ -194,7 +194,7 @@ def test_each_job_that_starts_makes_room_for_one_more(store: Store, lift: Lift) 
     second = lifts.waiting_job(called)
     assert second != first
     for job_id in (first, second):
-        found = lifts.by_job(store, job_id)
+        found = lifts.helped(store, job_id)
         assert found is not None
         assert found.id == lift.id
     assert lifts.call_next(store, lift.id, first) is None  # it came twice
@@ -208,7 +208,7 @@ def test_each_job_that_starts_makes_room_for_one_more(store: Store, lift: Lift) 
     assert len(lifts.recover(store)) == 1
 
 
-def test_what_a_lift_needs_cannot_be_deleted(store: Store, lift: Lift) -> None:
+def test_what_a_lift_needs_cannot_be_deleted(store: Store, lift: LiftJob) -> None:
     for delete, identifier in ((datasets.delete, lift.dataset_id), (models.delete, lift.model_id)):
         with pytest.raises(ConflictError, match=lift.id):
             delete(store, identifier)
@@ -217,7 +217,7 @@ def test_what_a_lift_needs_cannot_be_deleted(store: Store, lift: Lift) -> None:
     models.delete(store, lift.model_id)
 
 
-def test_what_cannot_be_lifted_is_refused(store: Store, lift: Lift) -> None:
+def test_what_cannot_be_lifted_is_refused(store: Store, lift: LiftJob) -> None:
     for model_id, dataset_id in ((lift.model_id, "ds_x"), ("mdl_x", lift.dataset_id)):
         with pytest.raises(NotFoundError):
             create(store, dataset_id, model_id=model_id)
@@ -266,17 +266,17 @@ def test_frames_are_read_without_the_others(store: Store, start: int, stop: int)
         datasets.load_frames(store, dataset.id, start, 13)
 
 
-def result(store: Store, lift: Lift, wanted: Format) -> ResultFile:
+def result(store: Store, lift: LiftJob, wanted: Format) -> ResultFile:
     helper = join(lift)
     while (chunk := lift_chunks.claim(store, helper)) is not None:
         finish(store, helper, chunk)
-    lift = lifts.get(store, lift.id)
+    lift = lookup.get(store, LiftJob, lift.id)
     return result_file(lift, lifts.finished_chunks(store, lift), wanted, {"lift_id": lift.id})
 
 
 @pytest.mark.parametrize("wanted", ["jsonl", "npz", "safetensors"])
 def test_a_result_is_one_file_whichever_parts_of_it_are_read(
-    store: Store, lift: Lift, wanted: Format
+    store: Store, lift: LiftJob, wanted: Format
 ) -> None:
     file = result(store, lift, wanted)
     get = store.objects.get_range
@@ -295,7 +295,7 @@ def test_a_result_is_one_file_whichever_parts_of_it_are_read(
             np.testing.assert_array_equal(found[name], array)
 
 
-def test_each_format_of_each_lift_has_a_checksum_of_its_own(store: Store, lift: Lift) -> None:
+def test_each_format_of_each_lift_has_a_checksum_of_its_own(store: Store, lift: LiftJob) -> None:
     other = create(store, lift.dataset_id)
     formats: tuple[Format, ...] = ("jsonl", "npz", "safetensors")
     found = {

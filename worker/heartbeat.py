@@ -16,7 +16,7 @@ logger = logging.getLogger(__name__)
 BEAT_SECONDS = 0.25
 
 
-class Pulse:
+class Heartbeat:
     """Keeps the lease of what this process works at and publishes its progress, from a thread.
 
     So the lease lives however long loading the libraries, or one step, may take.
@@ -46,7 +46,7 @@ class Pulse:
         self.cancel = self.leave = self.lost = False
         self._keep = beat
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._beat, name="pulse", daemon=True)
+        self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
 
     def __enter__(self) -> Self:
         """Start beating, and take SIGTERM."""

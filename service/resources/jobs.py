@@ -1,0 +1,164 @@
+"""What fits and lifts have in common: work that is queued, followed, cancelled and deleted."""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from functools import partial
+from typing import Annotated, Any, Literal, NamedTuple
+
+from fastapi import APIRouter, Depends, Header, Path, Response, status
+from fastapi.concurrency import run_in_threadpool
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from pydantic import BaseModel
+from rq import Queue
+
+from service.http.dependencies import QueueDep, StoreDep
+from service.http.errors import problems
+from store import jobs, lookup
+from store.database import Store
+from store.errors import NotFoundError
+from store.jobs import Job
+from worker.queue import offer
+
+POLL_SECONDS = 0.25
+
+JobStatus = Literal["queued", "running", "succeeded", "failed", "cancelled"]
+LastEventId = Annotated[
+    int | None, Header(description="The last event you have; only newer ones are sent.")
+]
+
+
+class Words(NamedTuple):
+    """What the OpenAPI document says of the operations on one kind of job."""
+
+    delete: str
+    cancel: str
+    progress: str  # when an event of this name is sent
+
+
+def finder(kind: type[Job]) -> Callable[[str, Store], Job]:
+    """Return the dependency that finds the job named in the path, or ends in 404."""
+
+    def find(
+        identifier: Annotated[str, Path(alias=f"{kind.noun}_id", max_length=200)], store: StoreDep
+    ) -> Job:
+        return lookup.get(store, kind, identifier)
+
+    return find
+
+
+def announce(job: Any, queue: Queue, response: Response) -> None:
+    """Put a job that was recorded just now on the queue, and say where it is."""
+    if job.status == "queued":
+        offer(queue, job)
+    response.headers["Location"] = _url(job)
+
+
+def add_job_routes(
+    router: APIRouter,
+    kind: type[Job],
+    form: type[BaseModel],
+    to_wire: Callable[[Job], BaseModel],
+    *,
+    cancel: Callable[[Store, Queue, str], Job],
+    delete: Callable[[Store, str], None],
+    words: Words,
+) -> None:
+    """Add the operations on one job: describe, delete, cancel, follow.
+
+    Parameters
+    ----------
+    form, to_wire
+        The JSON form of a job, and what makes it of a record.
+    cancel, delete
+        Do so, and raise as ``store.jobs`` says.
+    """
+    noun = kind.noun
+    path = f"/{{{noun}_id}}"
+    found = Depends(finder(kind))
+
+    @router.get(
+        path,
+        name=f"get_{noun}",
+        response_model=form,
+        description=f"Describe a {noun} and its progress.",
+        responses=problems("not_found"),
+    )
+    def get_job(job: Annotated[Job, found]) -> Any:
+        return to_wire(job)
+
+    @router.delete(
+        path,
+        name=f"delete_{noun}",
+        status_code=status.HTTP_204_NO_CONTENT,
+        description=words.delete,
+        responses=problems("not_found", "conflict"),
+    )
+    def delete_job(job: Annotated[Job, found], store: StoreDep) -> None:
+        delete(store, job.id)
+
+    @router.post(
+        f"{path}/cancel",
+        name=f"cancel_{noun}",
+        status_code=status.HTTP_202_ACCEPTED,
+        response_model=form,
+        description=words.cancel,
+        responses=problems("not_found", "conflict"),
+    )
+    def cancel_job(
+        job: Annotated[Job, found], store: StoreDep, queue: QueueDep, response: Response
+    ) -> Any:
+        cancelled = cancel(store, queue, job.id)
+        response.headers["Location"] = _url(cancelled)
+        return to_wire(cancelled)
+
+    @router.get(
+        f"{path}/events",
+        name=f"stream_{noun}_events",
+        response_class=EventSourceResponse,
+        description=f"Follow a {noun}: server-sent events `progress` {words.progress}, then one "
+        f"`end`.\n\nThe data of every event is the {noun} as `GET /{noun}s/{{{noun}_id}}` gives "
+        "it, its id grows with every\nchange. Close the stream on `end`.",
+        responses=problems("not_found"),
+    )
+    async def stream_job_events(
+        job: Annotated[Job, found], store: StoreDep, last_event_id: LastEventId = None
+    ) -> AsyncIterator[ServerSentEvent]:
+        read = partial(lookup.get, store, kind, job.id)
+        async for event in _events(job, read, to_wire, last_event_id):
+            yield event
+
+
+async def _events(
+    job: Job,
+    read: Callable[[], Job],
+    to_wire: Callable[[Job], BaseModel],
+    last_event_id: int | None,
+) -> AsyncIterator[ServerSentEvent]:
+    """Yield `progress` with every change of a job's record, then `end`.
+
+    Parameters
+    ----------
+    job
+        The record as it is now; ``read`` gives it as it is later.
+    last_event_id
+        The revision that the client has.
+    """
+    seen = last_event_id or 0
+    while True:
+        ended = job.status in jobs.TERMINAL
+        if ended or job.revision > seen:
+            seen = job.revision
+            yield ServerSentEvent(
+                data=to_wire(job), event="end" if ended else "progress", id=str(seen)
+            )
+        if ended:
+            return
+        await asyncio.sleep(POLL_SECONDS)
+        try:
+            job = await run_in_threadpool(read)
+        except NotFoundError:  # it ended and was deleted since
+            return
+
+
+def _url(job: Any) -> str:
+    return f"/{job.noun}s/{job.id}"

@@ -1,0 +1,47 @@
+"""Reading what has an identifier: datasets, models, fits and lifts alike."""
+
+from typing import TypeVar
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from store.database import Store
+from store.errors import NotFoundError
+from store.records import Dataset, FitJob, LiftJob, Model
+
+Resource = TypeVar("Resource", Dataset, Model, FitJob, LiftJob)
+
+
+def get(store: Store, kind: type[Resource], identifier: str) -> Resource:
+    """Return the record of this kind with this identifier; ``NotFoundError`` if there is none."""
+    with store.reading() as session:
+        return _found(session.get(kind, identifier), kind, identifier)
+
+
+def lock(session: Session, kind: type[Resource], identifier: str) -> Resource:
+    """Do the same in a transaction that writes; nobody else changes the record until its end."""
+    return _found(session.get(kind, identifier, with_for_update=True), kind, identifier)
+
+
+def page(
+    store: Store, kind: type[Resource], *, limit: int, after: str | None, **equal: str | None
+) -> list[Resource]:
+    """Return up to ``limit`` records, newest first, older than ``after`` if it is given.
+
+    Parameters
+    ----------
+    equal
+        What columns must hold; None allows anything.
+    """
+    query = select(kind).order_by(kind.id.desc()).limit(limit)
+    if after is not None:
+        query = query.where(kind.id < after)
+    query = query.filter_by(**{name: value for name, value in equal.items() if value is not None})
+    with store.reading() as session:
+        return list(session.scalars(query))
+
+
+def _found(record: Resource | None, kind: type[Resource], identifier: str) -> Resource:
+    if record is None:
+        raise NotFoundError(kind.noun, identifier)
+    return record

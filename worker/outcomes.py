@@ -1,0 +1,85 @@
+"""What is recorded when an error ends an attempt at a fit, or a helper's work at a lift."""
+
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import NamedTuple
+
+from obstore.exceptions import BaseError as ObjectStoreError
+from sqlalchemy.exc import SQLAlchemyError
+
+from store.errors import LeaseLostError, NotFoundError
+
+logger = logging.getLogger(__name__)
+
+LONGEST_MESSAGE = 500  # characters of an error that a record keeps
+
+
+class Outcomes(NamedTuple):
+    """What may be recorded of some work; all do nothing, or raise, if it is another's by now.
+
+    Attributes
+    ----------
+    fail
+        End it as failed, with a code and a message: it can never succeed.
+    try_again
+        Give it back to be tried again, and say why; after too many tries it fails.
+    fault
+        What a fault of ours leads to, given in words.
+    unusable
+        The code of input that ``models`` refuses (``ValueError``).
+    """
+
+    fail: Callable[[str, str], None]
+    try_again: Callable[[str], None]
+    fault: Callable[[str], None]
+    unusable: str
+
+
+@contextmanager
+def recorded(work: str, outcomes: Outcomes) -> Iterator[None]:
+    """Record what ends the work done inside; what the user cannot mend is raised again.
+
+    ============================  ==========================================================
+    the lease was lost            nothing: the work has ended, or is another's
+    a record was deleted          failed, ``dataset_not_found`` or ``model_not_found``
+    ``models`` refuses the input  failed, ``unusable``
+    the records are away          nothing can be: another goes on when the lease has run out
+    the objects are away          given back, to be tried again
+    anything else                 ``fault``
+    ============================  ==========================================================
+
+    Parameters
+    ----------
+    work
+        The identifier of the fit or the lift, for the log.
+    """
+    try:
+        yield
+    except LeaseLostError:
+        logger.warning("%s is no longer ours: leaving it alone", work)
+    except SQLAlchemyError:
+        raise
+    except BaseException as error:
+        with suppress(LeaseLostError):
+            if _record(error, outcomes):
+                logger.warning("%s failed", work, exc_info=error)
+                return
+        raise
+
+
+def _record(error: BaseException, outcomes: Outcomes) -> bool:
+    """Record an error; return whether that is all there is to do, for it is no fault of ours."""
+    why = f"{type(error).__name__}: {error}"[:LONGEST_MESSAGE]
+    match error:
+        case NotFoundError():
+            outcomes.fail(f"{error.kind}_not_found", str(error))
+        case ValueError():
+            outcomes.fail(outcomes.unusable, str(error))
+        case ObjectStoreError() | OSError():
+            outcomes.try_again(why)
+            return False
+        case _:
+            outcomes.fault(why)
+            return False
+    return True
