@@ -1,7 +1,10 @@
 """Workers and horses that are really killed, queues that really forget."""
 
 import signal
+import sqlite3
 import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +111,48 @@ def test_the_work_horse_is_killed_while_it_seeks_the_cameras(
     undisturbed = fit_here(capture.keypoints, config, confidence=capture.confidence)
     assert undisturbed.cameras is not None
     assert_as_if_nothing_had_happened(store, fit, undisturbed.to_bytes())
+
+
+@contextmanager
+def checkpoints_cannot_be_recorded(settings: WorkerSettings) -> Iterator[None]:
+    """Have the database refuse what a fit writes while it runs, and nothing else."""
+    with closing(sqlite3.connect(settings.data_dir / "records.db", timeout=20)) as records:
+        records.execute(
+            "CREATE TRIGGER outage BEFORE UPDATE OF checkpoint_key ON fits "
+            "WHEN NEW.checkpoint_key IS NOT NULL BEGIN SELECT RAISE(ABORT, 'outage'); END"
+        )
+        yield
+        records.execute("DROP TRIGGER outage")
+
+
+@contextmanager
+def checkpoints_cannot_be_stored(settings: WorkerSettings) -> Iterator[None]:
+    """Have a file stand where the folder of the fits' objects belongs."""
+    folder = settings.data_dir / "objects" / "fits"
+    folder.rename(settings.data_dir / "away")
+    folder.touch()
+    yield
+    folder.unlink()
+    (settings.data_dir / "away").rename(folder)
+
+
+@pytest.mark.parametrize("outage", [checkpoints_cannot_be_recorded, checkpoints_cannot_be_stored])
+def test_records_or_objects_are_away_for_a_while(
+    store: Store,
+    settings: WorkerSettings,
+    queued: FitJob,
+    undisturbed: bytes,
+    start_worker: StartWorker,
+    outage: Callable[[WorkerSettings], AbstractContextManager[None]],
+) -> None:
+    start_worker()
+    wait_for_step(store, queued.id, 100)
+    wait_for(
+        lambda: lookup.get(store, FitJob, queued.id).checkpoint_key is not None, "a checkpoint"
+    )
+    with outage(settings):
+        wait_for(lambda: lookup.get(store, FitJob, queued.id).crashes > 0, "the attempt to end")
+    assert_as_if_nothing_had_happened(store, queued, undisturbed)
 
 
 def test_the_worker_is_told_to_leave(
