@@ -145,13 +145,17 @@ def test_records_or_objects_are_away_for_a_while(
     start_worker: StartWorker,
     outage: Callable[[WorkerSettings], AbstractContextManager[None]],
 ) -> None:
+    def ended() -> bool:
+        fit = lookup.get(store, FitJob, queued.id)
+        return fit.crashes > 0 or fit.status == "failed"
+
     start_worker()
     wait_for_step(store, queued.id, 100)
     wait_for(
         lambda: lookup.get(store, FitJob, queued.id).checkpoint_key is not None, "a checkpoint"
     )
     with outage(settings):
-        wait_for(lambda: lookup.get(store, FitJob, queued.id).crashes > 0, "the attempt to end")
+        wait_for(ended, "the attempt to end")
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
 
 
