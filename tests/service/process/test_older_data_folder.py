@@ -12,7 +12,8 @@ import pytest
 from safetensors.numpy import load, load_file
 
 from store.database import Store
-from store.fits import get
+from store.lookup import get
+from store.records import FitJob
 from store.settings import StoreSettings
 from tests.service.conftest import Live, kill_service, problem, start_service
 
@@ -103,7 +104,7 @@ def test_the_interrupted_fit_left_a_checkpoint(tmp_path: Path) -> None:
     store = Store(StoreSettings(data_dir=tmp_path))
     try:
         (key,) = [key for key, _ in store.objects.list() if "checkpoint" in key]
-        fit = get(store, key.split("/")[1])
+        fit = get(store, FitJob, key.split("/")[1])
         assert (fit.status, fit.checkpoint_key) == ("running", key)
     finally:
         store.close()
