@@ -19,10 +19,10 @@ COPY --from=build /opt/fewview /opt/fewview
 ENV PATH=/opt/fewview/bin:$PATH FEWVIEW_DATA_DIR=/data FEWVIEW_HOST=0.0.0.0 PYTHONUNBUFFERED=1
 USER fewview
 WORKDIR /data
-RUN python -m models.training.precompile
+RUN python -P -m models.training.precompile
 VOLUME /data
 EXPOSE 8000
 HEALTHCHECK --interval=5s --timeout=5s --start-period=30s --retries=6 \
-    CMD ["python", "-c", "import urllib.request as u; u.urlopen('http://127.0.0.1:8000/health/ready', timeout=4)"]
+    CMD ["python", "-P", "-c", "import urllib.request as u; u.urlopen('http://127.0.0.1:8000/health/ready', timeout=4)"]
 ENTRYPOINT ["fewview"]
 CMD ["serve"]

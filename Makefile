@@ -59,7 +59,7 @@ performance: .venv/ready
 	$(BIN)/python benchmarks/tables.py $(foreach name,lift load runtimes fit scaling,$(FIGURES)/$(name).json)
 
 openapi: .venv/ready
-	$(BIN)/python -m service.openapi > docs/openapi.json
+	$(BIN)/python -P -m service.openapi > docs/openapi.json
 
 # Finished only once everything is installed: an interrupted set-up starts over.
 .venv/ready: pyproject.toml
@@ -71,7 +71,7 @@ openapi: .venv/ready
 
 # The inner loops as machine code, before several processes want it at a time.
 .venv/compiled: .venv/ready $(shell find models -name '*.py')
-	$(BIN)/python -m models.training.precompile
+	$(BIN)/python -P -m models.training.precompile
 	touch $@
 
 clean:

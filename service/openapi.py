@@ -1,4 +1,4 @@
-"""``python -m service.openapi`` prints the OpenAPI document, as ``docs/openapi.json`` holds it."""
+"""``python -P -m service.openapi`` prints the OpenAPI document, as in ``docs/openapi.json``."""
 
 import json
 

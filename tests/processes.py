@@ -1,8 +1,8 @@
 """Processes and ports of one test session, which those of another have nothing to do with."""
 
-import os
 import socket
-import sys
+
+from worker import process
 
 
 def tied(*words: str) -> list[str]:
@@ -10,8 +10,7 @@ def tied(*words: str) -> list[str]:
 
     A worker that was left behind would take the jobs of later sessions.
     """
-    parent = str(os.getpid())
-    return [sys.executable, "-m", "worker.process", parent, sys.executable, *words]
+    return process.tied(*process.python(*words))
 
 
 def free_port() -> int:

@@ -1,4 +1,4 @@
-"""Tying a process's life to its parent's."""
+"""Starting processes of ours: they die with their parent, and import what is installed alone."""
 
 import ctypes
 import os
@@ -6,6 +6,19 @@ import signal
 import sys
 
 _PR_SET_PDEATHSIG = 1  # prctl(2)
+
+
+def python(*words: str) -> list[str]:
+    """Return a command of Python's that imports nothing from the working directory.
+
+    Without ``-P``, ``python -m`` looks there first, and people have folders called ``models``.
+    """
+    return [sys.executable, "-P", *words]
+
+
+def tied(*command: str) -> list[str]:
+    """Return a command that runs ``command`` and has it die with the process that calls this."""
+    return python("-m", "worker.process", str(os.getpid()), *command)
 
 
 def die_with_parent(parent: int) -> None:

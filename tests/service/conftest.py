@@ -9,7 +9,7 @@ import subprocess
 import threading
 import time
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,8 @@ from models.settings.config import FitConfig
 from models.training.trainer import Trainer
 from service.app import create_app, server_config
 from service.settings import Settings
-from tests.processes import free_port, tied
+from tests.processes import free_port
+from worker.process import python, tied
 
 JSON = {"Content-Type": "application/json"}
 BYTES = {"Content-Type": "application/octet-stream"}
@@ -307,13 +308,19 @@ def descendants(pid: int) -> set[int]:
     return found - {pid}
 
 
-def start_service(folder: Path, *options: str) -> Live:
+def start_service(
+    folder: Path,
+    *options: str,
+    program: Sequence[str] = python("-m", "service.cli"),
+    cwd: Path | None = None,
+) -> Live:
     """Start ``fewview serve`` on a data folder and a free port; wait until it says its address."""
     process = subprocess.Popen(
-        tied("-m", "service.cli", "serve", "--port=0", f"--data-dir={folder}", *options),
+        tied(*program, "serve", "--port=0", f"--data-dir={folder}", *options),
         env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")},
         stdout=subprocess.PIPE,
         text=True,
+        cwd=cwd,
     )
     assert process.stdout is not None
     said = ""

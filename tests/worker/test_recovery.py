@@ -1,5 +1,6 @@
 """Workers and horses that are really killed, queues that really forget."""
 
+import os
 import signal
 import sqlite3
 import subprocess
@@ -221,7 +222,7 @@ def test_redis_dies_under_a_running_fit(
         for record in (fit, waiting):
             enqueue(open_queue(client), record)
     environment = settings.model_copy(update={"redis_url": url}).to_environment()
-    worker = subprocess.Popen(tied("-m", "service.cli", "worker"), env=environment)
+    worker = subprocess.Popen(tied("-m", "service.cli", "worker"), env=os.environ | environment)
     try:
         wait_for_step(store, fit.id, 100)
         server.terminate()
@@ -286,7 +287,7 @@ def test_a_fit_that_takes_too_long_fails(
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=LONG)
     enqueue(open_queue(redis), fit)
     environment = settings.model_copy(update={"max_fit_seconds": 1}).to_environment()
-    with subprocess.Popen(tied("-m", "service.cli", "worker"), env=environment) as w:
+    with subprocess.Popen(tied("-m", "service.cli", "worker"), env=os.environ | environment) as w:
         record = wait_until(store, fit.id, "failed")
         w.terminate()
     assert record.error is not None
