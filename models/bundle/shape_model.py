@@ -1,15 +1,22 @@
-"""The Gaussian shape model: what structures vary like, learnt from structures and their doubts."""
+"""The Gaussian shape model: what structures vary like, learnt from structures and covariances."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.typing import NDArray
+
+from models.numerics.medians import lower_median
+from models.numerics.rotations import nearest_rotations
+
+Float64 = NDArray[np.float64]
 
 MOST_COMPONENTS = 40  # of a shape model; the rest of the variance is isotropic
-LEAST_DOUBT = 1e-3  # root-mean-square error that no network falls below
+LEAST_ERROR = 1e-3  # root-mean-square error, in radii of the structure, that no network falls below
 LEAST_SHARE = 0.05  # of it, in each coordinate that is not along a component
 ALIGNMENTS = 5  # rounds of aligning to the mean and taking it anew
+SIMILARITY = 7  # directions in which shifts, scale and rotations move a structure
+TINY = 1e-12
 
 
 class ShapeModel(NamedTuple):
@@ -18,100 +25,103 @@ class ShapeModel(NamedTuple):
     Tipping and Bishop, *Probabilistic Principal Component Analysis*, 1999.
     """
 
-    mean: Tensor  # (P, 3) centred, root-mean-square radius 1
-    basis: Tensor  # (P, 3, Q)
+    mean: Float64  # (P, 3) centred, root-mean-square radius 1
+    basis: Float64  # (P, 3, Q)
     spread: float
 
 
-class Doubts(NamedTuple):
+class NetworkErrors(NamedTuple):
     """How far the network's structures are off: by s (B z + e), s for the number of views it saw.
 
-    Empty scales stand for doubts that were not learnt.
+    Empty scales stand for errors that were not learnt.
     """
 
-    basis: Tensor  # (P, 3, Q)
+    basis: Float64  # (P, 3, Q)
     spread: float
-    scales: Tensor  # (V,) for one view, two, ... V or more; root-mean-square distances
+    scales: Float64  # (V,) for one view, two, ... V or more; root-mean-square distances
+
+    @property
+    def known(self) -> bool:
+        """Whether they were learnt."""
+        return len(self.scales) > 0
 
 
 class Similarity(NamedTuple):
     """What takes structures to a mean: scale (x - centre) Q."""
 
-    scales: Tensor  # (N,)
-    rotations: Tensor  # (N, 3, 3) Q, acting on row vectors
-    centres: Tensor  # (N, 1, 3)
+    scales: Float64  # (N,)
+    rotations: Float64  # (N, 3, 3) Q, acting on row vectors
+    centres: Float64  # (N, 1, 3)
 
 
-def align(points: Tensor, mean: Tensor) -> tuple[Tensor, Similarity]:
+def align(points: Float64, mean: Float64) -> tuple[Float64, Similarity]:
     """Bring structures (N, P, 3) onto `mean` (P, 3) or (N, P, 3), never mirrored, by least squares.
 
     Umeyama, *Least-squares estimation of transformation parameters*, 1991.
     """
-    centres = points.mean(-2, keepdim=True)
+    centres = points.mean(-2, keepdims=True)
     centred = points - centres
-    u, values, vt = torch.linalg.svd(centred.mT @ (mean - mean.mean(-2, keepdim=True)))
-    sign = (torch.linalg.det(u) * torch.linalg.det(vt)).sign()
-    u = torch.cat((u[..., :2], u[..., 2:] * sign[:, None, None]), -1)
-    rotations = u @ vt
-    overlap = values[:, 0] + values[:, 1] + sign * values[:, 2]
-    scales = overlap / centred.square().sum((1, 2)).clamp_min(1e-12)
+    overlap = centred.mT @ (mean - mean.mean(-2, keepdims=True))  # (N, 3, 3)
+    rotations = nearest_rotations(overlap)
+    scales = (rotations * overlap).sum((1, 2)) / np.square(centred).sum((1, 2)).clip(TINY)
     return scales[:, None, None] * centred @ rotations, Similarity(scales, rotations, centres)
 
 
-def learn_shapes(points: Tensor, covariances: Tensor, *, floor: float) -> ShapeModel:
+def learn_shapes(points: Float64, covariances: Float64, *, floor: float) -> ShapeModel:
     """Maximum likelihood of structures (N, P, 3) that are themselves known up to covariances.
 
     `covariances` (N, 3 P, 3 P) is added to the scatter (the M-step of EM); similarities, which
     cameras explain, are projected out; `floor` is the least standard deviation.
     """
-    count = points.shape[1]
+    frames, count, _ = points.shape
     mean = points.mean(0)
     for _ in range(ALIGNMENTS):
-        aligned, moved = align(points, mean)
+        aligned, similarity = align(points, mean)
         mean = aligned.mean(0)
         mean = mean - mean.mean(0)
-        mean = mean / mean.square().sum(-1).mean().sqrt()
-    turned = moved.rotations.mT * moved.scales[:, None, None]  # column vectors' turn
-    blocks = covariances.reshape(-1, count, 3, count, 3)
-    doubt = torch.einsum("nai,npiqj,nbj->paqb", turned, blocks, turned) / len(points)
-    offsets = (aligned - mean).flatten(1)
-    scatter = offsets.T @ offsets / len(points) + doubt.flatten(2).flatten(0, 1)
-    return _components(mean, scatter, floor)
+        mean = mean / np.sqrt(np.square(mean).sum(-1).mean())
+    # On column vectors a similarity acts as `scaled`, and on covariances from both sides.
+    scaled = (similarity.rotations.mT * similarity.scales[:, None, None])[:, None]  # (N, 1, 3, 3)
+    half = scaled @ covariances.reshape(frames, count, 3, 3 * count)  # (N, P, 3, 3 P)
+    whole = half.reshape(frames, 3 * count, count, 3) @ scaled.mT  # (N, 3 P, P, 3)
+    unsure = whole.sum(0).reshape(3 * count, 3 * count) / frames
+    offsets = (aligned - mean).reshape(frames, -1)
+    return _components(mean, offsets.T @ offsets / frames + unsure, floor)
 
 
-def no_doubts(keypoints: int) -> Doubts:
-    """Return doubts that were not learnt."""
-    nothing = torch.zeros(0, dtype=torch.float64)
-    return Doubts(nothing.expand(keypoints, 3, 0), 1.0, nothing)
+def unknown_network_errors(keypoints: int) -> NetworkErrors:
+    """Return errors that were not learnt."""
+    return NetworkErrors(np.zeros((keypoints, 3, 0)), 1.0, np.zeros(0))
 
 
-def learn_doubts(errors: Sequence[Tensor], mean: Tensor) -> Doubts:
-    """Learn doubts from errors (N, P, 3) in the frame of `mean` (P, 3), a tensor per view count."""
-    own = [part.square().sum(-1).mean(-1).sqrt() for part in errors]  # of every frame
-    scales = torch.stack([part.median() for part in own]).clamp_min(LEAST_DOUBT)
+def learn_network_errors(errors: Sequence[Float64], mean: Float64) -> NetworkErrors:
+    """Learn from errors (N, P, 3) in the frame of `mean` (P, 3), an array per number of views."""
+    own = [np.sqrt(np.square(part).sum(-1).mean(-1)) for part in errors]  # of every frame
+    scales = np.array([lower_median(part) for part in own]).clip(LEAST_ERROR)
     # A frame that is off by far counts no more than others; it is what heavy tails are for.
-    flat = torch.cat(
+    flat = np.concatenate(
         [
-            part / alone.clamp_min(scale)[:, None, None]
+            part / alone.clip(scale)[:, None, None]
             for part, alone, scale in zip(errors, own, scales, strict=True)
         ]
-    ).flatten(1)
+    ).reshape(-1, mean.size)
     model = _components(mean, flat.T @ flat / len(flat), LEAST_SHARE)
-    return Doubts(model.basis, model.spread, scales)
+    return NetworkErrors(model.basis, model.spread, scales)
 
 
-def _components(mean: Tensor, scatter: Tensor, floor: float) -> ShapeModel:
+def _components(mean: Float64, scatter: Float64, floor: float) -> ShapeModel:
+    """Decompose a scatter (3 P, 3 P), less what similarities of the mean explain."""
     count = len(mean)
-    eye = torch.eye(3, dtype=mean.dtype).expand(count, 3, 3)
-    axes = torch.cat(
-        (eye, mean[..., None], torch.linalg.cross(eye, mean[:, None].expand_as(eye), dim=-1).mT), -1
-    )
-    similarity, _ = torch.linalg.qr(axes.flatten(0, 1))  # (3 P, 7)
-    keep = torch.eye(3 * count, dtype=mean.dtype) - similarity @ similarity.T
-    values, vectors = torch.linalg.eigh(keep @ scatter @ keep)
-    values, vectors = values.flip(0)[: 3 * count - 7], vectors.flip(1)[:, : 3 * count - 7]
+    kept_directions = 3 * count - SIMILARITY
+    eye = np.broadcast_to(np.eye(3), (count, 3, 3))
+    rotated = np.cross(eye, mean[:, None]).mT  # (P, 3, 3) how rotations about the axes move it
+    axes = np.concatenate((eye, mean[..., None], rotated), -1).reshape(3 * count, SIMILARITY)
+    similarity, _ = np.linalg.qr(axes)
+    keep = np.eye(3 * count) - similarity @ similarity.T
+    values, vectors = np.linalg.eigh(keep @ scatter @ keep)
+    values, vectors = values[::-1][:kept_directions], vectors[:, ::-1][:, :kept_directions]
     some = min(MOST_COMPONENTS, max(len(values) - 1, 0))
-    spread = max(float(values[some:].mean().clamp_min(0).sqrt()), floor)
+    spread = max(float(np.sqrt(values[some:].mean().clip(0))), floor)
     kept = values[:some] > spread**2
-    basis = vectors[:, :some][:, kept] * (values[:some][kept] - spread**2).sqrt()
-    return ShapeModel(mean, basis.reshape(count, 3, -1), spread)
+    basis = vectors[:, :some][:, kept] * np.sqrt(values[:some][kept] - spread**2)
+    return ShapeModel(mean, np.ascontiguousarray(basis).reshape(count, 3, -1), spread)

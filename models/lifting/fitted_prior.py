@@ -7,12 +7,13 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from models.calibrating.result import array_shapes, from_arrays, report, to_arrays
-from models.calibrating.self_calibration import Discovery
+from models.calibrating.result import SelfCalibration, camera_report
+from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
 from models.capture.denoising import ViewModel
 from models.capture.observations import as_observations
 from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
-from models.lifting.frame_refinement import Refiner, make_refiner, refine_frames
+from models.lifting.explanations import Refiner
+from models.lifting.frame_refinement import make_refiner, refine_frames
 from models.lifting.lift import Lift
 from models.network.answers import Answers, make_answers
 from models.network.feed_forward import feed_forward
@@ -38,12 +39,12 @@ class FittedPrior:
         arrays: Arrays,
         curve: tuple[CurvePoint, ...],
         foreshortening: float,
-        found: Discovery | None = None,
+        found: SelfCalibration | None = None,
         denoiser: ViewModel | None = None,
     ) -> None:
         self.config = config
         self._denoiser = denoiser
-        self.cameras = None if found is None else report(found)
+        self.cameras = None if found is None else camera_report(found)
         self._found = found
         self.curve = curve
         self.foreshortening = foreshortening
@@ -146,7 +147,7 @@ class FittedPrior:
         return refiner
 
     def _views(self, views: Sequence[int] | None, count: int) -> Sequence[int] | None:
-        known = 0 if self._found is None else len(self._found.errors)
+        known = 0 if self._found is None else len(self._found.rig.groups)
         known = known if self._denoiser is None else len(self._denoiser.mean)
         if views is None:
             return range(count) if count == known else None
@@ -208,7 +209,7 @@ class FittedPrior:
         if not MIN_KEYPOINTS <= keypoints <= MAX_KEYPOINTS:
             raise WeightsError(f"the header says {keypoints} keypoints per frame")
         shapes: Shapes = {**parameter_shapes(config, keypoints)}
-        cameras = array_shapes(keypoints, None) if "cameras" in about else {}
+        cameras = array_shapes(about["cameras"], keypoints, None) if "cameras" in about else {}
         for name, shape in cameras.items():
             shapes[f"{CAMERAS}{name}"] = shape
         if "denoiser" in about:

@@ -8,111 +8,88 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from models.bundle.adjustment import Rig, ShapePrior
-from models.bundle.frame import (
-    Cameras,
-    Pose,
-    Shapes,
-    copy_pose,
-    cost_of,
-    descend,
-    hold,
-    make_pose,
-    to_camera,
-)
-from models.bundle.initial_poses import gather_frame, start_view
-from models.calibrating.self_calibration import Discovery, size_precision
+from models.bundle.problem import Rig, Views, make_rig, make_shape_prior, moving_rig
+from models.calibrating.result import SelfCalibration
 from models.capture.observations import Observations
+from models.lifting.explanations import (
+    Explanation,
+    Refiner,
+    continues,
+    copy_explanation,
+    explain,
+    make_explanation,
+    network_start_into,
+    previous_start_into,
+    start_cost,
+)
 from models.network.answers import Answers
 from models.numerics.compiled import compiled, inner
-from models.numerics.matrices import copy, fill, identity, product, total
-from models.numerics.rotations import nearest_rotation_into
-from models.optics.lenses import Optics, see
+from models.numerics.matrices import total
+from models.optics.lenses.projection import Lenses
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
 
-ITERATIONS = 12
 LOST = 3.0  # noise standard deviations of a frame's mean residual that a rig at rest cannot explain
-BETTER = 0.5  # share of its cost that such a frame must do with if its cameras move
+BETTER = 0.5  # share of its cost to which another hypothesis must bring such a frame to be taken
 WORSE = 1.25  # times the network's reprojection error: no refinement that leads there is kept
 
 
-class Refiner(NamedTuple):
-    """What is known of K views and of the shapes they will see, laid out for `refine_frames`."""
+class Hypothesis(NamedTuple):
+    """What may be otherwise in a frame that the rig cannot explain as the network has it."""
 
-    rig: Cameras
-    apart: Cameras  # the same lenses, every view moving on its own
-    mean: Float64  # (P, 3) the frame of reference of the shapes
-    doubted: bool  # whether shapes are about the network's answers, or about the mean
-    shapes: Shapes
-    scales: Float64  # (V,) of the doubts with one view, two, ... V or more
-    noise: float  # pixels
-    unit: float  # the user's, of a unit of the structure
+    mirrored: bool  # the network sees the structure's mirror image
+    apart: bool  # cameras were bumped or moved: every view moves on its own
 
 
-class Attempt(NamedTuple):
-    """Room for one way of explaining a frame."""
-
-    points: Float64  # (P, 3)
-    rotations: Float64  # (K, 3, 3)
-    translations: Float64  # (K, 3)
-    errors: Float64  # (K,)
+OTHER_HYPOTHESES = (
+    Hypothesis(mirrored=True, apart=False),
+    Hypothesis(mirrored=False, apart=True),
+    Hypothesis(mirrored=True, apart=True),
+)
 
 
-def make_refiner(found: Discovery, views: Sequence[int] | None, count: int) -> Refiner:
+def make_refiner(calibration: SelfCalibration, views: Sequence[int] | None, count: int) -> Refiner:
     """Prepare to refine frames of `views` of the fit, or of `count` cameras it does not know."""
-    rig = sub_rig(found, views, count)
-    apart = rig._replace(
-        groups=torch.arange(count),
-        rotations=torch.eye(3, dtype=torch.float64).expand_as(rig.rotations),
-        translations=torch.zeros_like(rig.translations),
-    )
-    doubts, shapes = found.doubts, found.shapes
-    doubted = len(doubts.scales) > 0
-    believed = doubts if doubted else shapes
-    prior = ShapePrior(
-        shapes.mean, believed.basis, believed.spread, torch.ones(1), heavy=doubted
-    ).shapes()
+    rig = sub_rig(calibration, views, count)
+    errors, shapes = calibration.network_errors, calibration.shapes
+    believed = errors if errors.known else shapes
     return Refiner(
-        rig.cameras(size_precision(rig)),
-        apart.cameras(size_precision(apart)),
-        np.ascontiguousarray(shapes.mean.numpy()),
-        doubted,
-        prior,
-        np.ascontiguousarray(doubts.scales.numpy()) if doubted else np.ones(1),
-        found.noise,
-        found.unit,
+        rig,
+        moving_rig(rig.lenses),
+        make_shape_prior(shapes.mean, believed.basis, believed.spread, heavy=errors.known),
+        errors.known,
+        np.ascontiguousarray(errors.scales) if errors.known else np.ones(1),
+        calibration.noise,
+        calibration.unit,
     )
 
 
-def sub_rig(found: Discovery, views: Sequence[int] | None, count: int) -> Rig:
+def sub_rig(calibration: SelfCalibration, views: Sequence[int] | None, count: int) -> Rig:
     """Return the rig of some views of a fit, or of `count` cameras that it does not know.
 
     Of such cameras only the lenses are known, as the mean of the fit's.
     """
-    rig, optics = found.rig, found.rig.optics
+    rig, lenses = calibration.rig, calibration.rig.lenses
     if views is None:
-        usual = Optics(
-            optics.focals.log().mean(0, keepdim=True).exp().expand(count, -1),
-            optics.centres.mean(0, keepdim=True).expand(count, -1),
-            optics.distortion.mean(0, keepdim=True).expand(count, -1),
-            optics.fisheye[:1].expand(count),
+        usual = Lenses(
+            np.tile(np.exp(np.log(lenses.focals).mean(0)), (count, 1)),
+            np.tile(lenses.centres.mean(0), (count, 1)),
+            np.tile(lenses.distortion.mean(0), (count, 1)),
+            np.repeat(lenses.models[:1], count),
         )
-        eye = torch.eye(3, dtype=torch.float64).expand(count, -1, -1)
-        still = torch.zeros(count, 3, dtype=torch.float64)
-        return Rig(usual, torch.arange(count), eye, still)
-    index = torch.tensor(list(views), dtype=torch.long)
-    _, groups = torch.unique(rig.groups[index], return_inverse=True)
-    alone = (torch.bincount(groups)[groups] == 1)[:, None]  # such a view is its own group's frame
-    return Rig(
-        Optics(*(a[index] for a in optics)),
+        return moving_rig(usual)
+    index = np.array(views, np.int64)
+    groups = np.unique(rig.groups[index], return_inverse=True)[1].reshape(-1)
+    alone = (np.bincount(groups)[groups] == 1)[:, None]  # such a view is its own group's frame
+    return make_rig(
+        lenses.of(index),
         groups,
-        torch.where(alone[..., None], torch.eye(3, dtype=torch.float64), rig.rotations[index]),
-        torch.where(alone, 0.0, rig.translations[index]),
+        np.where(alone[..., None], np.eye(3), rig.rotations[index]),
+        np.where(alone, 0.0, rig.translations[index]),
     )
 
 
@@ -133,322 +110,113 @@ def refine_frames(
     frame whose views all have a perspective camera there starts from it if that explains it better,
     and is marked as continued.
     """
-    _, views, count, _ = seen.keypoints.shape
-    keypoints, weights = np.empty((views, count, 2)), np.empty((views, count))
-    best, other = _room(count, views), _room(count, views)
-    start, mean = _room(count, views), np.empty((count, 3))
-    joined = len(refiner.rig.size_precision) < views
+    _, cameras, count, _ = seen.keypoints.shape
+    views = Views(np.empty((cameras, count, 2)), np.empty((cameras, count)))
+    start, earlier = (
+        make_explanation(count, cameras),
+        make_explanation(count, cameras),
+    )
+    best, other = make_explanation(count, cameras), make_explanation(count, cameras)
+    mean = np.empty((count, 3))
+    joined = len(refiner.rig.size_precision) < cameras
     for n in range(begin, end):
-        there = total(seen.usable[n])
+        usable = seen.usable[n]
+        there = total(usable)
         if not there:
             continue
-        for k in range(views):
-            for p in range(count):
-                w = seen.weights[n, k, p]
-                weights[k, p] = w / refiner.noise**2
-                for i in range(2):
-                    keypoints[k, p, i] = (
-                        seen.keypoints[n, k, p, i] * seen.sizes[n, k] + seen.centres[n, k, i]
-                    )
-        before, cost = False, np.inf
-        for way in range(4):  # as the network sees it, mirrored, with views apart, both
-            _network_start(refiner, answers, n, seen.usable[n], way % 2 == 1, start, mean)
-            if way == 0:
-                before = len(previous.points3d) > 0 and _continues(previous, n, seen.usable[n])
-                if before:
-                    _previous_start(refiner, previous, n, mean, other)
-            rig = refiner.rig if way < 2 else refiner.apart
-            found, after = _attempt(
-                refiner,
-                rig,
-                keypoints,
-                weights,
-                seen.usable[n],
-                mean,
-                start,
-                other,
-                before and way == 0,
-                other,
+        _pixels_into(seen, n, refiner.noise, views)
+        network_start_into(refiner, answers, n, usable, False, start, mean)
+        continued = False
+        if continues(previous, n, usable):
+            previous_start_into(refiner, previous, n, mean, earlier)
+            continued = start_cost(refiner, refiner.rig, views, usable, mean, earlier) < start_cost(
+                refiner, refiner.rig, views, usable, mean, start
             )
-            if way == 0 or found < BETTER * cost:
-                best, other = other, best
-                cost = found
-                answers.continued[n] = after
-            # Frames that the network sees mirrored show, and cameras that were bumped or moved.
-            if way == 0 and (there == 1 or not _is_lost(best, seen.usable[n], refiner.noise)):
-                break
-            if way == 1 and not joined:
-                break
-        if not _accept(best, cost, answers.reprojection_errors[n], seen.usable[n], always):
-            answers.continued[n] = False
-            continue
-        _write(refiner, best, n, seen.usable[n], answers)
+        chosen = earlier if continued else start
+        cost = explain(refiner, refiner.rig, views, usable, mean, chosen, best)
+        if there > 1 and _is_lost(best, usable, refiner.noise):
+            for hypothesis in OTHER_HYPOTHESES:
+                if hypothesis.apart and not joined:
+                    continue
+                network_start_into(refiner, answers, n, usable, hypothesis.mirrored, start, mean)
+                rig = refiner.apart if hypothesis.apart else refiner.rig
+                other_cost = explain(refiner, rig, views, usable, mean, start, other)
+                if other_cost < BETTER * cost:
+                    copy_explanation(other, best)
+                    cost, continued = other_cost, False
+        if _accept(best, cost, answers.reprojection_errors[n], usable, always):
+            answers.continued[n] = continued
+            _write(refiner, best, n, usable, answers)
 
 
 @inner
-def _is_lost(attempt: Attempt, usable: NDArray[np.bool_], noise: float) -> bool:
+def _pixels_into(seen: Observations, n: int, noise: float, views: Views) -> None:
+    """Write the keypoints of frame n in pixels, weighted for the noise."""
+    for k in range(len(views.keypoints)):
+        for p in range(views.keypoints.shape[1]):
+            w = seen.weights[n, k, p]
+            views.weights[k, p] = w / noise**2
+            for i in range(2):
+                views.keypoints[k, p, i] = (
+                    seen.keypoints[n, k, p, i] * seen.sizes[n, k] + seen.centres[n, k, i]
+                )
+
+
+@inner
+def _is_lost(explanation: Explanation, usable: Bool, noise: float) -> bool:
+    """Whether the residuals of a frame are far above the noise."""
     error = 0.0
     for k in range(len(usable)):
         if usable[k]:
-            error += attempt.errors[k]
+            error += explanation.errors[k]
     return error > LOST * noise * total(usable)
 
 
 @inner
-def _room(count: int, views: int) -> Attempt:
-    return Attempt(
-        np.empty((count, 3)), np.empty((views, 3, 3)), np.empty((views, 3)), np.empty(views)
-    )
-
-
-@inner
-def _align(points: Float64, mean: Float64, turned: Float64, centre: Float64) -> float:
-    """As `models.bundle.shape_model.align`: write Q and the centre, return the scale."""
-    count = len(points)
-    overlap, middle = np.zeros((3, 3)), np.zeros(3)
-    fill(centre, 0)
-    for p in range(count):
-        for i in range(3):
-            centre[i] += points[p, i] / count
-            middle[i] += mean[p, i] / count
-    squared = 0.0
-    for p in range(count):
-        for i in range(3):
-            offset = points[p, i] - centre[i]
-            squared += offset * offset
-            for j in range(3):
-                overlap[i, j] += offset * (mean[p, j] - middle[j])
-    nearest_rotation_into(overlap, turned)
-    match = 0.0
-    for i in range(3):
-        for j in range(3):
-            match += turned[i, j] * overlap[i, j]
-    return match / max(squared, 1e-12)
-
-
-@inner
-def _network_start(
-    refiner: Refiner,
-    answers: Answers,
-    n: int,
-    usable: NDArray[np.bool_],
-    mirror: bool,
-    start: Attempt,
-    mean: Float64,
-) -> None:
-    """Write perspective poses of every view for the network's answer, and the prior's mean.
-
-    All is brought into the frame of reference of the shapes.
-    """
-    count = len(refiner.mean)
-    turned, centre = np.empty((3, 3)), np.empty(3)
-    rotation, shift = np.empty((3, 3)), np.empty(2)
-    points = np.empty((count, 3))
-    for p in range(count):
-        for i in range(3):
-            points[p, i] = answers.points3d[n, p, i]
-        if mirror:
-            points[p, 2] = -points[p, 2]
-    scale = _align(points, refiner.mean, turned, centre)
-    for p in range(count):
-        for i in range(3):
-            summed = 0.0
-            for j in range(3):
-                summed += (points[p, j] - centre[j]) * turned[j, i]
-            start.points[p, i] = scale * summed
-    copy(start.points if refiner.doubted else refiner.mean, mean)
-    own = np.empty((3, 3))
-    for k in range(len(usable)):
-        if usable[k]:
-            for i in range(3):
-                for j in range(3):
-                    own[i, j] = answers.rotations[n, k, i, j]
-                    if mirror and (i == 2) != (j == 2):
-                        own[i, j] = -own[i, j]
-            size = answers.scales[n, k]
-            for i in range(2):
-                shift[i] = answers.translations[n, k, i]
-                for j in range(3):
-                    shift[i] += size * own[i, j] * centre[j]
-        else:  # harmless numbers
-            identity(own)
-            size = 1.0
-            fill(shift, 0)
-        product(own, turned, rotation)
-        start_view(
-            refiner.rig, k, rotation, size / scale, shift, start.rotations[k], start.translations[k]
-        )
-
-
-@inner
-def _continues(previous: Answers, n: int, usable: NDArray[np.bool_]) -> bool:
-    for k in range(len(usable)):
-        if usable[k] and previous.camera_models[n, k] <= 0:
-            return False
-    return math.isfinite(previous.points3d[n, 0, 0])
-
-
-@inner
-def _previous_start(
-    refiner: Refiner, previous: Answers, n: int, mean: Float64, start: Attempt
-) -> None:
-    """Write the answer of the frame before in the frame of reference of `mean` (P, 3)."""
-    count, unit = len(mean), refiner.unit
-    turned, centre, own = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
-    points = np.empty((count, 3))
-    for p in range(count):
-        for i in range(3):
-            points[p, i] = previous.points3d[n, p, i] / unit
-    scale = _align(points, mean, turned, centre)
-    for p in range(count):
-        for i in range(3):
-            summed = 0.0
-            for j in range(3):
-                summed += (points[p, j] - centre[j]) * turned[j, i]
-            start.points[p, i] = scale * summed
-    for k in range(len(start.translations)):
-        if previous.camera_models[n, k] <= 0:
-            identity(own)
-        else:
-            for i in range(3):
-                for j in range(3):
-                    own[i, j] = previous.rotations[n, k, i, j]
-        product(own, turned, start.rotations[k])
-        for i in range(3):
-            shift = previous.translations[n, k, i] / unit
-            if previous.camera_models[n, k] <= 0:
-                shift = 1.0 if i == 2 else 0.0
-            for j in range(3):
-                shift += own[i, j] * centre[j]
-            start.translations[k, i] = scale * shift
-
-
-@inner
-def _attempt(
-    refiner: Refiner,
-    rig: Cameras,
-    keypoints: Float64,
-    weights: Float64,
-    usable: NDArray[np.bool_],
-    mean: Float64,
-    start: Attempt,
-    second: Attempt,
-    two: bool,
-    out: Attempt,
-) -> tuple[float, bool]:
-    """Refine from `start` or, if there are `two` and it is the better one, from the `second`.
-
-    Writes points of their size, poses and errors of every view to `out`, which may be `second`;
-    returns minus twice the log posterior, and whether it was the second.
-    """
-    views, groups, count = len(usable), len(rig.size_precision), len(mean)
-    scale = refiner.scales[min(int(total(usable)), len(refiner.scales)) - 1]
-    pose = make_pose(count, groups)
-    _as_groups(rig, usable, start, pose)
-    after = False
-    if two:
-        other = make_pose(count, groups)
-        _as_groups(rig, usable, second, other)
-        costs = (
-            cost_of(keypoints, weights, rig, mean, scale, refiner.shapes, pose),
-            cost_of(keypoints, weights, rig, mean, scale, refiner.shapes, other),
-        )
-        after = costs[1] < costs[0]
-        if after:
-            copy_pose(other, pose)
-    cost = descend(keypoints, weights, rig, mean, scale, refiner.shapes, pose, ITERATIONS)
-    turned, held, camera, pixel = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
-    size = math.exp(pose.sizes[0])  # views that move on their own have size 1, distance tells
-    for p in range(count):
-        for i in range(3):
-            out.points[p, i] = pose.points[p, i] * size
-    for k in range(views):
-        g = rig.groups[k]
-        product(rig.rotations[k], pose.rotations[g], out.rotations[k])
-        to_camera(rig, k, pose.translations[g], out.translations[k])
-        for i in range(3):
-            out.translations[k, i] *= size / math.exp(pose.sizes[g])
-        summed, observed = 0.0, 0
-        for p in range(count):
-            if weights[k, p] > 0:
-                hold(pose, g, p, turned, held)
-                to_camera(rig, k, held, camera)
-                see(camera, rig.lenses, k, pixel)
-                summed += math.sqrt(
-                    (pixel[0] - keypoints[k, p, 0]) ** 2 + (pixel[1] - keypoints[k, p, 1]) ** 2
-                )
-                observed += 1
-        out.errors[k] = summed / max(observed, 1)
-    return cost, after
-
-
-@inner
-def _as_groups(rig: Cameras, usable: NDArray[np.bool_], start: Attempt, pose: Pose) -> None:
-    """Write the poses of the rig's groups for those of every view."""
-    copy(start.points, pose.points)
-    if len(pose.sizes) < len(usable):
-        gather_frame(
-            rig,
-            start.rotations,
-            start.translations,
-            usable,
-            pose.rotations,
-            pose.translations,
-            pose.sizes,
-        )
-    else:
-        for k in range(len(usable)):
-            g = rig.groups[k]
-            copy(start.rotations[k], pose.rotations[g])
-            copy(start.translations[k], pose.translations[g])
-            pose.sizes[g] = 0.0
-
-
-@inner
 def _accept(
-    attempt: Attempt, cost: float, errors: Float32, usable: NDArray[np.bool_], always: bool
+    explanation: Explanation, cost: float, errors: Float32, usable: Bool, always: bool
 ) -> bool:
     """Whether there is an answer, and it explains the keypoints no worse than the network's."""
     if not math.isfinite(cost):
         return False
     ours, theirs = 0.0, 0.0
     for k in range(len(usable)):
-        if not math.isfinite(attempt.errors[k]):
+        if not math.isfinite(explanation.errors[k]):
             return False
         if usable[k]:
-            ours += attempt.errors[k]
+            ours += explanation.errors[k]
             theirs += errors[k]
     return always or ours <= WORSE * theirs
 
 
 @inner
 def _write(
-    refiner: Refiner, attempt: Attempt, n: int, usable: NDArray[np.bool_], answers: Answers
+    refiner: Refiner, explanation: Explanation, n: int, usable: Bool, answers: Answers
 ) -> None:
     """Write a frame's answer in the user's unit, the structure centred."""
-    count, centre = len(attempt.points), np.zeros(3)
+    count, centre = len(explanation.points), np.zeros(3)
     for p in range(count):
         for i in range(3):
-            centre[i] += attempt.points[p, i] / count
+            centre[i] += explanation.points[p, i] / count
     for p in range(count):
         for i in range(3):
-            answers.points3d[n, p, i] = refiner.unit * (attempt.points[p, i] - centre[i])
-    lens = refiner.rig.lenses
+            answers.points3d[n, p, i] = refiner.unit * (explanation.points[p, i] - centre[i])
+    lenses = refiner.rig.lenses
     for k in range(len(usable)):
         if not usable[k]:
             continue
         for i in range(3):
-            shift = attempt.translations[k, i]
+            shift = explanation.translations[k, i]
             for j in range(3):
-                answers.rotations[n, k, i, j] = attempt.rotations[k, i, j]
-                shift += attempt.rotations[k, i, j] * centre[j]
+                answers.rotations[n, k, i, j] = explanation.rotations[k, i, j]
+                shift += explanation.rotations[k, i, j] * centre[j]
             answers.translations[n, k, i] = refiner.unit * shift
-        focal = 0.5 * (lens.focals[k, 0] + lens.focals[k, 1])
+        focal = 0.5 * (lenses.focals[k, 0] + lenses.focals[k, 1])
         answers.scales[n, k] = focal / answers.translations[n, k, 2]
         for i in range(2):
-            answers.focals[n, k, i] = lens.focals[k, i]
-            answers.principal_points[n, k, i] = lens.centres[k, i]
-        for i in range(8):
-            answers.distortions[n, k, i] = lens.distortion[k, i]
-        answers.camera_models[n, k] = 2 if lens.fisheye[k] else 1
-        answers.reprojection_errors[n, k] = attempt.errors[k]
+            answers.focals[n, k, i] = lenses.focals[k, i]
+            answers.principal_points[n, k, i] = lenses.centres[k, i]
+        for i in range(lenses.distortion.shape[1]):
+            answers.distortions[n, k, i] = lenses.distortion[k, i]
+        answers.camera_models[n, k] = 1 + lenses.models[k]  # 0 is weak perspective
+        answers.reprojection_errors[n, k] = explanation.errors[k]

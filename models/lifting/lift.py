@@ -7,9 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.network.answers import Answers
+from models.optics.lenses.projection import LENSES
 from models.settings.keypoints import MIN_KEYPOINTS
 
-CAMERA_MODELS = ("weak_perspective", "perspective", "fisheye")  # `camera_models` are indices of it
+# What `camera_models` are indices of: weak perspective, then the lenses in their order.
+CAMERA_MODELS = ("weak_perspective", *(lens.LIFTED_AS for lens in LENSES))
 Status = Literal["ok", "too_few_keypoints"]
 REASONS: dict[Status, str] = {
     "ok": "",

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.optics.lenses import COEFFICIENTS
+from models.optics.lenses.projection import COEFFICIENTS
 
 Float32 = NDArray[np.float32]
 

@@ -1,4 +1,4 @@
-"""Work on many frames, shared between threads, and room for what comes of it."""
+"""Work on many frames, shared between threads, and arrays for what comes of it."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +16,7 @@ def use_cores(count: int | None) -> None:
     _cores = count
 
 
-def room(*shape: int) -> NDArray[np.float64]:
+def empty_aligned(*shape: int) -> NDArray[np.float64]:
     """Return an array in torch's memory, which is aligned as torch's products like it.
 
     Their last digits depend on the alignment, and equal fits should be equal bytes.

@@ -5,8 +5,11 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-PINHOLE_COEFFICIENTS = (0, 1, 2, 4, 5, 8)
-FISHEYE_COEFFICIENTS = (0, 4)
+LensName = Literal["pinhole", "fisheye"]  # a file each in `models.optics.lenses`
+NUMBERS_OF_COEFFICIENTS: dict[LensName, tuple[int, ...]] = {
+    "pinhole": (0, 1, 2, 4, 5, 8),
+    "fisheye": (0, 4),
+}
 ORTHONORMAL = 1e-3  # largest deviation of R R^T from 1 that rounding explains
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -19,7 +22,7 @@ class Intrinsics(BaseModel):
 
     model_config = _STRICT
 
-    model: Literal["pinhole", "fisheye"] = Field(
+    model: LensName = Field(
         default="pinhole", description="OpenCV's pinhole or fisheye distortion."
     )
     fx: float = Field(gt=1, le=1e6, description="Focal length along x, pixels.")
@@ -40,7 +43,7 @@ class Intrinsics(BaseModel):
 
     @model_validator(mode="after")
     def _known_number_of_coefficients(self) -> Self:
-        counts = FISHEYE_COEFFICIENTS if self.model == "fisheye" else PINHOLE_COEFFICIENTS
+        counts = NUMBERS_OF_COEFFICIENTS[self.model]
         if len(self.distortion) not in counts:
             raise ValueError(
                 f"distortion of a {self.model} lens must have one of {list(counts)} coefficients"

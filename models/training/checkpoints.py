@@ -6,8 +6,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from models.calibrating.result import array_shapes, from_arrays, to_arrays
-from models.calibrating.self_calibration import Discovery
+from models.calibrating.result import SelfCalibration
+from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
 from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, pack, read_about, unpack
 from models.training.state import TrainerState, state_from_json, state_to_json
@@ -25,7 +25,7 @@ class Checkpoint(NamedTuple):
     state: TrainerState
     curve: Sequence[CurvePoint]
     teachers: Teachers | None
-    self_calibration: Discovery | None
+    self_calibration: SelfCalibration | None
 
 
 def write(checkpoint: Checkpoint, *, config: str, data: str) -> bytes:
@@ -77,7 +77,7 @@ def read(
         for name, expected in _teacher_shapes(frames, views, keypoints).items():
             shapes[f"{TEACHERS}{name}"] = expected
     if "cameras" in about:
-        for name, expected in array_shapes(keypoints, views).items():
+        for name, expected in array_shapes(about["cameras"], keypoints, views).items():
             shapes[f"{CAMERAS}{name}"] = expected
     arrays = unpack(written, shapes=shapes)
     first, second = (arrays[name] for name in MOMENTS)

@@ -15,8 +15,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from models.bundle.shape_model import align, learn_doubts, no_doubts
-from models.calibrating.self_calibration import Discovery
+from models.bundle.shape_model import align, learn_network_errors, unknown_network_errors
+from models.calibrating.result import SelfCalibration
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift
 from models.network.settling import SETTLE_ALL, SETTLE_NONE, SettlingPolicy, settle_beyond
@@ -27,7 +27,7 @@ LEAST_FRAMES = 5  # with some number of views, to learn from these at all
 MOST_VIEWS = 8  # with more, the network errs as with so many
 USUAL_SHARE = 0.95  # of the frames have a misfit that is usual for the network
 
-MakePrior = Callable[[Discovery], FittedPrior]
+MakePrior = Callable[[SelfCalibration], FittedPrior]
 
 
 class _Sample(NamedTuple):
@@ -37,19 +37,19 @@ class _Sample(NamedTuple):
     weights: Tensor  # (F, K, P)
     order: Tensor  # (F, K) in which the views are shown: those that were observed come first
     observed: Tensor  # (F,) how many these are
-    structures: Tensor  # (F, P, 3)
+    structures: NDArray[np.float64]  # (F, P, 3)
 
 
 def learn_errors_of_network(
-    self_calibration: Discovery, data: Data, make_prior: MakePrior, *, seed: list[int]
-) -> Discovery:
+    self_calibration: SelfCalibration, data: Data, make_prior: MakePrior, *, seed: list[int]
+) -> SelfCalibration:
     """Return the self-calibration with the network's errors as they are now.
 
     They are measured for two policies of settling: every frame, or only frames whose misfit is
     unusual. The policy with the smaller errors is kept.
     """
-    unknown = no_doubts(data.keypoints.shape[2])
-    blank = replace(self_calibration, doubts=unknown, settling=SETTLE_ALL)
+    unknown = unknown_network_errors(data.keypoints.shape[2])
+    blank = replace(self_calibration, network_errors=unknown, settling=SETTLE_ALL)
     sample = _sample(data, make_prior(blank), seed)
     candidates = []
     for policy in (SETTLE_ALL, SETTLE_NONE):
@@ -57,7 +57,7 @@ def learn_errors_of_network(
         learnt = _learn(candidate, sample, make_prior(candidate))
         if learnt is not None:
             candidates.append(learnt)
-    return min(candidates, key=lambda c: float(c.doubts.scales.sum()), default=blank)
+    return min(candidates, key=lambda c: float(c.network_errors.scales.sum()), default=blank)
 
 
 def _sample(data: Data, prior: FittedPrior, seed: list[int]) -> _Sample:
@@ -68,13 +68,15 @@ def _sample(data: Data, prior: FittedPrior, seed: list[int]) -> _Sample:
     structures = prior.lift(pixels, confidence=weights, refine="full").points3d
     drawn = torch.from_numpy(np.random.default_rng(seed).random(observed.shape))
     order = (drawn - observed.double()).argsort(1).argsort(1)
-    return _Sample(pixels, weights, order, observed.sum(1), torch.from_numpy(structures).double())
+    return _Sample(pixels, weights, order, observed.sum(1), structures.astype(np.float64))
 
 
-def _learn(candidate: Discovery, sample: _Sample, prior: FittedPrior) -> Discovery | None:
+def _learn(
+    candidate: SelfCalibration, sample: _Sample, prior: FittedPrior
+) -> SelfCalibration | None:
     """Learn the errors of the network with one policy of settling; None from too few frames."""
     mean = candidate.shapes.mean
-    known = sample.structures.isfinite().all(-1).all(-1)  # (F,)
+    known = torch.from_numpy(np.isfinite(sample.structures).all((1, 2)))  # (F,)
     errors, misfits = [], []
     for views in range(1, min(sample.pixels.shape[1], MOST_VIEWS) + 1):
         chosen = known & (sample.observed >= views)
@@ -82,13 +84,14 @@ def _learn(candidate: Discovery, sample: _Sample, prior: FittedPrior) -> Discove
             break
         shown = (sample.weights * (sample.order < views)[..., None])[chosen]
         lift = prior.lift(sample.pixels[chosen], confidence=shown, refine="off")
-        answers, _ = align(torch.from_numpy(lift.points3d).double(), mean)
-        errors.append(align(sample.structures[chosen], answers)[0] - answers)
+        answers, _ = align(lift.points3d.astype(np.float64), mean)
+        errors.append(align(sample.structures[chosen.numpy()], answers)[0] - answers)
         misfits.append(_misfits(lift))
     if not errors:
         return None
     policy = _settling_in_lifts(candidate.settling, np.concatenate(misfits))
-    return replace(candidate, doubts=learn_doubts(errors, mean), settling=policy)
+    learnt = learn_network_errors(errors, mean)
+    return replace(candidate, network_errors=learnt, settling=policy)
 
 
 def _settling_in_lifts(measured: SettlingPolicy, misfits: NDArray[np.float64]) -> SettlingPolicy:

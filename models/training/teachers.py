@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from models.bundle.adjustment import turn
 from models.network.priors.prior import Prior
 from models.network.settling import estimate_foreshortening, first_order, mirrored, settle
+from models.numerics.rotations import rotations_from_vectors
 from models.optics.weak_perspective import solve_cameras
 
 MOST_TEACHERS = 2000  # others are drawn at the next refresh
@@ -159,7 +159,8 @@ def perspective_teachers(
     axes = torch.linalg.cross(rays, ahead, dim=-1)
     sine = axes.norm(dim=-1, keepdim=True)
     angle = torch.atan2(sine, rays[..., 2:])
-    rotations = turn(axes / sine.clamp_min(1e-12) * angle) @ rotations
+    past = rotations_from_vectors((axes / sine.clamp_min(1e-12) * angle).double().numpy())
+    rotations = torch.from_numpy(past).to(rotations.dtype) @ rotations
     points = points / radius[:, None, None]
     if reflected:
         points, rotations = mirrored(points, rotations)

@@ -8,19 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.linalg import LinAlgError  # type: ignore[attr-defined]
 
-from models.calibrating.self_calibration import Answers as WeakPerspectiveAnswers
-from models.calibrating.self_calibration import (
-    Discovery,
-    ImageSizes,
-    NothingFoundError,
-    discover,
-    most_frames,
-    same_hand,
-)
+from models.bundle.initial_poses import WeakPerspectiveScene
+from models.calibrating.handedness import NothingFoundError, same_hand
+from models.calibrating.problem import ImageSizes
+from models.calibrating.result import SelfCalibration
+from models.calibrating.self_calibration import most_frames, self_calibrate
 from models.capture.denoising import ViewModel
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
@@ -52,7 +48,7 @@ class Teaching:
     ) -> None:
         self.state = TeachingState("not_sought" if config.refine == "off" else "sought")
         self.teachers: Teachers | None = None
-        self.self_calibration: Discovery | None = None
+        self.self_calibration: SelfCalibration | None = None
         self._network = network
         self._data = data
         self._config = config
@@ -102,7 +98,7 @@ class Teaching:
 
     def _as_prior(
         self,
-        self_calibration: Discovery | None,
+        self_calibration: SelfCalibration | None,
         denoiser: ViewModel | None = None,
         curve: list[CurvePoint] | None = None,
     ) -> FittedPrior:
@@ -129,8 +125,12 @@ class Teaching:
         prior = self._as_prior(None)
         answers = _weak_perspective(prior.lift(pixels, confidence=weights))
         try:
-            found, scene = yield from discover(
-                pixels, weights.double(), answers, self._config, self._image_sizes
+            found, scene = yield from self_calibrate(
+                pixels.double().numpy(),
+                weights.double().numpy(),
+                answers,
+                self._config,
+                self._image_sizes,
             )
         except (LinAlgError, NothingFoundError):
             logger.warning("The keypoints do not say what the cameras are", exc_info=True)
@@ -139,10 +139,10 @@ class Teaching:
             reason = f"{found.reason}; {self._denoiser.noise:.3g} px of noise were removed"
             found = replace(found, reason=reason, noise=max(found.noise, self._denoiser.left))
         self.self_calibration = found
-        scene_is_mirrored = not same_hand(scene.points, answers[0])
+        scene_is_mirrored = not same_hand(scene.points, answers.points)
         self.state.mirrored = (prior.foreshortening < 0) != scene_is_mirrored
 
-    def _with_network_errors(self, self_calibration: Discovery, step: int) -> Discovery:
+    def _with_network_errors(self, self_calibration: SelfCalibration, step: int) -> SelfCalibration:
         """Measure the network's errors as they are now, and the time that it takes."""
         started = time.perf_counter()
         measured = learn_errors_of_network(
@@ -152,7 +152,7 @@ class Teaching:
         return measured
 
     def _make_perspective_teachers(
-        self, self_calibration: Discovery, frames: Tensor
+        self, self_calibration: SelfCalibration, frames: Tensor
     ) -> Iterator[None]:
         """Make teachers of frames (T,), as far as they can be refined."""
         prior = self._as_prior(self_calibration)
@@ -181,19 +181,18 @@ class Teaching:
         )
 
 
-def _weak_perspective(lift: Lift) -> WeakPerspectiveAnswers:
+def _weak_perspective(lift: Lift) -> WeakPerspectiveScene:
     """Return structures, rotations, scales and translations (x, y) of a lift in float64.
 
     Harmless numbers stand where there is no answer.
     """
-    none = ~torch.from_numpy(np.isfinite(lift.scales))
 
-    def number(array: NDArray[np.float32], without: float) -> Tensor:
-        return torch.nan_to_num(torch.from_numpy(array).double(), nan=without)
+    def number(array: NDArray[np.float32], without: float) -> NDArray[np.float64]:
+        return np.asarray(np.nan_to_num(array, nan=without), np.float64)
 
     rotations = number(lift.rotations, 0)
-    rotations[none] = torch.eye(3, dtype=torch.float64)
-    return (
+    rotations[~np.isfinite(lift.scales)] = np.eye(3)
+    return WeakPerspectiveScene(
         number(lift.points3d, 0),
         rotations,
         number(lift.scales, 1),

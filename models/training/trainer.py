@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from models.calibrating.self_calibration import ImageSizes
+from models.calibrating.problem import ImageSizes
 from models.capture.denoising import learn_views
 from models.capture.observations import Observations, as_observations
 from models.lifting.curve import CurvePoint

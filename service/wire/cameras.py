@@ -5,7 +5,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from models.calibrating.result import FoundCameras
+from models.calibrating.result import CameraReport
 from service.wire.schemas import Distortion, Rotation, Vector2, Vector3
 
 UNKNOWN = (
@@ -112,7 +112,7 @@ class ModelCameras(BaseModel):
     views: list[FoundView] = Field(description="Of the fit, in its order; none if unknown.")
 
     @classmethod
-    def of(cls, model_id: str, found: FoundCameras | None) -> Self:
+    def of(cls, model_id: str, found: CameraReport | None) -> Self:
         """Return the wire form of what a model's fit found."""
         if found is None:
             return cls(
@@ -126,7 +126,7 @@ class ModelCameras(BaseModel):
         views = [
             {
                 "index": view,
-                "camera": "fisheye" if found.fisheye[view] else "perspective",
+                "camera": found.camera_models[view],
                 "resting": bool(found.resting[view]),
                 "focal": _known(found.focals[view]),
                 "focal_sd": _known(found.focal_sds[view]),

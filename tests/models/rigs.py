@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from itertools import cycle
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from torch import Tensor
 
+from models.bundle.initial_poses import WeakPerspectiveScene
 from models.capture.synthetic import KEYPOINT_NAMES, synthetic_capture
+from models.settings.calibration import LensName
 
 Float64 = NDArray[np.float64]
 IMAGE_SIZE = (1280, 1024)
@@ -24,20 +24,20 @@ class Lens:
     focal: float = FOCAL
     centre: tuple[float, float] = (640.0, 512.0)
     distortion: tuple[float, ...] = ()
-    fisheye: bool = False
+    model: LensName = "pinhole"
 
     def project(self, points: Float64) -> Float64:
         """Pixels (..., 2) of points (..., 3) in the camera's frame."""
         flat = points[..., :2] / points[..., 2:]
         radius = np.linalg.norm(flat, axis=-1, keepdims=True)
-        bent = np.arctan(radius) if self.fisheye else radius
+        bent = np.arctan(radius) if self.model == "fisheye" else radius
         factor = sum((k * bent ** (2 * i) for i, k in enumerate(self.distortion, start=1)), 1.0)
         pixels: Float64 = self.focal * flat * bent * factor / radius + self.centre
         return pixels
 
 
 @dataclass(frozen=True)
-class Stage:
+class RigCapture:
     """N frames of K views of P keypoints."""
 
     keypoints: Float64  # (N, K, P, 2) pixels, NaN where not observed
@@ -46,9 +46,9 @@ class Stage:
     translations: Float64  # (N, K, 3) metres
     lenses: tuple[Lens, ...]
 
-    def part(self, frames: slice) -> "Stage":
+    def part(self, frames: slice) -> "RigCapture":
         """Return some of the frames."""
-        return Stage(
+        return RigCapture(
             self.keypoints[frames],
             self.points3d[frames],
             self.rotations[frames],
@@ -57,21 +57,19 @@ class Stage:
         )
 
     @property
-    def weights(self) -> Tensor:
+    def weights(self) -> Float64:
         """1 where a keypoint was observed, (N, K, P)."""
-        return torch.from_numpy(np.isfinite(self.keypoints).all(-1)).double()
+        return np.asarray(np.isfinite(self.keypoints).all(-1), np.float64)
 
     @property
-    def pixels(self) -> Tensor:
+    def pixels(self) -> Float64:
         """Keypoints with 0 where none was observed."""
-        return torch.from_numpy(np.nan_to_num(self.keypoints))
+        return np.where(np.isfinite(self.keypoints), self.keypoints, 0.0)
 
-    def answers(
-        self, *, mirrored: bool = False, seed: int = 0
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Structures, rotations, scales and translations such as a network might find.
+    def answers(self, *, mirrored: bool = False, seed: int = 0) -> WeakPerspectiveScene:
+        """Structures and cameras such as a network might find.
 
-        They are weak perspective, off by some 7 degrees and a tenth of the radius, and optionally
+        They are off by some 7 degrees and a tenth of the radius, and optionally
         all mirror images. Frames share their frame of reference.
         """
         rng = np.random.default_rng(seed)
@@ -97,12 +95,7 @@ class Stage:
         )
         if mirrored:
             structures, views = structures @ MIRROR, MIRROR @ views @ MIRROR
-        return (
-            torch.from_numpy(structures),
-            torch.from_numpy(views),
-            torch.from_numpy(scales),
-            torch.from_numpy(shifts),
-        )
+        return WeakPerspectiveScene(structures, views, scales, shifts)
 
 
 def around(azimuths: list[float], distance: float = 4.0) -> tuple[Float64, Float64]:
@@ -117,7 +110,7 @@ def around(azimuths: list[float], distance: float = 4.0) -> tuple[Float64, Float
     return np.stack(rotations), np.array(translations)
 
 
-def make_stage(
+def make_rig_capture(
     azimuths: list[float],
     *,
     frames: int = 60,
@@ -127,7 +120,7 @@ def make_stage(
     distance: float = 4.0,
     hidden: float = 0.05,
     seed: int = 0,
-) -> Stage:
+) -> RigCapture:
     """Make a capture of a figure that walks about; views `moving` go round it from frame to frame.
 
     Lenses repeat if they are fewer than the views. The figure does the same whatever the cameras.
@@ -149,7 +142,7 @@ def make_stage(
     keypoints = np.stack([lens.project(camera[:, k]) for k, lens in enumerate(used)], axis=1)
     keypoints += noise * rng.standard_normal(keypoints.shape)
     keypoints[rng.random(keypoints.shape[:3]) < hidden] = np.nan
-    return Stage(keypoints, figure, rotations, translations, used)
+    return RigCapture(keypoints, figure, rotations, translations, used)
 
 
 def keypoint(name: str) -> int:

@@ -2,29 +2,23 @@
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 from scipy.linalg import orthogonal_procrustes
 from scipy.spatial.transform import Rotation
-from torch import Tensor
 
 from models.bundle.shape_model import (
-    LEAST_DOUBT,
+    LEAST_ERROR,
     LEAST_SHARE,
     MOST_COMPONENTS,
     ShapeModel,
     align,
-    learn_doubts,
+    learn_network_errors,
     learn_shapes,
-    no_doubts,
+    unknown_network_errors,
 )
 
 Float64 = NDArray[np.float64]
 MIRROR = np.array([1.0, 1.0, -1.0])
-
-
-def tensor(array: Float64) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(array))
 
 
 def standard(points: Float64) -> Float64:
@@ -60,7 +54,7 @@ def without_similarities(rows: Float64, mean: Float64) -> Float64:
 
 def spread_of(model: ShapeModel) -> Float64:
     """Return B B^T, (3 P, 3 P)."""
-    flat: Float64 = model.basis.flatten(0, 1).numpy()
+    flat: Float64 = model.basis.reshape(-1, model.basis.shape[-1])
     return flat @ flat.T
 
 
@@ -89,19 +83,19 @@ def test_align_agrees_with_procrustes(targets: int) -> None:
     points = 3 * rng.standard_normal((5, 9, 3)) + 7
     points[1] = MIRROR * points[0]  # must not be mirrored back
     target = rng.standard_normal((targets, 9, 3)) - 4
-    aligned, moved = align(tensor(points), tensor(target if targets > 1 else target[0]))
+    aligned, moved = align(points, target if targets > 1 else target[0])
     for n in range(5):
         expected = procrustes(points[n], target[n % targets])
         np.testing.assert_allclose(aligned[n], expected, atol=1e-9)
-        again = moved.scales[n] * (tensor(points[n]) - moved.centres[n]) @ moved.rotations[n]
-        torch.testing.assert_close(again, aligned[n])
-    np.testing.assert_allclose(np.linalg.det(moved.rotations.numpy()), 1)
+        again = moved.scales[n] * (points[n] - moved.centres[n]) @ moved.rotations[n]
+        np.testing.assert_allclose(again, aligned[n])
+    np.testing.assert_allclose(np.linalg.det(moved.rotations), 1)
 
 
 def test_align_undoes_a_similarity_exactly() -> None:
     mean = standard(np.random.default_rng(1).standard_normal((8, 3)))
     points, turns, scales = moved_about(np.stack([mean] * 6), seed=2)
-    aligned, moved = align(tensor(points), tensor(mean))
+    aligned, moved = align(points, mean)
     np.testing.assert_allclose(aligned, np.stack([mean] * 6), atol=1e-12)
     np.testing.assert_allclose(moved.scales, 1 / scales)
     np.testing.assert_allclose(moved.rotations, turns, atol=1e-9)
@@ -111,8 +105,8 @@ def test_align_undoes_a_similarity_exactly() -> None:
 
 def test_components_agree_with_a_decomposition_of_the_aligned_structures() -> None:
     points, _, _ = moved_about(drawn(200, 20, seed=3), seed=4)
-    model = learn_shapes(tensor(points), torch.zeros(200, 60, 60, dtype=torch.float64), floor=1e-6)
-    mean: Float64 = model.mean.numpy()
+    model = learn_shapes(points, np.zeros((200, 60, 60)), floor=1e-6)
+    mean: Float64 = model.mean
     np.testing.assert_allclose(mean, standard(mean), atol=1e-12)
 
     offsets = np.stack([procrustes(x, mean) - mean for x in points]).reshape(200, 60)
@@ -127,20 +121,20 @@ def test_components_agree_with_a_decomposition_of_the_aligned_structures() -> No
     assert model.basis.shape == (20, 3, MOST_COMPONENTS)
     np.testing.assert_allclose(spread_of(model), expected, atol=1e-4 * np.abs(expected).max())
     # Nothing of a similarity is left for the cameras to dispute.
-    flat: Float64 = model.basis.flatten(0, 1).numpy()
+    flat: Float64 = model.basis.reshape(-1, model.basis.shape[-1])
     assert np.abs(similarities(mean).T @ flat).max() < 1e-9
 
 
 def test_what_structures_vary_like_is_found_whatever_their_pose() -> None:
     structures = drawn(1500, 10, seed=5)
     points, _, _ = moved_about(structures, seed=6)
-    none = torch.zeros(1500, 30, 30, dtype=torch.float64)
-    still = learn_shapes(tensor(structures), none, floor=1e-6)
-    model = learn_shapes(tensor(points), none, floor=1e-6)
+    none = np.zeros((1500, 30, 30))
+    still = learn_shapes(structures, none, floor=1e-6)
+    model = learn_shapes(points, none, floor=1e-6)
     # The same model in another frame of reference.
-    rotation, _ = Rotation.align_vectors(still.mean.numpy(), model.mean.numpy())
+    rotation, _ = Rotation.align_vectors(still.mean, model.mean)
     turn = np.kron(np.eye(10), rotation.as_matrix())
-    np.testing.assert_allclose(rotation.apply(model.mean.numpy()), still.mean, atol=1e-5)
+    np.testing.assert_allclose(rotation.apply(model.mean), still.mean, atol=1e-5)
     expected = spread_of(still)
     found = turn @ spread_of(model) @ turn.T
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
@@ -149,7 +143,7 @@ def test_what_structures_vary_like_is_found_whatever_their_pose() -> None:
     assert strengths[2] > 5 * strengths[3]
 
 
-def test_doubts_about_structures_count_as_their_variance() -> None:
+def test_covariances_of_structures_count_as_their_variance() -> None:
     rng = np.random.default_rng(7)
     mean = standard(rng.standard_normal((6, 3)))
     root = 0.1 * rng.standard_normal((18, 18))
@@ -161,27 +155,27 @@ def test_doubts_about_structures_count_as_their_variance() -> None:
             for turn, scale in zip(turns, scales, strict=True)
         ]
     )
-    model = learn_shapes(tensor(points), tensor(own), floor=1e-6)
-    rotation, _ = Rotation.align_vectors(model.mean.numpy(), mean)
+    model = learn_shapes(points, own, floor=1e-6)
+    rotation, _ = Rotation.align_vectors(model.mean, mean)
     turn = np.kron(np.eye(6), rotation.as_matrix())
-    rows = without_similarities(turn @ covariance @ turn.T, model.mean.numpy())
-    expected = without_similarities(rows.T, model.mean.numpy())
+    rows = without_similarities(turn @ covariance @ turn.T, model.mean)
+    expected = without_similarities(rows.T, model.mean)
     values = np.linalg.eigvalsh(expected)[7:]
     assert model.spread == pytest.approx(np.sqrt(values[0]), rel=1e-6)
-    free = without_similarities(np.eye(18), model.mean.numpy())
+    free = without_similarities(np.eye(18), model.mean)
     np.testing.assert_allclose(spread_of(model) + model.spread**2 * free, expected, atol=1e-9)
 
 
 def test_structures_that_do_not_vary_leave_the_least_spread() -> None:
     mean = standard(np.random.default_rng(9).standard_normal((7, 3)))
     points, _, _ = moved_about(np.stack([mean] * 5), seed=10)
-    model = learn_shapes(tensor(points), torch.zeros(5, 21, 21, dtype=torch.float64), floor=0.02)
+    model = learn_shapes(points, np.zeros((5, 21, 21)), floor=0.02)
     assert model.spread == 0.02
     assert model.basis.shape == (7, 3, 0)
-    np.testing.assert_allclose(model.mean, procrustes(mean, model.mean.numpy()), atol=1e-9)
+    np.testing.assert_allclose(model.mean, procrustes(mean, model.mean), atol=1e-9)
 
 
-def test_doubts_of_the_network_have_a_scale_for_each_number_of_views() -> None:
+def test_network_errors_have_a_scale_for_each_number_of_views() -> None:
     rng = np.random.default_rng(11)
     mean = standard(rng.standard_normal((20, 3)))
     pattern = rng.standard_normal((20, 3))
@@ -191,25 +185,25 @@ def test_doubts_of_the_network_have_a_scale_for_each_number_of_views() -> None:
         for size in sizes
     ]
     errors[0][:20] *= 1000  # what is off by far does not decide
-    doubts = learn_doubts([tensor(part) for part in errors], tensor(mean))
-    for scale, part in zip(doubts.scales.tolist(), errors, strict=True):
+    learnt = learn_network_errors(errors, mean)
+    for scale, part in zip(learnt.scales.tolist(), errors, strict=True):
         usual = np.median(np.sqrt(np.square(part).sum(-1).mean(-1)))
         assert scale == pytest.approx(usual, rel=0.01)
     # The pattern comes first among what they have in common, whatever the number of views.
-    strongest = np.linalg.eigh(spread_of(ShapeModel(tensor(mean), doubts.basis, 1.0)))[1][:, -1]
+    strongest = np.linalg.eigh(spread_of(ShapeModel(mean, learnt.basis, 1.0)))[1][:, -1]
     along = without_similarities(pattern.reshape(1, -1), mean)[0]
     assert abs(strongest @ along) / np.linalg.norm(along) > 0.99
     # Three coordinates share the error of a keypoint.
-    total = spread_of(ShapeModel(tensor(mean), doubts.basis, 1.0)).trace() / 53
-    assert total + doubts.spread**2 == pytest.approx(1 / 3, rel=0.15)
+    total = spread_of(ShapeModel(mean, learnt.basis, 1.0)).trace() / 53
+    assert total + learnt.spread**2 == pytest.approx(1 / 3, rel=0.15)
 
 
-def test_a_network_without_errors_is_doubted_a_little_all_the_same() -> None:
-    nothing = torch.zeros(10, 5, 3, dtype=torch.float64)
-    mean = tensor(standard(np.random.default_rng(12).standard_normal((5, 3))))
-    doubts = learn_doubts([nothing], mean)
-    assert doubts.scales.tolist() == [LEAST_DOUBT]
-    assert doubts.spread == LEAST_SHARE
-    assert doubts.basis.shape == (5, 3, 0)
-    assert no_doubts(5).basis.shape == (5, 3, 0)
-    assert no_doubts(5).scales.tolist() == []
+def test_a_network_without_errors_is_believed_to_have_small_ones_all_the_same() -> None:
+    nothing = np.zeros((10, 5, 3))
+    mean = standard(np.random.default_rng(12).standard_normal((5, 3)))
+    learnt = learn_network_errors([nothing], mean)
+    assert learnt.scales.tolist() == [LEAST_ERROR]
+    assert learnt.spread == LEAST_SHARE
+    assert learnt.basis.shape == (5, 3, 0)
+    assert unknown_network_errors(5).basis.shape == (5, 3, 0)
+    assert unknown_network_errors(5).scales.tolist() == []

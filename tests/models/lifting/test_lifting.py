@@ -14,7 +14,7 @@ from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import CAMERA_MODELS, Lift
 from models.settings.config import FitConfig
 from models.training.trainer import Trainer, fit
-from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, Stage, keypoint, make_stage
+from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, RigCapture, keypoint, make_rig_capture
 
 Float64 = NDArray[np.float64]
 QUICK: dict[str, Any] = {"steps": 30, "dictionary_sizes": (16, 8), "batch_size": 8}
@@ -23,23 +23,23 @@ PERSPECTIVE = CAMERA_MODELS.index("perspective")
 SHIN = (keypoint("left_knee"), keypoint("left_ankle"))
 
 
-def filmed(azimuths: list[float], frames: slice) -> Stage:
+def filmed(azimuths: list[float], frames: slice) -> RigCapture:
     """Film one and the same figure with lenses that bend a little."""
     lens = Lens(distortion=(-0.12, 0.03))
-    return make_stage(azimuths, frames=80, lenses=(lens,), distance=3).part(frames)
+    return make_rig_capture(azimuths, frames=80, lenses=(lens,), distance=3).part(frames)
 
 
 SEEN, UNSEEN = slice(0, 60), slice(60, 80)
 
 
 @pytest.fixture(scope="module")
-def stage() -> Stage:
+def capture() -> RigCapture:
     return filmed(AZIMUTHS, SEEN)
 
 
 @pytest.fixture(scope="module")
-def prior(stage: Stage) -> FittedPrior:
-    return fit(stage.keypoints, FitConfig(steps=200), image_sizes=[IMAGE_SIZE] * 3)
+def prior(capture: RigCapture) -> FittedPrior:
+    return fit(capture.keypoints, FitConfig(steps=200), image_sizes=[IMAGE_SIZE] * 3)
 
 
 def same(a: Lift, b: Lift, tolerance: float = 0) -> None:
@@ -59,9 +59,9 @@ def some(lift: Lift, frames: Any, views: Any = slice(None)) -> Lift:
 
 
 def test_perspective_cameras_project_the_structure_to_the_reported_error(
-    stage: Stage, prior: FittedPrior
+    capture: RigCapture, prior: FittedPrior
 ) -> None:
-    lift = prior.lift(stage.keypoints)
+    lift = prior.lift(capture.keypoints)
     assert (lift.camera_models == PERSPECTIVE).mean() > 0.9
     checked = 0
     for n, k in zip(*np.nonzero(lift.camera_models == PERSPECTIVE), strict=True):
@@ -74,7 +74,7 @@ def test_perspective_cameras_project_the_structure_to_the_reported_error(
         assert lift.focals[n, k, 0] == lift.focals[n, k, 1]
         camera = lift.points3d[n].astype(np.float64) @ lift.rotations[n, k].T
         camera += lift.translations[n, k]
-        distances = np.linalg.norm(lens.project(camera) - stage.keypoints[n, k], axis=-1)
+        distances = np.linalg.norm(lens.project(camera) - capture.keypoints[n, k], axis=-1)
         assert np.nanmean(distances) == pytest.approx(lift.reprojection_errors[n, k], abs=0.01)
         assert lift.scales[n, k] == pytest.approx(lens.focal / lift.translations[n, k, 2], rel=1e-5)
         checked += 1
@@ -85,38 +85,38 @@ def test_perspective_cameras_project_the_structure_to_the_reported_error(
     np.testing.assert_allclose(turned, np.broadcast_to(np.eye(3), turned.shape), atol=1e-5)
 
 
-def test_refinement_is_worth_it(stage: Stage, prior: FittedPrior) -> None:
+def test_refinement_is_worth_it(capture: RigCapture, prior: FittedPrior) -> None:
     def error(refine: Any) -> float:
-        lift = prior.lift(stage.keypoints, refine=refine)
-        return pa_mpjpe(lift.points3d, stage.points3d, reflection="never").mean
+        lift = prior.lift(capture.keypoints, refine=refine)
+        return pa_mpjpe(lift.points3d, capture.points3d, reflection="never").mean
 
     assert error("auto") < 0.5 * error("off")
     assert error("auto") < 0.02
     assert error("full") < 0.02
-    plain = fit(stage.keypoints, FitConfig(steps=200, refine="off")).lift(stage.keypoints)
-    assert error("auto") < pa_mpjpe(plain.points3d, stage.points3d, reflection="never").mean
+    plain = fit(capture.keypoints, FitConfig(steps=200, refine="off")).lift(capture.keypoints)
+    assert error("auto") < pa_mpjpe(plain.points3d, capture.points3d, reflection="never").mean
 
 
-def test_refinement_can_be_left_out(stage: Stage, prior: FittedPrior) -> None:
-    lift = prior.lift(stage.keypoints[:8], refine="off")
+def test_refinement_can_be_left_out(capture: RigCapture, prior: FittedPrior) -> None:
+    lift = prior.lift(capture.keypoints[:8], refine="off")
     assert (lift.camera_models == 0).all()
     assert np.isnan(lift.focals).all()
     assert np.isnan(lift.translations[..., 2]).all()
     assert np.isfinite(lift.translations[..., :2]).all()
     # What a fit was told is what its lifts do.
-    same(prior.lift(stage.keypoints[:8]), prior.lift(stage.keypoints[:8], refine="auto"))
-    never = fit(stage.keypoints[:8], FitConfig(**QUICK, refine="off"))
+    same(prior.lift(capture.keypoints[:8]), prior.lift(capture.keypoints[:8], refine="auto"))
+    never = fit(capture.keypoints[:8], FitConfig(**QUICK, refine="off"))
     assert never.cameras is None
     assert np.isnan(never.noise)
     for refine in ("auto", "full"):
-        refined = never.lift(stage.keypoints[:8], refine=refine)
-        same(refined, never.lift(stage.keypoints[:8], refine="off"))
+        refined = never.lift(capture.keypoints[:8], refine=refine)
+        same(refined, never.lift(capture.keypoints[:8], refine="off"))
 
 
-def test_what_is_saved_and_loaded_lifts_alike(stage: Stage, prior: FittedPrior) -> None:
+def test_what_is_saved_and_loaded_lifts_alike(capture: RigCapture, prior: FittedPrior) -> None:
     copy = FittedPrior.from_bytes(prior.to_bytes())
     assert copy.to_bytes() == prior.to_bytes()
-    frames = stage.keypoints[:10]
+    frames = capture.keypoints[:10]
     for more in ({}, {"refine": "full"}, {"refine": "off"}, {"views": [1, 2, 0]}):
         same(copy.lift(frames, **more), prior.lift(frames, **more))
     same(copy.lift(frames[:, 1:], views=[1, 2]), prior.lift(frames[:, 1:], views=[1, 2]))
@@ -128,8 +128,10 @@ def test_what_is_saved_and_loaded_lifts_alike(stage: Stage, prior: FittedPrior) 
     assert copy.noise == prior.noise
 
 
-def test_frames_lifted_together_and_one_by_one_are_alike(stage: Stage, prior: FittedPrior) -> None:
-    frames = stage.keypoints[:12].copy()
+def test_frames_lifted_together_and_one_by_one_are_alike(
+    capture: RigCapture, prior: FittedPrior
+) -> None:
+    frames = capture.keypoints[:12].copy()
     frames[3, 1] = np.nan
     frames[5, 1:] = np.nan
     frames[7] = np.nan
@@ -143,16 +145,18 @@ def test_frames_lifted_together_and_one_by_one_are_alike(stage: Stage, prior: Fi
     same(prior.lift(frames[order], refine="full"), some(together, order), tolerance=1e-3)
 
 
-def test_views_may_come_in_any_order_if_they_are_named(stage: Stage, prior: FittedPrior) -> None:
-    frames = stage.keypoints[:10]
+def test_views_may_come_in_any_order_if_they_are_named(
+    capture: RigCapture, prior: FittedPrior
+) -> None:
+    frames = capture.keypoints[:10]
     plain = prior.lift(frames)
     turned = prior.lift(frames[:, [2, 0, 1]], views=[2, 0, 1])
     same(turned, some(plain, slice(None), [2, 0, 1]), tolerance=1e-2)
     # Two of the views, by their names: lenses and relative poses are known.
     pair = prior.lift(frames[:, [2, 0]], views=[2, 0])
-    assert pa_mpjpe(pair.points3d, stage.points3d[:10], reflection="never").mean < 0.04
+    assert pa_mpjpe(pair.points3d, capture.points3d[:10], reflection="never").mean < 0.04
     np.testing.assert_array_equal(pair.focals[:, 1], plain.focals[:, 0])
-    truth = stage.rotations[0, 2] @ stage.rotations[0, 0].T
+    truth = capture.rotations[0, 2] @ capture.rotations[0, 0].T
     for rotations in pair.rotations:
         off = Rotation.from_matrix(rotations[0] @ rotations[1].T @ truth.T).magnitude()
         assert np.degrees(off) < 2
@@ -165,10 +169,10 @@ def test_views_may_come_in_any_order_if_they_are_named(stage: Stage, prior: Fitt
 
 @pytest.mark.parametrize("views", [[0], [0, 1, 2], [1, 1], [0, 3], [-1, 0]])
 def test_views_must_be_different_ones_of_the_fit(
-    stage: Stage, prior: FittedPrior, views: list[int]
+    capture: RigCapture, prior: FittedPrior, views: list[int]
 ) -> None:
     with pytest.raises(ValueError, match="2 different views of the 3 of the fit"):
-        prior.lift(stage.keypoints[:2, :2], views=views)
+        prior.lift(capture.keypoints[:2, :2], views=views)
 
 
 def test_cameras_that_the_fit_does_not_know_are_lifted_too(prior: FittedPrior) -> None:
@@ -189,41 +193,41 @@ def test_a_camera_that_was_moved_since_does_no_harm(prior: FittedPrior) -> None:
     assert pa_mpjpe(lift.points3d, later.points3d, reflection="never").mean < 0.04
 
 
-def test_a_lift_may_start_from_the_one_before(stage: Stage, prior: FittedPrior) -> None:
-    first = prior.lift(stage.keypoints)
+def test_a_lift_may_start_from_the_one_before(capture: RigCapture, prior: FittedPrior) -> None:
+    first = prior.lift(capture.keypoints)
     assert not first.continued.any()
-    again = prior.lift(stage.keypoints, previous=first)
+    again = prior.lift(capture.keypoints, previous=first)
     assert again.continued.mean() > 0.9
     assert (again.continued <= (again.camera_models == PERSPECTIVE).all(1)).all()
     error, before = (
-        pa_mpjpe(x.points3d, stage.points3d, reflection="never").mean for x in (again, first)
+        pa_mpjpe(x.points3d, capture.points3d, reflection="never").mean for x in (again, first)
     )
     assert error == pytest.approx(before, rel=0.02)
     assert again.reprojection_errors.mean() <= 1.001 * first.reprojection_errors.mean()
 
 
-def test_what_was_before_may_be_anything(stage: Stage, prior: FittedPrior) -> None:
-    plain = prior.lift(stage.keypoints)
-    blind = prior.lift(np.full_like(stage.keypoints, np.nan))
-    same(prior.lift(stage.keypoints, previous=blind), plain)
-    weak = prior.lift(stage.keypoints, refine="off")
-    same(prior.lift(stage.keypoints, previous=weak), plain)
+def test_what_was_before_may_be_anything(capture: RigCapture, prior: FittedPrior) -> None:
+    plain = prior.lift(capture.keypoints)
+    blind = prior.lift(np.full_like(capture.keypoints, np.nan))
+    same(prior.lift(capture.keypoints, previous=blind), plain)
+    weak = prior.lift(capture.keypoints, refine="off")
+    same(prior.lift(capture.keypoints, previous=weak), plain)
     # Somebody else, elsewhere, upside down: the network's answer is the better start.
     other = plain._replace(rotations=plain.rotations @ np.diag([1, -1, -1]).astype(np.float32))
-    same(prior.lift(stage.keypoints, previous=other), plain)
+    same(prior.lift(capture.keypoints, previous=other), plain)
 
 
 def test_what_was_before_must_be_of_the_same_frames_and_views(
-    stage: Stage, prior: FittedPrior
+    capture: RigCapture, prior: FittedPrior
 ) -> None:
-    plain = prior.lift(stage.keypoints)
+    plain = prior.lift(capture.keypoints)
     for wrong in (some(plain, slice(1, None)), some(plain, slice(None), [0, 1])):
         with pytest.raises(ValueError, match="previous must have the shape"):
-            prior.lift(stage.keypoints, previous=wrong)
+            prior.lift(capture.keypoints, previous=wrong)
 
 
-def test_several_threads_lift_as_one(stage: Stage, prior: FittedPrior) -> None:
-    keypoints = np.tile(stage.keypoints, (5, 1, 1, 1))  # more than a slice
+def test_several_threads_lift_as_one(capture: RigCapture, prior: FittedPrior) -> None:
+    keypoints = np.tile(capture.keypoints, (5, 1, 1, 1))  # more than a slice
     alone = prior.lift(keypoints)
     torch.set_num_threads(2)
     try:
@@ -234,14 +238,14 @@ def test_several_threads_lift_as_one(stage: Stage, prior: FittedPrior) -> None:
 
 
 def test_results_have_the_users_unit_and_the_users_rig() -> None:
-    stage = filmed(AZIMUTHS, slice(0, 30))
-    shin = float(np.linalg.norm(stage.points3d[0, SHIN[0]] - stage.points3d[0, SHIN[1]]))
+    capture = filmed(AZIMUTHS, slice(0, 30))
+    shin = float(np.linalg.norm(capture.points3d[0, SHIN[0]] - capture.points3d[0, SHIN[1]]))
     lens = {"fx": FOCAL, "fy": FOCAL, "cx": 640, "cy": 512, "distortion": [-0.12, 0.03]}
     rig = [
         {
             "intrinsics": lens,
-            "rotation": stage.rotations[0, k].tolist(),
-            "translation": (100 * stage.translations[0, k]).tolist(),
+            "rotation": capture.rotations[0, k].tolist(),
+            "translation": (100 * capture.translations[0, k]).tolist(),
         }
         for k in range(3)
     ]
@@ -249,15 +253,15 @@ def test_results_have_the_users_unit_and_the_users_rig() -> None:
         {"known_length": {"keypoints": SHIN, "length": 100 * shin}},
         {"calibration": rig},
     ):
-        prior = fit(stage.keypoints, FitConfig.model_validate(QUICK | told))
-        lift = prior.lift(stage.keypoints, refine="full")
+        prior = fit(capture.keypoints, FitConfig.model_validate(QUICK | told))
+        lift = prior.lift(capture.keypoints, refine="full")
         lengths = np.linalg.norm(lift.points3d[:, SHIN[0]] - lift.points3d[:, SHIN[1]], axis=-1)
         assert np.median(lengths) == pytest.approx(100 * shin, rel=0.03)
     # The calibration was last: cameras see what they see from where they were said to be.
     assert prior.cameras is not None
-    np.testing.assert_allclose(prior.cameras.rotations, stage.rotations[0], atol=1e-6)
+    np.testing.assert_allclose(prior.cameras.rotations, capture.rotations[0], atol=1e-6)
     world = prior.cameras.rotations.mT @ (lift.translations - prior.cameras.translations)[..., None]
-    truth = 100 * stage.points3d.mean(1)
+    truth = 100 * capture.points3d.mean(1)
     for k in range(3):  # all three say where the subject is
         assert np.median(np.linalg.norm(world[:, k, :, 0] - truth, axis=-1)) < 8
 
@@ -265,8 +269,8 @@ def test_results_have_the_users_unit_and_the_users_rig() -> None:
 def keypoints_of(case: str) -> Float64:  # noqa: PLR0911, PLR0912 - a branch per kind of capture
     frames, _, kind = case.partition(" ")
     if kind.startswith("frame"):
-        return make_stage(AZIMUTHS, frames=int(frames), hidden=0).keypoints
-    keypoints = make_stage(AZIMUTHS, frames=6, noise=2, hidden=0.1).keypoints
+        return make_rig_capture(AZIMUTHS, frames=int(frames), hidden=0).keypoints
+    keypoints = make_rig_capture(AZIMUTHS, frames=6, noise=2, hidden=0.1).keypoints
     rng = np.random.default_rng(0)
     match case:
         case "4 keypoints":
@@ -283,10 +287,10 @@ def keypoints_of(case: str) -> Float64:  # noqa: PLR0911, PLR0912 - a branch per
         case "an empty frame":
             keypoints[4] = np.nan
         case "7 views":
-            return make_stage([50.0 * k for k in range(7)], frames=4).keypoints
+            return make_rig_capture([50.0 * k for k in range(7)], frames=4).keypoints
         case "133 keypoints":
             share = rng.dirichlet(np.full(16, 0.3), 133)
-            full = make_stage(AZIMUTHS[:2], frames=4, hidden=0).keypoints
+            full = make_rig_capture(AZIMUTHS[:2], frames=4, hidden=0).keypoints
             return np.asarray(np.einsum("nkpc,qp->nkqc", full, share))
         case "a keypoint never seen":
             keypoints[:, :, 5] = np.nan
@@ -299,7 +303,7 @@ def keypoints_of(case: str) -> Float64:  # noqa: PLR0911, PLR0912 - a branch per
         case "one pose throughout":
             return np.repeat(keypoints[:1], 6, 0)
         case "exact keypoints":
-            return make_stage(AZIMUTHS, frames=6, noise=0, hidden=0).keypoints
+            return make_rig_capture(AZIMUTHS, frames=6, noise=0, hidden=0).keypoints
         case "absurd outliers":
             keypoints[rng.random(keypoints.shape[:3]) < 0.1] = 9e5
     return keypoints
@@ -367,7 +371,7 @@ def check(lift: Lift, keypoints: Float64) -> None:
 @pytest.fixture(scope="module")
 def interrupted() -> tuple[Float64, dict[str, bytes], bytes]:
     """Fit a small capture; return it, checkpoints on the way, and the weights at the end."""
-    keypoints = make_stage(AZIMUTHS, frames=15, noise=2).keypoints
+    keypoints = make_rig_capture(AZIMUTHS, frames=15, noise=2).keypoints
     trainer = Trainer(keypoints, FitConfig.model_validate(QUICK))
     checkpoints: dict[str, bytes] = {}
     sought = 0

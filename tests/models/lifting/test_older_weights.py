@@ -44,7 +44,8 @@ def test_what_older_weights_say_of_the_cameras_is_kept(name: str) -> None:
     assert prior.cameras is not None
     assert prior.cameras.arrangement == "static"
     assert ("noise were removed" in prior.cameras.reason) == (name == "denoised")
-    assert prior.cameras.fisheye.tolist() == [name == "fisheye", False, False]
+    first = "fisheye" if name == "fisheye" else "perspective"
+    assert prior.cameras.camera_models == (first, "perspective", "perspective")
     if name == "fisheye":
         np.testing.assert_allclose(prior.cameras.focals[0], 500)
         np.testing.assert_allclose(prior.cameras.distortions[0, :3], [0.05, -0.01, 0.002])

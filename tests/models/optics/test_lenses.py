@@ -5,22 +5,29 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from models.optics.lenses import Optics, derive, image
-from models.optics.lenses import lenses as lenses_of
+from models.optics.lenses.projection import (
+    COEFFICIENTS as MOST_COEFFICIENTS,
+)
+from models.optics.lenses.projection import (
+    LENSES,
+    Lenses,
+    differentiate_into,
+    index_of,
+    project,
+)
+from models.settings.calibration import NUMBERS_OF_COEFFICIENTS, LensName
 
 Float64 = NDArray[np.float64]
-KINDS = ("plain", "radial", "tangential", "rational", "fisheye")
-COEFFICIENTS = {
-    "plain": (),
-    "radial": (-0.21, 0.07),
-    "tangential": (-0.15, 0.04, 0.011, -0.006, 0.02),
-    "rational": (0.4, -0.1, 0.003, 0.002, 0.01, 0.55, -0.05, 0.004),
-    "fisheye": (-0.03, 0.012, -0.004, 0.002),
-}
+KINDS: tuple[tuple[LensName, tuple[float, ...]], ...] = (
+    ("pinhole", ()),
+    ("pinhole", (-0.21, 0.07)),
+    ("pinhole", (-0.15, 0.04, 0.011, -0.006, 0.02)),
+    ("pinhole", (0.4, -0.1, 0.003, 0.002, 0.01, 0.55, -0.05, 0.004)),
+    ("fisheye", ()),
+    ("fisheye", (-0.03, 0.012, -0.004, 0.002)),
+)
 STEP = 1e-6
 
 
@@ -29,7 +36,7 @@ def opencv(point: Float64, lens: "Lens") -> Float64:
     k = dict(enumerate(lens.distortion, start=1))
     x, y = point[0] / point[2], point[1] / point[2]
     r = math.hypot(x, y)
-    if lens.fisheye:
+    if lens.model == "fisheye":
         theta = math.atan(r)
         theta_d = theta * (1 + sum(k.get(i, 0.0) * theta ** (2 * i) for i in (1, 2, 3, 4)))
         share = theta_d / r if r > 0 else 1.0
@@ -48,109 +55,119 @@ def opencv(point: Float64, lens: "Lens") -> Float64:
 class Lens:
     """One lens as its user would write it down."""
 
-    def __init__(self, kind: str, seed: int) -> None:
+    def __init__(self, model: LensName, distortion: tuple[float, ...], seed: int) -> None:
         rng = np.random.default_rng(seed)
-        self.fisheye = kind == "fisheye"
-        self.distortion = COEFFICIENTS[kind]
+        self.model = model
+        self.distortion = distortion
         self.focal = rng.uniform(300, 1500, 2)
         self.centre = rng.uniform(200, 900, 2)
 
 
-def optics(lenses: list[Lens]) -> Optics:
-    distortion = torch.zeros(len(lenses), 8, dtype=torch.float64)
+def laid_out(lenses: list[Lens]) -> Lenses:
+    distortion = np.zeros((len(lenses), MOST_COEFFICIENTS))
     for k, lens in enumerate(lenses):
-        distortion[k, : len(lens.distortion)] = torch.tensor(lens.distortion, dtype=torch.float64)
-    return Optics(
-        torch.from_numpy(np.stack([lens.focal for lens in lenses])),
-        torch.from_numpy(np.stack([lens.centre for lens in lenses])),
+        distortion[k, : len(lens.distortion)] = lens.distortion
+    return Lenses(
+        np.stack([lens.focal for lens in lenses]),
+        np.stack([lens.centre for lens in lenses]),
         distortion,
-        torch.tensor([lens.fisheye for lens in lenses]),
+        np.array([index_of(lens.model) for lens in lenses], np.int8),
     )
 
 
-def points(seed: int, frames: int, views: int, count: int, reach: float = 0.9) -> Tensor:
+def points(seed: int, frames: int, views: int, count: int, reach: float = 0.9) -> Float64:
     """Points up to `reach` beside the axis at depth 1, some of them on the axis itself."""
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.5, 9, (frames, views, count, 1))
     flat = rng.uniform(-reach, reach, (frames, views, count, 2))
     flat[:, :, 0] = 0
     flat[:, :, 1] = 1e-6
-    return torch.from_numpy(np.concatenate((flat * depth, depth), -1))
+    return np.concatenate((flat * depth, depth), -1)
 
 
 @pytest.fixture
 def lenses() -> list[Lens]:
     """One of each kind: they must not disturb each other."""
-    return [Lens(kind, seed) for seed, kind in enumerate(KINDS)]
+    return [Lens(*kind, seed) for seed, kind in enumerate(KINDS)]
 
 
 def test_every_lens_projects_as_opencvs(lenses: list[Lens]) -> None:
     world = points(0, 3, len(lenses), 12)
-    found = image(world, optics(lenses)).numpy()
+    pixels = project(world, laid_out(lenses))
     for n, k, p in np.ndindex(world.shape[:3]):
-        expected = opencv(world[n, k, p].numpy(), lenses[k])
-        np.testing.assert_allclose(found[n, k, p], expected, rtol=0, atol=1e-7, err_msg=KINDS[k])
+        expected = opencv(world[n, k, p], lenses[k])
+        np.testing.assert_allclose(pixels[n, k, p], expected, rtol=0, atol=1e-7, err_msg=KINDS[k])
+
+
+def test_every_camera_model_is_put_to_the_test_and_can_be_told() -> None:
+    names = [lens.NAME for lens in LENSES]
+    assert set(names) == {name for name, _ in KINDS} == NUMBERS_OF_COEFFICIENTS.keys()
+    assert len(set(names)) == len({lens.LIFTED_AS for lens in LENSES}) == len(names)
+    for name, distortion in KINDS:
+        assert len(distortion) in NUMBERS_OF_COEFFICIENTS[name]
 
 
 def test_a_fisheye_sees_far_beside_its_axis() -> None:
-    lens = Lens("fisheye", 5)
-    wide = torch.tensor([[[[5.0, -3.0, 1.0], [-40.0, 20.0, 1.0]]]], dtype=torch.float64)
-    found = image(wide, optics([lens]))[0, 0].numpy()
-    expected = [opencv(point.numpy(), lens) for point in wide[0, 0]]
-    np.testing.assert_allclose(found, np.stack(expected), rtol=0, atol=1e-7)
+    lens = Lens("fisheye", (-0.03, 0.012, -0.004, 0.002), 5)
+    wide = np.array([[[[5.0, -3.0, 1.0], [-40.0, 20.0, 1.0]]]])
+    pixels = project(wide, laid_out([lens]))[0, 0]
+    expected = [opencv(point, lens) for point in wide[0, 0]]
+    np.testing.assert_allclose(pixels, np.stack(expected), rtol=0, atol=1e-7)
     # Nearly at a right angle to the axis, where a pinhole would see it tens of thousands away.
-    assert np.abs(found - lens.centre).max() < 2 * lens.focal.max()
+    assert np.abs(pixels - lens.centre).max() < 2 * lens.focal.max()
 
 
-def differences(project: Callable[[Tensor], Tensor], at: Tensor) -> Tensor:
+def differences(function: Callable[[Float64], Float64], at: Float64) -> Float64:
     """Central differences of pixels (..., 2) by numbers (..., C), each point by its own."""
-    columns = []
-    for c in range(at.shape[-1]):
-        step = torch.zeros(at.shape[-1], dtype=at.dtype)
-        step[c] = STEP
-        columns.append((project(at + step) - project(at - step)) / (2 * STEP))
-    return torch.stack(columns, -1)
+    steps = STEP * np.eye(at.shape[-1])
+    columns = [(function(at + step) - function(at - step)) / (2 * STEP) for step in steps]
+    return np.stack(columns, -1)
 
 
-def derivatives(world: Tensor, lens: Optics) -> tuple[Tensor, Tensor, Tensor]:
+def derivatives(world: Float64, lenses: Lenses) -> tuple[Float64, Float64, Float64]:
     """Pixels (N, K, P, 2), their derivatives by the points (..., 2, 3) and the lens (..., 2, 4)."""
-    pixels, by_points, by_optics = (
+    pixels, by_points, by_lens = (
         np.empty((*world.shape[:-1], *shape)) for shape in ((2,), (2, 3), (2, 4))
     )
-    glass = lenses_of(lens)
     for place in np.ndindex(world.shape[:-1]):
-        point = world[place].numpy()
-        derive(point, glass, place[1], pixels[place], by_points[place], by_optics[place])
-    return torch.from_numpy(pixels), torch.from_numpy(by_points), torch.from_numpy(by_optics)
+        view = place[1]
+        differentiate_into(
+            world[place], lenses, view, pixels[place], by_points[place], by_lens[place]
+        )
+    return pixels, by_points, by_lens
 
 
 def test_derivatives_by_the_points_agree_with_differences(lenses: list[Lens]) -> None:
-    world, lens = points(1, 2, len(lenses), 9), optics(lenses)
-    pixels, by_points, _ = derivatives(world, lens)
-    torch.testing.assert_close(pixels, image(world, lens), rtol=1e-13, atol=1e-9)
-    expected = differences(lambda x: image(x, lens), world)
-    torch.testing.assert_close(by_points, expected, rtol=1e-6, atol=1e-3)
+    world, glass = points(1, 2, len(lenses), 9), laid_out(lenses)
+    pixels, by_points, _ = derivatives(world, glass)
+    np.testing.assert_allclose(pixels, project(world, glass), rtol=1e-13, atol=1e-9)
+    expected = differences(lambda x: project(x, glass), world)
+    np.testing.assert_allclose(by_points, expected, rtol=1e-6, atol=1e-3)
 
 
 def test_derivatives_by_the_lens_agree_with_differences(lenses: list[Lens]) -> None:
-    world, lens = points(2, 2, len(lenses), 9), optics(lenses)
-    _, _, by_optics = derivatives(world, lens)
+    world, glass = points(2, 2, len(lenses), 9), laid_out(lenses)
+    _, _, by_lens = derivatives(world, glass)
 
-    def changed(x: Tensor) -> Tensor:
-        distortion = lens.distortion.clone()
+    def changed(x: Float64) -> Float64:
+        distortion = glass.distortion.copy()
         distortion[:, 0] += x[3]
-        focals = lens.focals * x[0].exp()
-        return image(world, Optics(focals, lens.centres + x[1:3], distortion, lens.fisheye))
+        other = glass._replace(
+            focals=glass.focals * np.exp(x[0]),
+            centres=glass.centres + x[1:3],
+            distortion=distortion,
+        )
+        return project(world, other)
 
-    expected = differences(changed, torch.zeros(4, dtype=torch.float64))
-    torch.testing.assert_close(by_optics, expected, rtol=1e-6, atol=1e-3)
+    expected = differences(changed, np.zeros(4))
+    np.testing.assert_allclose(by_lens, expected, rtol=1e-6, atol=1e-3)
 
 
 def test_one_lens_alone_and_among_others_projects_alike(lenses: list[Lens]) -> None:
-    world, all_of_them = points(3, 2, len(lenses), 9), optics(lenses)
-    together = derivatives(world, all_of_them)
+    world, glass = points(3, 2, len(lenses), 9), laid_out(lenses)
+    together = derivatives(world, glass)
     for k in range(len(lenses)):
-        lens = Optics(*(part[k : k + 1] for part in all_of_them))
-        alone = derivatives(world[:, k : k + 1], lens)
+        part = slice(k, k + 1)
+        alone = derivatives(world[:, part], glass.of(part))
         for mine, ours in zip(alone, together, strict=True):
-            torch.testing.assert_close(mine, ours[:, k : k + 1], rtol=1e-12, atol=1e-9)
+            np.testing.assert_allclose(mine, ours[:, part], rtol=1e-12, atol=1e-9)

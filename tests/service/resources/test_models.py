@@ -10,7 +10,7 @@ import pytest
 from safetensors.numpy import load, save
 from starlette.testclient import TestClient
 
-from models.calibrating.result import FoundCameras
+from models.calibrating.result import CameraReport
 from models.capture.metrics import pa_mpjpe, pck
 from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
@@ -65,14 +65,14 @@ def test_a_fitted_model_is_described(
     assert found["id"] in [item["id"] for item in live.get("/models")["items"]]
 
 
-def found_cameras() -> FoundCameras:
+def found_cameras() -> CameraReport:
     """Return a view that rests, known without doubt, and a fisheye one that moves."""
     nan = np.nan
-    return FoundCameras(
+    return CameraReport(
         arrangement="mixed",
         reason="because",
         warnings=("view 0 was bumped",),
-        fisheye=np.array([False, True]),
+        camera_models=("perspective", "fisheye"),
         focals=np.array([[900.0, 910.0], [300.0, 300.0]]),
         focal_sds=np.array([0.0, 4.0]),
         principal_points=np.array([[640.0, 512.0], [320.0, 240.0]]),

@@ -1,0 +1,323 @@
+"""One frame's normal equations, compiled: linearised, then reduced by eliminating the points.
+
+The unknowns beside the points stand in this order: for each group g its pose (7 columns from 7 g),
+then the components of the shape prior (Q columns from 7 G); if the equations are those of the rig,
+too, ten columns for each view, from 7 G + Q + 10 k.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.problem import LENS, POSE, VIEW, Rig, Scene, ShapePrior, Views
+from models.numerics.compiled import compiled, inner
+from models.numerics.matrices import cholesky_solve, copy, fill, inverse
+from models.optics.lenses.projection import differentiate_into
+
+Float64 = NDArray[np.float64]
+
+OUTLIER = 3.0  # noise standard deviations from which a keypoint pulls with constant force (Huber)
+SIMILARITY = 7  # numbers of a structure that cameras explain, not its shape
+TINY = 1e-12  # least squared residual, and least number on a diagonal
+SIZE = 6  # place of the log size in a pose
+
+
+class NormalEquations(NamedTuple):
+    """Normal equations of a frame, or with a leading N of N; C = R + T columns beside the points.
+
+    R = 7 G + Q are the frame's own; T = 10 K are shared by all frames, or T = 0.
+    """
+
+    points: Float64  # (P, 3, 3) blocks on the diagonal
+    coupling: Float64  # (P, 3, C) of the points and the rest
+    rest: Float64  # (C, C)
+    points_right: Float64  # (P, 3) right-hand side: minus half of the gradient
+    rest_right: Float64  # (C,)
+
+
+class _Rows(NamedTuple):
+    """Room for what one keypoint's two residuals, x and y, depend on."""
+
+    residual: Float64  # (2,) pixels
+    by_point: Float64  # (2, 3)
+    by_columns: Float64  # (2, 7 or 17) by the pose and, if the rig may move, the view
+
+
+@inner
+def make_equations(count: int, columns: int) -> NormalEquations:
+    """Return room for the equations of a frame."""
+    return NormalEquations(
+        np.empty((count, 3, 3)),
+        np.empty((count, 3, columns)),
+        np.empty((columns, columns)),
+        np.empty((count, 3)),
+        np.empty(columns),
+    )
+
+
+@inner
+def equations_of_frame(equations: NormalEquations, n: int) -> NormalEquations:
+    """Return the equations of frame n."""
+    return NormalEquations(
+        equations.points[n],
+        equations.coupling[n],
+        equations.rest[n],
+        equations.points_right[n],
+        equations.rest_right[n],
+    )
+
+
+@inner
+def whiten(points: Float64, prior: ShapePrior, out: Float64) -> tuple[float, float]:
+    """Write the prior's precision times (points - mean), (P, 3).
+
+    Returns minus twice the log density, and the inverse variance of what is beside the components.
+    """
+    size, mean, basis = prior.basis.shape[1], prior.means, prior.basis
+    z = np.zeros(size)
+    for p in range(len(points)):
+        for i in range(3):
+            offset = points[p, i] - mean[p, i]
+            for q in range(size):
+                z[q] += basis[3 * p + i, q] * offset
+    cholesky_solve(prior.factor, z)
+    weight = 1.0 / (prior.scale * prior.spread) ** 2
+    squared = 0.0
+    for p in range(len(points)):
+        for i in range(3):
+            offset = points[p, i] - mean[p, i]
+            left = offset
+            for q in range(size):
+                left -= basis[3 * p + i, q] * z[q]
+            out[p, i] = left * weight
+            squared += out[p, i] * offset
+    if not prior.heavy:
+        return squared, weight
+    freedom = 3 * len(points) - SIMILARITY
+    share = min(freedom / max(squared, TINY), 1.0)  # s^2 over the square of the scale it asks for
+    for p in range(len(points)):
+        for i in range(3):
+            out[p, i] *= share
+    return freedom * math.log(1.0 / share) + squared * share, weight * share
+
+
+@inner
+def point_in_group_into(scene: Scene, group: int, p: int, turned: Float64, held: Float64) -> None:
+    """Write e^a R X and v = e^a R X + t of one point, in the frame of its group."""
+    growth = math.exp(scene.sizes[group])
+    rotation, point = scene.rotations[group], scene.points[p]
+    for i in range(3):
+        turned[i] = growth * (
+            rotation[i, 0] * point[0] + rotation[i, 1] * point[1] + rotation[i, 2] * point[2]
+        )
+        held[i] = turned[i] + scene.translations[group, i]
+
+
+@inner
+def point_in_camera_into(rig: Rig, view: int, held: Float64, camera: Float64) -> None:
+    """Write C v + d."""
+    rotation = rig.rotations[view]
+    for i in range(3):
+        camera[i] = (
+            rotation[i, 0] * held[0]
+            + rotation[i, 1] * held[1]
+            + rotation[i, 2] * held[2]
+            + rig.translations[view, i]
+        )
+
+
+@inner
+def linearise(
+    views: Views, rig: Rig, prior: ShapePrior, scene: Scene, out: NormalEquations
+) -> None:
+    """Write the normal equations; if there is room, also those of the rig, ten numbers a view."""
+    own = POSE * len(scene.sizes) + prior.basis.shape[1]  # columns of the frame alone
+    shared = len(out.rest_right) > own
+    columns = POSE + (VIEW if shared else 0)  # that one keypoint depends on
+    rows = _Rows(np.empty(2), np.empty((2, 3)), np.empty((2, columns)))
+    block, right = np.empty((columns, columns)), np.empty(columns)
+    _linearise_priors(rig, prior, scene, out)
+    for k in range(len(views.keypoints)):
+        pose_at = POSE * rig.groups[k]  # where the columns of the pose and of the view begin
+        view_at = own + VIEW * k
+        fill(block, 0)
+        fill(right, 0)
+        for p in range(len(scene.points)):
+            if views.weights[k, p] > 0:
+                weight = _linearise_keypoint(views, rig, scene, k, p, rows)
+                _add_point(rows, weight, p, pose_at, view_at, out)
+                _add_columns(rows, weight, block, right)
+        for a in range(columns):
+            row = pose_at + a if a < POSE else view_at + a - POSE
+            out.rest_right[row] += right[a]
+            for b in range(columns):
+                column = pose_at + b if b < POSE else view_at + b - POSE
+                out.rest[row, column] += block[a, b]
+
+
+@inner
+def _linearise_priors(rig: Rig, prior: ShapePrior, scene: Scene, out: NormalEquations) -> None:
+    """Write the equations of the shape prior and of the sizes alone."""
+    fill(out.points, 0)
+    fill(out.coupling, 0)
+    fill(out.rest, 0)
+    fill(out.rest_right, 0)
+    components, components_at = prior.basis.shape[1], POSE * len(scene.sizes)
+    _, weight = whiten(scene.points, prior, out.points_right)
+    for p in range(len(scene.points)):
+        for i in range(3):
+            out.points_right[p, i] = -out.points_right[p, i]
+            out.points[p, i, i] = weight
+            for q in range(components):
+                out.coupling[p, i, components_at + q] = -weight * prior.basis[3 * p + i, q]
+    for q in range(components):
+        for r in range(components):
+            out.rest[components_at + q, components_at + r] = weight * prior.inner[q, r]
+    for g in range(len(scene.sizes)):
+        at = POSE * g + SIZE
+        out.rest[at, at] = rig.size_precision[g]
+        out.rest_right[at] = -rig.size_precision[g] * scene.sizes[g]
+
+
+@inner
+def _linearise_keypoint(
+    views: Views, rig: Rig, scene: Scene, view: int, p: int, rows: _Rows
+) -> float:
+    """Write the residual of a keypoint and its derivatives; returns its robust weight."""
+    group = rig.groups[view]
+    turned, held, camera, pixel = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
+    by_camera, by_lens, by_held = np.empty((2, 3)), np.empty((2, LENS)), np.empty(3)
+    point_in_group_into(scene, group, p, turned, held)
+    point_in_camera_into(rig, view, held, camera)
+    differentiate_into(camera, rig.lenses, view, pixel, by_camera, by_lens)
+    squared = 0.0
+    for a in range(2):
+        rows.residual[a] = views.keypoints[view, p, a] - pixel[a]
+        squared += views.weights[view, p] * rows.residual[a] ** 2
+
+    growth, rotation, outward = math.exp(scene.sizes[group]), scene.rotations[group], rig.rotations
+    for a in range(2):
+        own = rows.by_columns[a]  # (7 or 17,)
+        for i in range(3):
+            by_held[i] = (
+                by_camera[a, 0] * outward[view, 0, i]
+                + by_camera[a, 1] * outward[view, 1, i]
+                + by_camera[a, 2] * outward[view, 2, i]
+            )
+        for i in range(3):
+            rows.by_point[a, i] = growth * (
+                by_held[0] * rotation[0, i]
+                + by_held[1] * rotation[1, i]
+                + by_held[2] * rotation[2, i]
+            )
+        _by_rotation_vector_into(by_held, turned, own[:3])
+        for i in range(3):
+            own[3 + i] = by_held[i]
+        own[SIZE] = by_held[0] * turned[0] + by_held[1] * turned[1] + by_held[2] * turned[2]
+        if len(own) > POSE:
+            for i in range(LENS):
+                own[POSE + i] = by_lens[a, i]
+            for i in range(3):  # C v
+                held[i] = camera[i] - rig.translations[view, i]
+            extrinsics = own[POSE + LENS :]
+            _by_rotation_vector_into(by_camera[a], held, extrinsics[:3])
+            for i in range(3):
+                extrinsics[3 + i] = by_camera[a, i]
+    weight: float = views.weights[view, p]
+    return weight * min(1.0, OUTLIER / math.sqrt(max(squared, TINY)))
+
+
+@inner
+def _by_rotation_vector_into(by: Float64, arm: Float64, out: Float64) -> None:
+    """Derive by the vector of a small rotation of `arm` (3,): by (3,) times -[arm]_x."""
+    out[0] = arm[1] * by[2] - arm[2] * by[1]
+    out[1] = arm[2] * by[0] - arm[0] * by[2]
+    out[2] = arm[0] * by[1] - arm[1] * by[0]
+
+
+@inner
+def _add_point(
+    rows: _Rows, weight: float, p: int, pose_at: int, view_at: int, out: NormalEquations
+) -> None:
+    """Add to a point's block, to its coupling with pose and view, and to its right-hand side."""
+    for i in range(3):
+        u, v = weight * rows.by_point[0, i], weight * rows.by_point[1, i]
+        out.points_right[p, i] += u * rows.residual[0] + v * rows.residual[1]
+        for j in range(3):
+            out.points[p, i, j] += u * rows.by_point[0, j] + v * rows.by_point[1, j]
+        coupling, by = out.coupling[p, i], rows.by_columns  # (C,), (2, 7 or 17)
+        for a in range(POSE):
+            coupling[pose_at + a] += u * by[0, a] + v * by[1, a]
+        for a in range(POSE, by.shape[1]):
+            coupling[view_at + a - POSE] += u * by[0, a] + v * by[1, a]
+
+
+@inner
+def _add_columns(rows: _Rows, weight: float, block: Float64, right: Float64) -> None:
+    """Add to the block of pose and view, and to their right-hand side."""
+    by = rows.by_columns
+    for a in range(len(right)):
+        u, v = weight * by[0, a], weight * by[1, a]
+        right[a] += u * rows.residual[0] + v * rows.residual[1]
+        for b in range(len(right)):
+            block[a, b] += u * by[0, b] + v * by[1, b]
+
+
+@compiled
+def eliminate(
+    equations: NormalEquations,
+    damping: float,
+    inverses: Float64,
+    reduced: Float64,
+    right: Float64,
+) -> None:
+    """Eliminate the points: their damped inverse blocks (P, 3, 3) and the Schur complement.
+
+    Of the complement (C, C) the lower half is written, and its right-hand side (C,).
+    """
+    size = len(right)
+    block, carried = np.empty((3, 3)), np.empty((3, size))
+    for a in range(size):
+        right[a] = equations.rest_right[a]
+        for b in range(a + 1):
+            reduced[a, b] = equations.rest[a, b]
+        reduced[a, a] += damping * equations.rest[a, a] + TINY
+    for p in range(len(inverses)):
+        copy(equations.points[p], block)
+        for i in range(3):
+            block[i, i] += damping * equations.points[p, i, i]
+        inverse(block, inverses[p])
+        coupling = equations.coupling[p]  # (3, C)
+        for i in range(3):
+            x, y, z = inverses[p, i, 0], inverses[p, i, 1], inverses[p, i, 2]
+            for a in range(size):
+                carried[i, a] = x * coupling[0, a] + y * coupling[1, a] + z * coupling[2, a]
+        x, y, z = equations.points_right[p]
+        for a in range(size):
+            right[a] -= carried[0, a] * x + carried[1, a] * y + carried[2, a] * z
+            u, v, w = coupling[0, a], coupling[1, a], coupling[2, a]
+            row = reduced[a]
+            for b in range(a + 1):
+                row[b] -= u * carried[0, b] + v * carried[1, b] + w * carried[2, b]
+
+
+@inner
+def back_substitute(
+    equations: NormalEquations, inverses: Float64, rest_step: Float64, points_step: Float64
+) -> None:
+    """Write the step of the points (P, 3) that belongs to that of the rest."""
+    left = np.empty(3)
+    for p in range(len(points_step)):
+        for i in range(3):
+            total = equations.points_right[p, i]
+            for a in range(len(rest_step)):
+                total -= equations.coupling[p, i, a] * rest_step[a]
+            left[i] = total
+        for i in range(3):
+            points_step[p, i] = (
+                inverses[p, i, 0] * left[0]
+                + inverses[p, i, 1] * left[1]
+                + inverses[p, i, 2] * left[2]
+            )

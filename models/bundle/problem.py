@@ -1,0 +1,191 @@
+"""What bundle adjustment knows and looks for, as named arrays that compiled functions take.
+
+Every frame has a structure X (P, 3) with a Gaussian shape prior, and every *group* of cameras has
+a similarity per frame, `v = e^a R X + t`. Cameras that rest relative to each other form a group and
+see it through extrinsics that all frames share, `x_cam = C v + d`; a camera that moves on its own
+is a group of one, with C = 1 and d = 0. A rig at rest, moving cameras and any mixture of the two
+are thus one problem.
+
+Everything is float64: N frames, K views, P keypoints, G groups, Q components of the shape prior.
+Compiled functions of one frame take the same tuples without the leading N.
+"""
+
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.numerics.compiled import inner
+from models.optics.lenses.projection import Lenses
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+Tuple = TypeVar("Tuple", bound=NamedTuple)
+
+POSE = 7  # unknowns of a group in a frame: rotation vector, translation, log size
+LENS = 4  # of a lens: log focal length, principal point (x, y), first radial coefficient
+EXTRINSICS = 6  # of a camera in its group: rotation vector, translation
+VIEW = LENS + EXTRINSICS  # what all frames share of a view
+FOCAL, CENTRE_X, CENTRE_Y, RADIAL = range(LENS)  # places among a view's ten numbers
+
+SIZE_SD = 0.3  # of the log size of a subject from frame to frame, seen by cameras at rest
+FIXED = 1e8  # inverse variance of what does not vary
+
+
+class Views(NamedTuple):
+    """What was seen, and how surely."""
+
+    keypoints: Float64  # (N, K, P, 2) pixels, any finite number where the weight is 0
+    weights: Float64  # (N, K, P) confidence over noise variance, 1 / pixels^2
+
+    def of(self, frames: Int64 | slice) -> "Views":
+        """Return what was seen in some of the frames."""
+        return Views(*(array[frames] for array in self))
+
+
+class Rig(NamedTuple):
+    """What all frames share of K views; see `make_rig`."""
+
+    lenses: Lenses
+    groups: Int64  # (K,) the group of each view, 0 to G - 1
+    rotations: Float64  # (K, 3, 3) C, group to camera
+    translations: Float64  # (K, 3) d, units of the structure
+    size_precision: Float64  # (G,) inverse variance of the log size a that each group sees
+
+    @property
+    def group_count(self) -> int:
+        """The number of groups G."""
+        return len(self.size_precision)
+
+    @property
+    def members(self) -> Int64:
+        """How many views each group has, (G,)."""
+        return np.bincount(self.groups, minlength=self.group_count)
+
+    @property
+    def resting(self) -> NDArray[np.bool_]:
+        """Which views (K,) rest relative to another."""
+        return self.members[self.groups] > 1
+
+
+class ShapePrior(NamedTuple):
+    """About a mean per frame: x = mean + s (B z + e), z ~ N(0, 1), e ~ N(0, spread^2).
+
+    With `heavy` tails the scale of a frame is s or, if its structure says so, more: the density is
+    the profile of the Gaussian over all scales from s on. See `make_shape_prior`.
+    """
+
+    means: Float64  # (N, P, 3)
+    basis: Float64  # (3 P, Q) B, columns scaled by their standard deviations
+    inner: Float64  # (Q, Q) B^T B + spread^2 1
+    factor: Float64  # (Q, Q) its Cholesky factor, lower
+    spread: float
+    scale: float  # s
+    heavy: bool
+
+    def of(self, frames: Int64 | slice) -> "ShapePrior":
+        """Return the prior of some of the frames."""
+        return self._replace(means=self.means[frames])
+
+
+class Scene(NamedTuple):
+    """The unknowns of N frames."""
+
+    points: Float64  # (N, P, 3)
+    rotations: Float64  # (N, G, 3, 3) R
+    translations: Float64  # (N, G, 3) t
+    sizes: Float64  # (N, G) log size a
+
+    def of(self, frames: Int64 | slice) -> "Scene":
+        """Return the unknowns of some of the frames."""
+        return Scene(*(array[frames] for array in self))
+
+
+def make_rig(lenses: Lenses, groups: Int64, rotations: Float64, translations: Float64) -> Rig:
+    """Lay out a rig for compiled functions.
+
+    Where several views see a group, its size varies from frame to frame by `SIZE_SD`. With one view
+    the size is held: it and the distance are one.
+    """
+    members = np.bincount(groups)
+    return Rig(
+        contiguous(lenses),
+        np.ascontiguousarray(groups),
+        np.ascontiguousarray(rotations),
+        np.ascontiguousarray(translations),
+        np.where(members > 1, 1 / SIZE_SD**2, FIXED),
+    )
+
+
+def moving_rig(lenses: Lenses) -> Rig:
+    """Return the rig in which every view is a group of its own."""
+    views = len(lenses.focals)
+    return make_rig(
+        lenses, np.arange(views), np.tile(np.eye(3), (views, 1, 1)), np.zeros((views, 3))
+    )
+
+
+def make_shape_prior(
+    means: Float64, basis: Float64, spread: float, *, scale: float = 1.0, heavy: bool = False
+) -> ShapePrior:
+    """Lay out a shape prior about `means` (N, P, 3), with `basis` (P, 3, Q)."""
+    flat = np.ascontiguousarray(basis.reshape(3 * len(basis), basis.shape[-1]))
+    inner_products: Float64 = flat.T @ flat + spread**2 * np.eye(flat.shape[1])
+    return ShapePrior(
+        np.ascontiguousarray(means),
+        flat,
+        inner_products,
+        np.asarray(np.linalg.cholesky(inner_products), np.float64),
+        spread,
+        scale,
+        heavy,
+    )
+
+
+def contiguous(arrays: Tuple) -> Tuple:
+    """Return named arrays laid out in C order: compiled functions are made for no other."""
+    laid_out: Any = map(np.ascontiguousarray, arrays)
+    return type(arrays)._make(laid_out)
+
+
+def points_in_cameras(scene: Scene, rig: Rig) -> Float64:
+    """Points in every camera's frame (N, K, P, 3)."""
+    turned = scene.points[:, None] @ scene.rotations.mT  # (N, G, P, 3)
+    grown = np.exp(scene.sizes)[..., None, None] * turned
+    held = grown[:, rig.groups] + scene.translations[:, rig.groups, None]  # v, (N, K, P, 3)
+    points: Float64 = held @ rig.rotations.mT + rig.translations[:, None]
+    return points
+
+
+@inner
+def views_of_frame(views: Views, n: int) -> Views:
+    """Return what was seen in frame n: (K, P, 2) and (K, P)."""
+    return Views(views.keypoints[n], views.weights[n])
+
+
+@inner
+def prior_of_frame(prior: ShapePrior, n: int) -> ShapePrior:
+    """Return the prior of frame n: its mean is (P, 3)."""
+    return ShapePrior(
+        prior.means[n],
+        prior.basis,
+        prior.inner,
+        prior.factor,
+        prior.spread,
+        prior.scale,
+        prior.heavy,
+    )
+
+
+@inner
+def scene_of_frame(scene: Scene, n: int) -> Scene:
+    """Return the unknowns of frame n: (P, 3), (G, 3, 3), (G, 3) and (G,)."""
+    return Scene(scene.points[n], scene.rotations[n], scene.translations[n], scene.sizes[n])
+
+
+@inner
+def prior_about(prior: ShapePrior, mean: Float64, scale: float) -> ShapePrior:
+    """Return a frame's prior with another mean (P, 3) and scale."""
+    return ShapePrior(
+        mean, prior.basis, prior.inner, prior.factor, prior.spread, scale, prior.heavy
+    )

@@ -1,0 +1,139 @@
+"""All frames of a scene, each on its own: costs, normal equations and optima, in threads."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.frame import cost_of, descend
+from models.bundle.frame_equations import NormalEquations, equations_of_frame, linearise
+from models.bundle.problem import (
+    POSE,
+    VIEW,
+    Rig,
+    Scene,
+    ShapePrior,
+    Views,
+    contiguous,
+    prior_of_frame,
+    scene_of_frame,
+    views_of_frame,
+)
+from models.numerics.compiled import compiled
+from models.numerics.threads import empty_aligned, in_slices
+
+Float64 = NDArray[np.float64]
+
+FRAMES_AT_A_TIME = 16  # that a thread takes
+
+
+def costs_of(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> Float64:
+    """Minus twice the log posterior of each frame (N,), up to a constant.
+
+    Infinite where a point lies behind a camera.
+    """
+    views, scene, costs = contiguous(views), contiguous(scene), empty_aligned(len(scene.points))
+    in_slices(
+        len(costs),
+        FRAMES_AT_A_TIME,
+        lambda part: _costs(views, rig, prior, scene, part.start, part.stop, costs),
+    )
+    return costs
+
+
+@compiled
+def _costs(
+    views: Views,
+    rig: Rig,
+    prior: ShapePrior,
+    scene: Scene,
+    start: int,
+    stop: int,
+    costs: Float64,
+) -> None:
+    for n in range(start, stop):
+        costs[n] = cost_of(
+            views_of_frame(views, n), rig, prior_of_frame(prior, n), scene_of_frame(scene, n)
+        )
+
+
+def normal_equations(
+    views: Views, rig: Rig, prior: ShapePrior, scene: Scene, *, shared: bool
+) -> NormalEquations:
+    """Linearise every frame; with `shared`, also in what all frames share (T = 10 K, else 0)."""
+    views, scene = contiguous(views), contiguous(scene)
+    frames, count, _ = scene.points.shape
+    columns = POSE * rig.group_count + prior.basis.shape[1]
+    columns += VIEW * len(rig.groups) if shared else 0
+    equations = NormalEquations(
+        empty_aligned(frames, count, 3, 3),
+        empty_aligned(frames, count, 3, columns),
+        empty_aligned(frames, columns, columns),
+        empty_aligned(frames, count, 3),
+        empty_aligned(frames, columns),
+    )
+    in_slices(
+        frames,
+        FRAMES_AT_A_TIME,
+        lambda part: _linearise(views, rig, prior, scene, part.start, part.stop, equations),
+    )
+    return equations
+
+
+@compiled
+def _linearise(
+    views: Views,
+    rig: Rig,
+    prior: ShapePrior,
+    scene: Scene,
+    start: int,
+    stop: int,
+    out: NormalEquations,
+) -> None:
+    for n in range(start, stop):
+        linearise(
+            views_of_frame(views, n),
+            rig,
+            prior_of_frame(prior, n),
+            scene_of_frame(scene, n),
+            equations_of_frame(out, n),
+        )
+
+
+def adjust_frames(
+    views: Views, rig: Rig, prior: ShapePrior, scene: Scene, *, iterations: int = 20
+) -> tuple[Scene, Float64]:
+    """Adjust every frame on its own, the rig as it is; the scene and its costs (N,).
+
+    A frame with a point behind a camera stays as it is, with an infinite cost.
+    """
+    views = contiguous(views)
+    adjusted = Scene(*(array.copy(order="C") for array in scene))
+    costs = empty_aligned(len(scene.points))
+    in_slices(
+        len(costs),
+        FRAMES_AT_A_TIME,
+        lambda part: _descend(
+            views, rig, prior, adjusted, part.start, part.stop, iterations, costs
+        ),
+    )
+    return adjusted, costs
+
+
+@compiled
+def _descend(
+    views: Views,
+    rig: Rig,
+    prior: ShapePrior,
+    scene: Scene,
+    start: int,
+    stop: int,
+    iterations: int,
+    costs: Float64,
+) -> None:
+    for n in range(start, stop):
+        costs[n] = descend(
+            views_of_frame(views, n),
+            rig,
+            prior_of_frame(prior, n),
+            scene_of_frame(scene, n),
+            iterations,
+        )

@@ -1,0 +1,166 @@
+"""Expectation maximisation: adjust, then learn the noise and the shape model, and again."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.adjustment import adjust
+from models.bundle.bone_lengths import find_bone_lengths
+from models.bundle.frame_equations import OUTLIER
+from models.bundle.problem import (
+    POSE,
+    Rig,
+    Scene,
+    ShapePrior,
+    Views,
+    make_shape_prior,
+    points_in_cameras,
+)
+from models.bundle.scene_adjustment import adjust_frames
+from models.bundle.shape_model import ShapeModel, Similarity, align, learn_shapes
+from models.bundle.structure_covariances import structure_covariances
+from models.calibrating.lens_prior import rig_prior
+from models.calibrating.problem import Problem, Solution, Steps
+from models.optics.lenses.projection import project
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+ROUNDS = 4
+ROUNDS_WITH_BONES = 8  # at most: until no focal length changes
+SETTLED = 3e-4  # by more than this share
+ADJUSTMENTS, REFINEMENTS = 10, 15  # iterations, of frames and rig together, of frames alone
+LEAST_SPREAD = 0.02  # of the shape model, in radii of the structure
+LEAST_SPREAD_WITH_BONES = 0.1  # lenses are then the bones' business
+LEAST_NOISE = 3e-4  # of the image's side: what lens models leave
+LEAST_MEASURED = 3e-5  # of the image's side
+COOLING = 0.25  # the noise falls no faster than to this share in a round
+FRAMES_AT_A_TIME = 128  # whose covariances are in memory together with their equations
+
+
+class Uncertainty(NamedTuple):
+    """How surely structures are known, and what that says of the noise."""
+
+    frames: NDArray[np.int64]  # (M,) for which it could be told
+    covariances: Float64  # (M, 3 P, 3 P) of their structures
+    noise_factor: float  # of the noise that was assumed, to what the residuals say
+
+
+def learn(problem: Problem, solution: Solution, *, with_bones: bool = False) -> Steps[Solution]:
+    """Maximise expectations from a solution on.
+
+    With `with_bones`, bone lengths have a say, too, and the shape model less of it.
+    """
+    rig, scene, prior, noise = solution.rig, solution.scene, solution.prior, solution.noise
+    focals = rig.lenses.focals
+    floor = LEAST_NOISE * problem.side
+    least_spread = LEAST_SPREAD_WITH_BONES if with_bones else LEAST_SPREAD
+    for _ in range(ROUNDS_WITH_BONES if with_bones else ROUNDS):
+        views = problem.views(noise)
+        rig, scene, information = yield from adjust(
+            views,
+            rig,
+            prior,
+            scene,
+            rig_prior=rig_prior(problem, rig, given_poses=solution.given_poses),
+            bones=find_bone_lengths(scene.points) if with_bones else None,
+            iterations=ADJUSTMENTS,
+        )
+        yield
+        scene, costs = adjust_frames(views, rig, prior, scene, iterations=REFINEMENTS)
+        yield
+        unsure = uncertainty(views, rig, prior, scene, np.isfinite(costs))
+        measured = max(unsure.noise_factor * noise, LEAST_MEASURED * problem.side)
+        noise = max(unsure.noise_factor * noise, COOLING * noise, floor)
+        shapes = learn_shapes(scene.points[unsure.frames], unsure.covariances, floor=least_spread)
+        points, similarity = align(scene.points, shapes.mean)
+        scene = regauge(scene, points, similarity, rig)
+        prior = _about_model(shapes, len(points))
+        change, focals = np.abs(np.log(rig.lenses.focals / focals)).max(), rig.lenses.focals
+        if with_bones and change < SETTLED:
+            break
+    return solution._replace(
+        rig=rig,
+        scene=scene,
+        prior=prior,
+        shapes=shapes,
+        noise=noise,
+        measured_noise=measured,
+        information=information,
+    )
+
+
+def regauge(scene: Scene, points: Float64, similarity: Similarity, rig: Rig) -> Scene:
+    """Give the structures another frame of reference, in which they are `points` (N, P, 3).
+
+    Groups of several views take the scale into their size, those of one into their distance.
+    """
+    several = rig.members > 1  # (G,)
+    shift = (scene.rotations @ similarity.centres.mT[:, None])[..., 0]  # (N, G, 3)
+    translations = scene.translations + np.exp(scene.sizes)[..., None] * shift
+    scales = similarity.scales[:, None]  # (N, 1)
+    return Scene(
+        points,
+        scene.rotations @ similarity.rotations[:, None],
+        np.where(several[:, None], translations, translations * scales[..., None]),
+        np.where(several, scene.sizes - np.log(scales), scene.sizes),
+    )
+
+
+def uncertainty(
+    views: Views, rig: Rig, prior: ShapePrior, scene: Scene, explained: Bool
+) -> Uncertainty:
+    """Say how surely the structures of the frames `explained` (N,) are known.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When that can be said of no frame.
+    """
+    which, covariances, squared, freedom = [], [], 0.0, 0.0
+    frames = np.flatnonzero(explained)
+    for some in np.split(frames, range(FRAMES_AT_A_TIME, len(frames), FRAMES_AT_A_TIME)):
+        of_some = structure_covariances(views.of(some), rig, prior.of(some), scene.of(some))
+        definite = np.isfinite(of_some).all((1, 2))
+        part, known = some[definite], of_some[definite]
+        terms = _noise_terms(views.of(part), rig, prior.of(part), scene.of(part), known)
+        which.append(part)
+        covariances.append(known)
+        squared, freedom = squared + terms.squared, freedom + terms.freedom
+    if not any(len(part) for part in which):
+        raise np.linalg.LinAlgError("no frame's normal equations are positive definite")
+    factor = math.sqrt(squared / max(freedom, 1.0))
+    return Uncertainty(np.concatenate(which), np.concatenate(covariances), factor)
+
+
+class _NoiseTerms(NamedTuple):
+    squared: float  # sum of the robust squared residuals over the noise
+    freedom: float  # their degrees of freedom
+
+
+def _noise_terms(
+    views: Views, rig: Rig, prior: ShapePrior, scene: Scene, covariances: Float64
+) -> _NoiseTerms:
+    """Sum robust residuals over the noise, and count observations less what they determine."""
+    pixels = project(points_in_cameras(scene, rig), rig.lenses)
+    squared = views.weights * np.square(pixels - views.keypoints).sum(-1)  # (N, K, P)
+    robust = (OUTLIER / np.sqrt(squared.clip(1e-12))).clip(max=1) * squared
+    # Of the structure's unknowns the data determine as many as the prior does not.
+    components = np.linalg.solve(prior.inner, prior.basis.T)  # (Q, 3 P)
+    trace = covariances.trace(axis1=1, axis2=2)
+    trace = trace - (components.T * (covariances @ prior.basis)).sum((1, 2))
+    structure = len(prior.basis) - trace / (prior.scale * prior.spread) ** 2  # (N,)
+    seen = views.weights > 0
+    # A group of one view has no size of its own.
+    numbers = np.where(rig.members > 1, POSE, POSE - 1)
+    belongs: Bool = rig.groups[:, None] == np.arange(rig.group_count)  # (K, G)
+    observed: Bool = np.any(seen, -1)  # (N, K)
+    there = np.any(observed[..., None] & belongs, 1)  # (N, G)
+    freedom = (2 * seen.sum((1, 2)) - structure - there @ numbers).clip(0)
+    return _NoiseTerms(float(robust.sum()), float(freedom.sum()))
+
+
+def _about_model(shapes: ShapeModel, frames: int) -> ShapePrior:
+    return make_shape_prior(np.tile(shapes.mean, (frames, 1, 1)), shapes.basis, shapes.spread)

@@ -1,0 +1,83 @@
+"""What is believed of lenses and rig beforehand, other camera models, and how sure all is."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.adjustment import RigPrior
+from models.bundle.problem import CENTRE_X, CENTRE_Y, FOCAL, LENS, RADIAL, VIEW, Rig, make_rig
+from models.calibrating.problem import Problem, Solution
+from models.optics.lenses.projection import LENSES
+
+Float64 = NDArray[np.float64]
+
+# Standard deviations of what is not told: of all cameras together, and of each beside that.
+FOCAL_SDS = (0.3, 0.01)  # of the log focal length
+RADIAL_SDS = (0.2, 0.05)  # of the first radial coefficient
+CENTRE_SD = 0.02  # of the principal point, as a share of the image's side
+
+
+def rig_prior(problem: Problem, rig: Rig, *, given_poses: bool) -> RigPrior:
+    """Say what is free of the rig, and how strongly it is held where.
+
+    With `given_poses` the rig's extrinsics are those that the user gave, and stay.
+    """
+    views = len(rig.groups)
+    total = VIEW * views
+    precision, free = np.zeros((total, total)), np.zeros(total, bool)
+    untold = np.flatnonzero(~problem.told_lenses)
+    for number, (together, alone) in ((FOCAL, FOCAL_SDS), (RADIAL, RADIAL_SDS)):
+        index = VIEW * untold + number
+        covariance = together**2 + alone**2 * np.eye(len(index))
+        precision[np.ix_(index, index)] = np.linalg.inv(covariance)
+        free[index] = True
+    for number in (CENTRE_X, CENTRE_Y):
+        index = VIEW * untold + number
+        precision[index, index] = 1 / (CENTRE_SD * problem.side) ** 2
+        # Where a moving camera looks and where its principal point is are nearly one.
+        free[index] = rig.group_count < views
+    for k, camera in enumerate(problem.calibration):
+        if camera is not None and camera.intrinsics is not None and camera.intrinsics.focal_sd > 0:
+            precision[VIEW * k, VIEW * k] = 1 / camera.intrinsics.focal_sd**2
+            free[VIEW * k] = True
+    if not given_poses:
+        first_of_group = np.unique(rig.groups, return_index=True)[1]
+        extrinsics = np.ones((views, VIEW), bool)
+        extrinsics[:, :LENS] = False
+        extrinsics[first_of_group] = False  # its camera is the group's frame of reference
+        free |= extrinsics.ravel()
+    mean = make_rig(problem.reference.lenses, rig.groups, rig.rotations, rig.translations)
+    return RigPrior(mean, precision, free)
+
+
+def deviations(problem: Problem, solution: Solution) -> Float64:
+    """Return standard deviations (K, 10) from the information; 0 for what was kept."""
+    free = rig_prior(problem, solution.rig, given_poses=solution.given_poses).free
+    sds = np.zeros(len(free))
+    tolerance = len(solution.information) * np.finfo(np.float64).eps
+    inverse = np.linalg.pinv(solution.information, rcond=tolerance, hermitian=True)
+    sds[free] = np.sqrt(inverse.diagonal().clip(0))
+    return sds.reshape(-1, VIEW)
+
+
+def other_lenses(problem: Problem, solution: Solution) -> list[tuple[str, Problem, Solution]]:
+    """Camera models that the lenses look like which nobody told: name, problem and start of each.
+
+    Their own files say what they look like to the pinholes that every search begins with.
+    """
+    untold = ~problem.told_lenses
+    if not untold.any():
+        return []
+    lenses, usual = solution.rig.lenses, problem.reference.lenses
+    trials: list[tuple[str, Problem, Solution]] = []
+    for index, lens in enumerate(LENSES):
+        start = lens.start_from_pinhole(lenses.distortion[untold])
+        if start is None:
+            continue
+        models, distortion = lenses.models.copy(), lenses.distortion.copy()
+        models[untold], distortion[untold] = index, start
+        reference = problem.reference._replace(lenses=usual._replace(models=models))
+        rig = solution.rig._replace(lenses=lenses._replace(distortion=distortion, models=models))
+        trials.append(
+            (lens.NAME, problem._replace(reference=reference), solution._replace(rig=rig))
+        )
+    return trials

@@ -1,0 +1,154 @@
+"""A self-calibration as tensors and a line of text, for files."""
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from models.bundle.problem import VIEW, make_rig
+from models.bundle.shape_model import NetworkErrors, ShapeModel
+from models.calibrating.result import SelfCalibration
+from models.network.settling import SETTLE_ALL, settle_beyond
+from models.numerics.tensor_files import Arrays, Shapes, WeightsError
+from models.optics.lenses.projection import COEFFICIENTS, LENSES, Lenses, index_of
+
+Float64 = NDArray[np.float64]
+
+OF_ALL_VIEWS = ("shape_mean", "shape_basis", "doubt_basis", "doubt_scales", "numbers")
+
+
+def to_arrays(calibration: SelfCalibration) -> tuple[Arrays, str]:
+    """Return a self-calibration as tensors and a line of text, for a file."""
+    rig, lenses = calibration.rig, calibration.rig.lenses
+    shapes, errors = calibration.shapes, calibration.network_errors
+    settling = calibration.settling
+    misfit_limit = 0.0 if settling.every_frame else settling.misfit_limit
+    arrays: dict[str, Any] = {
+        "focals": lenses.focals,
+        "centres": lenses.centres,
+        "distortion": lenses.distortion,
+        "groups": rig.groups,
+        "extrinsic_rotations": rig.rotations,
+        "extrinsic_translations": rig.translations,
+        "deviations": calibration.deviations,
+        "errors": calibration.reprojection_errors,
+        "shape_mean": shapes.mean,
+        "shape_basis": shapes.basis,
+        "doubt_basis": errors.basis,
+        "doubt_scales": errors.scales,
+        "numbers": [
+            shapes.spread,
+            errors.spread,
+            misfit_limit,
+            calibration.noise,
+            calibration.unit,
+        ],
+    }
+    words = {
+        "reason": calibration.reason,
+        "warnings": calibration.warnings,
+        "lenses": [LENSES[model].NAME for model in lenses.models],
+    }
+    tensors = {n: torch.from_numpy(np.array(a, np.float64, order="C")) for n, a in arrays.items()}
+    return tensors, json.dumps(words)
+
+
+def array_shapes(words: str, keypoints: int, views: int | None) -> Shapes:
+    """Shapes of the tensors that go with a line of text; None stands for any length.
+
+    Files of versions that knew two camera models hold a tensor "fisheye" (K,), 0 or 1, where the
+    text does not name the models.
+
+    Raises
+    ------
+    WeightsError
+        When the text is not what was written.
+    """
+    shapes: Shapes = {
+        "focals": (views, 2),
+        "centres": (views, 2),
+        "distortion": (views, COEFFICIENTS),
+        "groups": (views,),
+        "extrinsic_rotations": (views, 3, 3),
+        "extrinsic_translations": (views, 3),
+        "deviations": (views, VIEW),
+        "errors": (views,),
+        "shape_mean": (keypoints, 3),
+        "shape_basis": (keypoints, 3, None),
+        "doubt_basis": (keypoints, 3, None),
+        "doubt_scales": (None,),
+        "numbers": (5,),
+    }
+    return shapes if "lenses" in _read_words(words) else {**shapes, "fisheye": (views,)}
+
+
+def from_arrays(arrays: Arrays, words: str) -> SelfCalibration:
+    """Read what `to_arrays` returned, or what older versions did.
+
+    Raises
+    ------
+    WeightsError
+        When the tensors contradict each other or the text is not what was written.
+    """
+    said = _read_words(words)
+    a: dict[str, Float64] = {
+        name: value.to(torch.float64).numpy().copy() for name, value in arrays.items()
+    }
+    if not all(len(a[name]) == len(a["groups"]) for name in a if name not in OF_ALL_VIEWS):
+        raise WeightsError("the file contradicts itself about the cameras")
+    groups = a["groups"].astype(np.int64)
+    models = _lens_models(said, a)
+    spread, error_spread, misfit_limit, noise, unit = a["numbers"].tolist()
+    consistent = (
+        len(models) == len(groups) > 0
+        and np.array_equal(np.unique(groups), np.arange(int(groups.max()) + 1))
+        and bool((a["focals"] > 0).all())
+        and bool((a["doubt_scales"] > 0).all())
+        and min(spread, error_spread, noise, unit) > 0
+        and misfit_limit >= 0
+        and math.isfinite(spread + error_spread + misfit_limit + noise + unit)
+    )
+    if not consistent:
+        raise WeightsError("the file contradicts itself about the cameras")
+    lenses = Lenses(a["focals"], a["centres"], a["distortion"], models)
+    return SelfCalibration(
+        make_rig(lenses, groups, a["extrinsic_rotations"], a["extrinsic_translations"]),
+        a["deviations"],
+        ShapeModel(a["shape_mean"], a["shape_basis"], spread),
+        NetworkErrors(a["doubt_basis"], error_spread, a["doubt_scales"]),
+        settle_beyond(misfit_limit) if misfit_limit > 0 else SETTLE_ALL,
+        noise,
+        unit,
+        a["errors"],
+        str(said["reason"]),
+        tuple(str(warning) for warning in said["warnings"]),
+    )
+
+
+def _read_words(words: str) -> dict[str, Any]:
+    try:
+        said = json.loads(words)
+        complete = isinstance(said["reason"], str) and isinstance(said["warnings"], list)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        complete = False
+    if not complete:
+        raise WeightsError("the file does not say what was found of the cameras")
+    return dict(said)
+
+
+def _lens_models(said: Mapping[str, Any], arrays: Mapping[str, Float64]) -> NDArray[np.int8]:
+    """Return the camera model (K,) of every view as a place in `LENSES`."""
+    if "lenses" not in said:
+        names: list[Any] = [
+            "fisheye" if is_one else "pinhole" for is_one in arrays["fisheye"] > 0.5
+        ]
+    else:
+        names = list(said["lenses"])
+    known = [lens.NAME for lens in LENSES]
+    if not all(name in known for name in names):
+        raise WeightsError(f"the file holds camera models that are not among {known}")
+    return np.array([index_of(name) for name in names], np.int8)
