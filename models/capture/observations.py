@@ -1,12 +1,13 @@
 """Bringing every view of 2D keypoints to the same position and size."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from models.numerics.compiled import compiled
+from models.numerics.matrices import fill
+from models.numerics.normalisation import normalise_view_into
 from models.settings.keypoints import (
     MIN_CONFIDENCE,
     MIN_KEYPOINTS,
@@ -57,40 +58,25 @@ def as_observations(keypoints: ArrayLike, confidence: ArrayLike | None = None) -
         np.empty(weights.shape[:2], np.float32),
         np.empty(weights.shape[:2], np.bool_),
     )
-    _normalise(pixels, seen)
+    _normalise_views(pixels, seen)
     return seen
 
 
 @compiled
-def _normalise(pixels: Float32, seen: Observations) -> None:
+def _normalise_views(pixels: Float32, seen: Observations) -> None:
     """Write all but the weights, and 0 to the weights of views that are not usable."""
     frames, views, count, _ = pixels.shape
     for n in range(frames):
         for k in range(views):
-            weights, out = seen.weights[n, k], seen.keypoints[n, k]
-            total, x, y, shown = 0.0, 0.0, 0.0, 0
+            weights, out = seen.weights[n, k], seen.keypoints[n, k]  # (P,), (P, 2)
+            shown = 0
             for p in range(count):
-                w = weights[p]
-                if w > 0:
-                    shown += 1
-                    total += w
-                    x += w * pixels[n, k, p, 0]
-                    y += w * pixels[n, k, p, 1]
-            total = max(total, MIN_CONFIDENCE)
-            x, y, squared = x / total, y / total, 0.0
-            seen.centres[n, k, 0], seen.centres[n, k, 1] = x, y
-            for p in range(count):
-                out[p, 0], out[p, 1] = 0, 0
-                if weights[p] > 0:
-                    out[p, 0], out[p, 1] = pixels[n, k, p, 0] - x, pixels[n, k, p, 1] - y
-                    squared += weights[p] * (out[p, 0] ** 2 + out[p, 1] ** 2)
-            size = math.sqrt(squared / total)
-            usable = shown >= MIN_KEYPOINTS and size > MIN_SIZE
+                shown += weights[p] > 0
+            placed = normalise_view_into(pixels[n, k], weights, MIN_CONFIDENCE, MIN_SIZE, out)
+            usable = shown >= MIN_KEYPOINTS and placed.size > MIN_SIZE
+            seen.centres[n, k, 0], seen.centres[n, k, 1] = placed.x, placed.y
+            seen.sizes[n, k] = placed.size if usable else 1
             seen.usable[n, k] = usable
-            seen.sizes[n, k] = size if usable else 1
-            for p in range(count):
-                if usable:
-                    out[p, 0] /= size
-                    out[p, 1] /= size
-                else:
-                    out[p, 0], out[p, 1], weights[p] = 0, 0, 0
+            if not usable:
+                fill(out, 0)
+                fill(weights, 0)

@@ -1,8 +1,6 @@
-"""Geometry of a training step, compiled, with its gradients.
+"""Geometry of a training step, differentiable: on the CPU compiled, elsewhere in tensor operations.
 
-What `models.optics.weak_perspective` says in many small tensor operations, forwards and backwards,
-is one call here; tests hold the two against each other. Arrays are torch's on the CPU; elsewhere
-the operations of `models.optics.weak_perspective` do the work.
+Compiled, a step is one call forwards and one backwards instead of many small operations.
 """
 
 from typing import Any
@@ -11,11 +9,11 @@ import torch
 from torch import Tensor
 
 from models.network import reprojection_gradients, reprojection_kernels
-from models.optics.weak_perspective import TINY, nearest_rotation, project, solve_cameras
+from models.network.reprojection_tensors import fill_tensors, reproject_tensors
 
 
 def reproject(
-    points: Tensor, turns: Tensor, keypoints: Tensor, weights: Tensor
+    points: Tensor, matrices: Tensor, keypoints: Tensor, weights: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Normalise structures, solve the cameras that see `keypoints`, and project.
 
@@ -23,8 +21,8 @@ def reproject(
     ----------
     points
         (N, P, 3) structures of any size and place.
-    turns
-        (N, K, 2, 3) matrices whose nearest rotations are the guesses of `solve_cameras`.
+    matrices
+        (N, K, 2, 3) matrices whose nearest rotations are the guesses of the camera solution.
     keypoints, weights
         (N, K, P, 2) and (N, K, P); they get no gradient.
 
@@ -35,55 +33,41 @@ def reproject(
         (N, K, P, 2); 0 in views without weight.
     """
     if points.device.type == "cpu":
-        points, projected = _Reprojection.apply(points, turns, keypoints, weights)  # type: ignore[no-untyped-call]
+        points, projected = _Reprojection.apply(points, matrices, keypoints, weights)  # type: ignore[no-untyped-call]
         return points, projected
-    return plain_reprojection(points, turns, keypoints, weights)
-
-
-def plain_reprojection(
-    points: Tensor, turns: Tensor, keypoints: Tensor, weights: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Do what `reproject` does in tensor operations, on any device."""
-    points = normalise(points)
-    guesses, _ = nearest_rotation(turns)
-    cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
-    return points, project(points[:, None], cameras)
+    return reproject_tensors(points, matrices, keypoints, weights)
 
 
 def fill(projected: Tensor, keypoints: Tensor, weights: Tensor) -> Tensor:
-    """Put reprojections (N, K, P, 2) where keypoints are hidden, and normalise the views anew."""
+    """Replace hidden keypoints by their reprojections, and normalise the views anew.
+
+    Takes projections (N, K, P, 2), keypoints (N, K, P, 2) and weights (N, K, P), of which a share
+    below 1 is filled; returns views (N, K, P, 2), centred, root-mean-square radius 1.
+    """
     if projected.device.type == "cpu":
         filled: Tensor = _Filling.apply(projected, keypoints, weights)  # type: ignore[no-untyped-call]
         return filled
-    seen = weights[..., None]
-    return normalise(seen * keypoints + (1 - seen) * projected)
-
-
-def normalise(points: Tensor) -> Tensor:
-    """Centre points (..., P, D) and bring them to root-mean-square radius 1."""
-    points = points - points.mean(-2, keepdim=True)
-    radius = points.square().sum(-1).mean(-1).clamp_min(TINY).sqrt()
-    return points / radius[..., None, None]
+    return fill_tensors(projected, keypoints, weights)
 
 
 class _Reprojection(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, points: Tensor, turns: Tensor, keypoints: Tensor, weights: Tensor
+        ctx: Any, points: Tensor, matrices: Tensor, keypoints: Tensor, weights: Tensor
     ) -> tuple[Tensor, Tensor]:
         # Other layouts would be compiled anew.
-        points, turns, keypoints, weights = (
-            part.contiguous() for part in (points, turns, keypoints, weights)
+        points, matrices, keypoints, weights = (
+            part.contiguous() for part in (points, matrices, keypoints, weights)
         )
         normal, projected = torch.empty_like(points), torch.empty_like(keypoints)
-        ctx.saved = (points, normal, turns, keypoints, weights)
+        ctx.saved = (points, normal, matrices, keypoints, weights)
         reprojection_kernels.reproject(*(part.detach().numpy() for part in (*ctx.saved, projected)))
         return normal, projected
 
     @staticmethod
     def backward(ctx: Any, by_points: Tensor, by_projected: Tensor) -> tuple[Tensor | None, ...]:
-        points, _, turns, _, _ = ctx.saved
-        gradients = torch.empty_like(points), torch.empty_like(turns)
+        points, _, matrices, _, _ = ctx.saved
+        gradients = torch.empty_like(points), torch.empty_like(matrices)
         given = (*ctx.saved, by_points.contiguous(), by_projected.contiguous(), *gradients)
         reprojection_gradients.reproject_back(*(part.detach().numpy() for part in given))
         return *gradients, None, None

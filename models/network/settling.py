@@ -1,25 +1,35 @@
-"""After the network: let the views of a frame settle its structure, and decide its handedness.
+"""After the network: least squares over the views of a frame settle its structure and handedness.
 
-Both rest on plain least squares, no learning. Weak perspective sees a structure and its mirror
-image alike, but a real camera makes near things larger. To first order in depth over distance,
+Nothing is learned here. Weak perspective sees a structure and its mirror image alike, but a real
+camera makes near things larger. To first order in depth over distance,
 
     w = s (R X)_xy (1 - k z) + t,    z = (R X)_z about its mean,
 
 with a foreshortening k > 0 that is the inverse of the distance in units of the structure. With the
 mirror image every z changes its sign, and so does the k that fits: its sign is the handedness.
+
+Settling solves for the cameras (`models.optics.weak_perspective`) and for the structure in turn,
+with the keypoints as they would be without foreshortening. Lifts settle frame by frame in
+`models.network.feed_forward`; fits settle many frames here. Both call `settling_kernels`.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.typing import NDArray
 
-from models.optics.weak_perspective import WeakPerspective, project, solve_cameras
+from models.network.settling_kernels import alternate_frames, project_frames, settle_frames
+from models.numerics.rotations import rotations_from_rows
+from models.numerics.threads import in_slices
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Floats = NDArray[Any]  # of 32 or 64 bits
 
 ROUNDS = 2  # a third lowers the error by some 2 % and costs a frame 0.3 ms
-STIFFNESS = 0.05  # pull to the network's structure, where one view seen head-on pulls with about 1
-DECISIVE = 0.8  # a frame leaves the handedness of the fit if its error falls below this share
+FRAMES = 64  # that a thread takes at a time
+LEAST_SLOPES = 1e-9  # sum of squares: less would divide by zero
 MIRROR = (1.0, 1.0, -1.0)  # through the x-y plane
 
 
@@ -39,18 +49,26 @@ def settle_beyond(misfit_limit: float) -> SettlingPolicy:
     return SettlingPolicy(every_frame=False, misfit_limit=misfit_limit)
 
 
+class FirstOrder(NamedTuple):
+    """Cameras of N frames of K views, and what they see: `projected + k slopes`."""
+
+    rotations: Float64  # (N, K, 3, 3); the guess in views without weight
+    projected: Float64  # (N, K, P, 2) by weak perspective; 0 in views without weight
+    slopes: Float64  # (N, K, P, 2) how projections move per unit of k
+
+
 def settle(
-    points: Tensor,
-    keypoints: Tensor,
-    weights: Tensor,
-    guesses: Tensor,
+    points: Floats,
+    keypoints: Float32,
+    weights: Float32,
+    guesses: Floats,
     foreshortening: float,
     *,
     rounds: int = ROUNDS,
-) -> tuple[Tensor, Tensor]:
-    """Refine the structures of frames and make them right-handed.
+) -> tuple[Float64, Float64]:
+    """Settle the structures of frames and make them right-handed.
 
-    A frame with one view is only moved along its image: depth stays the network's.
+    In a frame with one view, points move parallel to its image only: depth stays the network's.
 
     Parameters
     ----------
@@ -59,58 +77,73 @@ def settle(
     keypoints, weights
         (N, K, P, 2) normalised and (N, K, P), as the network got them.
     guesses
-        (N, K, 3, 3) rotations for `solve_cameras`.
+        (N, K, 2, 3) matrices whose nearest rotations are the guesses of the camera solution.
     foreshortening
         k of the fit, negative if the network's structures are mirror images; see
         `estimate_foreshortening`. A frame follows that sign unless the other explains its
-        keypoints decidedly better. A frame with one view follows it always.
+        keypoints decidedly better. A frame with one view follows it always. If k is 0, nothing is
+        settled.
     rounds
-        How often cameras and structure take turns; with more, the network has less of a say.
+        How often structures are solved for; with more, the network has less of a say.
 
     Returns
     -------
-    Structures (N, P, 3), centred and of root-mean-square radius 1, and their guesses.
+    tuple
+        Structures (N, P, 3), centred, root-mean-square radius 1, and guesses (N, K, 3, 3) that see
+        them.
     """
-    if foreshortening == 0:
-        return points, guesses
-    views = (weights.sum(-1) > 0).sum(1)  # (N,)
-    some, several = views > 0, views > 1
-    signs = torch.full_like(points[:, 0, 0], 1.0 if foreshortening > 0 else -1.0)  # (N,)
-    if some.any():
-        # Both hypotheses at once: the first half of the batch keeps the sign of the fit.
-        both = torch.cat((signs, -signs)) * abs(foreshortening)
-        refined, errors = _refine(
-            points.repeat(2, 1, 1),
-            keypoints.repeat(2, 1, 1, 1),
-            weights.repeat(2, 1, 1),
-            guesses.repeat(2, 1, 1, 1),
-            both,
-            rounds,
+    settled, rotations = np.array(points, np.float64), rotations_from_rows(guesses)
+    if foreshortening != 0:
+        in_slices(
+            len(settled),
+            FRAMES,
+            lambda part: settle_frames(
+                settled[part],
+                keypoints[part],
+                weights[part],
+                rotations[part],
+                foreshortening,
+                rounds,
+            ),
         )
-        kept, turned = refined.chunk(2)
-        error, error_turned = errors.chunk(2)
-        turn = several & (error_turned < DECISIVE * error)
-        refined = torch.where(turn[:, None, None], turned, kept)
-        points = torch.where(some[:, None, None], refined, points)
-        signs = torch.where(turn, -signs, signs)
-    mirror = torch.where((signs < 0)[:, None], points.new_tensor(MIRROR), 1.0)  # (N, 3)
-    points = points * mirror[:, None]
-    # (D R D)(D X) = D R X has the same x and y; D R D is a rotation again.
-    guesses = mirror[:, None, :, None] * guesses * mirror[:, None, None, :]
-    points = points - points.mean(-2, keepdim=True)
-    radius = points.square().sum(-1).mean(-1).clamp_min(1e-12).sqrt()
-    return points / radius[:, None, None], guesses
+    return settled, rotations
 
 
-def mirrored(points: Tensor, rotations: Tensor) -> tuple[Tensor, Tensor]:
-    """Turn structures (N, P, 3) into their mirror images, seen alike by rotations (N, K, 3, 3)."""
-    mirror = points.new_tensor(MIRROR)
-    # (D R D)(D X) = D R X has the same x and y; D R D is a rotation again.
-    return points * mirror, mirror[:, None] * rotations * mirror
+def first_order_cameras(
+    points: Floats,
+    keypoints: Float32,
+    weights: Float32,
+    guesses: Floats,
+    foreshortening: float,
+    *,
+    rounds: int = 1,
+) -> FirstOrder:
+    """Find the cameras that see structures (N, P, 3) with this foreshortening, to first order.
+
+    The other arguments are those of `settle`. Cameras and what is foreshortened are found in turn,
+    `rounds` times; the first round knows of no foreshortening.
+    """
+    shape = weights.shape
+    found = FirstOrder(np.empty((*shape[:2], 3, 3)), np.empty((*shape, 2)), np.empty((*shape, 2)))
+    rotations, structures = rotations_from_rows(guesses), np.array(points, np.float64)
+    in_slices(
+        len(points),
+        FRAMES,
+        lambda part: project_frames(
+            structures[part],
+            keypoints[part],
+            weights[part],
+            rotations[part],
+            foreshortening,
+            rounds,
+            *(array[part] for array in found),
+        ),
+    )
+    return found
 
 
 def estimate_foreshortening(
-    points: Tensor, keypoints: Tensor, weights: Tensor, guesses: Tensor, *, rounds: int = ROUNDS
+    points: Floats, keypoints: Float32, weights: Float32, guesses: Floats, *, rounds: int = ROUNDS
 ) -> float:
     """Return k of a whole fit, in the handedness that most of its frames have.
 
@@ -122,46 +155,23 @@ def estimate_foreshortening(
         return 0.0
     points, keypoints = points[several], keypoints[several]
     weights, guesses = weights[several], guesses[several]
-    k = torch.zeros_like(points[:, 0, 0])
+    k = np.zeros(len(points))
     for _ in range(rounds):
-        refined, _ = _refine(points, keypoints, weights, guesses, k, rounds)
-        cameras = solve_cameras(refined[:, None], keypoints, weights, guesses)
-        projected, nearer = first_order(refined, weights, cameras)
-        match = (weights[..., None] * (keypoints - projected) * nearer).sum((1, 2, 3))  # (N,)
-        square = (weights[..., None] * nearer.square()).sum((1, 2, 3)).sum().clamp_min(1e-9)
-        k = match.sign() * (match.abs().sum() / square)
-    return float(k.abs().max()) * (1.0 if k.sum() >= 0 else -1.0)
+        settled = np.array(points, np.float64)
+        alternate_frames(settled, keypoints, weights, rotations_from_rows(guesses), k, rounds)
+        _, projected, slopes = first_order_cameras(settled, keypoints, weights, guesses, 0.0)
+        weighted = weights[..., None] * slopes  # (N, K, P, 2)
+        match = (weighted * (keypoints - projected)).sum((1, 2, 3))  # (N,)
+        square = max((weighted * slopes).sum(), LEAST_SLOPES)
+        k = np.sign(match) * (np.abs(match).sum() / square)
+    return float(np.abs(k).max()) * (1.0 if k.sum() >= 0 else -1.0)
 
 
-def _refine(
-    points: Tensor, keypoints: Tensor, weights: Tensor, guesses: Tensor, k: Tensor, rounds: int
-) -> tuple[Tensor, Tensor]:
-    """Alternate cameras and structure; structures (N, P, 3) and squared-error roots (N,)."""
-    k = k[:, None, None, None]
-    stiffness = STIFFNESS * torch.eye(3, dtype=points.dtype)
-    target = keypoints
-    for _ in range(rounds):
-        cameras = solve_cameras(points[:, None], target, weights, guesses)
-        projected, nearer = first_order(points, weights, cameras)
-        target = keypoints - k * nearer  # what weak perspective would have shown
-        axes = cameras.scales[..., None, None] * cameras.rotations[..., :2, :]  # (N, K, 2, 3)
-        squares = (axes.mT @ axes).flatten(-2)  # (N, K, 9)
-        normal = (weights.mT @ squares).reshape(*points.shape, 3) + stiffness  # (N, P, 3, 3)
-        residual = weights[..., None] * (target - projected)  # (N, K, P, 2)
-        pull = (residual @ axes).sum(1)  # (N, P, 3)
-        points = points + torch.linalg.solve(normal, pull)
-    cameras = solve_cameras(points[:, None], target, weights, guesses)
-    projected, nearer = first_order(points, weights, cameras)
-    residual = keypoints - k * nearer - projected
-    return points, (weights[..., None] * residual.square()).sum((1, 2, 3)).sqrt()
+def mirrored(points: Floats, rotations: Floats) -> tuple[Floats, Floats]:
+    """Return the mirror images of structures (N, P, 3), and rotations (N, K, 3, 3) that see them.
 
-
-def first_order(points: Tensor, weights: Tensor, cameras: WeakPerspective) -> tuple[Tensor, Tensor]:
-    """Weak-perspective projections (N, K, P, 2) and how they move per unit of k."""
-    projected = project(points[:, None], cameras)
-    share = weights / weights.sum(-1, keepdim=True).clamp_min(1e-6)
-    z = (points[:, None] @ cameras.rotations[..., 2, :, None])[..., 0]  # (N, K, P)
-    z = z - (share * z).sum(-1, keepdim=True)
-    centre = (share[..., None] * projected).sum(-2, keepdim=True)
-    nearer = -z[..., None] * (projected - centre)
-    return projected, nearer - (share[..., None] * nearer).sum(-2, keepdim=True)
+    With D = diag(1, 1, -1), the rotation D R D sees D X where R sees X: (D R D)(D X) = D R X has
+    the same x and y.
+    """
+    mirror = np.array(MIRROR, points.dtype)
+    return points * mirror, mirror[:, None] * rotations * mirror

@@ -54,6 +54,23 @@ def inverse(a: Float64, out: Float64) -> None:
 
 
 @inner
+def inverse_symmetric(a: Float64, ridge: float, out: Float64) -> None:
+    """Invert a symmetric 3x3 matrix, with `ridge` added to its diagonal, by its cofactors.
+
+    Only the upper half of `a` is read.
+    """
+    xx, yy, zz = a[0, 0] + ridge, a[1, 1] + ridge, a[2, 2] + ridge
+    xy, xz, yz = a[0, 1], a[0, 2], a[1, 2]
+    x, y, z = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    scale = 1.0 / (xx * x + xy * y + xz * z)
+    out[0, 0], out[0, 1], out[0, 2] = scale * x, scale * y, scale * z
+    out[1, 1] = scale * (xx * zz - xz * xz)
+    out[1, 2] = scale * (xy * xz - xx * yz)
+    out[2, 2] = scale * (xx * yy - xy * xy)
+    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
+
+
+@inner
 def cholesky(a: Float64) -> bool:
     """Factorise a symmetric matrix in place, L of a = L L^T in its lower half; False if it fails.
 
@@ -92,7 +109,7 @@ def cholesky_solve(factor: Float64, x: Float64) -> None:
 
 @inner
 def identity(out: Float64) -> None:
-    """Write the 3x3 matrix of no turn."""
+    """Write the 3x3 identity matrix."""
     for i in range(3):
         for j in range(3):
             out[i, j] = 1.0 if i == j else 0.0

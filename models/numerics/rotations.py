@@ -5,6 +5,7 @@ caller gives; the others take NumPy arrays with any leading dimensions.
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,12 @@ from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import copy, identity
 
 Float64 = NDArray[np.float64]
+Floats = NDArray[Any]  # of 32 or 64 bits
 
 SWEEPS = 30  # of Jacobi rotations at most; four or five are the rule
-TINY = 1e-12
+TINY = 1e-12  # squared length of rows without a direction
+ZERO_LENGTH = 1e-6  # its root
+PARALLEL = 1e-9  # rows that span less than this share of their squared length count as parallel
 
 
 def rotations_from_vectors(vectors: Float64) -> Float64:
@@ -140,51 +144,88 @@ def rotation_from_vector_into(x: float, y: float, z: float, out: Float64) -> Non
     out[1, 2], out[2, 1] = versine * y * z - sine * x, versine * y * z + sine * x
 
 
-@inner
-def nearest_orthonormal_rows_into(m: Float64, out: Float64) -> None:
-    """Find the rotation whose first two rows are nearest to a 2x3 matrix.
+def rotations_from_rows(matrices: Floats) -> Float64:
+    """Rotations (..., 3, 3) whose first two rows are nearest to those of matrices (..., 2, 3)."""
+    flat = np.ascontiguousarray(matrices[..., :2, :]).reshape(-1, 2, 3)
+    out = np.empty((len(flat), 3, 3))
+    _rotations_from_rows(flat, out)
+    return out.reshape(*matrices.shape[:-2], 3, 3)
 
-    As `models.optics.weak_perspective.nearest_rotation`, in which the reasons are given.
+
+@compiled
+def _rotations_from_rows(matrices: Floats, out: Float64) -> None:
+    for n in range(len(matrices)):
+        nearest_orthonormal_rows_into(matrices[n], out[n])
+
+
+class SymmetricFactor(NamedTuple):
+    """The factor T of a 2x3 matrix M = T U, where U has orthonormal rows; see below."""
+
+    unique: bool  # False where the rows of M are parallel or zero: U then has no gradient
+    trace: float  # of T; 0 where U is not unique, like what follows
+    inverse_xx: float  # T^-1, which is symmetric
+    inverse_xy: float
+    inverse_yy: float
+
+
+@inner
+def nearest_orthonormal_rows_into(matrix: Floats, rotation: Float64) -> SymmetricFactor:
+    """Write the rotation (3, 3) whose first two rows are the orthonormal rows nearest to a matrix.
+
+    They are U of the polar decomposition M = T U (Higham, *Functions of Matrices*, ch. 8), where
+    T^2 = M M^T, and a symmetric 2x2 root is (T^2 + det T) / trace T. If the rows of M (2, 3) are
+    parallel or zero, many pairs of rows are equally near, and one of them is written. The third
+    row is the cross product of the two.
     """
-    x = out[0]
-    y = out[1]
-    copy(m[0], x)
-    a = _unit(x, x)
-    b = x[0] * m[1, 0] + x[1] * m[1, 1] + x[2] * m[1, 2]
-    for i in range(3):
-        y[i] = m[1, i] - b * x[i]
-    d = _unit(y, x)
-    again = x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
-    for i in range(3):
-        y[i] -= again * x[i]  # digits were lost if d << b
-    cosine, sine = a + d + 1e-9, b
-    stretch = math.sqrt(cosine * cosine + sine * sine)
-    cosine, sine = cosine / stretch, sine / stretch
-    for i in range(3):
-        x[i], y[i] = cosine * x[i] - sine * y[i], sine * x[i] + cosine * y[i]
-    out[2, 0] = x[1] * y[2] - x[2] * y[1]
-    out[2, 1] = x[2] * y[0] - x[0] * y[2]
-    out[2, 2] = x[0] * y[1] - x[1] * y[0]
+    a = matrix[0, 0] ** 2 + matrix[0, 1] ** 2 + matrix[0, 2] ** 2
+    b = matrix[0, 0] * matrix[1, 0] + matrix[0, 1] * matrix[1, 1] + matrix[0, 2] * matrix[1, 2]
+    c = matrix[1, 0] ** 2 + matrix[1, 1] ** 2 + matrix[1, 2] ** 2
+    x = matrix[0, 1] * matrix[1, 2] - matrix[0, 2] * matrix[1, 1]
+    y = matrix[0, 2] * matrix[1, 0] - matrix[0, 0] * matrix[1, 2]
+    z = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
+    det = math.sqrt(x * x + y * y + z * z)
+    if det <= PARALLEL * (a + c) or a + c <= TINY:
+        _nearest_to_parallel_rows_into(matrix, a, c, rotation)
+        return SymmetricFactor(False, 0.0, 0.0, 0.0, 0.0)
+    trace = math.sqrt(a + c + 2.0 * det)
+    scale = 1.0 / (trace * det)
+    inverse_xx, inverse_xy, inverse_yy = scale * (c + det), -scale * b, scale * (a + det)
+    for j in range(3):
+        rotation[0, j] = inverse_xx * matrix[0, j] + inverse_xy * matrix[1, j]
+        rotation[1, j] = inverse_xy * matrix[0, j] + inverse_yy * matrix[1, j]
+    rotation[2, 0], rotation[2, 1], rotation[2, 2] = x / det, y / det, z / det
+    return SymmetricFactor(True, trace, inverse_xx, inverse_xy, inverse_yy)
 
 
 @inner
-def _unit(vector: Float64, away_from: Float64) -> float:
-    """Normalise and return the length; a zero turns away from a unit vector, with length 0."""
-    squared = vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2
-    if squared > TINY:
-        length = math.sqrt(squared)
-        for i in range(3):
-            vector[i] /= length
-        return length
-    axis = 0
-    for i in range(3):
-        if abs(away_from[i]) < abs(away_from[axis]):
-            axis = i
-    along = away_from[axis]
-    total = 0.0
-    for i in range(3):
-        vector[i] = (1.0 if i == axis else 0.0) - along * away_from[i]
-        total += vector[i] ** 2
-    for i in range(3):
-        vector[i] /= math.sqrt(total)
-    return 0.0
+def _nearest_to_parallel_rows_into(matrix: Floats, a: float, c: float, rotation: Float64) -> None:
+    """Write a nearest rotation for rows that are parallel, of squared lengths a and c, or zero.
+
+    M = (cos, sin)^T length v^T has the nearest rows (cos, sin)^T v^T + (-sin, cos)^T w^T, for any
+    w at right angles to v.
+    """
+    length = math.sqrt(a + c)
+    if length <= ZERO_LENGTH:
+        identity(rotation)
+        return
+    longer = 0 if a >= c else 1
+    size = math.sqrt(max(a, c))
+    x, y, z = matrix[longer, 0] / size, matrix[longer, 1] / size, matrix[longer, 2] / size  # v
+    cos = matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z
+    sin = matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z
+    cos, sin = cos / length, sin / length
+    # w: the cross product of v with the axis that v is farthest from.
+    if abs(x) <= min(abs(y), abs(z)):
+        p, q, r = 0.0, -z, y
+    elif abs(y) <= abs(z):
+        p, q, r = z, 0.0, -x
+    else:
+        p, q, r = -y, x, 0.0
+    size = math.sqrt(p * p + q * q + r * r)
+    p, q, r = p / size, q / size, r / size
+    for j, (along, across) in enumerate(((x, p), (y, q), (z, r))):
+        rotation[0, j] = cos * along - sin * across
+        rotation[1, j] = sin * along + cos * across
+    for j in range(3):
+        k, m = (j + 1) % 3, (j + 2) % 3
+        rotation[2, j] = rotation[0, k] * rotation[1, m] - rotation[0, m] * rotation[1, k]

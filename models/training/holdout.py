@@ -3,11 +3,9 @@
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from models.network.priors.prior import Prior
-from models.network.settling import first_order
-from models.optics.weak_perspective import nearest_rotation, solve_cameras
+from models.network.settling import first_order_cameras
 from models.training.batches import Data
 
 HELD_OUT_SHARE = 0.05  # of the frames
@@ -44,17 +42,20 @@ class Holdout:
         """Reprojection error in the hidden views as a share of their size, mean over frames.
 
         Structures are those that the network makes of the other views; a camera for the hidden one
-        is found as `models.optics.weak_perspective.solve_cameras` does, with this foreshortening,
-        to first order.
+        is found from what it shows, with this foreshortening, to first order.
         """
         keypoints, weights = self._data.keypoints, self._data.weights
         points, _, matrices = network.reproject(keypoints, self._shown)
-        guesses, _ = nearest_rotation(matrices)
-        target: Tensor = keypoints
-        for _ in range(ROUNDS):
-            cameras = solve_cameras(points[:, None], target, weights, guesses)
-            projected, nearer = first_order(points, weights, cameras)
-            target = keypoints - foreshortening * nearer
-        squared = (target - projected).square().sum(-1)
-        norms = ((weights * squared).sum(-1) / weights.sum(-1).clamp_min(1e-6)).sqrt()
-        return float(norms.gather(1, self._hidden[:, None]).mean())
+        shares = weights.numpy()
+        cameras = first_order_cameras(
+            points.numpy(),
+            keypoints.numpy(),
+            shares,
+            matrices.numpy(),
+            foreshortening,
+            rounds=ROUNDS,
+        )
+        off = keypoints.numpy() - cameras.projected - foreshortening * cameras.slopes
+        squared = (shares * np.square(off).sum(-1)).sum(-1) / np.maximum(shares.sum(-1), 1e-6)
+        hidden = np.take_along_axis(np.sqrt(squared), self._hidden[:, None].numpy(), 1)
+        return float(hidden.mean())

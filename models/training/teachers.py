@@ -8,16 +8,22 @@ capture. No 3D enters from outside: teachers are a function of the keypoints and
 weights.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from models.network.priors.prior import Prior
-from models.network.settling import estimate_foreshortening, first_order, mirrored, settle
+from models.network.settling import (
+    estimate_foreshortening,
+    first_order_cameras,
+    mirrored,
+    settle,
+)
 from models.numerics.rotations import rotations_from_vectors
-from models.optics.weak_perspective import solve_cameras
 
 MOST_TEACHERS = 2000  # others are drawn at the next refresh
 MOST_NUMBERS = 12_000_000  # in the widest layer for all teachers together: memory
@@ -53,36 +59,45 @@ def find_teachers(
     count = len(weights)
     keypoints, weights = keypoints[frames], weights[frames]
 
-    points, _, guesses = network(keypoints, weights)
-    some = (part[FORESHORTENING_TEACHERS] for part in (points, keypoints, weights, guesses))
+    points, _, matrices = network.reproject(keypoints, weights)
+    arrays = points.numpy(), keypoints.numpy(), weights.numpy(), matrices.numpy()
+    some = (part[FORESHORTENING_TEACHERS] for part in arrays)
     foreshortening = estimate_foreshortening(*some, rounds=ROUNDS)
-    early = settle(points, keypoints, weights, guesses, foreshortening)
-    points, guesses = settle(points, keypoints, weights, guesses, foreshortening, rounds=ROUNDS)
+    early = settle(*arrays, foreshortening)
+    late = settle(*arrays, foreshortening, rounds=ROUNDS)
     # Two views have hardly more equations than unknowns: more rounds would settle on their noise.
-    pair = (weights.sum(-1) > 0).sum(1) == 2
-    points = torch.where(pair[:, None, None], early[0], points)
-    guesses = torch.where(pair[:, None, None, None], early[1], guesses)
+    _, views, shown, _ = arrays  # (T, K, P, 2), (T, K, P)
+    pair = ((shown.sum(-1) > 0).sum(1) == 2)[:, None, None]
+    structures = np.where(pair, early[0], late[0])  # (T, P, 3)
+    guesses = np.where(pair[..., None], early[1], late[1])  # (T, K, 3, 3)
     if foreshortening < 0:
         # Back to the handedness that the network is used to; the fit decides it at its end.
-        points, guesses = mirrored(points, guesses)
+        structures, guesses = mirrored(structures, guesses)
 
-    cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
-    observed = (weights.sum(-1) > 0).to(weights.dtype)  # (T, K)
-    projected, nearer = first_order(points, weights, cameras)
-    squared = (keypoints - projected - foreshortening * nearer).square().sum(-1)  # (T, K, P)
-    noise = _noise(squared, weights, observed)
-    return as_teachers(points, cameras.rotations, observed, frames, count, foreshortening, noise)
+    cameras = first_order_cameras(structures, views, shown, guesses, foreshortening)
+    noise = _noise(views - cameras.projected - foreshortening * cameras.slopes, shown)
+    return as_teachers(
+        torch.from_numpy(structures).float(),
+        torch.from_numpy(cameras.rotations).float(),
+        (weights.sum(-1) > 0).to(weights.dtype),
+        frames,
+        count,
+        foreshortening,
+        noise,
+    )
 
 
-def _noise(squared: Tensor, weights: Tensor, observed: Tensor) -> float:
-    """Return the noise of a coordinate from squared errors (T, K, P): over degrees of freedom.
+def _noise(residuals: NDArray[np.float64], weights: NDArray[np.float32]) -> float:
+    """Return the noise of a coordinate from residuals (T, K, P, 2): over degrees of freedom.
 
     A structure has 3 P unknowns and a view's camera 6, less the 7 of a similarity.
     """
     shown = weights > 0  # (T, K, P)
-    unknown = 3 * shown.any(1).sum(-1) + 6 * observed.sum(1) - 7
-    freedom = (2 * shown.sum((1, 2)) - unknown).clamp_min(0).sum()
-    return float(((weights * squared).sum() / freedom.clamp_min(1)).sqrt()) if freedom else 0.0
+    unknowns = 3 * shown.any(1).sum(-1) + 6 * shown.any(-1).sum(1) - 7
+    freedom = np.maximum(2 * shown.sum((1, 2)) - unknowns, 0).sum()
+    if freedom == 0:
+        return 0.0
+    return math.sqrt((weights * np.square(residuals).sum(-1)).sum() / freedom)
 
 
 def draw_frames(weights: Tensor, *, most: int, width: int, seed: list[int]) -> Tensor:
@@ -163,7 +178,7 @@ def perspective_teachers(
     rotations = torch.from_numpy(past).to(rotations.dtype) @ rotations
     points = points / radius[:, None, None]
     if reflected:
-        points, rotations = mirrored(points, rotations)
+        points, rotations = map(torch.from_numpy, mirrored(points.numpy(), rotations.numpy()))
         foreshortening = -foreshortening  # depths change their sign
     return as_teachers(
         points.float(), rotations.float(), weights.float(), frames, count, foreshortening, noise

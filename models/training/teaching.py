@@ -105,8 +105,10 @@ class Teaching:
         every = slice(None, None, math.ceil(len(self._data.keypoints) / HANDEDNESS_FRAMES))
         keypoints, weights = self._data.keypoints[every], self._data.weights[every]
         with torch.inference_mode():
-            seen = self._network(keypoints, weights)
-            foreshortening = estimate_foreshortening(seen.points, keypoints, weights, seen.guesses)
+            points, _, matrices = self._network.reproject(keypoints, weights)
+        foreshortening = estimate_foreshortening(
+            points.numpy(), keypoints.numpy(), weights.numpy(), matrices.numpy()
+        )
         if self_calibration is not None:
             foreshortening = abs(foreshortening) * (-1 if self.state.mirrored else 1)
         return FittedPrior(

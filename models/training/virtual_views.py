@@ -10,6 +10,7 @@ from torch import Tensor
 
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import product, total
+from models.numerics.normalisation import normalise_view_into
 from models.numerics.rotations import rotation_from_vector_into
 from models.training.teachers import Teachers
 
@@ -18,7 +19,8 @@ Floats = NDArray[Any]  # of 32 or 64 bits
 NEAREST = 0.2  # of the distance to the teacher's centre: no camera stands nearer to a keypoint
 TILT = 0.1  # radians, standard deviation by which virtual cameras tilt and roll
 DROPPING_SHARE = 0.5  # share of the frames that lose some of their views
-LEAST = 1e-6  # weight, and squared size, that is divided by at least
+LEAST_WEIGHT = 1e-6  # of a view: less would divide by zero
+LEAST_SIZE = 1e-3  # of a view, in units of the teacher, whose radius is 1
 
 
 class VirtualViews(NamedTuple):
@@ -136,8 +138,7 @@ def _draw_views(
         out.points[n] = points
         for k in range(views):
             shown, image = out.weights[n, k], out.keypoints[n, k]  # (P,), (P, 2)
-            whole = total(shown)
-            if whole <= 0.0:
+            if total(shown) <= 0.0:
                 image[:] = 0
                 continue
             # A camera that saw the teacher, walked round it: elevation and roll stay.
@@ -148,7 +149,6 @@ def _draw_views(
             rotation_from_vector_into(TILT * tilt[0], TILT * tilt[1], TILT * tilt[2], by_tilt)
             product(teachers.rotations[teacher, camera], by_azimuth, walked)
             product(by_tilt, walked, r)
-            u = v = 0.0  # weighted sums
             for p in range(count):
                 x, y, z = points[p, 0], points[p, 1], points[p, 2]
                 # At unit scale a camera's distance is 1 / k: near things are larger.
@@ -158,9 +158,7 @@ def _draw_views(
                 image[p, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z) / near
                 image[p, 0] += noise * tilt[3 + 2 * p]
                 image[p, 1] += noise * tilt[4 + 2 * p]
-                u += shown[p] * image[p, 0]
-                v += shown[p] * image[p, 1]
-            _normalise(image, shown, max(whole, LEAST), u, v)
+            normalise_view_into(image, shown, LEAST_WEIGHT, LEAST_SIZE, image)
 
 
 @inner
@@ -173,17 +171,3 @@ def _nth_camera(observed: Floats, uniform: float) -> int:
                 return k
             left -= 1
     return 0  # never reached: a teacher was seen by two views or more
-
-
-@inner
-def _normalise(image: Floats, weights: Floats, whole: float, u: float, v: float) -> None:
-    """Bring a view (P, 2) with weighted sums u, v to place and size as `as_observations` does."""
-    squares = 0.0
-    for p in range(len(image)):
-        image[p, 0] -= u / whole
-        image[p, 1] -= v / whole
-        squares += weights[p] * (float(image[p, 0]) ** 2 + float(image[p, 1]) ** 2)
-    size = math.sqrt(max(squares / whole, LEAST))
-    for p in range(len(image)):
-        for d in range(2):
-            image[p, d] = image[p, d] / size if weights[p] > 0 else 0.0

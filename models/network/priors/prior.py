@@ -12,22 +12,13 @@ A new prior is a file beside this one with a subclass of `Prior` and a tuple of 
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, Protocol
 
 import torch
 from torch import Tensor, nn
 
 from models.network.reprojection import fill, reproject
 from models.numerics.tensor_files import Arrays
-from models.optics.weak_perspective import WeakPerspective, nearest_rotation, solve_cameras
-
-
-class Reconstruction(NamedTuple):
-    """What the prior sees in N frames of K views."""
-
-    points: Tensor  # (N, P, 3) canonical structure, centred, root-mean-square radius 1
-    cameras: WeakPerspective  # (N, K)
-    guesses: Tensor  # (N, K, 3, 3) the rotations that the encoder factored out
 
 
 class Weights(Protocol):
@@ -90,21 +81,14 @@ class Prior(nn.Module, ABC):
                 fan_in = parameter.shape[1 if name.endswith("weight") else 0]
                 nn.init.normal_(parameter, std=fan_in**-0.5, generator=generator)
 
-    def forward(self, keypoints: Tensor, weights: Tensor) -> Reconstruction:
-        """Reconstruct frames from normalised keypoints (N, K, P, 2) with weights (N, K, P)."""
-        points, _, matrices = self.reproject(keypoints, weights)
-        guesses, _ = nearest_rotation(matrices)
-        cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
-        return Reconstruction(points, cameras, guesses)
-
     def reproject(self, keypoints: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Reconstruct frames as `forward` does, as far as training needs it.
+        """Reconstruct frames from normalised keypoints (N, K, P, 2) with weights (N, K, P).
 
         Returns
         -------
         tuple
             Structures (N, P, 3), their projections (N, K, P, 2), and matrices (N, K, 2, 3) whose
-            nearest rotations are the guesses.
+            nearest rotations are first guesses of the cameras'.
         """
         votes = weights.sum(-1)  # (N, K)
         there = votes > 0

@@ -1,15 +1,17 @@
-"""The compiled network against the one that is trained, and against settling in plain tensors."""
+"""The compiled network against the one that is trained."""
+
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from models.capture.observations import Observations, as_observations
 from models.network.answers import Answers, make_answers
 from models.network.feed_forward import feed_forward
 from models.network.priors.hierarchical import HierarchicalPrior
+from models.network.reprojection_tensors import project, solve_cameras
 from models.network.settling import (
     SETTLE_ALL,
     SETTLE_NONE,
@@ -18,9 +20,10 @@ from models.network.settling import (
     settle,
     settle_beyond,
 )
-from models.optics.weak_perspective import project, solve_cameras
+from models.numerics.rotations import rotations_from_rows
 
 Float32 = NDArray[np.float32]
+Floats = NDArray[Any]  # of 32 or 64 bits
 
 SIZES = [(9,), (16, 8), (24, 12, 5)]
 
@@ -58,16 +61,25 @@ def answers_of(
     return answers
 
 
-def expected(
-    points: Tensor, guesses: Tensor, seen: Observations
-) -> tuple[Float32, Float32, Float32]:
-    """Structures, rotations and reprojection errors in pixels of tensors; NaN for no answer."""
+def trained(
+    network: HierarchicalPrior, seen: Observations
+) -> tuple[Floats, Float32, Float32, Floats]:
+    """Return what the network in torch makes of frames, as `settle` takes it."""
     keypoints, weights = torch.from_numpy(seen.keypoints), torch.from_numpy(seen.weights)
-    cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
-    distances = (project(points[:, None], cameras) - keypoints).norm(dim=-1) * (weights > 0)
+    points, _, matrices = network.reproject(keypoints, weights)
+    return points.numpy(), seen.keypoints, seen.weights, matrices.numpy()
+
+
+def expected(points: Floats, guesses: Floats, seen: Observations) -> tuple[Floats, Floats, Floats]:
+    """Structures, rotations and reprojection errors in pixels of tensors; NaN for no answer."""
+    keypoints = torch.from_numpy(seen.keypoints).double()
+    weights = torch.from_numpy(seen.weights).double()
+    structure = torch.from_numpy(points)[:, None].double()
+    cameras = solve_cameras(structure, keypoints, weights, torch.from_numpy(guesses).double())
+    distances = (project(structure, cameras) - keypoints).norm(dim=-1) * (weights > 0)
     errors = distances.sum(-1).numpy() / np.maximum((seen.weights > 0).sum(-1), 1) * seen.sizes
     rotations = cameras.rotations.numpy().copy()
-    structures = points.numpy().copy()
+    structures = points.copy()
     structures[~seen.usable.any(1)] = np.nan
     rotations[~seen.usable] = errors[~seen.usable] = np.nan
     return structures, rotations, errors
@@ -77,12 +89,13 @@ def expected(
 @pytest.mark.parametrize("gaps", [False, True])
 def test_it_computes_what_was_trained(sizes: tuple[int, ...], *, gaps: bool) -> None:
     network, seen = network_of(sizes, 11), seen_of(40, 3, 11, gaps=gaps)
-    plain = network(torch.from_numpy(seen.keypoints), torch.from_numpy(seen.weights))
+    points, _, _, matrices = trained(network, seen)
+    rotations_of_network = rotations_from_rows(matrices)
     for sign in (1.0, -1.0):  # the network's structures may be mirror images
-        points, guesses = plain.points, plain.guesses
+        shown = points, rotations_of_network
         if sign < 0:
-            points, guesses = mirrored(points, guesses)
-        structures, rotations, errors = expected(points, guesses, seen)
+            shown = mirrored(*shown)
+        structures, rotations, errors = expected(*shown, seen)
         found = answers_of(network, seen, sign * 0.1, SETTLE_NONE)
         np.testing.assert_allclose(found.points3d, structures, atol=2e-4)
         np.testing.assert_allclose(found.rotations, rotations, atol=2e-3)
@@ -93,11 +106,9 @@ def test_it_computes_what_was_trained(sizes: tuple[int, ...], *, gaps: bool) -> 
 
 
 @pytest.mark.parametrize("foreshortening", [0.0, 0.15, -0.15])
-def test_settling_is_that_of_tensors(foreshortening: float) -> None:
+def test_frames_are_settled_as_batches_are(foreshortening: float) -> None:
     network, seen = network_of((16, 8), 11), seen_of(60, 3, 11, gaps=True)
-    keypoints, weights = torch.from_numpy(seen.keypoints), torch.from_numpy(seen.weights)
-    plain = network(keypoints, weights)
-    points, guesses = settle(plain.points, keypoints, weights, plain.guesses, foreshortening)
+    points, guesses = settle(*trained(network, seen), foreshortening)
     structures, _, errors = expected(points, guesses, seen)
     found = answers_of(network, seen, foreshortening, SETTLE_ALL)
     np.testing.assert_allclose(found.points3d, structures, atol=2e-3)
