@@ -1,7 +1,7 @@
 """How true the structures are, on any capture with a ground truth: the paper's tables and more.
 
     python benchmarks/fidelity.py [CAPTURE.npz] [--full] [--seeds 0 1 2] [--only views noise ...]
-                                  [--image-size WxH] [--json FILE] [--output DIR]
+                                  [--image-size WxH] [--prior NAME] [--json FILE] [--output DIR]
 
 README.md says what each case measures. The truth takes no part in any fit.
 """
@@ -20,6 +20,7 @@ from benchmarks.cases import CASES, PCK_MM, Bench
 from benchmarks.report import TRNG, Report, draw, markdown
 from benchmarks.rig import find_rig
 from models.settings.config import FitConfig
+from models.settings.priors import PRIORS
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "examples"))  # where `capture` lies
@@ -64,6 +65,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--unit", choices=list(MILLIMETRES), default="m", help="of points3d")
     parser.add_argument("--image-size", type=_size, help="WxH of every view, if the file has none")
     parser.add_argument("--steps", type=int, default=None, help="of a fit; fewer for a try")
+    parser.add_argument("--prior", choices=list(PRIORS), default="hierarchical", help="to fit")
     parser.add_argument("--json", type=Path, help="write the results to this file")
     parser.add_argument("--output", type=Path, help="folder for plots, tables and fidelity.json")
     return parser.parse_args()
@@ -93,13 +95,15 @@ def prepare(arguments: argparse.Namespace) -> Bench:
     else:
         off = ", ".join(f"{residual:.2f}" for residual in rig.residuals)
         print(say + f"cameras for {TRNG} found from the truth, median residual {off} px")
-    changes = {} if arguments.steps is None else {"steps": arguments.steps}
+    changes = {"prior": arguments.prior}
+    if arguments.steps is not None:
+        changes["steps"] = arguments.steps
     return Bench(
         keypoints=capture.keypoints,
         given_confidence=capture.confidence,
         truth=capture.points3d,
         sizes=sizes,
-        config=FitConfig(**changes),
+        config=FitConfig.model_validate(changes),
         metre=1000 / MILLIMETRES[arguments.unit],
         pair=tuple(arguments.pair),
         full=arguments.full,

@@ -1,5 +1,8 @@
 """What every prior in the registry keeps to, whatever it computes."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -167,6 +170,22 @@ def test_it_travels_as_bytes(config: FitConfig) -> None:
     assert read.keypoints_per_frame == KEYPOINTS
     keypoints = np.random.default_rng(0).normal(500, 80, (4, 2, KEYPOINTS, 2))
     np.testing.assert_array_equal(read.lift(keypoints).points3d, prior.lift(keypoints).points3d)
+
+
+@every_prior
+def test_its_machine_code_is_kept_for_other_processes(config: FitConfig) -> None:
+    code = """
+import sys
+import numpy as np
+from models.lifting.fitted_prior import FittedPrior
+from models.network.feed_forward import feed_forward
+FittedPrior.from_bytes(sys.stdin.buffer.read()).lift(np.random.rand(1, 2, 11, 2))
+stats = feed_forward.stats
+assert stats.cache_hits and not stats.cache_misses, stats
+"""
+    prior = FittedPrior(config, weights_of(drawn(config)), (), 0.1)
+    prior.lift(np.random.default_rng(0).random((1, 2, KEYPOINTS, 2)))
+    subprocess.run([sys.executable, "-c", code], input=prior.to_bytes(), check=True)
 
 
 @every_prior
