@@ -7,6 +7,7 @@ from typing import Any
 
 from sqlalchemy import delete as sql_delete
 from sqlalchemy import func, select, update
+from sqlalchemy.orm import Session
 
 from store import jobs
 from store.capture import Capture, concatenate, extend_checksum
@@ -109,27 +110,11 @@ def append(
                     f"expected at most {max_frames} frames in a dataset, it has {dataset.frames} "
                     f"and {capture.frames} more came; start a new dataset",
                 )
-            checksum = extend_checksum(dataset.checksum, capture)  # too slow for a transaction
+            columns = _with(dataset, capture)  # too slow for a transaction
             with store.writing() as session:
                 if replayed(session, idempotency) is not None:
                     break
-                appended = bool(
-                    session.execute(
-                        update(Dataset)
-                        .where(Dataset.id == dataset_id, Dataset.checksum == dataset.checksum)
-                        .values(
-                            frames=dataset.frames + capture.frames,
-                            observed=[
-                                sum(counts)
-                                for counts in zip(dataset.observed, capture.observed(), strict=True)
-                            ],
-                            confidence=dataset.confidence or capture.confidence is not None,
-                            ground_truth=dataset.ground_truth or capture.points3d is not None,
-                            checksum=checksum,
-                        )
-                        .returning(Dataset.id)
-                    ).first()
-                )
+                appended = _extend(session, dataset, columns)
                 if appended:
                     session.add(
                         Chunk(
@@ -144,6 +129,29 @@ def append(
         if not appended:
             store.objects.delete(key)
     return get(store, Dataset, dataset_id)
+
+
+def _with(dataset: Dataset, capture: Capture) -> dict[str, Any]:
+    """Return the columns of a dataset that a capture's frames are added to."""
+    observed = zip(dataset.observed, capture.observed(), strict=True)
+    return {
+        "frames": dataset.frames + capture.frames,
+        "observed": [sum(counts) for counts in observed],
+        "confidence": dataset.confidence or capture.confidence is not None,
+        "ground_truth": dataset.ground_truth or capture.points3d is not None,
+        "checksum": extend_checksum(dataset.checksum, capture),
+    }
+
+
+def _extend(session: Session, dataset: Dataset, columns: dict[str, Any]) -> bool:
+    """Write the columns, unless somebody else has added frames since the dataset was read."""
+    written = session.execute(
+        update(Dataset)
+        .where(Dataset.id == dataset.id, Dataset.checksum == dataset.checksum)
+        .values(**columns)
+        .returning(Dataset.id)
+    )
+    return written.first() is not None
 
 
 def load(store: Store, dataset_id: str, *, frames: int | None = None) -> Capture:

@@ -62,8 +62,7 @@ def create(
         dataset = lock(session, Dataset, dataset_id)
         model = lock(session, Model, model_id)
         _check(views, dataset, model)
-        size = max(1, min(chunk_frames, CHUNK_NUMBERS // (dataset.views * dataset.keypoints)))
-        starts = range(0, dataset.frames, size)
+        chunks = _cut(lift_id, dataset, chunk_frames)
         lift = LiftJob(
             id=lift_id,
             name=name,
@@ -72,25 +71,31 @@ def create(
             frames=dataset.frames,
             refine=refine,
             views=views,
-            chunks=len(starts),
+            chunks=len(chunks),
             job_id=job_id or lift_id,
         )
         session.add(lift)
         session.flush()
-        session.add_all(
-            LiftChunk(
-                lift_id=lift_id,
-                first_frame=start,
-                frames=min(size, dataset.frames - start),
-                crashes=0,
-            )
-            for start in starts
-        )
+        session.add_all(chunks)
         return lift
 
     return jobs.create(
         store, LiftJob, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
     )
+
+
+def _cut(lift_id: str, dataset: Dataset, chunk_frames: int) -> list[LiftChunk]:
+    """Cut a dataset's frames into chunks; fewer frames a chunk where each has many numbers."""
+    size = max(1, min(chunk_frames, CHUNK_NUMBERS // (dataset.views * dataset.keypoints)))
+    return [
+        LiftChunk(
+            lift_id=lift_id,
+            first_frame=start,
+            frames=min(size, dataset.frames - start),
+            crashes=0,
+        )
+        for start in range(0, dataset.frames, size)
+    ]
 
 
 def _check(views: list[int] | None, dataset: Dataset, model: Model) -> None:

@@ -43,8 +43,8 @@ def run_attempt(
 ) -> None:
     """Run a claimed fit until it succeeds, fails, is cancelled, or this process must leave.
 
-    The outcome is in the fit's record. Whatever else ends the attempt is recorded as a failure and
-    raised again, RQ's own timeout included.
+    The outcome is in the fit's record; :func:`worker.outcomes.recorded` says what errors lead to.
+    A fault of ours, and RQ's own timeout, fail the fit and are raised again.
     """
     torch.set_num_threads(settings.fit_threads)
     use_cores(len(os.sched_getaffinity(0)))  # which changes no digit, and is over soon
@@ -98,31 +98,37 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
             next_checkpoint = now + max(settings.checkpoint_seconds, CHECKPOINT_SHARE * took)
 
     prior = trainer.result()
+    lift = _reconstruct(prior, capture, stopped)
+    if lift is not None:
+        attempts.succeed(
+            store,
+            attempt,
+            weights=prior.to_bytes(),
+            reconstruction=save(lift.arrays),
+            progress=heartbeat.progress,
+            describe={
+                "dataset_id": fit.dataset_id,
+                "views": capture.keypoints.shape[1],
+                "keypoints": capture.keypoints.shape[2],
+                "frames": capture.frames,
+                "config": fit.config,
+                "skeleton": dataset.skeleton,
+                "training_curve": [_finite(point._asdict()) for point in prior.curve],
+                "metrics": _finite(evaluate(prior, lift, capture)),
+            },
+        )
+
+
+def _reconstruct(prior: FittedPrior, capture: Capture, stopped: Callable[[], bool]) -> Lift | None:
+    """Lift every frame of the fitted capture; None if the attempt has to end before."""
     lifts = []
     for start in range(0, capture.frames, LIFT_FRAMES):
         if stopped():
-            return
+            return None
         part = slice(start, start + LIFT_FRAMES)
         confidence = None if capture.confidence is None else capture.confidence[part]
         lifts.append(prior.lift(capture.keypoints[part], confidence=confidence))
-    lift = join(lifts)
-    attempts.succeed(
-        store,
-        attempt,
-        weights=prior.to_bytes(),
-        reconstruction=save(lift.arrays),
-        progress=heartbeat.progress,
-        describe={
-            "dataset_id": fit.dataset_id,
-            "views": capture.keypoints.shape[1],
-            "keypoints": capture.keypoints.shape[2],
-            "frames": capture.frames,
-            "config": fit.config,
-            "skeleton": dataset.skeleton,
-            "training_curve": [_finite(point._asdict()) for point in prior.curve],
-            "metrics": _finite(evaluate(prior, lift, capture)),
-        },
-    )
+    return join(lifts)
 
 
 def _device(settings: WorkerSettings, capture: Capture, config: FitConfig) -> str:

@@ -31,7 +31,8 @@ def do_chunks(
 ) -> None:
     """Do a claimed chunk and then others, until none is left or this process must leave.
 
-    What comes of it is in the records. An error costs its chunk a try, and is raised again.
+    What comes of it is in the records; :func:`worker.outcomes.recorded` says what errors lead to.
+    A fault of ours costs its chunk a try, and is raised again.
     """
     torch.set_num_threads(settings.fit_threads)
     chunk: LiftChunk | None = first

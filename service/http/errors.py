@@ -1,7 +1,7 @@
 """Every error as RFC 9457 problem details."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -177,78 +177,84 @@ def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
 
 def install(app: FastAPI) -> None:
     """Have every error of ``app`` leave as problem details."""
+    for kind, to_api_error in TRANSLATIONS.items():
+        app.add_exception_handler(kind, _handler(to_api_error))
 
-    @app.exception_handler(ApiError)
-    async def on_api_error(_request: Request, error: ApiError) -> Response:
-        return error.response()
 
-    @app.exception_handler(RequestValidationError)
-    async def on_validation_error(_request: Request, error: RequestValidationError) -> Response:
-        return from_validation(error).response()
+def _handler(to_api_error: Callable[[Any], ApiError]) -> Callable[[Request, Any], Any]:
+    async def handle(request: Request, error: Any) -> Response:
+        if isinstance(error, HTTPException):
+            error = _with_place(request, error)
+        return to_api_error(error).response()
 
-    @app.exception_handler(NotFoundError)
-    async def on_not_found(_request: Request, error: NotFoundError) -> Response:
-        return ApiError("not_found", str(error)).response()
+    return handle
 
-    @app.exception_handler(ConflictError)
-    async def on_conflict(_request: Request, error: ConflictError) -> Response:
-        return ApiError("conflict", str(error)).response()
 
-    @app.exception_handler(CaptureError)
-    @app.exception_handler(LiftError)
-    @app.exception_handler(SourceError)
-    async def on_input_error(_request: Request, error: InputError) -> Response:
-        return invalid(f"/{error.field}", str(error)).response()
+def _with_place(request: Request, error: HTTPException) -> HTTPException:
+    """Return Starlette's own error, which says no more than its status, with what was asked."""
+    if error.detail != HTTPStatus(error.status_code).phrase:
+        return error
+    detail = f"{error.detail}: {request.method} {request.url.path}"
+    return HTTPException(error.status_code, detail, error.headers)
 
-    @app.exception_handler(ConfigError)
-    async def on_config_error(_request: Request, error: ConfigError) -> Response:
-        return invalid(f"/config/{error.field}", str(error)).response()
 
-    @app.exception_handler(KeyReusedError)
-    async def on_key_reused(_request: Request, error: KeyReusedError) -> Response:
-        return ApiError("idempotency_key_reused", str(error)).response()
+def _of_http(error: HTTPException) -> ApiError:
+    # Of several codes of a status, the first is what is raised in this form.
+    codes = {status: code for code, (status, _) in reversed(PROBLEMS.items())}
+    code = codes.get(error.status_code, "malformed_body")
+    return ApiError(code, str(error.detail), headers=dict(error.headers or {}))
 
-    @app.exception_handler(QueueFullError)
-    async def on_queue_full(_request: Request, error: QueueFullError) -> Response:
-        return ApiError(
-            f"too_many_{error.kind}s",
-            f"{error} Try again when some have run.",
-            headers={"Retry-After": "60"},
-        ).response()
 
-    @app.exception_handler(HTTPException)
-    async def on_http_error(request: Request, error: HTTPException) -> Response:
-        detail = str(error.detail)
-        if detail == HTTPStatus(error.status_code).phrase:  # Starlette's own say no more
-            detail = f"{detail}: {request.method} {request.url.path}"
-        # Of several codes of a status, the first is what is raised in this form.
-        codes = {status: code for code, (status, _) in reversed(PROBLEMS.items())}
-        code = codes.get(error.status_code, "malformed_body")
-        return ApiError(code, detail, headers=dict(error.headers or {})).response()
+def _of_full_queue(error: QueueFullError) -> ApiError:
+    return ApiError(
+        f"too_many_{error.kind}s",
+        f"{error} Try again when some have run.",
+        headers={"Retry-After": "60"},
+    )
 
-    @app.exception_handler(OperationalError)
-    @app.exception_handler(ObjectStoreError)
-    @app.exception_handler(redis.exceptions.RedisError)
-    async def on_outage(_request: Request, error: Exception) -> Response:
+
+def _of_outage(part: str) -> Callable[[Exception], ApiError]:
+    def to_api_error(error: Exception) -> ApiError:
         logger.error("Unavailable: %s", error)
-        part = "objects"
-        if isinstance(error, redis.exceptions.RedisError):
-            part = "queue"
-        elif isinstance(error, OperationalError):
-            part = "records"
         return ApiError(
             "unavailable",
             f"The {part} cannot be reached at the moment; try again shortly.",
             headers={"Retry-After": "2"},
-        ).response()
+        )
 
-    @app.exception_handler(Exception)
-    async def on_bug(_request: Request, _error: Exception) -> Response:
-        return ApiError(
-            "internal_error",
-            "This is a fault in Fewview; its log says more.",
-            headers={"Connection": "close"},  # as the server does after an exception
-        ).response()
+    return to_api_error
+
+
+def _of_bug(_error: Exception) -> ApiError:
+    return ApiError(
+        "internal_error",
+        "This is a fault in Fewview; its log says more.",
+        headers={"Connection": "close"},  # as the server does after an exception
+    )
+
+
+def _of_input(error: InputError) -> ApiError:
+    return invalid(f"/{error.field}", str(error))
+
+
+# What leaves the endpoints, and the problem that it becomes.
+TRANSLATIONS: dict[type[Exception], Callable[[Any], ApiError]] = {
+    ApiError: lambda error: error,
+    RequestValidationError: from_validation,
+    NotFoundError: lambda error: ApiError("not_found", str(error)),
+    ConflictError: lambda error: ApiError("conflict", str(error)),
+    CaptureError: _of_input,
+    LiftError: _of_input,
+    SourceError: _of_input,
+    ConfigError: lambda error: invalid(f"/config/{error.field}", str(error)),
+    KeyReusedError: lambda error: ApiError("idempotency_key_reused", str(error)),
+    QueueFullError: _of_full_queue,
+    HTTPException: _of_http,
+    OperationalError: _of_outage("records"),
+    ObjectStoreError: _of_outage("objects"),
+    redis.exceptions.RedisError: _of_outage("queue"),
+    Exception: _of_bug,
+}
 
 
 def problem_schemas() -> dict[str, Any]:

@@ -111,17 +111,30 @@ def add_job_routes(
         response.headers["Location"] = _url(cancelled)
         return to_wire(cancelled)
 
+    _add_events_route(router, kind, to_wire, words.progress)
+
+
+def _add_events_route(
+    router: APIRouter,
+    kind: type[Job],
+    to_wire: Callable[[Job], BaseModel],
+    progress: str,
+) -> None:
+    noun = kind.noun
+
     @router.get(
-        f"{path}/events",
+        f"/{{{noun}_id}}/events",
         name=f"stream_{noun}_events",
         response_class=EventSourceResponse,
-        description=f"Follow a {noun}: server-sent events `progress` {words.progress}, then one "
+        description=f"Follow a {noun}: server-sent events `progress` {progress}, then one "
         f"`end`.\n\nThe data of every event is the {noun} as `GET /{noun}s/{{{noun}_id}}` gives "
         "it, its id grows with every\nchange. Close the stream on `end`.",
         responses=problems("not_found"),
     )
     async def stream_job_events(
-        job: Annotated[Job, found], store: StoreDep, last_event_id: LastEventId = None
+        job: Annotated[Job, Depends(finder(kind))],
+        store: StoreDep,
+        last_event_id: LastEventId = None,
     ) -> AsyncIterator[ServerSentEvent]:
         read = partial(lookup.get, store, kind, job.id)
         async for event in _events(job, read, to_wire, last_event_id):
