@@ -63,7 +63,9 @@ class FitProgress(BaseModel):
     """How far a fit has come."""
 
     stage: Literal["training", "refining"] = Field(
-        "training", description="The network is trained first, then cameras are refined."
+        "training",
+        description="`training` while steps of the network are taken. `refining` while the cameras "
+        "are sought and frames are refined for the network to learn from; then training goes on.",
     )
     step: int
     steps: int
@@ -71,7 +73,9 @@ class FitProgress(BaseModel):
     reprojection_error: float | None = Field(
         description="Pixels, running mean over recent batches."
     )
-    seconds_left: float | None
+    seconds_left: float | None = Field(
+        description="An estimate from the steps taken; it can rise when the stage changes."
+    )
     stopped_by: Literal["steps", "budget", "early"] | None = Field(
         None,
         description="What ended the training: all its steps were taken, `budget_s` ran out, or "

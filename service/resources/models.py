@@ -70,8 +70,10 @@ class Model(BaseModel):
     created_at: datetime
     fit_id: str | None = Field(description="The fit that made it; null if it was imported.")
     dataset_id: str | None
-    frames: int | None = Field(description="Frames it was fitted to.")
-    views: int | None = Field(description="Views it was fitted to; it lifts any number of them.")
+    frames: int | None = Field(description="Frames it was fitted to; null if it was imported.")
+    views: int | None = Field(
+        description="Views it was fitted to, null if it was imported; it lifts any number of them."
+    )
     keypoints: int = Field(description="Keypoints per view.")
     config: FitConfig
     skeleton: Skeleton | None

@@ -104,7 +104,9 @@ class ModelCameras(BaseModel):
     )
     reason: str = Field(description="Why, in words.")
     warnings: list[str] = Field(
-        description="What does not fit, such as a calibration that is wrong, in words."
+        description="Where what was said of the cameras contradicts the keypoints, such as a wrong "
+        "calibration, in words. None does not mean that all fits: see `noise` and the views' "
+        "`reprojection_error`."
     )
     noise: float | None = Field(
         description="Pixels, the standard deviation of a keypoint's coordinate about the model."
