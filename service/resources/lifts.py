@@ -233,8 +233,8 @@ add_job_routes(
     response_class=Response,
     responses=problems("not_found", "conflict", "not_acceptable", "range_not_satisfiable")
     | binary_responses(
-        "Every frame of the dataset, lifted: JSON lines (`application/x-ndjson`) unless another form "
-        "is asked for, safetensors (`application/octet-stream`) or npz (`application/x-npz`)."
+        "Every frame of the dataset, lifted: JSON lines (`application/x-ndjson`) unless another "
+        "form is asked for, safetensors (`application/octet-stream`) or npz (`application/x-npz`)."
     ),
 )
 def get_lift_result(
