@@ -10,21 +10,25 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from models.capture.observations import Observations, as_observations
+from models.numerics.tensor_files import Arrays, Shapes, WeightsError
 
 Float64 = NDArray[np.float64]
 
 MOST_FRAMES = 4000  # plenty to learn components from
-MOST_NUMBERS = 2000  # coordinates of a frame
-OBSERVED = 0.7  # share of its coordinates that a frame must have to be learnt from
-ROUNDS = 15  # of filling what was not observed
-WHITE = 1.2  # times as steep as white noise may the smaller eigenvalues fall
-FAINT = 0.02  # of a view's size: less noise than that, and geometry does better
+MOST_COORDINATES = 2000  # of a frame: the covariance has as many rows
+OBSERVED_SHARE = 0.7  # of its coordinates that a frame must have to be learnt from
+FILLING_ROUNDS = 15  # of filling what was not observed
+# Noise is white if the eigenvalues between these places, as shares of all, fall no more than so
+# many times as steeply as those of white noise.
+TAIL_START, TAIL_END, MOST_STEEPNESS = 0.55, 0.95, 1.2
+LEAST_NOISE = 0.02  # of a view's size: with less noise than that, geometry does better alone
 
 
-class ViewModel(NamedTuple):
+class Denoiser(NamedTuple):
     """y = mean + B z + e with z ~ N(0, 1), e ~ N(0, noise^2), of all views of a frame; pixels."""
 
     mean: Float64  # (K, P, 2)
@@ -32,52 +36,84 @@ class ViewModel(NamedTuple):
     noise: float
 
     @property
-    def left(self) -> float:
+    def remaining_noise(self) -> float:
         """The noise that denoising leaves in a coordinate, pixels."""
         flat = self.basis.reshape(self.mean.size, -1)
-        signal = (flat**2).sum(0)  # of every component
+        signal = (flat**2).sum(0)  # (Q,) of every component
         return float(self.noise * np.sqrt((signal / (signal + self.noise**2)).sum() / len(flat)))
 
-    def denoise(self, seen: Observations, views: Sequence[int]) -> Observations:
-        """Replace what was observed in `views` by its posterior mean."""
+    def denoise(self, observations: Observations, views: Sequence[int]) -> Observations:
+        """Replace what was observed in `views` (of the fit) by its posterior mean."""
         mean, basis = self.mean[list(views)], self.basis[list(views)]
-        pixels, observed = _pixels(seen)
-        offset = np.where(observed[..., None], pixels - mean, 0).reshape(len(pixels), -1)
-        flat = basis.reshape(offset.shape[1], -1)
+        pixels, observed = _pixels(observations)
+        offset = np.where(observed[..., None], pixels - mean, 0).reshape(len(pixels), -1)  # (N, D)
+        flat = basis.reshape(offset.shape[1], -1)  # (D, Q)
         shown = np.repeat(observed.reshape(len(pixels), -1), 2, axis=1).astype(np.float64)
-        products = (flat[:, :, None] * flat[:, None]).reshape(len(flat), -1)
+        products = (flat[:, :, None] * flat[:, None]).reshape(len(flat), -1)  # (D, Q Q)
         inner = (shown @ products).reshape(len(pixels), flat.shape[1], flat.shape[1])
         inner += self.noise**2 * np.eye(flat.shape[1])
-        z = np.linalg.solve(inner, (offset @ flat)[..., None])[..., 0]
+        z = np.linalg.solve(inner, (offset @ flat)[..., None])[..., 0]  # (N, Q)
         signal = mean + (z @ flat.T).reshape(pixels.shape)
-        return as_observations(np.where(observed[..., None], signal, np.nan), seen.weights)
+        return as_observations(np.where(observed[..., None], signal, np.nan), observations.weights)
+
+    def to_arrays(self) -> Arrays:
+        """Return the denoiser as tensors, for a file."""
+        parts = self._asdict().items()
+        return {n: torch.from_numpy(np.array(v, np.float64, ndmin=1, order="C")) for n, v in parts}
+
+    @classmethod
+    def shapes(cls, keypoints: int) -> Shapes:
+        """Shapes of what `to_arrays` returns, for P keypoints; None stands for any length."""
+        return {
+            "mean": (None, keypoints, 2),
+            "basis": (None, keypoints, 2, None),
+            "noise": (1,),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> "Denoiser":
+        """Read what `to_arrays` returned.
+
+        Raises
+        ------
+        WeightsError
+            When the tensors contradict each other.
+        """
+        mean, basis = arrays["mean"].numpy(), arrays["basis"].numpy()
+        noise = arrays["noise"].item()
+        if len(mean) != len(basis) or not noise > 0:
+            raise WeightsError("the file contradicts itself about the noise")
+        return cls(mean, basis, noise)
 
 
-def _pixels(seen: Observations) -> tuple[Float64, NDArray[np.bool_]]:
-    pixels = seen.keypoints * seen.sizes[..., None, None] + seen.centres[..., None, :]
-    return pixels.astype(np.float64), seen.weights > 0
+def _pixels(observations: Observations) -> tuple[Float64, NDArray[np.bool_]]:
+    """Keypoints (N, K, P, 2) in pixels, and whether they were observed (N, K, P)."""
+    sizes, centres = observations.sizes, observations.centres
+    pixels = observations.keypoints * sizes[..., None, None] + centres[..., None, :]
+    return pixels.astype(np.float64), observations.weights > 0
 
 
-def learn_views(seen: Observations) -> ViewModel | None:
+def learn_denoiser(observations: Observations) -> Denoiser | None:
     """Learn from a capture; None if there is no use in it.
 
     Noise and the number of components are told by the eigenvalues of white noise, a Gaussian
     matrix of the same shape.
     """
-    keypoints, observed = _pixels(seen)
-    size = float(np.median(seen.sizes[seen.usable])) if seen.usable.any() else 1.0
+    keypoints, observed = _pixels(observations)
+    usable = observations.usable
+    size = float(np.median(observations.sizes[usable])) if usable.any() else 1.0
     views, count = keypoints.shape[1:3]
-    frames = np.flatnonzero(observed.mean((1, 2)) >= OBSERVED)
+    frames = np.flatnonzero(observed.mean((1, 2)) >= OBSERVED_SHARE)
     frames = frames[:: max(1, -(-len(frames) // MOST_FRAMES))]
-    width = 2 * views * count
-    if len(frames) < 2 * width or width > MOST_NUMBERS:
+    width = 2 * views * count  # D
+    if len(frames) < 2 * width or width > MOST_COORDINATES:
         return None
-    known = np.repeat(observed[frames].reshape(len(frames), -1), 2, axis=1)
+    known = np.repeat(observed[frames].reshape(len(frames), -1), 2, axis=1)  # (N, D)
     given = np.where(known, keypoints[frames].reshape(len(frames), -1), 0)
     filled = np.where(known, given, given.sum(0) / np.maximum(known.sum(0), 1))
-    white = _eigenvalues(np.random.default_rng(0).standard_normal(filled.shape))[0]
+    white = _eigenvalues(np.random.default_rng(0).standard_normal(filled.shape))[0]  # (D,)
     half = slice(width // 2, None)
-    for _ in range(1 if known.all() else ROUNDS):
+    for _ in range(1 if known.all() else FILLING_ROUNDS):
         mean = filled.mean(0)
         values, vectors = _eigenvalues(filled - mean)
         variance = values[half].mean() / white[half].mean()
@@ -85,14 +121,14 @@ def learn_views(seen: Observations) -> ViewModel | None:
         basis = vectors[:, kept]
         share = np.clip(1 - variance / values[kept], 0, None)
         filled = np.where(known, given, mean + ((filled - mean) @ basis * share) @ basis.T)
-    near, far = int(0.55 * width), int(0.95 * width)
-    if values[near] * white[far] > WHITE * values[far] * white[near]:
+    start, end = int(TAIL_START * width), int(TAIL_END * width)
+    if values[start] * white[end] > MOST_STEEPNESS * values[end] * white[start]:
         return None
-    if variance < (FAINT * size) ** 2 or not kept.any():
+    if variance < (LEAST_NOISE * size) ** 2 or not kept.any():
         return None
     basis = basis * np.sqrt(values[kept] - variance)
     shape = (views, count, 2)
-    return ViewModel(mean.reshape(shape), basis.reshape(*shape, -1), float(np.sqrt(variance)))
+    return Denoiser(mean.reshape(shape), basis.reshape(*shape, -1), float(np.sqrt(variance)))
 
 
 def _eigenvalues(centred: Float64) -> tuple[Float64, Float64]:

@@ -3,14 +3,13 @@
 import math
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
 from models.calibrating.result import SelfCalibration, camera_report
 from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
-from models.capture.denoising import ViewModel
-from models.capture.observations import as_observations
+from models.capture.denoising import Denoiser
+from models.capture.observations import Observations, as_observations
 from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.lifting.explanations import Refiner
 from models.lifting.frame_refinement import make_refiner, refine_frames
@@ -19,15 +18,23 @@ from models.network.answers import Answers, make_answers
 from models.network.feed_forward import feed_forward
 from models.network.priors.registry import lay_out, parameter_shapes
 from models.network.settling import SETTLE_ALL
-from models.numerics.tensor_files import Arrays, Shapes, WeightsError, pack, read_about, unpack
+from models.numerics.tensor_files import (
+    Arrays,
+    Shapes,
+    WeightsError,
+    pack,
+    prefixed,
+    read_about,
+    unpack,
+    without_prefix,
+)
 from models.numerics.threads import in_slices
 from models.settings.config import FitConfig, Refine
 from models.settings.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS
 
-DENOISER = "denoiser."  # before those of the model of noisy views
-CAMERAS = "cameras."  # before the names of what was found of the cameras, in a file
-LIFTED, REFINED = 64, 16  # frames that a thread takes at a time
-REFINERS = 64  # choices of views to be prepared for
+DENOISER, CAMERAS = "denoiser.", "cameras."  # before the names of their arrays in a file
+LIFTED_FRAMES, REFINED_FRAMES = 64, 16  # that a thread takes at a time
+MOST_REFINERS = 64  # choices of views to be prepared for at once
 
 
 class FittedPrior:
@@ -39,13 +46,13 @@ class FittedPrior:
         arrays: Arrays,
         curve: tuple[CurvePoint, ...],
         foreshortening: float,
-        found: SelfCalibration | None = None,
-        denoiser: ViewModel | None = None,
+        self_calibration: SelfCalibration | None = None,
+        denoiser: Denoiser | None = None,
     ) -> None:
         self.config = config
         self._denoiser = denoiser
-        self.cameras = None if found is None else camera_report(found)
-        self._found = found
+        self.cameras = None if self_calibration is None else camera_report(self_calibration)
+        self._self_calibration = self_calibration
         self.curve = curve
         self.foreshortening = foreshortening
         self._arrays = arrays
@@ -55,7 +62,7 @@ class FittedPrior:
     @property
     def noise(self) -> float:
         """Standard deviation of a keypoint's coordinate in pixels; NaN if no cameras were found."""
-        return math.nan if self._found is None else self._found.noise
+        return math.nan if self._self_calibration is None else self._self_calibration.noise
 
     @property
     def weights(self) -> Arrays:
@@ -103,59 +110,75 @@ class FittedPrior:
             `previous` is of other frames or views, or `views` does not name K different views of
             the fit.
         """
-        seen = as_observations(keypoints, confidence)
-        frames, count, points_count, _ = seen.keypoints.shape
-        if points_count != self.keypoints_per_frame:
-            raise ValueError(
-                f"this prior was fitted to {self.keypoints_per_frame} keypoints per view,"
-                f" got {points_count}; give them in the order of the fit, NaN for what was not"
-                " observed"
-            )
-        if previous is not None and previous.scales.shape != seen.sizes.shape:
-            raise ValueError(
-                f"previous must have the shape of the keypoints, {frames} frames of {count} views,"
-                f" got {previous.scales.shape}"
-            )
-        fitted = self._views(views, count)
-        if self._denoiser is not None and fitted is not None:
-            seen = self._denoiser.denoise(seen, fitted)
+        observations = as_observations(keypoints, confidence)
+        self._check_frames(observations, previous)
+        frames, count, points, _ = observations.keypoints.shape
+        views_of_fit = self._views_of_fit(views, count)
+        if self._denoiser is not None and views_of_fit is not None:
+            observations = self._denoiser.denoise(observations, views_of_fit)
         mode = self.config.refine if refine is None else refine
-        refiner = None if mode == "off" else self._refiner(fitted, count)
-        answers = make_answers(frames, count, points_count)
-        before = make_answers(0, count, points_count) if previous is None else Answers(*previous)
-        policy = SETTLE_ALL if self._found is None else self._found.settling
+        refiner = None if mode == "off" else self._refiner_of(views_of_fit, count)
+        answers = make_answers(frames, count, points)
+        before = make_answers(0, count, points) if previous is None else Answers(*previous)
+        found = self._self_calibration
+        policy = SETTLE_ALL if found is None else found.settling
 
-        def work(part: slice) -> None:
+        def lift_part(part: slice) -> None:
             here = part.start, part.stop
-            feed_forward(self._network, seen, self.foreshortening, policy, *here, answers)
+            feed_forward(self._network, observations, self.foreshortening, policy, *here, answers)
             if refiner is not None:
-                refine_frames(refiner, seen, before, mode == "full", *here, answers)
+                refine_frames(refiner, observations, before, mode == "full", *here, answers)
 
-        in_slices(frames, LIFTED if refiner is None else REFINED, work)
+        size = LIFTED_FRAMES if refiner is None else REFINED_FRAMES
+        in_slices(frames, size, lift_part)
         return Lift(*answers)
 
-    def _refiner(self, views: Sequence[int] | None, count: int) -> Refiner | None:
-        """Return what refines these views, made once for as many choices of views as are usual."""
-        if self._found is None:
+    def _check_frames(self, observations: Observations, previous: Lift | None) -> None:
+        """Raise ValueError unless frames and the answers before them suit this prior."""
+        frames, views, keypoints, _ = observations.keypoints.shape
+        if keypoints != self.keypoints_per_frame:
+            raise ValueError(
+                f"this prior was fitted to {self.keypoints_per_frame} keypoints per view,"
+                f" got {keypoints}; give them in the order of the fit, NaN for what was not"
+                " observed"
+            )
+        if previous is not None and previous.scales.shape != (frames, views):
+            raise ValueError(
+                f"previous must have the shape of the keypoints, {frames} frames of {views} views,"
+                f" got {previous.scales.shape}"
+            )
+
+    def _refiner_of(self, views: Sequence[int] | None, count: int) -> Refiner | None:
+        """Return what refines frames of `views` of the fit, or of `count` cameras unknown to it.
+
+        It is made once and kept, for as many choices of views as are usual.
+        """
+        if self._self_calibration is None:
             return None
         key = count if views is None else tuple(views)
         refiner = self._refiners.get(key)
         if refiner is None:
-            if len(self._refiners) >= REFINERS:
+            if len(self._refiners) >= MOST_REFINERS:
                 self._refiners.clear()
-            refiner = self._refiners[key] = make_refiner(self._found, views, count)
+            refiner = self._refiners[key] = make_refiner(self._self_calibration, views, count)
         return refiner
 
-    def _views(self, views: Sequence[int] | None, count: int) -> Sequence[int] | None:
-        known = 0 if self._found is None else len(self._found.rig.groups)
-        known = known if self._denoiser is None else len(self._denoiser.mean)
+    def _known_views(self) -> int:
+        """How many views the fit had; 0 if it learned nothing about its views."""
+        if self._denoiser is not None:
+            return len(self._denoiser.mean)
+        return 0 if self._self_calibration is None else len(self._self_calibration.rig.groups)
+
+    def _views_of_fit(self, views: Sequence[int] | None, count: int) -> Sequence[int] | None:
+        """Return which views of the fit the `count` views of a lift are; None if not of the fit.
+
+        Raises ValueError if `views` does not name `count` different ones.
+        """
+        known = self._known_views()
         if views is None:
             return range(count) if count == known else None
-        if (
-            len(views) != count
-            or len(set(views)) != count
-            or (known and not all(0 <= view < known for view in views))
-        ):
+        different = len(views) == count == len(set(views))
+        if not different or (known and not all(0 <= view < known for view in views)):
             raise ValueError(
                 f"views must name {count} different views of the {known or 'unknown'} of the fit,"
                 f" got {list(views)}"
@@ -168,27 +191,18 @@ class FittedPrior:
             "config": self.config.model_dump_json(),
             "keypoints": str(self.keypoints_per_frame),
         }
-        cameras: Arrays = {}
-        if self._found is not None:
-            cameras, about["cameras"] = to_arrays(self._found)
-        denoiser: Arrays = {}
+        arrays = {
+            **self._arrays,
+            "curve": curve_to_tensor(self.curve),
+            "foreshortening": torch.tensor([self.foreshortening], dtype=torch.float64),
+        }
+        if self._self_calibration is not None:
+            cameras, about["cameras"] = to_arrays(self._self_calibration)
+            arrays |= prefixed(CAMERAS, cameras)
         if self._denoiser is not None:
             about["denoiser"] = str(len(self._denoiser.mean))
-            denoiser = {
-                name: torch.from_numpy(np.array(value, np.float64, ndmin=1, order="C"))
-                for name, value in self._denoiser._asdict().items()
-            }
-        return pack(
-            {
-                **self._arrays,
-                **{f"{CAMERAS}{name}": value for name, value in cameras.items()},
-                **{f"{DENOISER}{name}": value for name, value in denoiser.items()},
-                "curve": curve_to_tensor(self.curve),
-                "foreshortening": torch.tensor([self.foreshortening], dtype=torch.float64),
-            },
-            kind="prior",
-            about=about,
-        )
+            arrays |= prefixed(DENOISER, self._denoiser.to_arrays())
+        return pack(arrays, kind="prior", about=about)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "FittedPrior":
@@ -208,24 +222,23 @@ class FittedPrior:
             raise WeightsError("the header holds no valid configuration") from error
         if not MIN_KEYPOINTS <= keypoints <= MAX_KEYPOINTS:
             raise WeightsError(f"the header says {keypoints} keypoints per frame")
-        shapes: Shapes = {**parameter_shapes(config, keypoints)}
-        cameras = array_shapes(about["cameras"], keypoints, None) if "cameras" in about else {}
-        for name, shape in cameras.items():
-            shapes[f"{CAMERAS}{name}"] = shape
+        weights = parameter_shapes(config, keypoints)
+        shapes: Shapes = {**weights, "curve": (None, 3), "foreshortening": (1,)}
+        if "cameras" in about:
+            shapes |= prefixed(CAMERAS, array_shapes(about["cameras"], keypoints, None))
         if "denoiser" in about:
-            shapes[f"{DENOISER}mean"] = (None, keypoints, 2)
-            shapes[f"{DENOISER}basis"] = (None, keypoints, 2, None)
-            shapes[f"{DENOISER}noise"] = (1,)
-        arrays = unpack(data, shapes={**shapes, "curve": (None, 3), "foreshortening": (1,)})
-        denoiser = None
+            shapes |= prefixed(DENOISER, Denoiser.shapes(keypoints))
+        arrays = unpack(data, shapes=shapes)
+        found = denoiser = None
+        if "cameras" in about:
+            found = from_arrays(without_prefix(CAMERAS, arrays), about["cameras"])
         if "denoiser" in about:
-            mean, basis, noise = (arrays.pop(f"{DENOISER}{n}") for n in ViewModel._fields)
-            denoiser = ViewModel(mean.numpy(), basis.numpy(), noise.item())
-            if len(mean) != len(basis) or not denoiser.noise > 0:
-                raise WeightsError("the file contradicts itself about the noise")
-        found = None
-        if cameras:
-            parts = {name: arrays.pop(f"{CAMERAS}{name}") for name in cameras}
-            found = from_arrays(parts, about["cameras"])
-        curve = curve_from_tensor(arrays.pop("curve"))
-        return cls(config, arrays, curve, arrays.pop("foreshortening").item(), found, denoiser)
+            denoiser = Denoiser.from_arrays(without_prefix(DENOISER, arrays))
+        return cls(
+            config,
+            {name: arrays[name] for name in weights},
+            curve_from_tensor(arrays["curve"]),
+            arrays["foreshortening"].item(),
+            found,
+            denoiser,
+        )

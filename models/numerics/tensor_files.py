@@ -3,6 +3,7 @@
 import json
 import math
 import struct
+from typing import TypeVar
 
 import torch
 from safetensors import SafetensorError
@@ -14,6 +15,7 @@ MAX_HEADER = 1_000_000  # bytes; ours are a few thousand
 
 Arrays = dict[str, Tensor]
 Shapes = dict[str, tuple[int | None, ...]]
+Part = TypeVar("Part")
 
 
 class WeightsError(ValueError):
@@ -84,3 +86,14 @@ def unpack(data: bytes, *, shapes: Shapes) -> Arrays:
         if not math.isfinite(arrays[name].abs().sum().item()):
             raise WeightsError(f"{name} holds numbers that are not finite")
     return arrays
+
+
+def prefixed(prefix: str, parts: dict[str, Part]) -> dict[str, Part]:
+    """Return tensors, or their shapes, under names that begin with a prefix."""
+    return {f"{prefix}{name}": part for name, part in parts.items()}
+
+
+def without_prefix(prefix: str, arrays: Arrays) -> Arrays:
+    """Return the tensors whose names begin with a prefix, under the rest of their names."""
+    chosen = ((name, array) for name, array in arrays.items() if name.startswith(prefix))
+    return {name.removeprefix(prefix): array for name, array in chosen}

@@ -9,7 +9,16 @@ from torch import Tensor
 from models.calibrating.result import SelfCalibration
 from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
 from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
-from models.numerics.tensor_files import Arrays, Shapes, WeightsError, pack, read_about, unpack
+from models.numerics.tensor_files import (
+    Arrays,
+    Shapes,
+    WeightsError,
+    pack,
+    prefixed,
+    read_about,
+    unpack,
+    without_prefix,
+)
 from models.training.state import TrainerState, state_from_json, state_to_json
 from models.training.teachers import Teachers
 
@@ -38,11 +47,11 @@ def write(checkpoint: Checkpoint, *, config: str, data: str) -> bytes:
     about = {"config": config, "data": data, "state": state_to_json(checkpoint.state)}
     if checkpoint.teachers is not None:
         about["teachers"] = str(len(checkpoint.teachers.points))
-        for name, value in checkpoint.teachers._asdict().items():
-            arrays[f"{TEACHERS}{name}"] = _as_floats(value)
+        parts = checkpoint.teachers._asdict().items()
+        arrays |= prefixed(TEACHERS, {name: _as_floats(value) for name, value in parts})
     if checkpoint.self_calibration is not None:
         cameras, about["cameras"] = to_arrays(checkpoint.self_calibration)
-        arrays |= {f"{CAMERAS}{name}": value for name, value in cameras.items()}
+        arrays |= prefixed(CAMERAS, cameras)
     return pack(arrays, kind="checkpoint", about=about)
 
 
@@ -74,22 +83,23 @@ def read(
     shapes: Shapes = dict.fromkeys(("weights", *MOMENTS), (weights,))
     shapes["curve"] = (None, 3)
     if "teachers" in about:
-        for name, expected in _teacher_shapes(frames, views, keypoints).items():
-            shapes[f"{TEACHERS}{name}"] = expected
+        shapes |= prefixed(TEACHERS, _teacher_shapes(frames, views, keypoints))
     if "cameras" in about:
-        for name, expected in array_shapes(about["cameras"], keypoints, views).items():
-            shapes[f"{CAMERAS}{name}"] = expected
+        shapes |= prefixed(CAMERAS, array_shapes(about["cameras"], keypoints, views))
     arrays = unpack(written, shapes=shapes)
+    teachers = found = None
+    if "teachers" in about:
+        teachers = _read_teachers(without_prefix(TEACHERS, arrays))
+    if "cameras" in about:
+        found = from_arrays(without_prefix(CAMERAS, arrays), about["cameras"])
     first, second = (arrays[name] for name in MOMENTS)
     return Checkpoint(
         weights=arrays["weights"],
         moments=(first, second),
         state=state,
         curve=curve_from_tensor(arrays["curve"]),
-        teachers=_read_teachers(_below(TEACHERS, arrays)) if "teachers" in about else None,
-        self_calibration=(
-            from_arrays(_below(CAMERAS, arrays), about["cameras"]) if "cameras" in about else None
-        ),
+        teachers=teachers,
+        self_calibration=found,
     )
 
 
@@ -124,8 +134,3 @@ def _as_floats(value: Tensor | float) -> Tensor:
     if isinstance(value, Tensor):
         return value if value.is_floating_point() else value.double()
     return torch.tensor([value], dtype=torch.float64)
-
-
-def _below(prefix: str, arrays: Arrays) -> Arrays:
-    """Return the arrays whose names begin with `prefix`, without it."""
-    return {n.removeprefix(prefix): value for n, value in arrays.items() if n.startswith(prefix)}

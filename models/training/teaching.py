@@ -17,7 +17,7 @@ from models.calibrating.handedness import NothingFoundError, same_hand
 from models.calibrating.problem import ImageSizes
 from models.calibrating.result import SelfCalibration
 from models.calibrating.self_calibration import most_frames, self_calibrate
-from models.capture.denoising import ViewModel
+from models.capture.denoising import Denoiser
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
@@ -44,7 +44,7 @@ class Teaching:
         data: Data,
         config: FitConfig,
         image_sizes: ImageSizes | None,
-        denoiser: ViewModel | None,
+        denoiser: Denoiser | None,
     ) -> None:
         self.state = TeachingState("not_sought" if config.refine == "off" else "sought")
         self.teachers: Teachers | None = None
@@ -99,7 +99,7 @@ class Teaching:
     def _as_prior(
         self,
         self_calibration: SelfCalibration | None,
-        denoiser: ViewModel | None = None,
+        denoiser: Denoiser | None = None,
         curve: list[CurvePoint] | None = None,
     ) -> FittedPrior:
         every = slice(None, None, math.ceil(len(self._data.keypoints) / HANDEDNESS_FRAMES))
@@ -116,7 +116,7 @@ class Teaching:
             arrays={n: value.detach().clone() for n, value in self._network.named_parameters()},
             curve=tuple(curve or ()),
             foreshortening=foreshortening,
-            found=self_calibration,
+            self_calibration=self_calibration,
             denoiser=denoiser,
         )
 
@@ -139,7 +139,9 @@ class Teaching:
             return
         if self._denoiser is not None:
             reason = f"{found.reason}; {self._denoiser.noise:.3g} px of noise were removed"
-            found = replace(found, reason=reason, noise=max(found.noise, self._denoiser.left))
+            found = replace(
+                found, reason=reason, noise=max(found.noise, self._denoiser.remaining_noise)
+            )
         self.self_calibration = found
         scene_is_mirrored = not same_hand(scene.points, answers.points)
         self.state.mirrored = (prior.foreshortening < 0) != scene_is_mirrored

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from models.calibrating.problem import ImageSizes
-from models.capture.denoising import learn_views
+from models.capture.denoising import learn_denoiser
 from models.capture.observations import Observations, as_observations
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
@@ -99,7 +99,7 @@ class Trainer:
         _check_entries_per_view(observations, config, image_sizes)
         self.config = config
         self._fingerprint = _fingerprint(observations, image_sizes)
-        denoiser = learn_views(observations) if config.denoising else None
+        denoiser = learn_denoiser(observations) if config.denoising else None
         if denoiser is not None:
             observations = denoiser.denoise(observations, range(observations.keypoints.shape[1]))
         self._holdout: Holdout | None = None

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.capture.denoising import ViewModel, learn_views
+from models.capture.denoising import Denoiser, learn_denoiser
 from models.capture.metrics import pa_mpjpe
 from models.capture.observations import as_observations
 from models.lifting.fitted_prior import FittedPrior
@@ -30,33 +30,33 @@ def noisy(clean: Float64) -> Float64:
 
 
 @pytest.fixture(scope="module")
-def model(noisy: Float64) -> ViewModel:
-    found = learn_views(as_observations(noisy))
+def model(noisy: Float64) -> Denoiser:
+    found = learn_denoiser(as_observations(noisy))
     assert found is not None
     return found
 
 
-def pixels(keypoints: Float64, model: ViewModel, views: list[int]) -> Float64:
+def pixels(keypoints: Float64, model: Denoiser, views: list[int]) -> Float64:
     seen = model.denoise(as_observations(keypoints[:, views]), views)
     return np.asarray(
         seen.keypoints * seen.sizes[..., None, None] + seen.centres[..., None, :], np.float64
     )
 
 
-def test_noise_and_modes_are_told_apart(model: ViewModel) -> None:
+def test_noise_and_modes_are_told_apart(model: Denoiser) -> None:
     assert model.noise == pytest.approx(NOISE, rel=0.03)
     assert model.basis.shape == (VIEWS, KEYPOINTS, 2, MODES)
 
 
-def test_what_is_left_is_what_was_said(clean: Float64, noisy: Float64, model: ViewModel) -> None:
+def test_what_is_left_is_what_was_said(clean: Float64, noisy: Float64, model: Denoiser) -> None:
     left = np.sqrt(np.mean((pixels(noisy, model, [0, 1]) - clean) ** 2))
     # Five modes of 48 coordinates keep a third of the noise's standard deviation.
     assert left < 0.4 * NOISE
-    assert model.left == pytest.approx(left, rel=0.1)
+    assert model.remaining_noise == pytest.approx(left, rel=0.1)
 
 
 def test_one_of_the_views_is_denoised_by_itself(
-    clean: Float64, noisy: Float64, model: ViewModel
+    clean: Float64, noisy: Float64, model: Denoiser
 ) -> None:
     left = np.sqrt(np.mean((pixels(noisy, model, [1]) - clean[:, [1]]) ** 2))
     assert left < 0.6 * NOISE
@@ -65,7 +65,7 @@ def test_one_of_the_views_is_denoised_by_itself(
 def test_gaps_stay_gaps_and_the_rest_is_denoised(clean: Float64, noisy: Float64) -> None:
     hidden = np.random.default_rng(3).random(clean.shape[:3]) < 0.2
     gappy = np.where(hidden[..., None], np.nan, noisy)
-    model = learn_views(as_observations(gappy))
+    model = learn_denoiser(as_observations(gappy))
     assert model is not None
     seen = model.denoise(as_observations(gappy), [0, 1])
     np.testing.assert_array_equal(seen.weights > 0, ~hidden)
@@ -75,7 +75,7 @@ def test_gaps_stay_gaps_and_the_rest_is_denoised(clean: Float64, noisy: Float64)
 
 def test_clear_keypoints_are_left_alone(clean: Float64) -> None:
     rng = np.random.default_rng(4)
-    assert learn_views(as_observations(clean + rng.normal(0, 0.2, clean.shape))) is None
+    assert learn_denoiser(as_observations(clean + rng.normal(0, 0.2, clean.shape))) is None
 
 
 def test_detail_is_not_taken_for_noise(clean: Float64) -> None:
@@ -84,11 +84,11 @@ def test_detail_is_not_taken_for_noise(clean: Float64) -> None:
     size = clean[0].size
     detail = rng.normal(size=(FRAMES, size)) * 60 * 0.9 ** np.arange(size)
     turned = detail @ np.linalg.qr(rng.normal(size=(size, size)))[0]
-    assert learn_views(as_observations(clean + turned.reshape(clean.shape))) is None
+    assert learn_denoiser(as_observations(clean + turned.reshape(clean.shape))) is None
 
 
 def test_few_frames_are_left_alone(noisy: Float64) -> None:
-    assert learn_views(as_observations(noisy[: 2 * noisy[0].size - 1])) is None
+    assert learn_denoiser(as_observations(noisy[: 2 * noisy[0].size - 1])) is None
 
 
 def test_a_fit_stores_it_and_lifts_with_it(noisy: Float64) -> None:
