@@ -38,11 +38,19 @@ class NormalEquations(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """Room for what one keypoint's two residuals, x and y, depend on."""
+    """Room for what one keypoint's two residuals, x and y, depend on; made once, as that costs."""
 
     residual: Float64  # (2,) pixels
     by_point: Float64  # (2, 3)
     by_columns: Float64  # (2, 7 or 17) by the pose and, if the rig may move, the view
+    # Steps on the way: e^a R X, v, x_cam, its pixel, and derivatives of the pixel.
+    turned: Float64  # (3,)
+    held: Float64  # (3,)
+    camera: Float64  # (3,)
+    pixel: Float64  # (2,)
+    by_camera: Float64  # (2, 3)
+    by_held: Float64  # (3,) of one of its coordinates
+    by_lens: Float64  # (2, 4)
 
 
 @inner
@@ -136,7 +144,7 @@ def linearise(
     own = POSE * len(scene.sizes) + prior.basis.shape[1]  # columns of the frame alone
     shared = len(out.rest_right) > own
     columns = POSE + (VIEW if shared else 0)  # that one keypoint depends on
-    rows = _Rows(np.empty(2), np.empty((2, 3)), np.empty((2, columns)))
+    rows = _make_rows(columns)
     block, right = np.empty((columns, columns)), np.empty(columns)
     _linearise_priors(rig, prior, scene, out)
     for k in range(len(views.keypoints)):
@@ -155,6 +163,22 @@ def linearise(
             for b in range(columns):
                 column = pose_at + b if b < POSE else view_at + b - POSE
                 out.rest[row, column] += block[a, b]
+
+
+@inner
+def _make_rows(columns: int) -> _Rows:
+    return _Rows(
+        np.empty(2),
+        np.empty((2, 3)),
+        np.empty((2, columns)),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(2),
+        np.empty((2, 3)),
+        np.empty(3),
+        np.empty((2, LENS)),
+    )
 
 
 @inner
@@ -187,8 +211,8 @@ def _linearise_keypoint(
 ) -> float:
     """Write the residual of a keypoint and its derivatives; returns its robust weight."""
     group = rig.groups[view]
-    turned, held, camera, pixel = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
-    by_camera, by_lens, by_held = np.empty((2, 3)), np.empty((2, LENS)), np.empty(3)
+    turned, held, camera, pixel = rows.turned, rows.held, rows.camera, rows.pixel
+    by_camera, by_held, by_lens = rows.by_camera, rows.by_held, rows.by_lens
     point_in_group_into(scene, group, p, turned, held)
     point_in_camera_into(rig, view, held, camera)
     differentiate_into(camera, rig.lenses, view, pixel, by_camera, by_lens)

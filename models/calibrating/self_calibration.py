@@ -100,27 +100,36 @@ def self_calibrate(
     unit, warnings = arranged.unit, arranged.warnings
     if config.known_length is not None:
         unit, warnings = _unit_of(best.scene, config.known_length, unit, warnings)
-    seen = weights > 0
-    distances = reprojection_distances(problem, best.rig, best.scene)
-    found = SelfCalibration(
-        rig=best.rig,
-        deviations=deviations(problem, best),
-        shapes=best.shapes,
-        network_errors=unknown_network_errors(keypoints.shape[2]),
-        settling=SETTLE_ALL,
-        noise=best.measured_noise,
-        unit=1.0 if unit is None else unit,
-        reprojection_errors=(distances * seen).sum((0, 2)) / seen.sum((0, 2)).clip(1),
-        reason=reason,
-        warnings=warnings,
-    )
-    return found, best.scene
+    return _result(problem, best, reason, unit, warnings), best.scene
 
 
 def most_frames(views: int, keypoints: int) -> int:
     """Say how many frames a search can look at in bounded time: half a second an iteration."""
     unknowns = (POSE + VIEW) * views + MOST_COMPONENTS
     return max(LEAST_FRAMES, min(MOST_FRAMES, OPERATIONS // (3 * keypoints * unknowns**2)))
+
+
+def _result(
+    problem: Problem,
+    best: Solution,
+    reason: str,
+    unit: float | None,
+    warnings: tuple[str, ...],
+) -> SelfCalibration:
+    observed = problem.weights > 0  # (N, K, P)
+    distances = reprojection_distances(problem, best.rig, best.scene)
+    return SelfCalibration(
+        rig=best.rig,
+        deviations=deviations(problem, best),
+        shapes=best.shapes,
+        network_errors=unknown_network_errors(problem.keypoints.shape[2]),
+        settling=SETTLE_ALL,
+        noise=best.measured_noise,
+        unit=1.0 if unit is None else unit,
+        reprojection_errors=(distances * observed).sum((0, 2)) / observed.sum((0, 2)).clip(1),
+        reason=reason,
+        warnings=warnings,
+    )
 
 
 def _arrange(problem: Problem, start: Solution, config: FitConfig) -> Steps[_Arranged]:
