@@ -22,6 +22,9 @@ from tests.processes import free_port, tied
 from worker.settings import WorkerSettings
 
 CONFIG = {"dictionary_sizes": [16, 8], "steps": 60, "batch_size": 16}
+# Seconds, for workers that are killed or frozen: another shall soon take over. Others keep the
+# usual lease, which a living worker never loses, however busy the machine is.
+SHORT_LEASE = 4.0
 LONG = CONFIG | {"steps": 1_000_000}
 
 StartWorker = Callable[[], "subprocess.Popen[bytes]"]
@@ -38,9 +41,7 @@ def settings(
     valkey: ValkeyServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[WorkerSettings]:
     url = f"{valkey.connection_url}/0"
-    settings = WorkerSettings(
-        data_dir=tmp_path, redis_url=RedisDsn(url), lease_seconds=2, checkpoint_seconds=0.1
-    )
+    settings = WorkerSettings(data_dir=tmp_path, redis_url=RedisDsn(url), checkpoint_seconds=0.1)
     yield settings
     with Redis.from_url(url) as client:
         client.flushall()

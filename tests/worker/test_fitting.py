@@ -74,7 +74,7 @@ def test_slices_make_the_whole(
     whole = LIFT(prior, capture.keypoints, confidence=capture.confidence)
     assert found.keys() == whole.arrays.keys()
     for name, array in found.items():
-        np.testing.assert_allclose(array, vars(whole)[name], rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(array, getattr(whole, name), rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize(

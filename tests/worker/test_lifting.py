@@ -26,7 +26,15 @@ from store.database import Store
 from store.datasets import Description
 from store.lift_files import result_file
 from store.records import Dataset, FitJob, LiftChunk, LiftJob, Model
-from tests.worker.conftest import CONFIG, StartWorker, is_alive, kill, wait_for, work_horse
+from tests.worker.conftest import (
+    CONFIG,
+    SHORT_LEASE,
+    StartWorker,
+    is_alive,
+    kill,
+    wait_for,
+    work_horse,
+)
 from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
 
@@ -44,7 +52,8 @@ def prior(capture: Capture) -> FittedPrior:
 
 @pytest.fixture
 def settings(settings: WorkerSettings) -> WorkerSettings:
-    return settings.model_copy(update={"lift_chunk_frames": CHUNK, "lift_turn_seconds": 0.5})
+    update = {"lift_chunk_frames": CHUNK, "lift_turn_seconds": 0.5, "lease_seconds": SHORT_LEASE}
+    return settings.model_copy(update=update)
 
 
 @pytest.fixture
@@ -279,7 +288,7 @@ def test_a_frozen_helper_loses_its_chunk(
         return False
 
     wait_for(caught_with_a_chunk, "the helper to lift a chunk")
-    time.sleep(2.5)  # its lease is 2 s
+    time.sleep(SHORT_LEASE + 0.5)
     start_worker()
 
     def taken() -> bool:

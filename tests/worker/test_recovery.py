@@ -25,6 +25,7 @@ from tests.processes import free_port, tied
 from tests.worker.conftest import (
     CONFIG,
     LONG,
+    SHORT_LEASE,
     StartWorker,
     is_alive,
     kill,
@@ -37,6 +38,11 @@ from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
 
 SLOW = CONFIG | {"steps": 500, "refine": "off"}
+
+
+@pytest.fixture
+def settings(settings: WorkerSettings) -> WorkerSettings:
+    return settings.model_copy(update={"lease_seconds": SHORT_LEASE})
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Lifting with perspective: through `fit` and `lift` alone, and whatever a capture looks like."""
+"""Lifting with perspective, through `fit` and `lift` alone."""
 
 import dataclasses
 from typing import Any
@@ -14,6 +14,7 @@ from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import CAMERA_MODELS, Lift
 from models.settings.config import FitConfig
 from models.training.trainer import Trainer, fit
+from tests.models.lifting.comparison import same
 from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, RigCapture, keypoint, make_rig_capture
 
 Float64 = NDArray[np.float64]
@@ -40,14 +41,6 @@ def capture() -> RigCapture:
 @pytest.fixture(scope="module")
 def prior(capture: RigCapture) -> FittedPrior:
     return fit(capture.keypoints, FitConfig(steps=200), image_sizes=[IMAGE_SIZE] * 3)
-
-
-def same(a: Lift, b: Lift, tolerance: float = 0) -> None:
-    """Compare all that two lifts say."""
-    assert a.status == b.status
-    others = b._asdict()
-    for name, found in a._asdict().items():
-        np.testing.assert_allclose(found, others[name], tolerance, tolerance, err_msg=name)
 
 
 def some(lift: Lift, frames: Any, views: Any = slice(None)) -> Lift:
@@ -264,108 +257,6 @@ def test_results_have_the_users_unit_and_the_users_rig() -> None:
     truth = 100 * capture.points3d.mean(1)
     for k in range(3):  # all three say where the subject is
         assert np.median(np.linalg.norm(world[:, k, :, 0] - truth, axis=-1)) < 8
-
-
-def keypoints_of(case: str) -> Float64:  # noqa: PLR0911, PLR0912 - a branch per kind of capture
-    frames, _, kind = case.partition(" ")
-    if kind.startswith("frame"):
-        return make_rig_capture(AZIMUTHS, frames=int(frames), hidden=0).keypoints
-    keypoints = make_rig_capture(AZIMUTHS, frames=6, noise=2, hidden=0.1).keypoints
-    rng = np.random.default_rng(0)
-    match case:
-        case "4 keypoints":
-            return keypoints[:, :, [1, 6, 9, 12]]
-        case "one view":
-            return keypoints[:, :1]
-        case "identical views":
-            return np.repeat(keypoints[:, :1], 3, 1)
-        case "views that share no frame":
-            keypoints[np.arange(6), np.arange(6) % 3] *= -1
-            return np.where(keypoints < 0, -keypoints, np.nan)
-        case "an empty view":
-            keypoints[:, 1] = np.nan
-        case "an empty frame":
-            keypoints[4] = np.nan
-        case "7 views":
-            return make_rig_capture([50.0 * k for k in range(7)], frames=4).keypoints
-        case "133 keypoints":
-            share = rng.dirichlet(np.full(16, 0.3), 133)
-            full = make_rig_capture(AZIMUTHS[:2], frames=4, hidden=0).keypoints
-            return np.asarray(np.einsum("nkpc,qp->nkqc", full, share))
-        case "a keypoint never seen":
-            keypoints[:, :, 5] = np.nan
-        case "a coordinate that is no number":
-            keypoints[::2, 1, 3, 0] = np.nan
-        case "half of the keypoints hidden":
-            keypoints[rng.random(keypoints.shape[:3]) < 0.5] = np.nan
-        case "nothing but noise":
-            return rng.uniform(0, 1000, keypoints.shape)
-        case "one pose throughout":
-            return np.repeat(keypoints[:1], 6, 0)
-        case "exact keypoints":
-            return make_rig_capture(AZIMUTHS, frames=6, noise=0, hidden=0).keypoints
-        case "absurd outliers":
-            keypoints[rng.random(keypoints.shape[:3]) < 0.1] = 9e5
-    return keypoints
-
-
-CASES = (
-    *("1 frame", "2 frames", "3 frames", "15 frames", "4 keypoints", "one view"),
-    *("identical views", "views that share no frame", "an empty view", "an empty frame"),
-    *("7 views", "133 keypoints", "a keypoint never seen", "a coordinate that is no number"),
-    *("half of the keypoints hidden", "nothing but noise", "one pose throughout"),
-    *("exact keypoints", "absurd outliers"),
-)
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_no_capture_is_too_odd_for_a_finite_answer(case: str) -> None:
-    keypoints = keypoints_of(case)
-    prior = fit(keypoints, FitConfig.model_validate(QUICK))
-    for refine in ("off", "full", "auto"):
-        check(prior.lift(keypoints, refine=refine), keypoints)
-    check_found(prior)
-    copy = FittedPrior.from_bytes(prior.to_bytes())
-    same(copy.lift(keypoints), prior.lift(keypoints))
-
-
-@pytest.mark.parametrize("case", ["one view", "identical views", "views that share no frame"])
-def test_cameras_that_are_declared_static_may_tell_nothing_of_each_other(case: str) -> None:
-    keypoints = keypoints_of(case)
-    told = {"cameras": "static", "refine": "full"}
-    prior = fit(keypoints, FitConfig.model_validate(QUICK | told))
-    check(prior.lift(keypoints), keypoints)
-    check_found(prior)
-
-
-def check_found(prior: FittedPrior) -> None:
-    if prior.cameras is not None:
-        assert np.isfinite(prior.cameras.focals).all()
-        assert (prior.cameras.focals > 0).all()
-        assert prior.cameras.noise > 0
-
-
-def check(lift: Lift, keypoints: Float64) -> None:
-    """Answers are finite where there are some, and there are some wherever 4 keypoints show."""
-    usable = np.isfinite(keypoints).all(-1).sum(-1) >= 4
-    assert [status == "ok" for status in lift.status] == usable.any(1).tolist()
-    np.testing.assert_array_equal(np.isfinite(lift.points3d).all((1, 2)), usable.any(1))
-    np.testing.assert_array_equal(lift.camera_models >= 0, usable)
-    refined = lift.camera_models > 0
-    for values, there in (
-        (lift.rotations.reshape(*usable.shape, 9), usable),
-        (lift.scales[..., None], usable),
-        (lift.translations[..., :2], usable),
-        (lift.translations[..., 2:], refined),
-        (lift.reprojection_errors[..., None], usable),
-        (lift.focals, refined),
-        (lift.principal_points, refined),
-        (lift.distortions, refined),
-    ):
-        np.testing.assert_array_equal(np.isfinite(values).all(-1), there)
-        assert np.isnan(values[~there]).all()
-    determinants = np.linalg.det(lift.rotations[usable].astype(np.float64))
-    np.testing.assert_allclose(determinants, 1, atol=1e-4)
 
 
 @pytest.fixture(scope="module")

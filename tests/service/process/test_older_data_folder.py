@@ -30,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def served(folder: Path) -> Iterator[Live]:
-    live = start_service(folder, "--lease-seconds=2")
+    live = start_service(folder)
     yield live
     kill_service(live)
 

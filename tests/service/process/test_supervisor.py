@@ -35,7 +35,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
     started: list[Live] = []
 
     def start() -> Live:
-        options = ("--lease-seconds=2", "--checkpoint-seconds=0.2")
+        options = ("--lease-seconds=4", "--checkpoint-seconds=0.2")
         started.append(start_service(tmp_path / "data", *options))
         return started[-1]
 
