@@ -99,7 +99,7 @@ def feed_forward(
 def _cameras(
     library: Library, points: Array, image: Array, weights: Array, guess: Array
 ) -> tuple[Array, Array, Array]:
-    """As `models.optics.weak_perspective.solve_cameras`; points (N, 1, P, 3)."""
+    """As `models.optics.weak_perspective.solve_camera_into`; points (N, 1, P, 3)."""
     share = (weights / weights.sum(-1)[..., None])[..., None]  # (N, K, P, 1)
     centre, middle = (share * points).sum(-2), (share * image).sum(-2)  # (N, K, 3), (N, K, 2)
     points, image = points - centre[..., None, :], image - middle[..., None, :]

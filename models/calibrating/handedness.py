@@ -8,11 +8,11 @@ from models.bundle.scene_adjustment import adjust_frames
 from models.bundle.shape_model import align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, uncertainty
 from models.calibrating.problem import Problem, Solution, Steps
+from models.network.settling import mirror_images
 from models.numerics.medians import lower_median
 
 Float64 = NDArray[np.float64]
 
-MIRROR = np.array([1.0, 1.0, -1.0])  # through the x-y plane
 FIRST_SPREAD = 0.2  # of a structure about the network's, in units of its radius
 FIRST_NOISE = 0.03  # of a keypoint, as a share of its view's size
 ITERATIONS = 15
@@ -77,10 +77,8 @@ def choose_hand(
 
 def mirrored(scene: Scene) -> Scene:
     """Return the mirror image of a scene, which weak perspective sees alike."""
-    # (D R D)(D X) = D R X has the same x and y; D R D is a rotation again.
-    return scene._replace(
-        points=scene.points * MIRROR, rotations=MIRROR[:, None] * scene.rotations * MIRROR
-    )
+    points, rotations = mirror_images(scene.points, scene.rotations)
+    return scene._replace(points=points, rotations=rotations)
 
 
 def _choose_frames(which: NDArray[np.bool_], some: Scene, others: Scene) -> Scene:

@@ -2,5 +2,6 @@
 
 Offers the priors in `priors`, `reprojection.reproject` and `losses.objective` (a training step,
 with gradients), `feed_forward.feed_forward` (compiled answers of a fitted prior) and
-`settling.settle`.
+`settling.settle`. Compiled functions stand in `*_kernels` and `reprojection_gradients`; their twins
+for training on other devices than the CPU in `reprojection_tensors` and `losses.plain_objective`.
 """

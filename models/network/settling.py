@@ -167,11 +167,11 @@ def estimate_foreshortening(
     return float(np.abs(k).max()) * (1.0 if k.sum() >= 0 else -1.0)
 
 
-def mirrored(points: Floats, rotations: Floats) -> tuple[Floats, Floats]:
+def mirror_images(points: Floats, rotations: Floats) -> tuple[Floats, Floats]:
     """Return the mirror images of structures (N, P, 3), and rotations (N, K, 3, 3) that see them.
 
     With D = diag(1, 1, -1), the rotation D R D sees D X where R sees X: (D R D)(D X) = D R X has
     the same x and y.
     """
-    mirror = np.array(MIRROR, points.dtype)
+    mirror = np.array(MIRROR, points.dtype)  # the diagonal of D
     return points * mirror, mirror[:, None] * rotations * mirror

@@ -20,7 +20,7 @@ from models.network.priors.prior import Prior
 from models.network.settling import (
     estimate_foreshortening,
     first_order_cameras,
-    mirrored,
+    mirror_images,
     settle,
 )
 from models.numerics.rotations import rotations_from_vectors
@@ -72,7 +72,7 @@ def find_teachers(
     guesses = np.where(pair[..., None], early[1], late[1])  # (T, K, 3, 3)
     if foreshortening < 0:
         # Back to the handedness that the network is used to; the fit decides it at its end.
-        structures, guesses = mirrored(structures, guesses)
+        structures, guesses = mirror_images(structures, guesses)
 
     cameras = first_order_cameras(structures, views, shown, guesses, foreshortening)
     noise = _noise(views - cameras.projected - foreshortening * cameras.slopes, shown)
@@ -178,7 +178,7 @@ def perspective_teachers(
     rotations = torch.from_numpy(past).to(rotations.dtype) @ rotations
     points = points / radius[:, None, None]
     if reflected:
-        points, rotations = map(torch.from_numpy, mirrored(points.numpy(), rotations.numpy()))
+        points, rotations = map(torch.from_numpy, mirror_images(points.numpy(), rotations.numpy()))
         foreshortening = -foreshortening  # depths change their sign
     return as_teachers(
         points.float(), rotations.float(), weights.float(), frames, count, foreshortening, noise

@@ -16,7 +16,7 @@ from models.network.settling import (
     SETTLE_ALL,
     SETTLE_NONE,
     SettlingPolicy,
-    mirrored,
+    mirror_images,
     settle,
     settle_beyond,
 )
@@ -94,7 +94,7 @@ def test_it_computes_what_was_trained(sizes: tuple[int, ...], *, gaps: bool) -> 
     for sign in (1.0, -1.0):  # the network's structures may be mirror images
         shown = points, rotations_of_network
         if sign < 0:
-            shown = mirrored(*shown)
+            shown = mirror_images(*shown)
         structures, rotations, errors = expected(*shown, seen)
         found = answers_of(network, seen, sign * 0.1, SETTLE_NONE)
         np.testing.assert_allclose(found.points3d, structures, atol=2e-4)

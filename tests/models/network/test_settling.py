@@ -11,7 +11,7 @@ from models.network.reprojection_tensors import solve_cameras
 from models.network.settling import (
     estimate_foreshortening,
     first_order_cameras,
-    mirrored,
+    mirror_images,
     settle,
 )
 from models.network.settling_kernels import DECISIVE, STIFFNESS
@@ -115,7 +115,7 @@ def test_many_rounds_find_the_structure_behind_the_views(*, mirror: bool) -> Non
     keypoints, weights = seen_by(truth, rotations, K / 4), np.ones((10, 4, 9), np.float32)
     points, guesses = truth + 0.2 * structures(10, 9, seed=5), rotations
     if mirror:
-        points, guesses = mirrored(points, guesses)
+        points, guesses = mirror_images(points, guesses)
     before = pa_mpjpe(points, truth, reflection="either").mean
     found, _ = settle(points, keypoints, weights, guesses, -K / 4 if mirror else K / 4, rounds=60)
     after = pa_mpjpe(found, truth, reflection="never").mean
@@ -163,7 +163,7 @@ def test_foreshortening_is_about_that_of_the_cameras(k: float) -> None:
     keypoints, weights = seen_by(truth, rotations, k), np.ones((80, 4, 10), np.float32)
     found = estimate_foreshortening(truth, keypoints, weights, rotations)
     assert 0.4 * k < found < 1.1 * k  # settled structures take up a part of it
-    image, guesses = mirrored(truth, rotations)
+    image, guesses = mirror_images(truth, rotations)
     assert estimate_foreshortening(image, keypoints, weights, guesses) == pytest.approx(-found)
 
 
@@ -183,7 +183,7 @@ def test_without_foreshortening_nothing_is_settled() -> None:
 
 def test_mirror_images_look_alike() -> None:
     truth, rotations = structures(4, 8), rotations_of(4, 3)
-    image, turned = mirrored(truth, rotations)
+    image, turned = mirror_images(truth, rotations)
     np.testing.assert_allclose(np.linalg.det(turned), 1)
     np.testing.assert_allclose(
         (image[:, None] @ turned.mT)[..., :2], (truth[:, None] @ rotations.mT)[..., :2]
