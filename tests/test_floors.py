@@ -38,6 +38,8 @@ ROOMS = {
         ("cli",),
     ),
 }
+FILE_LINES, FUNCTION_LINES = 400, 60
+COMPILED = {"compiled", "inner", "reordered"}  # a call costs time in inner loops: those may be long
 # What a part of the house does not load, not even through what it imports.
 LIGHT = ("models.settings", "worker.runner", "service.process.supervisor", "service.cli")
 
@@ -131,3 +133,32 @@ def test_every_folder_says_what_lives_there(floor: str) -> None:
     for folder in {file.parent for file in (ROOT / floor).rglob("*.py")}:
         text = (folder / "__init__.py").read_text()
         assert ast.get_docstring(ast.parse(text)), f"{folder} needs a docstring in __init__.py"
+
+
+def python_files(*folders: str) -> list[Path]:
+    return sorted(file for folder in folders for file in (ROOT / folder).rglob("*.py"))
+
+
+def length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Return a function's lines, its signature and its docstring left out."""
+    first = function.body[1 if ast.get_docstring(function) else 0 :] or function.body
+    return (function.end_lineno or 0) - first[0].lineno + 1
+
+
+@pytest.mark.parametrize("folder", [*FLOORS, "examples", "benchmarks", "tests"])
+def test_no_file_is_too_long(folder: str) -> None:
+    lengths = {file: len(file.read_text().splitlines()) for file in python_files(folder)}
+    assert lengths
+    assert not {str(file): n for file, n in lengths.items() if n > FILE_LINES}
+
+
+@pytest.mark.parametrize("folder", [*FLOORS, "examples", "benchmarks"])
+def test_no_function_is_too_long(folder: str) -> None:
+    long = []
+    for file in python_files(folder):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                decorators = {ast.unparse(decorator) for decorator in node.decorator_list}
+                if length(node) > FUNCTION_LINES and not decorators & COMPILED:
+                    long.append(f"{file}: {node.name} has {length(node)} lines")
+    assert not long
