@@ -1,4 +1,7 @@
-"""Layers of compiled priors."""
+"""Layers of compiled priors.
+
+Only the compiled networks of `models.network.feed_forward` contain them, one for each prior.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
