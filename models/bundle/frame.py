@@ -54,19 +54,20 @@ def copy_scene(source: Scene, target: Scene) -> None:
 def cost_of(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> float:
     """Minus twice the log posterior, up to a constant; infinite with a point behind a camera."""
     turned, held, camera, pixel = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
+    keypoints, weights, lenses = views.keypoints, views.weights, rig.lenses
     total = 0.0
-    for k in range(len(views.keypoints)):
+    for k in range(len(keypoints)):
+        growth = math.exp(scene.sizes[rig.groups[k]])
         for p in range(len(scene.points)):
-            w = views.weights[k, p]
+            w = weights[k, p]
             if w > 0:
-                point_in_group_into(scene, rig.groups[k], p, turned, held)
+                point_in_group_into(scene, rig.groups[k], growth, p, turned, held)
                 point_in_camera_into(rig, k, held, camera)
                 if not camera[2] >= NEAREST_DEPTH:
                     return np.inf
-                project_into(camera, rig.lenses, k, pixel)
+                project_into(camera, lenses, k, pixel)
                 squared = w * (
-                    (pixel[0] - views.keypoints[k, p, 0]) ** 2
-                    + (pixel[1] - views.keypoints[k, p, 1]) ** 2
+                    (pixel[0] - keypoints[k, p, 0]) ** 2 + (pixel[1] - keypoints[k, p, 1]) ** 2
                 )
                 if squared > OUTLIER**2:
                     squared = 2 * OUTLIER * math.sqrt(squared) - OUTLIER**2

@@ -37,22 +37,6 @@ class NormalEquations(NamedTuple):
     rest_right: Float64  # (C,)
 
 
-class _Rows(NamedTuple):
-    """Room for what one keypoint's two residuals, x and y, depend on; made once, as that costs."""
-
-    residual: Float64  # (2,) pixels
-    by_point: Float64  # (2, 3)
-    by_columns: Float64  # (2, 7 or 17) by the pose and, if the rig may move, the view
-    # Steps on the way: e^a R X, v, x_cam, its pixel, and derivatives of the pixel.
-    turned: Float64  # (3,)
-    held: Float64  # (3,)
-    camera: Float64  # (3,)
-    pixel: Float64  # (2,)
-    by_camera: Float64  # (2, 3)
-    by_held: Float64  # (3,) of one of its coordinates
-    by_lens: Float64  # (2, 4)
-
-
 @inner
 def make_equations(count: int, columns: int) -> NormalEquations:
     """Return room for the equations of a frame."""
@@ -112,9 +96,10 @@ def whiten(points: Float64, prior: ShapePrior, out: Float64) -> tuple[float, flo
 
 
 @inner
-def point_in_group_into(scene: Scene, group: int, p: int, turned: Float64, held: Float64) -> None:
-    """Write e^a R X and v = e^a R X + t of one point, in the frame of its group."""
-    growth = math.exp(scene.sizes[group])
+def point_in_group_into(
+    scene: Scene, group: int, growth: float, p: int, turned: Float64, held: Float64
+) -> None:
+    """Write e^a R X and v = e^a R X + t of one point in the frame of its group, `growth` e^a."""
     rotation, point = scene.rotations[group], scene.points[p]
     for i in range(3):
         turned[i] = growth * (
@@ -144,7 +129,6 @@ def linearise(
     own = POSE * len(scene.sizes) + prior.basis.shape[1]  # columns of the frame alone
     shared = len(out.rest_right) > own
     columns = POSE + (VIEW if shared else 0)  # that one keypoint depends on
-    rows = _make_rows(columns)
     block, right = np.empty((columns, columns)), np.empty(columns)
     _linearise_priors(rig, prior, scene, out)
     for k in range(len(views.keypoints)):
@@ -152,33 +136,13 @@ def linearise(
         view_at = own + VIEW * k
         fill(block, 0)
         fill(right, 0)
-        for p in range(len(scene.points)):
-            if views.weights[k, p] > 0:
-                weight = _linearise_keypoint(views, rig, scene, k, p, rows)
-                _add_point(rows, weight, p, pose_at, view_at, out)
-                _add_columns(rows, weight, block, right)
+        _linearise_view(views, rig, scene, k, pose_at, view_at, block, right, out)
         for a in range(columns):
             row = pose_at + a if a < POSE else view_at + a - POSE
             out.rest_right[row] += right[a]
             for b in range(columns):
                 column = pose_at + b if b < POSE else view_at + b - POSE
                 out.rest[row, column] += block[a, b]
-
-
-@inner
-def _make_rows(columns: int) -> _Rows:
-    return _Rows(
-        np.empty(2),
-        np.empty((2, 3)),
-        np.empty((2, columns)),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(2),
-        np.empty((2, 3)),
-        np.empty(3),
-        np.empty((2, LENS)),
-    )
 
 
 @inner
@@ -206,51 +170,88 @@ def _linearise_priors(rig: Rig, prior: ShapePrior, scene: Scene, out: NormalEqua
 
 
 @inner
-def _linearise_keypoint(
-    views: Views, rig: Rig, scene: Scene, view: int, p: int, rows: _Rows
-) -> float:
-    """Write the residual of a keypoint and its derivatives; returns its robust weight."""
-    group = rig.groups[view]
-    turned, held, camera, pixel = rows.turned, rows.held, rows.camera, rows.pixel
-    by_camera, by_held, by_lens = rows.by_camera, rows.by_held, rows.by_lens
-    point_in_group_into(scene, group, p, turned, held)
-    point_in_camera_into(rig, view, held, camera)
-    differentiate_into(camera, rig.lenses, view, pixel, by_camera, by_lens)
-    squared = 0.0
-    for a in range(2):
-        rows.residual[a] = views.keypoints[view, p, a] - pixel[a]
-        squared += views.weights[view, p] * rows.residual[a] ** 2
+def _linearise_view(
+    views: Views,
+    rig: Rig,
+    scene: Scene,
+    view: int,
+    pose_at: int,
+    view_at: int,
+    block: Float64,
+    right: Float64,
+    out: NormalEquations,
+) -> None:
+    """Add what the keypoints of a view say: of the points to `out`, of pose and view to `block`.
 
-    growth, rotation, outward = math.exp(scene.sizes[group]), scene.rotations[group], rig.rotations
-    for a in range(2):
-        own = rows.by_columns[a]  # (7 or 17,)
-        for i in range(3):
-            by_held[i] = (
-                by_camera[a, 0] * outward[view, 0, i]
-                + by_camera[a, 1] * outward[view, 1, i]
-                + by_camera[a, 2] * outward[view, 2, i]
-            )
-        for i in range(3):
-            rows.by_point[a, i] = growth * (
-                by_held[0] * rotation[0, i]
-                + by_held[1] * rotation[1, i]
-                + by_held[2] * rotation[2, i]
-            )
-        _by_rotation_vector_into(by_held, turned, own[:3])
-        for i in range(3):
-            own[3 + i] = by_held[i]
-        own[SIZE] = by_held[0] * turned[0] + by_held[1] * turned[1] + by_held[2] * turned[2]
-        if len(own) > POSE:
-            for i in range(LENS):
-                own[POSE + i] = by_lens[a, i]
-            for i in range(3):  # C v
-                held[i] = camera[i] - rig.translations[view, i]
-            extrinsics = own[POSE + LENS :]
-            _by_rotation_vector_into(by_camera[a], held, extrinsics[:3])
+    Fields of tuples are looked up here once for all keypoints: counting references costs.
+    """
+    group = rig.groups[view]
+    growth = math.exp(scene.sizes[group])
+    rotation, outward = scene.rotations[group], rig.rotations[view]
+    keypoints, weights, lenses = views.keypoints[view], views.weights[view], rig.lenses
+    points, coupling, points_right = out.points, out.coupling, out.points_right
+    residual, by_point = np.empty(2), np.empty((2, 3))
+    by = np.empty((2, len(right)))  # of the two coordinates by the pose and, if it may move, view
+    turned, held, camera, pixel = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
+    by_camera, by_held, by_lens = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, LENS))
+    for p in range(len(weights)):
+        if not weights[p] > 0:
+            continue
+        point_in_group_into(scene, group, growth, p, turned, held)
+        point_in_camera_into(rig, view, held, camera)
+        differentiate_into(camera, lenses, view, pixel, by_camera, by_lens)
+        squared = 0.0
+        for a in range(2):
+            residual[a] = keypoints[p, a] - pixel[a]
+            squared += weights[p] * residual[a] ** 2
+        weight = weights[p] * min(1.0, OUTLIER / math.sqrt(max(squared, TINY)))
+        for a in range(2):
             for i in range(3):
-                extrinsics[3 + i] = by_camera[a, i]
-    weight: float = views.weights[view, p]
-    return weight * min(1.0, OUTLIER / math.sqrt(max(squared, TINY)))
+                by_held[a, i] = (
+                    by_camera[a, 0] * outward[0, i]
+                    + by_camera[a, 1] * outward[1, i]
+                    + by_camera[a, 2] * outward[2, i]
+                )
+            for i in range(3):
+                by_point[a, i] = growth * (
+                    by_held[a, 0] * rotation[0, i]
+                    + by_held[a, 1] * rotation[1, i]
+                    + by_held[a, 2] * rotation[2, i]
+                )
+            _by_rotation_vector_into(by_held[a], turned, by[a, :3])
+            for i in range(3):
+                by[a, 3 + i] = by_held[a, i]
+            by[a, SIZE] = (
+                by_held[a, 0] * turned[0] + by_held[a, 1] * turned[1] + by_held[a, 2] * turned[2]
+            )
+        if len(right) > POSE:
+            _by_view_into(rig, view, camera, by_camera, by_lens, held, by)
+        _add_point(by_point, by, weight, p, pose_at, view_at, points, coupling)
+        for i in range(3):
+            u, v = weight * by_point[0, i], weight * by_point[1, i]
+            points_right[p, i] += u * residual[0] + v * residual[1]
+        _add_columns(residual, by, weight, block, right)
+
+
+@inner
+def _by_view_into(
+    rig: Rig,
+    view: int,
+    camera: Float64,
+    by_camera: Float64,
+    by_lens: Float64,
+    arm: Float64,
+    by: Float64,
+) -> None:
+    """Write the derivatives of a pixel by the ten numbers of its view; `arm` (3,) is room."""
+    for i in range(3):  # C v
+        arm[i] = camera[i] - rig.translations[view, i]
+    for a in range(2):
+        for i in range(LENS):
+            by[a, POSE + i] = by_lens[a, i]
+        _by_rotation_vector_into(by_camera[a], arm, by[a, POSE + LENS : POSE + LENS + 3])
+        for i in range(3):
+            by[a, POSE + LENS + 3 + i] = by_camera[a, i]
 
 
 @inner
@@ -263,28 +264,34 @@ def _by_rotation_vector_into(by: Float64, arm: Float64, out: Float64) -> None:
 
 @inner
 def _add_point(
-    rows: _Rows, weight: float, p: int, pose_at: int, view_at: int, out: NormalEquations
+    by_point: Float64,
+    by: Float64,
+    weight: float,
+    p: int,
+    pose_at: int,
+    view_at: int,
+    points: Float64,
+    coupling: Float64,
 ) -> None:
-    """Add to a point's block, to its coupling with pose and view, and to its right-hand side."""
+    """Add to a point's block and to its coupling with pose and view."""
     for i in range(3):
-        u, v = weight * rows.by_point[0, i], weight * rows.by_point[1, i]
-        out.points_right[p, i] += u * rows.residual[0] + v * rows.residual[1]
+        u, v = weight * by_point[0, i], weight * by_point[1, i]
         for j in range(3):
-            out.points[p, i, j] += u * rows.by_point[0, j] + v * rows.by_point[1, j]
-        coupling, by = out.coupling[p, i], rows.by_columns  # (C,), (2, 7 or 17)
+            points[p, i, j] += u * by_point[0, j] + v * by_point[1, j]
         for a in range(POSE):
-            coupling[pose_at + a] += u * by[0, a] + v * by[1, a]
+            coupling[p, i, pose_at + a] += u * by[0, a] + v * by[1, a]
         for a in range(POSE, by.shape[1]):
-            coupling[view_at + a - POSE] += u * by[0, a] + v * by[1, a]
+            coupling[p, i, view_at + a - POSE] += u * by[0, a] + v * by[1, a]
 
 
 @inner
-def _add_columns(rows: _Rows, weight: float, block: Float64, right: Float64) -> None:
+def _add_columns(
+    residual: Float64, by: Float64, weight: float, block: Float64, right: Float64
+) -> None:
     """Add to the block of pose and view, and to their right-hand side."""
-    by = rows.by_columns
     for a in range(len(right)):
         u, v = weight * by[0, a], weight * by[1, a]
-        right[a] += u * rows.residual[0] + v * rows.residual[1]
+        right[a] += u * residual[0] + v * residual[1]
         for b in range(len(right)):
             block[a, b] += u * by[0, b] + v * by[1, b]
 

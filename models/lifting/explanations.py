@@ -187,14 +187,15 @@ def explain(
             out.points[p, i] = scene.points[p, i] * size
     for k in range(len(usable)):
         g = rig.groups[k]
+        growth = math.exp(scene.sizes[g])
         product(rig.rotations[k], scene.rotations[g], out.rotations[k])
         point_in_camera_into(rig, k, scene.translations[g], out.translations[k])
         for i in range(3):
-            out.translations[k, i] *= size / math.exp(scene.sizes[g])
+            out.translations[k, i] *= size / growth
         summed, observed = 0.0, 0
         for p in range(len(mean)):
             if views.weights[k, p] > 0:
-                point_in_group_into(scene, g, p, turned, held)
+                point_in_group_into(scene, g, growth, p, turned, held)
                 point_in_camera_into(rig, k, held, camera)
                 project_into(camera, rig.lenses, k, pixel)
                 summed += math.sqrt(
