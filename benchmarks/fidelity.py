@@ -14,11 +14,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from benchmarks.cases import CASES, PCK_MM, Bench
 from benchmarks.report import TRNG, Report, draw, markdown
 from benchmarks.rig import find_rig
+from models.numerics.threads import use_threads
 from models.settings.config import FitConfig
 from models.settings.priors import PRIORS
 
@@ -32,7 +31,7 @@ MILLIMETRES = {"m": 1000.0, "cm": 10.0, "mm": 1.0}
 def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
-    torch.set_num_threads(1)  # as in the service
+    use_threads(1)  # as in the service
     bench = prepare(arguments)
     for seed in arguments.seeds:
         for name, measure in CASES.items():

@@ -24,7 +24,6 @@ from benchmarks.captures import (  # first: it says how many threads the librari
 
 import numpy as np  # isort: skip
 import orjson
-import torch
 import uvloop
 from safetensors.numpy import save
 
@@ -33,7 +32,7 @@ from benchmarks.service_rig import BYTES, Service, service
 from benchmarks.streams import Stream, as_bytes, as_text
 from benchmarks.wire import Connection, post
 from models.lifting.fitted_prior import FittedPrior
-from models.numerics.threads import use_cores
+from models.numerics.threads import use_cores, use_threads
 from models.settings.config import Refine
 
 JSON = "application/json"
@@ -76,7 +75,7 @@ class Timing:
 def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
-    torch.set_num_threads(1)
+    use_threads(1)
     use_cores(len(os.sched_getaffinity(0)))  # as many as lift in the service
     capture = from_options(arguments)
     prior = model_from_options(arguments, capture)

@@ -12,7 +12,6 @@ import gc
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-import torch
 import uvloop
 
 from benchmarks.captures import Float32, add_options, from_options, model_from_options
@@ -21,6 +20,7 @@ from benchmarks.figures import Bar, Results, Row, command
 from benchmarks.memory import measure_memory
 from benchmarks.service_rig import Service, service
 from benchmarks.streams import measure_streams
+from models.numerics.threads import use_threads
 
 Measured = tuple[dict[str, list[Row]], list[Bar]]
 Case = Callable[[Service, str, Float32, argparse.Namespace], Coroutine[Any, Any, Measured]]
@@ -34,7 +34,7 @@ CASES: dict[str, Case] = {
 def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
-    torch.set_num_threads(1)
+    use_threads(1)
     capture = from_options(arguments)
     prior = model_from_options(arguments, capture)
     gc.collect()

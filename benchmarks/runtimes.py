@@ -41,6 +41,7 @@ from models.network.answers import make_answers
 from models.network.feed_forward import feed_forward as run_compiled
 from models.network.priors.hierarchical import HierarchicalPrior
 from models.network.settling import SETTLE_NONE
+from models.numerics.threads import use_threads
 
 PRODUCTS = "matrix products alone"
 MEBIBYTE = 1024 * 1024
@@ -92,7 +93,7 @@ class Straight(nn.Module):
 def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
-    torch.set_num_threads(1)
+    use_threads(1)
     model = prepare(arguments)
     runtimes = make_ready(model, arguments.only)
     views, keypoints = model.keypoints.shape[1:3]

@@ -10,8 +10,6 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-import torch
-
 from benchmarks.figures import Bar, Results, Row, command, draw_lines
 from benchmarks.scaling_process import (
     Costs,
@@ -20,12 +18,13 @@ from benchmarks.scaling_process import (
     measure_views,
 )
 from benchmarks.scaling_service import measure_frames, measure_models, measure_workers
+from models.numerics.threads import use_threads
 
 
 def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
-    torch.set_num_threads(1)  # as in the service
+    use_threads(1)  # as in the service
     tables: dict[str, list[Row]] = {}
     bars: list[Bar] = []
     panels: dict[str, dict[str, list[tuple[float, float]]]] = {}

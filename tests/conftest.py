@@ -7,6 +7,6 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # NumPy's and SciPy's, before they are
 # The processes that tests start are of this copy of the code, too, whichever is installed.
 os.environ["PYTHONPATH"] = str(Path(__file__).parent.parent)
 
-import torch
+from models.numerics.threads import use_threads
 
-torch.set_num_threads(1)
+use_threads(1)

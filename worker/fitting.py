@@ -18,7 +18,7 @@ from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
 from models.network.priors.registry import outline
 from models.numerics.tensor_files import WeightsError
-from models.numerics.threads import use_cores
+from models.numerics.threads import use_cores, use_threads
 from models.settings.config import FitConfig
 from models.training.trainer import Trainer
 from store import attempts, datasets, lookup, models
@@ -46,7 +46,7 @@ def run_attempt(
     The outcome is in the fit's record; :func:`worker.outcomes.recorded` says what errors lead to.
     A fault of ours, and RQ's own timeout, fail the fit and are raised again.
     """
-    torch.set_num_threads(settings.fit_threads)
+    use_threads(settings.fit_threads)
     use_cores(len(os.sched_getaffinity(0)))  # which changes no digit, and is over soon
     fail = partial(_fail, store, attempt)
     outcomes = Outcomes(

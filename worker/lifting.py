@@ -3,11 +3,10 @@
 from functools import partial
 from typing import cast
 
-import torch
-
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import Lift, join
+from models.numerics.threads import use_threads
 from models.settings.config import Refine
 from store import datasets, lift_chunks, lookup, models
 from store.database import Store
@@ -34,7 +33,7 @@ def do_chunks(
     What comes of it is in the records; :func:`worker.outcomes.recorded` says what errors lead to.
     A fault of ours costs its chunk a try, and is raised again.
     """
-    torch.set_num_threads(settings.fit_threads)
+    use_threads(settings.fit_threads)
     chunk: LiftChunk | None = first
 
     def try_again(why: str) -> None:

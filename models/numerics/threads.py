@@ -6,8 +6,19 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 _cores: int | None = None
+
+
+def use_threads(count: int) -> None:
+    """Give each product of torch and NumPy so many threads, from now on in this process.
+
+    Their last digits depend on it. A product that another process disturbs waits for its slowest
+    thread, and most products here are too small to gain from a second one.
+    """
+    torch.set_num_threads(count)
+    threadpool_limits(count, user_api="blas")
 
 
 def use_cores(count: int | None) -> None:

@@ -15,11 +15,11 @@ from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
+from models.numerics.threads import use_threads
 from models.settings.config import Refine
 from service.realtime.warm_models import WarmModels
 from store.database import Store
@@ -83,7 +83,7 @@ class Engine:
         self._large_next = False
         self._closed = False
         self._changed = threading.Condition()
-        torch.set_num_threads(1)  # batches are spread over the cores, not the parts of one
+        use_threads(1)  # batches are spread over the cores, not the parts of one
         self._threads = [
             threading.Thread(target=self._work, name=f"lift-{n}", daemon=True)
             for n in range(threads)
