@@ -19,7 +19,7 @@ from benchmarks.report import TRNG, Report, draw, markdown
 from benchmarks.rig import find_rig
 from models.numerics.threads import use_threads
 from models.settings.config import FitConfig
-from models.settings.priors import PRIORS
+from models.settings.priors import PRIOR_SETTINGS
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "examples"))  # where `capture` lies
@@ -64,7 +64,9 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--unit", choices=list(MILLIMETRES), default="m", help="of points3d")
     parser.add_argument("--image-size", type=_size, help="WxH of every view, if the file has none")
     parser.add_argument("--steps", type=int, default=None, help="of a fit; fewer for a try")
-    parser.add_argument("--prior", choices=list(PRIORS), default="hierarchical", help="to fit")
+    parser.add_argument(
+        "--prior", choices=list(PRIOR_SETTINGS), default="hierarchical", help="to fit"
+    )
     parser.add_argument("--json", type=Path, help="write the results to this file")
     parser.add_argument("--output", type=Path, help="folder for plots, tables and fidelity.json")
     return parser.parse_args()

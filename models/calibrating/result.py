@@ -46,7 +46,7 @@ class CameraReport:
     arrangement: str  # "static", "moving" or "mixed"
     reason: str  # why, in words with figures
     warnings: tuple[str, ...]  # what does not fit, such as a calibration that is wrong
-    camera_models: tuple[str, ...]  # K of `models.lifting.fitted_prior.CAMERA_MODELS`
+    camera_models: tuple[str, ...]  # K of `models.lifting.lift.CAMERA_MODELS`
     focals: Float64  # (K, 2) pixels along x and y
     focal_sds: Float64  # (K,) pixels
     principal_points: Float64  # (K, 2) pixels

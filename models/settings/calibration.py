@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 LensName = Literal["pinhole", "fisheye"]  # a file each in `models.optics.lenses`
+LiftedLensName = Literal["perspective", "fisheye"]  # the same lenses, as lifts and models call them
 NUMBERS_OF_COEFFICIENTS: dict[LensName, tuple[int, ...]] = {
     "pinhole": (0, 1, 2, 4, 5, 8),
     "fisheye": (0, 4),
@@ -18,7 +19,7 @@ Coordinate = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 
 
 class Intrinsics(BaseModel):
-    """A lens in OpenCV's terms; pixels, origin at the image's top-left corner."""
+    """A lens in OpenCV's terms; pixels with the origin that the keypoints have."""
 
     model_config = _STRICT
 

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 from models.settings.calibration import Camera, KnownLength
 from models.settings.priors import (
     ARCHITECTURE,
-    PRIORS,
+    PRIOR_SETTINGS,
     DictionarySizes,
     MlpSizes,
     PriorName,
@@ -18,6 +18,9 @@ Refine = Literal["auto", "off", "full"]
 Arrangement = Literal["auto", "moving", "static"]
 Index = Annotated[int, Field(ge=0)]
 
+LEARNING_RATES = ", ".join(
+    f"{its.learning_rate:g} for `{name}`" for name, its in PRIOR_SETTINGS.items()
+)
 WARM_STEPS = 1100  # of a fit that starts from a model, unless it was told otherwise
 
 
@@ -57,7 +60,7 @@ class FitConfig(BaseModel):
         le=1,
         description=(
             "Adam's step size at the start; it falls to zero along half a cosine. Null, which is"
-            " replaced by it: what suits the prior, 0.01 for `hierarchical`, 0.002 for `mlp`."
+            f" replaced by it: what suits the prior, {LEARNING_RATES}."
         ),
     )
     budget_s: float | None = Field(
@@ -142,12 +145,12 @@ class FitConfig(BaseModel):
     @classmethod
     def _suits_the_prior(cls, rate: float | None, told: ValidationInfo) -> float | None:
         prior = told.data.get("prior")  # there is none if it is not valid
-        return PRIORS[prior].learning_rate if rate is None and prior is not None else rate
+        return PRIOR_SETTINGS[prior].learning_rate if rate is None and prior is not None else rate
 
     @model_validator(mode="after")
     def _sizes_are_those_of_the_prior(self) -> "FitConfig":
         check_dictionary_sizes(self.dictionary_sizes)
-        for name, settings in PRIORS.items():
+        for name, settings in PRIOR_SETTINGS.items():
             default = type(self).model_fields[settings.sizes].default
             if name != self.prior and getattr(self, settings.sizes) != default:
                 raise ValueError(
@@ -159,7 +162,7 @@ class FitConfig(BaseModel):
     @property
     def sizes(self) -> Any:
         """The sizes of the prior that was chosen."""
-        return getattr(self, PRIORS[self.prior].sizes)
+        return getattr(self, PRIOR_SETTINGS[self.prior].sizes)
 
 
 def warm(config: FitConfig, source: FitConfig) -> FitConfig:

@@ -21,12 +21,12 @@ class PriorSettings(NamedTuple):
     learning_rate: float  # that suits it
 
 
-PRIORS: dict[PriorName, PriorSettings] = {
+PRIOR_SETTINGS: dict[PriorName, PriorSettings] = {
     "hierarchical": PriorSettings("dictionary_sizes", 1e-2),
     "mlp": PriorSettings("mlp", 2e-3),
 }
 # Fields of `FitConfig` in which a fit and the model that it starts from must agree.
-ARCHITECTURE = ("prior", *(settings.sizes for settings in PRIORS.values()))
+ARCHITECTURE = ("prior", *(settings.sizes for settings in PRIOR_SETTINGS.values()))
 
 
 class MlpSizes(BaseModel):

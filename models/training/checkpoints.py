@@ -1,9 +1,10 @@
 """Checkpoints of a fit, as safetensors bytes: its numbers in the header, the rest as tensors."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import torch
+from pydantic import ValidationError
 from torch import Tensor
 
 from models.calibrating.result import SelfCalibration
@@ -19,6 +20,7 @@ from models.numerics.tensor_files import (
     unpack,
     without_prefix,
 )
+from models.settings.config import FitConfig
 from models.training.state import TrainerState, state_from_json, state_to_json
 from models.training.teachers import Teachers
 
@@ -37,14 +39,18 @@ class Checkpoint(NamedTuple):
     self_calibration: SelfCalibration | None
 
 
-def write(checkpoint: Checkpoint, *, config: str, data: str) -> bytes:
-    """Write a checkpoint of a fit; the strings identify its configuration and its data."""
+def write(checkpoint: Checkpoint, *, config: FitConfig, data: str) -> bytes:
+    """Write a checkpoint of a fit of a configuration; `data` identifies its keypoints."""
     arrays: Arrays = {
         "weights": checkpoint.weights,
         **dict(zip(MOMENTS, checkpoint.moments, strict=True)),
         "curve": curve_to_tensor(checkpoint.curve),
     }
-    about = {"config": config, "data": data, "state": state_to_json(checkpoint.state)}
+    about = {
+        "config": config.model_dump_json(),
+        "data": data,
+        "state": state_to_json(checkpoint.state),
+    }
     if checkpoint.teachers is not None:
         about["teachers"] = str(len(checkpoint.teachers.points))
         parts = checkpoint.teachers._asdict().items()
@@ -58,7 +64,7 @@ def write(checkpoint: Checkpoint, *, config: str, data: str) -> bytes:
 def read(
     written: bytes,
     *,
-    config: str,
+    config: FitConfig,
     data: str,
     weights: int,
     shape: tuple[int, int, int],
@@ -74,7 +80,7 @@ def read(
         configuration.
     """
     about = read_about(written, kind="checkpoint")
-    if about.get("config") != config:
+    if _config_of(about) != config:
         raise WeightsError("the checkpoint was made for another configuration; start anew")
     if about.get("data") != data:
         raise WeightsError("the checkpoint was made for other keypoints; start anew")
@@ -101,6 +107,14 @@ def read(
         teachers=teachers,
         self_calibration=found,
     )
+
+
+def _config_of(about: Mapping[str, str]) -> FitConfig | None:
+    """Return the configuration of a header, completed by the defaults of what it could not know."""
+    try:
+        return FitConfig.model_validate_json(about.get("config", ""))
+    except ValidationError:
+        return None
 
 
 def _teacher_shapes(frames: int, views: int, keypoints: int) -> Shapes:

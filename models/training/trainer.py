@@ -176,15 +176,13 @@ class Trainer:
             teachers=self._teaching.teachers,
             self_calibration=self._teaching.self_calibration,
         )
-        return checkpoints.write(
-            saved, config=self.config.model_dump_json(), data=self._fingerprint
-        )
+        return checkpoints.write(saved, config=self.config, data=self._fingerprint)
 
     def _restore(self, checkpoint: bytes) -> None:
         frames, views, keypoints, _ = self._data.keypoints.shape
         saved = checkpoints.read(
             checkpoint,
-            config=self.config.model_dump_json(),
+            config=self.config,
             data=self._fingerprint,
             weights=len(self._learner.weights),
             shape=(frames, views, keypoints),

@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.calibrating.result import CameraReport
+from models.settings.calibration import LiftedLensName
 from service.wire.schemas import Distortion, Rotation, Vector2, Vector3
 
 UNKNOWN = (
@@ -22,7 +23,7 @@ class FoundView(BaseModel):
     """
 
     index: int = Field(description="Which view of the fit; what `views` of `POST /lift` counts.")
-    camera: Literal["perspective", "fisheye"]
+    camera: LiftedLensName
     resting: bool = Field(description="Whether it rests relative to the other resting cameras.")
     focal: Vector2 | None = Field(description="Focal length along x and y, pixels.")
     focal_sd: float | None = Field(description="Pixels.")

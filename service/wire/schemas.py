@@ -6,6 +6,7 @@ import orjson
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 
 from models.lifting.frames_json import frames_to_json
+from models.settings.calibration import LiftedLensName
 from service.wire.arrays import Arrays
 
 _NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
@@ -71,7 +72,7 @@ Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Rotation = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 
 
-CameraModel = Literal["weak_perspective", "perspective", "fisheye"]
+CameraModel = Literal["weak_perspective", LiftedLensName]
 Distortion = Annotated[list[float], Field(min_length=8, max_length=8)]
 
 

@@ -1,6 +1,6 @@
 """Another prior than the default goes the whole way over HTTP."""
 
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import orjson
@@ -11,6 +11,7 @@ from models.capture.synthetic import SyntheticCapture
 from models.lifting.fitted_prior import FittedPrior
 from models.network.priors.registry import make_prior
 from models.settings.config import WARM_STEPS, FitConfig
+from models.settings.priors import PriorName
 from tests.service.conftest import JSON, Live, frames_of, make_dataset, problem
 
 SIZES = {"width": 24, "blocks": 1, "code": 6}
@@ -82,7 +83,7 @@ def test_a_fit_that_is_told_another_prior_than_its_model_is_refused(
 @pytest.mark.parametrize(
     ("config", "pointer", "fix"),
     [
-        ({"prior": "transformer"}, "/config/prior", "'hierarchical' or 'mlp'"),
+        ({"prior": "transformer"}, "/config/prior", f"or {get_args(PriorName)[-1]!r}"),
         ({"prior": "mlp", "mlp": {"width": 2}}, "/config/mlp/width", "greater than or equal to 4"),
         ({"prior": "mlp", "mlp": {"depth": 2}}, "/config/mlp/depth", ""),
         ({"mlp": SIZES}, "/config", "set prior to 'mlp'"),

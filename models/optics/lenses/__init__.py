@@ -6,7 +6,7 @@ where people or files are spoken to.
 
 To add a camera model: write its file as `kannala_brandt` is written (`NAME`, `LIFTED_AS`,
 `start_from_pinhole`, `bend`, `differentiate`); in `projection`, add it to `LENSES` and a branch to
-`_bend` and to `_differentiate`; in `models.settings.calibration`, add its name to `LensName` and
-how many coefficients it has to `NUMBERS_OF_COEFFICIENTS`. The API's documents follow from these,
-and from the name in `service` by which lifts and models tell their cameras.
+`_bend` and to `_differentiate`; in `models.settings.calibration`, add its two names to `LensName`
+and `LiftedLensName`, and its numbers of coefficients to `NUMBERS_OF_COEFFICIENTS`. Files, lifts and
+the API's document follow from these; only descriptions in words name every lens.
 """

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from models.settings.calibration import LensName
+from models.settings.calibration import LensName, LiftedLensName
 
 Float64 = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class LensModel(Protocol):
     """What the file of a camera model offers beside its compiled `bend` and `differentiate`."""
 
     NAME: LensName  # in a calibration, and in files
-    LIFTED_AS: str  # in what lifts say of their cameras
+    LIFTED_AS: LiftedLensName  # in what lifts say of their cameras
 
     def start_from_pinhole(self, distortion: Float64) -> Float64 | None:
         """Say whether a pinhole solution looks as if its lenses were of this model.

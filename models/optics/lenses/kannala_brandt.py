@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from models.numerics.compiled import inner
 from models.optics.lenses.bending import Bending
-from models.settings.calibration import LensName
+from models.settings.calibration import LensName, LiftedLensName
 
 Float64 = NDArray[np.float64]
 
 NAME: LensName = "fisheye"
-LIFTED_AS = "fisheye"
+LIFTED_AS: LiftedLensName = "fisheye"
 
 BARREL = -0.1  # a pinhole's mean k1 from which a lens may be a fisheye, whose k1 would be -1/3
 NEAR_AXIS = 1e-8  # r^2 below which the first terms of the series in r are used

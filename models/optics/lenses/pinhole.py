@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from models.numerics.compiled import inner
 from models.optics.lenses.bending import Bending
-from models.settings.calibration import LensName
+from models.settings.calibration import LensName, LiftedLensName
 
 Float64 = NDArray[np.float64]
 
 NAME: LensName = "pinhole"
-LIFTED_AS = "perspective"
+LIFTED_AS: LiftedLensName = "perspective"
 
 
 def start_from_pinhole(distortion: Float64) -> Float64 | None:

@@ -14,7 +14,7 @@ from models.settings.calibration import NUMBERS_OF_COEFFICIENTS, LensName
 Float64 = NDArray[np.float64]
 
 LENSES: tuple[LensModel, ...] = (pinhole, kannala_brandt)  # a model's index is its place here
-PINHOLE, KANNALA_BRANDT = range(len(LENSES))
+PINHOLE, KANNALA_BRANDT = LENSES.index(pinhole), LENSES.index(kannala_brandt)
 COEFFICIENTS = max(max(NUMBERS_OF_COEFFICIENTS[lens.NAME]) for lens in LENSES)
 NEAREST_DEPTH = 1e-6  # depths nearer to 0 than this, in the points' unit, count as this
 
