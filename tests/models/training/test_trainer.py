@@ -14,6 +14,7 @@ from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError, pack, read_about
 from models.settings.config import FitConfig
 from models.training.trainer import Progress, Trainer, fit
+from tests.sharing import fitted_once
 
 QUICK = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8)
 
@@ -24,18 +25,23 @@ def capture() -> SyntheticCapture:
 
 
 @pytest.fixture(scope="module")
-def prior(capture: SyntheticCapture) -> FittedPrior:
+def prior(capture: SyntheticCapture, tmp_path_factory: pytest.TempPathFactory) -> FittedPrior:
     """Fit every second frame; the others are lifted unseen."""
-    half = slice(None, None, 2)
-    confidence = capture.confidence[half]
-    return fit(capture.keypoints[half], FitConfig(steps=450), confidence=confidence)
+    keypoints, confidence = capture.keypoints[::2], capture.confidence[::2]
+    config = FitConfig(steps=450)
+    return fitted_once(
+        tmp_path_factory, "refined", lambda: fit(keypoints, config, confidence=confidence)
+    )
 
 
 @pytest.fixture(scope="module")
-def weak(capture: SyntheticCapture) -> FittedPrior:
+def weak(capture: SyntheticCapture, tmp_path_factory: pytest.TempPathFactory) -> FittedPrior:
     """Fit as the paper does, with weak perspective alone."""
+    keypoints, confidence = capture.keypoints, capture.confidence
     config = FitConfig(steps=600, refine="off")
-    return fit(capture.keypoints, config, confidence=capture.confidence)
+    return fitted_once(
+        tmp_path_factory, "weak", lambda: fit(keypoints, config, confidence=confidence)
+    )
 
 
 @pytest.fixture(scope="module")
