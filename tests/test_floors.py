@@ -18,9 +18,11 @@ FLOORS = ("models", "store", "worker", "service")  # from the bottom
 ROOMS = {
     "models": (
         ("settings",),
+        ("findings",),
         ("numerics",),
         ("capture",),
         ("optics",),
+        ("epipolar",),
         ("network",),
         ("bundle",),
         ("calibrating",),
@@ -41,7 +43,13 @@ ROOMS = {
 FILE_LINES, FUNCTION_LINES = 400, 60
 COMPILED = {"compiled", "inner", "reordered"}  # a call costs time in inner loops: those may be long
 # What a part of the house does not load, not even through what it imports.
-LIGHT = ("models.settings", "worker.runner", "service.process.supervisor", "service.cli")
+LIGHT = (
+    "models.settings",
+    "models.findings",
+    "worker.runner",
+    "service.process.supervisor",
+    "service.cli",
+)
 
 
 @cache

@@ -1,0 +1,184 @@
+"""Every code of a finding: how grave it is, what it leads to, and what to do about it."""
+
+from typing import Literal, NamedTuple, get_args
+
+Severity = Literal["info", "warning"]
+
+CaptureCode = Literal[  # of the keypoints alone, before any fit
+    "keypoint_never_seen",
+    "keypoint_frozen",
+    "views_identical",
+    "coordinates_normalised",
+    "outside_image",
+    "too_few_frames",
+    "one_view",
+    "no_motion",
+    "views_out_of_step",
+    "views_swapped",
+    "left_right_swapped",
+]
+CameraCode = Literal[  # of what a fit finds of its cameras
+    "cameras_not_found",
+    "rig_declared_but_moving",
+    "calibration_disagrees",
+    "known_length_disagrees",
+    "camera_moved",
+    "focal_not_observable",
+    "handedness_not_observable",
+    "views_opposite",
+    "noise_high",
+    "lenses_extreme",
+]
+LiftCode = Literal[  # of new frames
+    "rig_not_used",
+    "frame_unlike_fit",
+    "coordinates_of_another_scale",
+]
+FindingCode = CaptureCode | CameraCode | LiftCode
+
+
+class Entry(NamedTuple):
+    """What a code stands for."""
+
+    severity: Severity
+    effect: str
+    remedy: str
+
+
+CATALOGUE: dict[FindingCode, Entry] = {
+    "keypoint_never_seen": Entry(
+        "warning",
+        "No view ever shows this keypoint: its place is not answered (null).",
+        "Leave the keypoint out, or look at what the detector wrote for it.",
+    ),
+    "keypoint_frozen": Entry(
+        "warning",
+        "The keypoint stays at one pixel while the others move, so it is no detection: cameras"
+        " and structures bend towards it.",
+        "Mark it as not observed (null, or confidence 0) where the detector did not find it.",
+    ),
+    "views_identical": Entry(
+        "warning",
+        "The views show the very same keypoints: together they say no more than one of them.",
+        "Upload each camera's own keypoints.",
+    ),
+    "coordinates_normalised": Entry(
+        "warning",
+        "All coordinates lie between 0 and 1, so they are shares of the image, not pixels: focal"
+        " lengths and noise mean nothing.",
+        "Multiply x by the image's width and y by its height, in pixels.",
+    ),
+    "outside_image": Entry(
+        "warning",
+        "Keypoints lie outside the image: the image size is not that of these keypoints, or the"
+        " detector was run on a scaled or cropped image.",
+        "Give the size of the images on which the keypoints were detected.",
+    ),
+    "too_few_frames": Entry(
+        "warning",
+        "So few frames show the subject that its shapes can hardly be learnt.",
+        "Film for longer, or add frames that show other poses.",
+    ),
+    "one_view": Entry(
+        "warning",
+        "Only one view shows the subject: depth is guessed from the shapes alone.",
+        "Add a second, synchronised view.",
+    ),
+    "no_motion": Entry(
+        "warning",
+        "The subject hardly moves or turns: neither cameras nor shapes are determined well.",
+        "Film a subject that moves through the room and shows other poses.",
+    ),
+    "views_out_of_step": Entry(
+        "warning",
+        "A view shows every moment later or earlier than the others: fast movements are smeared"
+        " and cameras at rest seem to move.",
+        "Synchronise the cameras, or tell the capture's `fps` or `times`: the view is then shifted"
+        " by the fit itself (`synchronise: auto`).",
+    ),
+    "views_swapped": Entry(
+        "warning",
+        "In these frames the views have changed places: cameras at rest seem to move.",
+        "Put the views of these frames back into the order of the others.",
+    ),
+    "left_right_swapped": Entry(
+        "warning",
+        "The view shows left and right keypoints the other way round than the other views do.",
+        "Exchange left and right in this view, or turn off mirroring of its images.",
+    ),
+    "cameras_not_found": Entry(
+        "warning",
+        "The keypoints do not determine any cameras: lifts are weak perspective.",
+        "Add a second view, more frames, or a calibration.",
+    ),
+    "rig_declared_but_moving": Entry(
+        "warning",
+        "The cameras were declared static, and the keypoints say that they move: reprojection"
+        " errors and structures are worse for it.",
+        "Fit with `cameras: auto` or `moving`, or look for what moved, such as a bumped tripod or"
+        " views that are out of step.",
+    ),
+    "calibration_disagrees": Entry(
+        "warning",
+        "The calibration of this view does not explain its keypoints.",
+        "Calibrate this camera anew, or leave its calibration out: it is found from the keypoints.",
+    ),
+    "known_length_disagrees": Entry(
+        "warning",
+        "The known length and the calibration give different units; the known length was used.",
+        "Check the length and the unit of the calibration's translations.",
+    ),
+    "camera_moved": Entry(
+        "warning",
+        "A camera that otherwise rests was moved: it fits the others before these frames or in"
+        " them, not both.",
+        "Fit the frames before and after it apart, or with `cameras: moving`.",
+    ),
+    "focal_not_observable": Entry(
+        "warning",
+        "The keypoints hardly tell the focal length (a far or flat subject, or few frames): it is"
+        " a guess with a wide standard deviation, and distances along the view are as unsure.",
+        "Tell the focal length (`calibration`), or film the subject nearer and in more places.",
+    ),
+    "handedness_not_observable": Entry(
+        "warning",
+        "The keypoints hardly tell the structures from their mirror image.",
+        "Tell the `handedness`, or a calibration.",
+    ),
+    "views_opposite": Entry(
+        "info",
+        "Two views look at the subject from opposite sides: together they hardly tell depth.",
+        "Place the cameras 60 to 120 degrees apart, or add a view.",
+    ),
+    "noise_high": Entry(
+        "warning",
+        "The keypoints are noisy for the size of the subject: structures are as unsure.",
+        "Use a better detector, larger images, or more views.",
+    ),
+    "lenses_extreme": Entry(
+        "warning",
+        "The lenses that explain the keypoints best are unlike real ones: the keypoints or what"
+        " was told of the cameras is likely wrong.",
+        "Look at the other findings, and tell the image sizes or a calibration.",
+    ),
+    "rig_not_used": Entry(
+        "warning",
+        "The cameras of the fit do not explain these frames, so each view was given a camera of"
+        " its own.",
+        "Check that `views` names them in the right order, that the views are in step, and that"
+        " no camera was moved since the fit.",
+    ),
+    "frame_unlike_fit": Entry(
+        "warning",
+        "These frames are unlike anything in the fit: their structures are less sure.",
+        "Fit a capture that holds such poses, or go on from this model with them.",
+    ),
+    "coordinates_of_another_scale": Entry(
+        "warning",
+        "The coordinates are of another scale than those of the fit.",
+        "Send pixels of images of the size that the fit had, not shares of the image.",
+    ),
+}
+CODES: tuple[FindingCode, ...] = tuple(
+    code for group in get_args(FindingCode) for code in get_args(group)
+)

@@ -1,0 +1,100 @@
+"""What was noticed, in the shape that datasets, fits, models, lifts and streams share."""
+
+from collections.abc import Iterable
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from models.findings.catalogue import CATALOGUE, FindingCode, Severity
+
+MOST_RANGES = 100  # of frames that one finding lists
+Index = Annotated[int, Field(ge=0)]
+
+
+class Finding(BaseModel):
+    """Something that was noticed, and what to do about it.
+
+    An empty list of views, frames or keypoints means that the finding is about all of them.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    code: FindingCode
+    severity: Severity = Field(
+        description="`warning`: results are wrong or less sure than they could be; `info`: good to"
+        " know."
+    )
+    views: tuple[Index, ...] = Field((), description="Which views it is about; all if empty.")
+    frames: tuple[tuple[Index, Index], ...] = Field(
+        (),
+        max_length=MOST_RANGES,
+        description="Ranges of frames, the first and the last of each; all frames if empty.",
+    )
+    keypoints: tuple[Index, ...] = Field((), description="Which keypoints; all if empty.")
+    evidence: dict[str, float] = Field({}, description="The numbers that it rests on, by name.")
+    effect: str = Field(description="What it leads to.")
+    remedy: str = Field(description="What to do about it.")
+
+    @classmethod
+    def of(
+        cls,
+        code: FindingCode,
+        *,
+        views: Iterable[int] = (),
+        frames: NDArray[np.bool_] | Iterable[int] = (),
+        keypoints: Iterable[int] = (),
+        severity: Severity | None = None,
+        **evidence: float,
+    ) -> Self:
+        """Return the finding of a code with its words from the catalogue.
+
+        `frames` are indices, or a mask (N,) of all frames; they become ranges. Without a
+        `severity`, that of the catalogue.
+        """
+        entry = CATALOGUE[code]
+        return cls(
+            code=code,
+            severity=entry.severity if severity is None else severity,
+            views=tuple(sorted(int(view) for view in views)),
+            frames=frame_ranges(frames),
+            keypoints=tuple(sorted(int(keypoint) for keypoint in keypoints)),
+            evidence={name: float(value) for name, value in evidence.items()},
+            effect=entry.effect,
+            remedy=entry.remedy,
+        )
+
+    def __str__(self) -> str:
+        """Say it in one line, for logs and terminals."""
+        said = [f"{self.severity}: {self.code}"]
+        said += [f"views {_listed(self.views)}"] if self.views else []
+        said += [f"keypoints {_listed(self.keypoints)}"] if self.keypoints else []
+        if self.frames:
+            said.append("frames " + _listed([f"{a}-{b}" if a < b else a for a, b in self.frames]))
+        said += [f"{name} {value:.4g}" for name, value in self.evidence.items()]
+        return ", ".join(said) + f". {self.effect} {self.remedy}"
+
+
+def frame_ranges(frames: NDArray[np.bool_] | Iterable[int]) -> tuple[tuple[int, int], ...]:
+    """Return (first, last) of every run of consecutive frames, of a mask (N,) or of indices.
+
+    Where there are more than `MOST_RANGES`, the nearest runs are joined.
+    """
+    array = frames if isinstance(frames, np.ndarray) else np.array(sorted(frames), np.int64)
+    indices = np.flatnonzero(array) if array.dtype == bool else np.unique(array)
+    if not len(indices):
+        return ()
+    gaps = np.diff(indices)
+    breaks = np.flatnonzero(gaps > 1)
+    if len(breaks) >= MOST_RANGES:
+        widest = np.argsort(-gaps[breaks], kind="stable")[: MOST_RANGES - 1]
+        breaks = np.sort(breaks[widest])
+    firsts = indices[np.concatenate(([0], breaks + 1))].tolist()
+    lasts = indices[np.concatenate((breaks, [len(indices) - 1]))].tolist()
+    return tuple(zip(firsts, lasts, strict=True))
+
+
+def _listed(items: Iterable[object], most: int = 8) -> str:
+    texts = [str(item) for item in items]
+    return " ".join(texts[:most]) + (f" and {len(texts) - most} more" * (len(texts) > most))

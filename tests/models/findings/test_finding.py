@@ -1,0 +1,34 @@
+"""The shape of a finding, and its catalogue."""
+
+import numpy as np
+
+from models.findings.catalogue import CATALOGUE, CODES
+from models.findings.finding import MOST_RANGES, Finding, frame_ranges
+
+
+def test_every_code_says_what_it_leads_to_and_what_to_do() -> None:
+    assert set(CATALOGUE) == set(CODES)
+    for entry in CATALOGUE.values():
+        assert entry.effect.endswith(".")
+        assert entry.remedy.endswith(".")
+
+
+def test_frames_become_ranges() -> None:
+    assert frame_ranges([]) == ()
+    assert frame_ranges([7, 3, 4, 5]) == ((3, 5), (7, 7))
+    assert frame_ranges(np.array([False, True, True, False, True])) == ((1, 2), (4, 4))
+
+
+def test_ranges_are_bounded_and_cover_all_frames() -> None:
+    frames = np.cumsum(1 + np.arange(2 * MOST_RANGES) % 7)
+    ranges = frame_ranges(frames)
+    assert len(ranges) == MOST_RANGES
+    assert all(any(a <= frame <= b for a, b in ranges) for frame in frames.tolist())
+
+
+def test_a_finding_survives_json_and_reads_in_one_line() -> None:
+    found = Finding.of("views_swapped", views=[2, 0], frames=[4, 5, 6], share=0.25)
+    assert Finding.model_validate_json(found.model_dump_json()) == found
+    assert str(found).startswith(
+        "warning: views_swapped, views 0 2, frames 4-6, share 0.25. In these frames"
+    )
