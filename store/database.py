@@ -5,10 +5,11 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, Select, create_engine, event, select, text
+from sqlalchemy import URL, Connection, Engine, Select, create_engine, event, inspect, select, text
 from sqlalchemy.exc import DBAPIError, OperationalError
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import NullPool
+from sqlalchemy.schema import CreateColumn
 
 from store.errors import StoreError
 from store.objects import Objects
@@ -22,9 +23,9 @@ class Store:
     """Records and objects of one deployment. Safe to share between threads, never across a fork."""
 
     def __init__(self, settings: StoreSettings, *, pooled: bool = True) -> None:
-        """Open records and objects, making folders and tables that are missing.
+        """Open records and objects, making folders, tables and nullable columns that are missing.
 
-        Raises ``StoreError`` for records that another version of Fewview wrote.
+        Raises ``StoreError`` for records of another version of Fewview that differ in more.
 
         Parameters
         ----------
@@ -91,6 +92,7 @@ def _open_records(url: URL, *, pooled: bool) -> Engine:
         event.listen(engine, "begin", _begin_sqlite)
     with engine.execution_options(writing=True).begin() as connection:
         Record.metadata.create_all(connection)
+        _add_missing_columns(connection)
     with engine.connect() as connection:
         for table in Record.metadata.sorted_tables:
             try:
@@ -101,6 +103,22 @@ def _open_records(url: URL, *, pooled: bool) -> Engine:
                     f"{table.name!r} differs. Use that version, or another data folder."
                 ) from error
     return engine
+
+
+def _add_missing_columns(connection: Connection) -> None:
+    """Add the nullable columns that tables of an older version lack; their rows hold null there.
+
+    The connection must hold the write lock, so that of several processes that open an old folder
+    at once only the first adds them.
+    """
+    found = inspect(connection)
+    quote = connection.dialect.identifier_preparer.quote
+    for table in Record.metadata.sorted_tables:
+        there = {column["name"] for column in found.get_columns(table.name)}
+        for column in table.columns:
+            if column.nullable and column.name not in there:
+                definition = CreateColumn(column).compile(dialect=connection.dialect)
+                connection.execute(text(f"ALTER TABLE {quote(table.name)} ADD COLUMN {definition}"))
 
 
 def _configure_sqlite(connection: Any, _record: object) -> None:

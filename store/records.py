@@ -38,6 +38,7 @@ class Dataset(Record):
     skeleton: Mapped[dict[str, Any] | None]
     image_sizes: Mapped[list[Any] | None]
     user_metadata: Mapped[dict[str, Any]]
+    findings: Mapped[list[Any] | None]  # as JSON, see models.findings; None: never looked for
 
 
 class Chunk(Record):
@@ -72,6 +73,7 @@ class Job:
     )  # queued, running, succeeded, failed, cancelled
     revision: Mapped[int] = mapped_column(default=1)
     error: Mapped[dict[str, Any] | None]
+    findings: Mapped[list[Any] | None]
 
 
 class FitJob(Job, Record):
@@ -159,6 +161,7 @@ class Model(Record):
     weights_key: Mapped[str]
     weights_bytes: Mapped[int]
     weights_checksum: Mapped[str]
+    findings: Mapped[list[Any] | None]
 
 
 class IdempotencyKey(Record):
