@@ -61,8 +61,10 @@ def show_cameras(cameras: dict[str, Any]) -> None:
     focals = [f"{number(view['focal'][0])} ± {number(view['focal_sd'])}" for view in known]
     if focals:
         console.print(f"Focal lengths (px): {', '.join(focals)}", soft_wrap=True)
-    for warning in cameras["warnings"]:
-        console.print(f"Beware: {warning}", soft_wrap=True)
+    for finding in cameras["findings"]:
+        views = "".join(f", view {view}" for view in finding["views"])
+        said = f"{finding['code']}{views}. {finding['effect']} {finding['remedy']}"
+        console.print(f"{finding['severity'].capitalize()}: {said}", soft_wrap=True)
 
 
 def show(figures: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Which cameras rest relative to each other, and where: given by the user, or found."""
+"""Which cameras rest relative to each other, and where."""
 
 import math
 from typing import NamedTuple
@@ -14,6 +14,7 @@ from models.calibrating.problem import (
     Problem,
     Solution,
     Steps,
+    grouped,
     reprojection_distances,
 )
 from models.numerics.medians import lower_median
@@ -38,29 +39,6 @@ class RelativePose(NamedTuple):
 
 
 RelativePoses = dict[tuple[int, int], RelativePose]  # by views j < k
-
-
-def given_poses(problem: Problem, moving: Solution) -> tuple[Solution, float]:
-    """Put the moving solution into the poses that the user gave; also a unit in the user's."""
-    rotations, translations = moving.rig.rotations.copy(), moving.rig.translations.copy()
-    for k in problem.posed:
-        camera = problem.calibration[k]
-        if camera is not None and camera.rotation is not None and camera.translation is not None:
-            rotations[k], translations[k] = camera.rotation, camera.translation
-    groups = _grouped(problem.posed, len(rotations))
-    rig = make_rig(moving.rig.lenses, groups, rotations, translations)
-    scene = gather(moving.scene, rig, problem.weights.sum(-1) > 0)
-    log_unit = float(lower_median(scene.sizes[:, 0]))
-    unit = math.exp(log_unit)
-    sizes, shifts = scene.sizes.copy(), scene.translations.copy()
-    sizes[:, 0] -= log_unit
-    shifts[:, 0] /= unit
-    start = moving._replace(
-        rig=rig._replace(translations=rig.translations / unit),
-        scene=scene._replace(sizes=sizes, translations=shifts),
-        given_poses=True,
-    )
-    return start, unit
 
 
 def find_rest(problem: Problem, moving: Solution, *, declared: bool) -> Steps[tuple[Solution, str]]:
@@ -113,14 +91,6 @@ def worst_view(problem: Problem, moving: Solution, other: Solution, members: lis
     return members[int((after / (before + REST_SLACK * problem.side)).argmax())]
 
 
-def _grouped(members: list[int], views: int) -> NDArray[np.int64]:
-    """Group 0 for the members, one of its own for every other view; (K,)."""
-    groups = np.zeros(views, np.int64)
-    others = [k for k in range(views) if k not in members]
-    groups[others] = np.arange(1, len(others) + 1)
-    return groups
-
-
 def _relative_pose(scene: Scene, seen: Bool, j: int, k: int) -> RelativePose | None:
     """Return the pose of view k relative to view j, each a group; None if it cannot be told."""
     both = seen[:, j] & seen[:, k]
@@ -171,6 +141,6 @@ def _at_rest(moving: Solution, relative: RelativePoses, members: list[int], seen
             rotations[j] = rotation.T @ rotations[k]
             translations[j] = rotation.T @ (translations[k] - translation)
             placed.add(j)
-    groups = _grouped(members, len(rig.groups))
+    groups = grouped(members, len(rig.groups))
     joined = make_rig(rig.lenses, groups, rotations, translations)
     return moving._replace(rig=joined, scene=gather(scene, joined, seen))

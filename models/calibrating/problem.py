@@ -66,6 +66,14 @@ def reprojection_distances(problem: Problem, rig: Rig, scene: Scene) -> Float64:
     return distances
 
 
+def grouped(members: list[int], views: int) -> NDArray[np.int64]:
+    """Group 0 for the members, one of its own for every other view; (K,)."""
+    groups = np.zeros(views, np.int64)
+    others = [k for k in range(views) if k not in members]
+    groups[others] = np.arange(1, len(others) + 1)
+    return groups
+
+
 def starting_rig(
     keypoints: Float64,
     weights: Float64,

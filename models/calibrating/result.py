@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from models.bundle.problem import CENTRE_X, FOCAL, LENS, RADIAL, Rig
 from models.bundle.shape_model import NetworkErrors, ShapeModel
+from models.findings.finding import Finding
 from models.network.settling import SettlingPolicy
 from models.optics.lenses.projection import LENSES
 
@@ -27,7 +28,7 @@ class SelfCalibration:
     unit: float  # what a unit of the structure is in the user's unit; 1 without one
     reprojection_errors: Float64  # (K,) pixels, mean
     reason: str  # why the cameras were found to rest or to move, in words with figures
-    warnings: tuple[str, ...]  # what does not fit, such as a calibration that is wrong
+    findings: tuple[Finding, ...] = ()  # what does not fit, such as a calibration that is wrong
 
     @property
     def resting(self) -> NDArray[np.bool_]:
@@ -45,7 +46,7 @@ class CameraReport:
 
     arrangement: str  # "static", "moving" or "mixed"
     reason: str  # why, in words with figures
-    warnings: tuple[str, ...]  # what does not fit, such as a calibration that is wrong
+    findings: tuple[Finding, ...]  # what does not fit, such as a calibration that is wrong
     camera_models: tuple[str, ...]  # K of `models.lifting.lift.CAMERA_MODELS`
     focals: Float64  # (K, 2) pixels along x and y
     focal_sds: Float64  # (K,) pixels
@@ -76,7 +77,7 @@ def camera_report(calibration: SelfCalibration) -> CameraReport:
     return CameraReport(
         arrangement=arrangement,
         reason=calibration.reason,
-        warnings=calibration.warnings,
+        findings=calibration.findings,
         camera_models=tuple(LENSES[model].LIFTED_AS for model in lenses.models),
         focals=lenses.focals.copy(),
         focal_sds=deviations[:, FOCAL] * lenses.focals.mean(-1),

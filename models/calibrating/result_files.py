@@ -8,16 +8,24 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from models.bundle.problem import VIEW, make_rig
 from models.bundle.shape_model import NetworkErrors, ShapeModel
 from models.calibrating.result import SelfCalibration
+from models.findings.catalogue import FindingCode
+from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL, settle_beyond
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError
 from models.optics.lenses.projection import COEFFICIENTS, LENSES, Lenses, index_of
 
 Float64 = NDArray[np.float64]
 
+# How the warnings of versions without findings began, and what they are called today.
+OLD_WARNINGS: dict[str, FindingCode] = {
+    "the given poses": "calibration_disagrees",
+    "the known length": "known_length_disagrees",
+}
 OF_ALL_VIEWS = ("shape_mean", "shape_basis", "doubt_basis", "doubt_scales", "numbers")
 
 
@@ -50,7 +58,7 @@ def to_arrays(calibration: SelfCalibration) -> tuple[Arrays, str]:
     }
     words = {
         "reason": calibration.reason,
-        "warnings": calibration.warnings,
+        "findings": [finding.model_dump(mode="json") for finding in calibration.findings],
         "lenses": [LENSES[model].NAME for model in lenses.models],
     }
     tensors = {n: torch.from_numpy(np.array(a, np.float64, order="C")) for n, a in arrays.items()}
@@ -125,19 +133,35 @@ def from_arrays(arrays: Arrays, words: str) -> SelfCalibration:
         unit,
         a["errors"],
         str(said["reason"]),
-        tuple(str(warning) for warning in said["warnings"]),
+        _findings(said),
     )
 
 
 def _read_words(words: str) -> dict[str, Any]:
     try:
         said = json.loads(words)
-        complete = isinstance(said["reason"], str) and isinstance(said["warnings"], list)
+        noticed = said["findings"] if "findings" in said else said["warnings"]
+        complete = isinstance(said["reason"], str) and isinstance(noticed, list)
     except (ValueError, KeyError, TypeError, RecursionError):
         complete = False
     if not complete:
         raise WeightsError("the file does not say what was found of the cameras")
     return dict(said)
+
+
+def _findings(said: Mapping[str, Any]) -> tuple[Finding, ...]:
+    """Return the findings; of older versions' warnings, those that a code stands for today."""
+    try:
+        if "findings" in said:
+            return tuple(Finding.model_validate(finding) for finding in said["findings"])
+    except ValidationError as error:
+        raise WeightsError("the file holds findings that are not among those known") from error
+    return tuple(
+        Finding.of(code)
+        for warning in said["warnings"]
+        for start, code in OLD_WARNINGS.items()
+        if str(warning).startswith(start)
+    )
 
 
 def _lens_models(said: Mapping[str, Any], arrays: Mapping[str, Float64]) -> NDArray[np.int8]:

@@ -5,7 +5,6 @@ Starts from the network's weak-perspective answers. Everything is one maximum-a-
 maximisation learns the noise of the keypoints and the Gaussian shape model beside it.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from models.bundle.bone_lengths import find_bone_lengths
 from models.bundle.initial_poses import WeakPerspectiveScene, starting_scene
 from models.bundle.problem import POSE, VIEW, Scene
 from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
-from models.calibrating.arrangement import find_rest, given_poses, worst_view
+from models.calibrating.arrangement import find_rest, worst_view
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.handedness import choose_hand
 from models.calibrating.lens_prior import deviations, other_lenses
@@ -29,9 +28,9 @@ from models.calibrating.problem import (
     starting_rig,
 )
 from models.calibrating.result import SelfCalibration
+from models.calibrating.told_cameras import given_poses, unit_by_length
+from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
-from models.numerics.medians import lower_median
-from models.settings.calibration import KnownLength
 from models.settings.config import FitConfig
 
 Float64 = NDArray[np.float64]
@@ -41,7 +40,6 @@ OPERATIONS = 300_000_000  # in one iteration: half a second
 BETTER_LENS = 0.95  # share of the noise to which another camera model must bring it to be taken
 CLEAR_KEYPOINTS = 0.005  # noise as a share of a view's size below which bone lengths find lenses
 WRONG_POSES = 1.5  # times the noise without given poses: more, and they are wrong
-MISFIT = 0.05  # of the log of a length: two statements that differ by more contradict each other
 
 
 class _Arranged(NamedTuple):
@@ -50,7 +48,7 @@ class _Arranged(NamedTuple):
     solution: Solution
     reason: str
     unit: float | None = None  # of a unit of the structure in the user's, if poses were given
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def self_calibrate(
@@ -97,10 +95,11 @@ def self_calibrate(
         # The lens under which shapes look most alike need not be the true one, and with two views
         # it is not; with a wrong one, bones grow and shrink as they turn.
         best = yield from learn(problem, best, with_bones=True)
-    unit, warnings = arranged.unit, arranged.warnings
+    unit, findings = arranged.unit, arranged.findings
     if config.known_length is not None:
-        unit, warnings = _unit_of(best.scene, config.known_length, unit, warnings)
-    return _result(problem, best, reason, unit, warnings), best.scene
+        unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
+        findings += contradiction
+    return _result(problem, best, reason, unit, findings), best.scene
 
 
 def most_frames(views: int, keypoints: int) -> int:
@@ -114,7 +113,7 @@ def _result(
     best: Solution,
     reason: str,
     unit: float | None,
-    warnings: tuple[str, ...],
+    findings: tuple[Finding, ...],
 ) -> SelfCalibration:
     observed = problem.weights > 0  # (N, K, P)
     distances = reprojection_distances(problem, best.rig, best.scene)
@@ -128,43 +127,30 @@ def _result(
         unit=1.0 if unit is None else unit,
         reprojection_errors=(distances * observed).sum((0, 2)) / observed.sum((0, 2)).clip(1),
         reason=reason,
-        warnings=warnings,
+        findings=findings,
     )
 
 
 def _arrange(problem: Problem, start: Solution, config: FitConfig) -> Steps[_Arranged]:
     """Try moving cameras, then given poses, then what rests."""
     moving = yield from learn(problem, start)
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     if len(problem.posed) > 1:
         posed_start, unit = given_poses(problem, moving)
         posed = yield from learn(problem, posed_start)
         if posed.noise <= WRONG_POSES * moving.noise + REST_SLACK * problem.side:
             return _Arranged(posed, "the poses of the cameras were given", unit)
         worst = worst_view(problem, moving, posed, problem.posed)
-        warnings = (
-            f"the given poses do not fit the keypoints: noise {posed.measured_noise:.3g} px with"
-            f" them, {moving.measured_noise:.3g} px without; view {worst} fits worst, its camera"
-            " may have been moved since. They were not used",
+        findings = (
+            Finding.of(
+                "calibration_disagrees",
+                views=[worst],
+                noise_as_told=posed.measured_noise,
+                noise=moving.measured_noise,
+            ),
         )
     if config.cameras == "moving":
-        return _Arranged(moving, "the cameras were declared moving", warnings=warnings)
+        return _Arranged(moving, "the cameras were declared moving", findings=findings)
     declared = config.cameras == "static"
     solution, reason = yield from find_rest(problem, moving, declared=declared)
-    return _Arranged(solution, reason, warnings=warnings)
-
-
-def _unit_of(
-    scene: Scene, known: KnownLength, unit: float | None, warnings: tuple[str, ...]
-) -> tuple[float, tuple[str, ...]]:
-    """Return the unit that a known length gives, and a warning more if another contradicts it."""
-    a, b = known.keypoints
-    lengths = np.linalg.norm(scene.points[:, a] - scene.points[:, b], axis=-1)
-    by_length = known.length / float(lower_median(np.exp(scene.sizes[:, 0]) * lengths))
-    if unit is not None and abs(math.log(by_length / unit)) > MISFIT:
-        warnings = (
-            *warnings,
-            "the known length says that the calibration's unit is off by a factor of"
-            f" {by_length / unit:.3g}; the known length is used",
-        )
-    return by_length, warnings
+    return _Arranged(solution, reason, findings=findings)

@@ -10,6 +10,7 @@ from models.calibrating.result import SelfCalibration, camera_report
 from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
 from models.capture.denoising import Denoiser
 from models.capture.observations import Observations, as_observations
+from models.findings.finding import Finding
 from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.lifting.explanations import Refiner
 from models.lifting.frame_refinement import make_refiner, refine_frames
@@ -63,6 +64,11 @@ class FittedPrior:
     def noise(self) -> float:
         """Standard deviation of a keypoint's coordinate in pixels; NaN if no cameras were found."""
         return math.nan if self._self_calibration is None else self._self_calibration.noise
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was noticed of the cameras; none if no cameras were found."""
+        return () if self._self_calibration is None else self._self_calibration.findings
 
     @property
     def weights(self) -> Arrays:

@@ -6,9 +6,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.calibrating.result import CameraReport
+from models.findings.finding import Finding
 from models.settings.calibration import LiftedLensName
 from service.wire.schemas import Distortion, Rotation, Vector2, Vector3
 
+EXAMPLE_FINDING = Finding.of(
+    "calibration_disagrees", views=[0], noise=1.9, noise_as_told=7.3, focal_ratio=1.21
+).model_dump(mode="json")
 UNKNOWN = (
     "This model was fitted without refinement (refine: off), or by an older Fewview, or to "
     "keypoints that say nothing of cameras, such as those of a single view: its views are weak "
@@ -59,7 +63,7 @@ class ModelCameras(BaseModel):
                 "model": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
                 "arrangement": "mixed",
                 "reason": "View 0 keeps its place to 0.02 units over 400 frames; view 1 moves.",
-                "warnings": ["View 0: the principal point lies 80 px from where it was said to."],
+                "findings": [EXAMPLE_FINDING],
                 "noise": 1.9,
                 "views": [
                     {
@@ -104,10 +108,9 @@ class ModelCameras(BaseModel):
         description="`mixed`: some rest and some move; `unknown`: cameras were not sought."
     )
     reason: str = Field(description="Why, in words.")
-    warnings: list[str] = Field(
-        description="Where what was said of the cameras contradicts the keypoints, such as a wrong "
-        "calibration, in words. None does not mean that all fits: see `noise` and the views' "
-        "`reprojection_error`."
+    findings: list[Finding] = Field(
+        description="What was noticed of the cameras, such as a calibration that contradicts the "
+        "keypoints."
     )
     noise: float | None = Field(
         description="Pixels, the standard deviation of a keypoint's coordinate about the model."
@@ -122,7 +125,7 @@ class ModelCameras(BaseModel):
                 model=model_id,
                 arrangement="unknown",
                 reason=UNKNOWN,
-                warnings=[],
+                findings=[],
                 noise=None,
                 views=[],
             )
@@ -150,7 +153,7 @@ class ModelCameras(BaseModel):
                 "model": model_id,
                 "arrangement": found.arrangement,
                 "reason": found.reason,
-                "warnings": list(found.warnings),
+                "findings": list(found.findings),
                 "noise": _known(found.noise),
                 "views": views,
             }

@@ -10,6 +10,7 @@ from models.bundle.problem import VIEW, make_rig
 from models.bundle.shape_model import NetworkErrors, ShapeModel
 from models.calibrating.result import SelfCalibration, camera_report
 from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
+from models.findings.finding import Finding
 from models.network.settling import settle_beyond
 from models.numerics.tensor_files import Arrays, WeightsError
 from models.optics.lenses.projection import COEFFICIENTS, LENSES, Lenses
@@ -44,7 +45,7 @@ def calibration() -> SelfCalibration:
         2.5,
         rng.uniform(0, 1, VIEWS),
         "why",
-        ("a warning",),
+        (Finding.of("calibration_disagrees", views=[1], noise=2.0),),
     )
 
 
@@ -73,8 +74,23 @@ def test_older_files_name_no_camera_models_but_flag_fisheyes(written: tuple[Arra
     assert read.camera_models == ("perspective", "fisheye", "perspective")
 
 
+def test_warnings_of_older_files_become_findings(written: tuple[Arrays, str]) -> None:
+    arrays, words = written
+    said = json.loads(words)
+    del said["findings"]
+    said["warnings"] = ["the given poses do not fit the keypoints: noise 9 px", "something else"]
+    (finding,) = from_arrays(arrays, json.dumps(said)).findings
+    assert finding.code == "calibration_disagrees"
+
+
 @pytest.mark.parametrize(
-    "change", [{"lenses": ["pinhole", "mirror", "pinhole"]}, {"lenses": ["pinhole"]}, {"reason": 1}]
+    "change",
+    [
+        {"lenses": ["pinhole", "mirror", "pinhole"]},
+        {"lenses": ["pinhole"]},
+        {"reason": 1},
+        {"findings": ["bad"]},
+    ],
 )
 def test_text_that_was_not_written_is_refused(
     written: tuple[Arrays, str], change: dict[str, object]

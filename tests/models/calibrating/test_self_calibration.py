@@ -126,7 +126,7 @@ def test_a_static_rig_is_found(static: RigCapture, *, mirrored: bool) -> None:
     found, scene = found_by(static, mirrored=mirrored)
     cameras = camera_report(found)
     assert cameras.arrangement == "static"
-    assert cameras.warnings == ()
+    assert cameras.findings == ()
     check_lenses(cameras)
     assert error(static, scene) < 0.012
     assert found.noise == pytest.approx(1, rel=0.15)
@@ -233,7 +233,7 @@ def centre(rotations: Float64, translations: Float64, view: int) -> Float64:
 def test_a_calibration_is_used_as_it_is_and_gives_metres(static: RigCapture) -> None:
     found, scene = found_by(static, calibration=[camera(static, k) for k in range(3)])
     cameras = camera_report(found)
-    assert cameras.warnings == ()
+    assert cameras.findings == ()
     assert "given" in cameras.reason
     np.testing.assert_allclose(cameras.rotations, static.rotations[0], atol=1e-9)
     np.testing.assert_allclose(cameras.translations, static.translations[0], rtol=1e-6)
@@ -250,7 +250,7 @@ def test_poses_of_two_cameras_suffice_for_metres(static: RigCapture) -> None:
     given = [camera(static, 0), None, camera(static, 2)]
     found, scene = found_by(static, calibration=given)
     cameras = camera_report(found)
-    assert cameras.warnings == ()
+    assert cameras.findings == ()
     for view in (0, 2):
         np.testing.assert_allclose(cameras.rotations[view], static.rotations[0, view], atol=1e-9)
         assert cameras.focal_sds[view] == 0
@@ -264,9 +264,10 @@ def test_poses_of_two_cameras_suffice_for_metres(static: RigCapture) -> None:
 def test_a_bumped_camera_is_named_and_its_calibration_not_used(static: RigCapture) -> None:
     given = [camera(static, 0), camera(static, 1), camera(static, 2, turned=6)]
     found, scene = found_by(static, calibration=given)
-    (warning,) = found.warnings
-    assert "view 2 fits worst" in warning
-    assert "not used" in warning
+    (finding,) = found.findings
+    assert finding.code == "calibration_disagrees"
+    assert finding.views == (2,)
+    assert finding.evidence["noise_as_told"] > 1.5 * finding.evidence["noise"]
     cameras = camera_report(found)
     assert cameras.arrangement == "static"
     turns = static.rotations[0]
@@ -282,8 +283,9 @@ def test_a_known_length_that_contradicts_the_calibration_is_said_and_used(
     found, scene = found_by(
         static, calibration=[camera(static, k) for k in range(3)], known_length=known
     )
-    (warning,) = found.warnings
-    assert "known length" in warning
+    (finding,) = found.findings
+    assert finding.code == "known_length_disagrees"
+    assert finding.evidence["ratio"] == pytest.approx(2, rel=0.02)
     assert in_unit(found, scene) == pytest.approx(2 * trunk(static), rel=0.02)
 
 

@@ -13,6 +13,7 @@ from starlette.testclient import TestClient
 from models.calibrating.result import CameraReport
 from models.capture.metrics import pa_mpjpe, pck
 from models.capture.synthetic import SyntheticCapture, synthetic_capture
+from models.findings.finding import Finding
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import FitConfig
 from models.training.trainer import fit
@@ -71,7 +72,7 @@ def found_cameras() -> CameraReport:
     return CameraReport(
         arrangement="mixed",
         reason="because",
-        warnings=("view 0 was bumped",),
+        findings=(Finding.of("calibration_disagrees", views=[0]),),
         camera_models=("perspective", "fisheye"),
         focals=np.array([[900.0, 910.0], [300.0, 300.0]]),
         focal_sds=np.array([0.0, 4.0]),
@@ -97,7 +98,9 @@ def test_the_cameras_that_were_found(
     monkeypatch.setattr(engine.prior(model), "cameras", found_cameras())
     found = api.get(f"/models/{model}/cameras").json()
     assert (found["model"], found["arrangement"], found["noise"]) == (model, "mixed", 1.2)
-    assert (found["reason"], found["warnings"]) == ("because", ["view 0 was bumped"])
+    assert found["reason"] == "because"
+    (finding,) = found["findings"]
+    assert (finding["code"], finding["views"]) == ("calibration_disagrees", [0])
     first, second = found["views"]
     assert [view["index"] for view in found["views"]] == [0, 1]
     assert (first["camera"], second["camera"]) == ("perspective", "fisheye")
