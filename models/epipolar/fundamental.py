@@ -2,7 +2,8 @@
 
 Hartley & Zisserman, *Multiple View Geometry*: the normalised eight-point algorithm (alg. 11.1) and
 the Sampson distance (11.9); outliers by iteratively reweighted least squares with the weights of
-Student's t.
+Student's t. They begin at the best of many small samples (Fischler & Bolles, RANSAC): from the
+least-squares solution alone, one correspondence in five that is wrong leads them astray.
 """
 
 from typing import NamedTuple
@@ -16,6 +17,8 @@ LEAST_POINTS = 8
 FREEDOM = 3.0  # degrees of freedom of Student's t: heavier tails than any detector's
 NORMAL = 1.4826  # standard deviations in a median absolute deviation
 ROUNDS = 8
+SAMPLES, SAMPLED_POINTS = 48, 9  # small samples that are tried as a start, and their size
+JUDGING_POINTS = 256  # by which they are judged
 TINY = 1e-12
 
 
@@ -43,16 +46,16 @@ def fit_fundamental(
     given = np.ones(len(x)) if weights is None else weights
     to_x, to_y = _normalising(x), _normalising(y)
     rows = _equations(_homogeneous(x) @ to_x.T, _homogeneous(y) @ to_y.T)  # (M, 9)
-    robust = np.ones(len(x))
+    matrix = _start(rows, given, to_x, to_y, x, y)
     for _ in range(ROUNDS):
-        matrix = to_y.T @ _solve(rows, given * robust) @ to_x
-        matrix /= np.linalg.norm(matrix)
         gradients = _gradient_norms(matrix, x, y)
         distances = _algebraic(matrix, x, y) / gradients
         scale = max(robust_scale(distances), floor)
         # Sampson's denominator makes algebraic distances those of pixels.
         share = gradients / np.median(gradients)
         robust = student_weights(distances, scale) / np.square(share)
+        matrix = _in_pixels(_solve(rows, given * robust), to_x, to_y)
+    scale = max(robust_scale(sampson_distances(matrix, x, y)), floor)
     return Fundamental(matrix, scale)
 
 
@@ -100,6 +103,31 @@ def _solve(rows: Float64, weights: Float64) -> Float64:
     u, s, vt = np.linalg.svd(vectors[:, 0].reshape(3, 3))
     matrix: Float64 = (u * [s[0], s[1], 0.0]) @ vt
     return matrix
+
+
+def _in_pixels(matrix: Float64, to_x: Float64, to_y: Float64) -> Float64:
+    pixels: Float64 = to_y.T @ matrix @ to_x
+    pixels /= np.linalg.norm(pixels, axis=(-2, -1), keepdims=True)
+    return pixels
+
+
+def _start(
+    rows: Float64, weights: Float64, to_x: Float64, to_y: Float64, x: Float64, y: Float64
+) -> Float64:
+    """Return the matrix (3, 3) of least median distance, of all points or of a small sample."""
+    rng = np.random.default_rng(0)
+    everything = _in_pixels(_solve(rows, weights), to_x, to_y)
+    samples = rng.integers(0, len(rows), (SAMPLES, SAMPLED_POINTS))
+    sampled = rows[samples]  # (S, 9, 9)
+    vectors = np.linalg.eigh(sampled.mT @ sampled)[1][..., 0]
+    tried = np.concatenate((everything[None], _in_pixels(vectors.reshape(-1, 3, 3), to_x, to_y)))
+    judges = rng.integers(0, len(rows), JUDGING_POINTS) if len(x) > JUDGING_POINTS else slice(None)
+    hx, hy = _homogeneous(x[judges]), _homogeneous(y[judges])  # (J, 3)
+    lines_y, lines_x = hx @ tried.mT, hy @ tried  # (S + 1, J, 3)
+    slopes = np.square(lines_y[..., :2]).sum(-1) + np.square(lines_x[..., :2]).sum(-1)
+    squares = np.square((lines_y * hy).sum(-1)) / (slopes + TINY**2)  # of Sampson distances
+    best: Float64 = tried[int(np.median(squares, 1).argmin())]
+    return best
 
 
 def _algebraic(matrix: Float64, x: Float64, y: Float64) -> Float64:

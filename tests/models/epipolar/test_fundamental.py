@@ -46,3 +46,13 @@ def test_outliers_and_noise_do_not_bend_it() -> None:
 def test_too_few_points_are_refused() -> None:
     with pytest.raises(ValueError, match="needs 8"):
         fit_fundamental(np.zeros((7, 2)), np.zeros((7, 2)))
+
+
+def test_two_wrong_correspondences_in_five_do_not_lead_it_astray() -> None:
+    rng = np.random.default_rng(2)
+    x, y, _ = correspondences(rng, 1500)
+    noisy_x, noisy_y = x + 2 * rng.normal(size=x.shape), y + 2 * rng.normal(size=y.shape)
+    noisy_y[:600] = rng.uniform(y.min(0), y.max(0), (600, 2))
+    found = fit_fundamental(noisy_x, noisy_y)
+    assert np.median(np.abs(sampson_distances(found.matrix, x, y))) < 1.0
+    assert found.scale < 6
