@@ -14,6 +14,7 @@ Float64 = NDArray[np.float64]
 FOCAL_SDS = (0.3, 0.01)  # of the log focal length
 RADIAL_SDS = (0.2, 0.05)  # of the first radial coefficient
 CENTRE_SD = 0.02  # of the principal point, as a share of the image's side
+UNTOLD_CENTRE_SD = 0.12  # of the middle of all images whose size nobody told, likewise
 
 
 def rig_prior(problem: Problem, rig: Rig, *, given_poses: bool) -> RigPrior:
@@ -32,7 +33,7 @@ def rig_prior(problem: Problem, rig: Rig, *, given_poses: bool) -> RigPrior:
         free[index] = True
     for number in (CENTRE_X, CENTRE_Y):
         index = VIEW * untold + number
-        precision[index, index] = 1 / (CENTRE_SD * problem.side) ** 2
+        precision[np.ix_(index, index)] = np.linalg.inv(_centre_covariance(problem, untold))
         # Where a moving camera looks and where its principal point is are nearly one.
         free[index] = rig.group_count < views
     for k, camera in enumerate(problem.calibration):
@@ -47,6 +48,14 @@ def rig_prior(problem: Problem, rig: Rig, *, given_poses: bool) -> RigPrior:
         free |= extrinsics.ravel()
     mean = make_rig(problem.reference.lenses, rig.groups, rig.rotations, rig.translations)
     return RigPrior(mean, precision, free)
+
+
+def _centre_covariance(problem: Problem, views: NDArray[np.int64]) -> Float64:
+    """Covariance (k, k) of one coordinate of the principal points of some views."""
+    sides = problem.images.sizes[views].max(1)
+    together = sides * np.where(problem.images.told[views], 0, UNTOLD_CENTRE_SD)
+    covariance: Float64 = np.outer(together, together) + np.diag((CENTRE_SD * sides) ** 2)
+    return covariance
 
 
 def deviations(problem: Problem, solution: Solution) -> Float64:

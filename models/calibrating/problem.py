@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from models.bundle.problem import Rig, Scene, ShapePrior, Views, moving_rig, points_in_cameras
 from models.bundle.shape_model import ShapeModel
+from models.calibrating.image_sizes import Images
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, index_of, project
 from models.settings.calibration import Camera
 
 Float64 = NDArray[np.float64]
 T = TypeVar("T")
 Steps = Generator[None, None, T]  # yields between iterations, so that a fit can be stopped there
-ImageSizes = Sequence[tuple[int, int] | None]  # (width, height) in pixels
 
 USUAL_FOCAL = 1.2  # times the longer side of the image: a field of view of 45 degrees
 REST_SLACK = 1e-4  # of the image's side: differences of noise below which nothing is concluded
@@ -25,10 +25,15 @@ class Problem(NamedTuple):
 
     keypoints: Float64  # (N, K, P, 2) pixels
     weights: Float64  # (N, K, P) confidences
-    side: float  # pixels, the longest side of the images
+    images: Images
     size: float  # pixels, mean root-mean-square radius of a view
     reference: Rig  # moving cameras with lenses as they are given, or usual
     calibration: tuple[Camera | None, ...]  # K
+
+    @property
+    def side(self) -> float:
+        """Pixels, the longest side of the images."""
+        return self.images.side
 
     @property
     def told_lenses(self) -> NDArray[np.bool_]:
@@ -74,40 +79,18 @@ def grouped(members: list[int], views: int) -> NDArray[np.int64]:
     return groups
 
 
-def starting_rig(
-    keypoints: Float64,
-    weights: Float64,
-    image_sizes: ImageSizes | None,
-    calibration: Sequence[Camera | None] | None,
-) -> tuple[Rig, float]:
-    """Return moving cameras with given or usual lenses, and the longest side in pixels.
-
-    Where the size of a view's image (width, height) is unknown, the extent of its keypoints
-    (N, K, P, 2) of positive weight (N, K, P) stands for it.
-    """
-    views = keypoints.shape[1]
-    seen = weights > 0
-    low = np.where(seen[..., None], keypoints, np.inf).min((0, 2))  # (K, 2)
-    high = np.where(seen[..., None], keypoints, -np.inf).max((0, 2))
-    empty = ~seen.any((0, 2))
-    low[empty], high[empty] = 0, 1
-    focals, centres = np.empty((views, 2)), (low + high) / 2
+def starting_rig(images: Images, calibration: Sequence[Camera | None]) -> Rig:
+    """Return moving cameras with given lenses, or usual ones in the middle of the images."""
+    views = len(images.sizes)
+    focals = USUAL_FOCAL * images.sizes.max(1, keepdims=True) * np.ones(2)
+    centres = images.middles.copy()
     distortion, models = np.zeros((views, COEFFICIENTS)), np.zeros(views, np.int8)
     models[:] = index_of("pinhole")
-    longest = 0.0
-    for k in range(views):
-        size = image_sizes[k] if image_sizes is not None else None
-        side = float((high[k] - low[k]).max())
-        if size is not None:
-            centres[k] = np.array(size) / 2
-            side = float(max(size))
-        focals[k] = USUAL_FOCAL * side
-        longest = max(longest, side)
-        camera = calibration[k] if calibration is not None else None
+    for k, camera in enumerate(calibration):
         if camera is not None and camera.intrinsics is not None:
             lens = camera.intrinsics
             focals[k] = lens.fx, lens.fy
             centres[k] = lens.cx, lens.cy
             distortion[k, : len(lens.distortion)] = lens.distortion
             models[k] = index_of(lens.model)
-    return moving_rig(Lenses(focals, centres, distortion, models)), longest
+    return moving_rig(Lenses(focals, centres, distortion, models))

@@ -17,10 +17,10 @@ from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
 from models.calibrating.arrangement import find_rest, worst_view
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.handedness import choose_hand
+from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.lens_prior import deviations, other_lenses
 from models.calibrating.problem import (
     REST_SLACK,
-    ImageSizes,
     Problem,
     Solution,
     Steps,
@@ -79,10 +79,11 @@ def self_calibrate(
         When what is sought is not determined.
     """
     calibration = config.calibration or (None,) * keypoints.shape[1]
-    reference, side = starting_rig(keypoints, weights, image_sizes, calibration)
+    images = images_of(keypoints, weights, image_sizes)
+    reference = starting_rig(images, calibration)
     there = weights.sum(-1) > 0
     size = float(answers.scales[there].mean())
-    problem = Problem(keypoints, weights, side, size, reference, calibration)
+    problem = Problem(keypoints, weights, images, size, reference, calibration)
     start = yield from choose_hand(problem, starting_scene(answers, reference), config.handedness)
     arranged = yield from _arrange(problem, start, config)
     best, reason = arranged.solution, arranged.reason

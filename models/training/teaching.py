@@ -14,7 +14,7 @@ from torch import Tensor
 
 from models.bundle.initial_poses import WeakPerspectiveScene
 from models.calibrating.handedness import NothingFoundError, same_hand
-from models.calibrating.problem import ImageSizes
+from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
 from models.calibrating.self_calibration import most_frames, self_calibrate
 from models.capture.denoising import Denoiser

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from models.calibrating.problem import ImageSizes
+from models.calibrating.image_sizes import ImageSizes
 from models.capture.denoising import learn_denoiser
 from models.capture.observations import Observations, as_observations
 from models.lifting.curve import CurvePoint
