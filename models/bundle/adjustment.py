@@ -31,13 +31,14 @@ from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]
 
-CENTRE = slice(CENTRE_X, RADIAL)  # places of the principal point among a view's ten numbers
+# Places among a view's eleven numbers: the principal point, and the radial coefficients.
+CENTRE, BENDING = slice(CENTRE_X, RADIAL), slice(RADIAL, LENS)
 ROTATION, TRANSLATION = slice(LENS, LENS + 3), slice(LENS + 3, VIEW)
 LONGEST_FOCAL_STEP = 0.5  # of the log focal length in one iteration
 
 
 class RigPrior(NamedTuple):
-    """Gaussian on what all frames share, ten numbers a view; T = 10 K."""
+    """Gaussian on what all frames share, eleven numbers a view; T = 11 K."""
 
     mean: Rig
     precision: Float64  # (T, T)
@@ -51,7 +52,7 @@ class RigPrior(NamedTuple):
         offset = np.empty((len(rig.groups), VIEW))
         offset[:, 0] = np.log(ours.focals / mean.focals).mean(-1)
         offset[:, CENTRE] = ours.centres - mean.centres
-        offset[:, RADIAL] = (ours.distortion - mean.distortion)[:, 0]
+        offset[:, BENDING] = (ours.distortion - mean.distortion)[:, :2]
         offset[:, ROTATION] = np.stack((skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]), -1)
         offset[:, TRANSLATION] = rig.translations - self.mean.translations
         return offset.ravel()
@@ -86,7 +87,7 @@ def move_rig(rig: Rig, step: Float64) -> Rig:
     """Apply a step (T,) to a rig."""
     step = step.reshape(-1, VIEW)
     distortion = rig.lenses.distortion.copy()
-    distortion[:, 0] += step[:, RADIAL]
+    distortion[:, :2] += step[:, BENDING]
     growth = np.exp(step[:, :1].clip(-LONGEST_FOCAL_STEP, LONGEST_FOCAL_STEP))
     return make_rig(
         rig.lenses._replace(

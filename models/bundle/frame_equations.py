@@ -2,7 +2,7 @@
 
 The unknowns beside the points stand in this order: for each group g its pose (7 columns from 7 g),
 then the components of the shape prior (Q columns from 7 G); if the equations are those of the rig,
-too, ten columns for each view, from 7 G + Q + 10 k.
+too, eleven columns for each view, from 7 G + Q + 11 k.
 """
 
 import math
@@ -27,7 +27,7 @@ SIZE = 6  # place of the log size in a pose
 class NormalEquations(NamedTuple):
     """Normal equations of a frame, or with a leading N of N; C = R + T columns beside the points.
 
-    R = 7 G + Q are the frame's own; T = 10 K are shared by all frames, or T = 0.
+    R = 7 G + Q are the frame's own; T = 11 K are shared by all frames, or T = 0.
     """
 
     points: Float64  # (P, 3, 3) blocks on the diagonal
@@ -125,7 +125,7 @@ def point_in_camera_into(rig: Rig, view: int, held: Float64, camera: Float64) ->
 def linearise(
     views: Views, rig: Rig, prior: ShapePrior, scene: Scene, out: NormalEquations
 ) -> None:
-    """Write the normal equations; if there is room, also those of the rig, ten numbers a view."""
+    """Write the normal equations; if there is room, also of the rig, eleven numbers a view."""
     own = POSE * len(scene.sizes) + prior.basis.shape[1]  # columns of the frame alone
     shared = len(out.rest_right) > own
     columns = POSE + (VIEW if shared else 0)  # that one keypoint depends on
@@ -243,7 +243,7 @@ def _by_view_into(
     arm: Float64,
     by: Float64,
 ) -> None:
-    """Write the derivatives of a pixel by the ten numbers of its view; `arm` (3,) is room."""
+    """Write the derivatives of a pixel by the eleven numbers of its view; `arm` (3,) is room."""
     for i in range(3):  # C v
         arm[i] = camera[i] - rig.translations[view, i]
     for a in range(2):

@@ -23,10 +23,10 @@ Int64 = NDArray[np.int64]
 Tuple = TypeVar("Tuple", bound=NamedTuple)
 
 POSE = 7  # unknowns of a group in a frame: rotation vector, translation, log size
-LENS = 4  # of a lens: log focal length, principal point (x, y), first radial coefficient
+LENS = 5  # of a lens: log focal length, principal point (x, y), first two radial coefficients
 EXTRINSICS = 6  # of a camera in its group: rotation vector, translation
 VIEW = LENS + EXTRINSICS  # what all frames share of a view
-FOCAL, CENTRE_X, CENTRE_Y, RADIAL = range(LENS)  # places among a view's ten numbers
+FOCAL, CENTRE_X, CENTRE_Y, RADIAL, RADIAL_2 = range(LENS)  # places among a view's eleven numbers
 
 SIZE_SD = 0.3  # of the log size of a subject from frame to frame, seen by cameras at rest
 FIXED = 1e8  # inverse variance of what does not vary

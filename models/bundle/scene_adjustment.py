@@ -58,7 +58,7 @@ def _costs(
 def normal_equations(
     views: Views, rig: Rig, prior: ShapePrior, scene: Scene, *, shared: bool
 ) -> NormalEquations:
-    """Linearise every frame; with `shared`, also in what all frames share (T = 10 K, else 0)."""
+    """Linearise every frame; with `shared`, also in what all frames share (T = 11 K, else 0)."""
     views, scene = contiguous(views), contiguous(scene)
     frames, count, _ = scene.points.shape
     columns = POSE * rig.group_count + prior.basis.shape[1]

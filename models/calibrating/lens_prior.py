@@ -4,7 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.adjustment import RigPrior
-from models.bundle.problem import CENTRE_X, CENTRE_Y, FOCAL, LENS, RADIAL, VIEW, Rig, make_rig
+from models.bundle.problem import (
+    CENTRE_X,
+    CENTRE_Y,
+    FOCAL,
+    LENS,
+    RADIAL,
+    RADIAL_2,
+    VIEW,
+    Rig,
+    make_rig,
+)
 from models.calibrating.problem import Problem, Solution
 from models.optics.lenses.projection import LENSES
 
@@ -13,6 +23,7 @@ Float64 = NDArray[np.float64]
 # Standard deviations of what is not told: of all cameras together, and of each beside that.
 FOCAL_SDS = (0.3, 0.01)  # of the log focal length
 RADIAL_SDS = (0.2, 0.05)  # of the first radial coefficient
+RADIAL_2_SDS = (0.1, 0.02)  # of the second
 CENTRE_SD = 0.02  # of the principal point, as a share of the image's side
 UNTOLD_CENTRE_SD = 0.12  # of the middle of all images whose size nobody told, likewise
 
@@ -26,7 +37,11 @@ def rig_prior(problem: Problem, rig: Rig, *, given_poses: bool) -> RigPrior:
     total = VIEW * views
     precision, free = np.zeros((total, total)), np.zeros(total, bool)
     untold = np.flatnonzero(~problem.told_lenses)
-    for number, (together, alone) in ((FOCAL, FOCAL_SDS), (RADIAL, RADIAL_SDS)):
+    for number, (together, alone) in (
+        (FOCAL, FOCAL_SDS),
+        (RADIAL, RADIAL_SDS),
+        (RADIAL_2, RADIAL_2_SDS),
+    ):
         index = VIEW * untold + number
         covariance = together**2 + alone**2 * np.eye(len(index))
         precision[np.ix_(index, index)] = np.linalg.inv(covariance)
@@ -59,7 +74,7 @@ def _centre_covariance(problem: Problem, views: NDArray[np.int64]) -> Float64:
 
 
 def deviations(problem: Problem, solution: Solution) -> Float64:
-    """Return standard deviations (K, 10) from the information; 0 for what was kept."""
+    """Return standard deviations (K, 11) from the information; 0 for what was kept."""
     free = rig_prior(problem, solution.rig, given_poses=solution.given_poses).free
     sds = np.zeros(len(free))
     tolerance = len(solution.information) * np.finfo(np.float64).eps

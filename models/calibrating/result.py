@@ -19,7 +19,7 @@ class SelfCalibration:
     """What a fit knows of its K cameras, of shapes, and of its network's errors."""
 
     rig: Rig
-    # (K, 10) standard deviations of what `models.bundle.problem.VIEW` counts; 0 if it was kept.
+    # (K, 11) standard deviations of what `models.bundle.problem.VIEW` counts; 0 if it was kept.
     deviations: Float64
     shapes: ShapeModel
     network_errors: NetworkErrors
@@ -53,7 +53,7 @@ class CameraReport:
     principal_points: Float64  # (K, 2) pixels
     principal_point_sds: Float64  # (K, 2) pixels
     distortions: Float64  # (K, 8) OpenCV's order
-    distortion_sds: Float64  # (K,) of the first coefficient
+    distortion_sds: Float64  # (K, 2) of the first two coefficients
     resting: NDArray[np.bool_]  # (K,)
     rotations: Float64  # (K, 3, 3) x_cam = R x + t; NaN for a view that does not rest
     rotation_sds: Float64  # (K,) degrees
@@ -84,7 +84,7 @@ def camera_report(calibration: SelfCalibration) -> CameraReport:
         principal_points=lenses.centres.copy(),
         principal_point_sds=deviations[:, CENTRE_X:RADIAL].copy(),
         distortions=lenses.distortion.copy(),
-        distortion_sds=deviations[:, RADIAL].copy(),
+        distortion_sds=deviations[:, RADIAL:LENS].copy(),
         resting=resting,
         rotations=at_rest(rig.rotations),
         rotation_sds=at_rest(rotation_sds),

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from models.bundle.problem import VIEW, make_rig
+from models.bundle.problem import RADIAL_2, VIEW, make_rig
 from models.bundle.shape_model import NetworkErrors, ShapeModel
 from models.calibrating.result import SelfCalibration
 from models.findings.catalogue import FindingCode
@@ -69,7 +69,8 @@ def array_shapes(words: str, keypoints: int, views: int | None) -> Shapes:
     """Shapes of the tensors that go with a line of text; None stands for any length.
 
     Files of versions that knew two camera models hold a tensor "fisheye" (K,), 0 or 1, where the
-    text does not name the models.
+    text does not name the models. Deviations of versions that estimated one radial coefficient
+    have a number less a view.
 
     Raises
     ------
@@ -83,7 +84,7 @@ def array_shapes(words: str, keypoints: int, views: int | None) -> Shapes:
         "groups": (views,),
         "extrinsic_rotations": (views, 3, 3),
         "extrinsic_translations": (views, 3),
-        "deviations": (views, VIEW),
+        "deviations": (views, None),
         "errors": (views,),
         "shape_mean": (keypoints, 3),
         "shape_basis": (keypoints, 3, None),
@@ -113,6 +114,7 @@ def from_arrays(arrays: Arrays, words: str) -> SelfCalibration:
     spread, error_spread, misfit_limit, noise, unit = a["numbers"].tolist()
     consistent = (
         len(models) == len(groups) > 0
+        and a["deviations"].shape[1] in (VIEW - 1, VIEW)
         and np.array_equal(np.unique(groups), np.arange(int(groups.max()) + 1))
         and bool((a["focals"] > 0).all())
         and bool((a["doubt_scales"] > 0).all())
@@ -123,9 +125,12 @@ def from_arrays(arrays: Arrays, words: str) -> SelfCalibration:
     if not consistent:
         raise WeightsError("the file contradicts itself about the cameras")
     lenses = Lenses(a["focals"], a["centres"], a["distortion"], models)
+    deviations = a["deviations"]
+    if deviations.shape[1] < VIEW:  # the second radial coefficient was kept
+        deviations = np.insert(deviations, RADIAL_2, 0, axis=1)
     return SelfCalibration(
         make_rig(lenses, groups, a["extrinsic_rotations"], a["extrinsic_translations"]),
-        a["deviations"],
+        deviations,
         ShapeModel(a["shape_mean"], a["shape_basis"], spread),
         NetworkErrors(a["doubt_basis"], error_spread, a["doubt_scales"]),
         settle_beyond(misfit_limit) if misfit_limit > 0 else SETTLE_ALL,

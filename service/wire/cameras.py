@@ -36,7 +36,7 @@ class FoundView(BaseModel):
     distortion: Distortion | None = Field(
         description="OpenCV's order: k1, k2, p1, p2, k3, k4, k5, k6; fisheye: k1 to k4, then zeros."
     )
-    distortion_sd: float | None = Field(description="Of the first coefficient.")
+    distortion_sd: Vector2 | None = Field(description="Of the first two coefficients.")
     rotation: Rotation | None = Field(
         description="R of `x = R X + t`, 3x3, OpenCV's axes; null for a camera that moves."
     )
@@ -75,7 +75,7 @@ class ModelCameras(BaseModel):
                         "principal_point": [640.0, 512.0],
                         "principal_point_sd": [0.0, 0.0],
                         "distortion": [-0.11, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-                        "distortion_sd": 0.01,
+                        "distortion_sd": [0.01, 0.02],
                         "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
                         "rotation_sd": 0.0,
                         "translation": [0.0, 0.0, 0.0],
@@ -91,7 +91,7 @@ class ModelCameras(BaseModel):
                         "principal_point": [640.0, 512.0],
                         "principal_point_sd": [0.0, 0.0],
                         "distortion": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-                        "distortion_sd": 0.0,
+                        "distortion_sd": [0.0, 0.0],
                         "rotation": None,
                         "rotation_sd": None,
                         "translation": None,

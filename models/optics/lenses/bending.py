@@ -23,8 +23,10 @@ class Bending(NamedTuple):
     x_by_b: float
     y_by_a: float
     y_by_b: float
-    x_by_k1: float  # k1 is the first radial coefficient, the one that self-calibration estimates
+    x_by_k1: float  # k1 and k2 are the first two coefficients, which self-calibration estimates
     y_by_k1: float
+    x_by_k2: float
+    y_by_k2: float
 
 
 class LensModel(Protocol):

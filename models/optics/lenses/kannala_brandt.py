@@ -67,6 +67,8 @@ def differentiate(a: float, b: float, k: Float64) -> Bending:
         gain + 2 * slope * b * b,
         by_k1 * a,
         by_k1 * b,
+        by_k1 * t * a,
+        by_k1 * t * b,
     )
 
 

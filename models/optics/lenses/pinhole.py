@@ -58,6 +58,8 @@ def differentiate(a: float, b: float, k: Float64) -> Bending:
         gain + 2 * slope * b * b + (6 * p1 * b + 2 * p2 * a),
         by_k1 * a,
         by_k1 * b,
+        by_k1 * squared * a,
+        by_k1 * squared * b,
     )
 
 

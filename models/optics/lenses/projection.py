@@ -81,8 +81,8 @@ def differentiate_into(
 ) -> None:
     """Write the pixel (2,) and its derivatives.
 
-    By the point, (2, 3), and by the log focal length, the principal point (x, y) and the first
-    radial coefficient, (2, 4).
+    By the point, (2, 3), and by the log focal length, the principal point (x, y) and the first two
+    radial coefficients, (2, 5).
     """
     depth = point[2] if abs(point[2]) >= NEAREST_DEPTH else NEAREST_DEPTH
     a, b = point[0] / depth, point[1] / depth
@@ -99,6 +99,7 @@ def differentiate_into(
     by_lens[0, 1], by_lens[1, 1] = 1.0, 0.0
     by_lens[0, 2], by_lens[1, 2] = 0.0, 1.0
     by_lens[0, 3], by_lens[1, 3] = fx * bent.x_by_k1, fy * bent.y_by_k1
+    by_lens[0, 4], by_lens[1, 4] = fx * bent.x_by_k2, fy * bent.y_by_k2
 
 
 @inner

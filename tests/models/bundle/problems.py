@@ -114,9 +114,11 @@ def make(
     bias = 0.02 * rng.standard_normal((VIEWS, VIEW))
     bias[:, 1:3] *= 100
     reference = move_rig(rig, bias.ravel())
-    precision = np.tile([1 / 0.3**2, 1 / 20**2, 1 / 20**2, 1 / 0.2**2, *[0.0] * 6], VIEWS)
+    precision = np.tile(
+        [1 / 0.3**2, 1 / 20**2, 1 / 20**2, 1 / 0.2**2, 1 / 0.1**2, *[0.0] * 6], VIEWS
+    )
     free = np.ones((VIEWS, VIEW), bool)
-    free[0, 4:] = free[2, 4:] = False  # the frames of reference of the groups
+    free[0, 5:] = free[2, 5:] = False  # the frames of reference of the groups
     free[2, 1:3] = False
     return Problem(
         Views(keypoints, weights),
@@ -144,7 +146,7 @@ def pixels_of(scene: Scene, rig: Rig) -> Float64:
 
 
 def changed(problem: Problem, step: Float64) -> tuple[Scene, Rig]:
-    """Apply numbers of frames (N, 32), and of the rig (40,) if there are more."""
+    """Apply numbers of frames (N, 32), and of the rig (44,) if there are more."""
     frames, shared = step[: FRAMES * OWN].reshape(FRAMES, OWN), step[FRAMES * OWN :]
     old, rig = problem.scene, problem.rig
     pose = frames[:, 3 * POINTS :].reshape(FRAMES, 2, POSE)
@@ -159,17 +161,17 @@ def changed(problem: Problem, step: Float64) -> tuple[Scene, Rig]:
         return scene, rig
     view = shared.reshape(VIEWS, VIEW)
     distortion = rig.lenses.distortion.copy()
-    distortion[:, 0] += view[:, 3]
+    distortion[:, :2] += view[:, 3:5]
     lenses = rig.lenses._replace(
         focals=rig.lenses.focals * np.exp(view[:, :1]),
         centres=rig.lenses.centres + view[:, 1:3],
         distortion=distortion,
     )
-    turns = Rotation.from_rotvec(view[:, 4:7]).as_matrix()
+    turns = Rotation.from_rotvec(view[:, 5:8]).as_matrix()
     return scene, rig._replace(
         lenses=lenses,
         rotations=turns @ rig.rotations,
-        translations=rig.translations + view[:, 7:],
+        translations=rig.translations + view[:, 8:],
     )
 
 
@@ -193,11 +195,11 @@ def residuals(problem: Problem, step: Float64) -> Float64:
             (
                 np.log(ours.focals / mean.focals).mean(-1, keepdims=True),
                 (ours.centres - mean.centres),
-                (ours.distortion - mean.distortion)[:, :1],
+                (ours.distortion - mean.distortion)[:, :2],
             ),
             -1,
         )
-        held = np.diag(problem.rig_prior.precision).reshape(VIEWS, VIEW)[:, :4]
+        held = np.diag(problem.rig_prior.precision).reshape(VIEWS, VIEW)[:, :5]
         parts.append(np.sqrt(held) * lens)
     return np.concatenate([part.ravel() for part in parts])
 

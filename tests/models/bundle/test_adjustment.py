@@ -98,7 +98,7 @@ def test_the_gradient_agrees_with_differences_of_the_cost(*, heavy: bool, scale:
 def test_the_normal_equations_are_those_of_the_residuals() -> None:
     problem = make(off=0)
     rows = jacobian(problem, shared=True)
-    lens = rows[-4 * VIEWS :]  # what is believed of the lenses: not the frames' business
+    lens = rows[-5 * VIEWS :]  # what is believed of the lenses: not the frames' business
     matrix = rows.T @ rows - lens.T @ lens
     normal = linearised(problem, shared=True)
     total = np.zeros((VIEW * VIEWS,) * 2)

@@ -74,6 +74,18 @@ def test_older_files_name_no_camera_models_but_flag_fisheyes(written: tuple[Arra
     assert read.camera_models == ("perspective", "fisheye", "perspective")
 
 
+def test_older_files_know_one_radial_coefficient(written: tuple[Arrays, str]) -> None:
+    arrays, words = written
+    deviations = arrays["deviations"]
+    older = arrays | {"deviations": torch.cat((deviations[:, :4], deviations[:, 5:]), 1)}
+    read = from_arrays(older, words)
+    assert (read.deviations[:, 4] == 0).all()
+    kept = np.delete(read.deviations, 4, axis=1)
+    np.testing.assert_array_equal(kept, older["deviations"].numpy())
+    with pytest.raises(WeightsError, match="contradicts"):
+        from_arrays(arrays | {"deviations": deviations[:, :7]}, words)
+
+
 def test_warnings_of_older_files_become_findings(written: tuple[Arrays, str]) -> None:
     arrays, words = written
     said = json.loads(words)

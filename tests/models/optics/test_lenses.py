@@ -125,9 +125,9 @@ def differences(function: Callable[[Float64], Float64], at: Float64) -> Float64:
 
 
 def derivatives(world: Float64, lenses: Lenses) -> tuple[Float64, Float64, Float64]:
-    """Pixels (N, K, P, 2), their derivatives by the points (..., 2, 3) and the lens (..., 2, 4)."""
+    """Pixels (N, K, P, 2), their derivatives by the points (..., 2, 3) and the lens (..., 2, 5)."""
     pixels, by_points, by_lens = (
-        np.empty((*world.shape[:-1], *shape)) for shape in ((2,), (2, 3), (2, 4))
+        np.empty((*world.shape[:-1], *shape)) for shape in ((2,), (2, 3), (2, 5))
     )
     for place in np.ndindex(world.shape[:-1]):
         view = place[1]
@@ -151,7 +151,7 @@ def test_derivatives_by_the_lens_agree_with_differences(lenses: list[Lens]) -> N
 
     def changed(x: Float64) -> Float64:
         distortion = glass.distortion.copy()
-        distortion[:, 0] += x[3]
+        distortion[:, :2] += x[3:]
         other = glass._replace(
             focals=glass.focals * np.exp(x[0]),
             centres=glass.centres + x[1:3],
@@ -159,7 +159,7 @@ def test_derivatives_by_the_lens_agree_with_differences(lenses: list[Lens]) -> N
         )
         return project(world, other)
 
-    expected = differences(changed, np.zeros(4))
+    expected = differences(changed, np.zeros(5))
     np.testing.assert_allclose(by_lens, expected, rtol=1e-6, atol=1e-3)
 
 
