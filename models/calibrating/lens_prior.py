@@ -16,7 +16,7 @@ from models.bundle.problem import (
     make_rig,
 )
 from models.calibrating.problem import Problem, Solution
-from models.optics.lenses.projection import LENSES
+from models.optics.lenses.projection import LENSES, index_of
 
 Float64 = NDArray[np.float64]
 
@@ -24,6 +24,7 @@ Float64 = NDArray[np.float64]
 FOCAL_SDS = (0.3, 0.01)  # of the log focal length
 RADIAL_SDS = (0.2, 0.05)  # of the first radial coefficient
 RADIAL_2_SDS = (0.1, 0.02)  # of the second
+PINHOLE = index_of("pinhole")
 CENTRE_SD = 0.02  # of the principal point, as a share of the image's side
 UNTOLD_CENTRE_SD = 0.12  # of the middle of all images whose size nobody told, likewise
 
@@ -36,25 +37,25 @@ def rig_prior(problem: Problem, rig: Rig, *, given_poses: bool) -> RigPrior:
     views = len(rig.groups)
     total = VIEW * views
     precision, free = np.zeros((total, total)), np.zeros(total, bool)
-    untold = np.flatnonzero(~problem.told_lenses)
+    untold = np.isinf(problem.lens_sds)  # (K, LENS)
     for number, (together, alone) in (
         (FOCAL, FOCAL_SDS),
         (RADIAL, RADIAL_SDS),
         (RADIAL_2, RADIAL_2_SDS),
     ):
-        index = VIEW * untold + number
+        index = VIEW * np.flatnonzero(untold[:, number]) + number
         covariance = together**2 + alone**2 * np.eye(len(index))
         precision[np.ix_(index, index)] = np.linalg.inv(covariance)
         free[index] = True
     for number in (CENTRE_X, CENTRE_Y):
-        index = VIEW * untold + number
-        precision[np.ix_(index, index)] = np.linalg.inv(_centre_covariance(problem, untold))
+        these = np.flatnonzero(untold[:, number])
+        index = VIEW * these + number
+        precision[np.ix_(index, index)] = np.linalg.inv(_centre_covariance(problem, these))
         # Where a moving camera looks and where its principal point is are nearly one.
         free[index] = rig.group_count < views
-    for k, camera in enumerate(problem.calibration):
-        if camera is not None and camera.intrinsics is not None and camera.intrinsics.focal_sd > 0:
-            precision[VIEW * k, VIEW * k] = 1 / camera.intrinsics.focal_sd**2
-            free[VIEW * k] = True
+    for k, number in np.argwhere(~untold & (problem.lens_sds > 0)):
+        precision[VIEW * k + number, VIEW * k + number] = 1 / problem.lens_sds[k, number] ** 2
+        free[VIEW * k + number] = True
     if not given_poses:
         first_of_group = np.unique(rig.groups, return_index=True)[1]
         extrinsics = np.ones((views, VIEW), bool)
@@ -88,7 +89,7 @@ def other_lenses(problem: Problem, solution: Solution) -> list[tuple[str, Proble
 
     Their own files say what they look like to the pinholes that every search begins with.
     """
-    untold = ~problem.told_lenses
+    untold = np.isinf(problem.lens_sds[:, RADIAL]) & (problem.reference.lenses.models == PINHOLE)
     if not untold.any():
         return []
     lenses, usual = solution.rig.lenses, problem.reference.lenses

@@ -6,9 +6,22 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import Rig, Scene, ShapePrior, Views, moving_rig, points_in_cameras
+from models.bundle.problem import (
+    CENTRE_X,
+    CENTRE_Y,
+    FOCAL,
+    LENS,
+    RADIAL,
+    Rig,
+    Scene,
+    ShapePrior,
+    Views,
+    moving_rig,
+    points_in_cameras,
+)
 from models.bundle.shape_model import ShapeModel
 from models.calibrating.image_sizes import Images
+from models.numerics.rotations import rotations_from_vectors
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, index_of, project
 from models.settings.calibration import Camera
 
@@ -20,6 +33,13 @@ USUAL_FOCAL = 1.2  # times the longer side of the image: a field of view of 45 d
 REST_SLACK = 1e-4  # of the image's side: differences of noise below which nothing is concluded
 
 
+class Pose(NamedTuple):
+    """Where a camera stands: x_cam = R x_world + t."""
+
+    rotation: Float64  # (3, 3)
+    translation: Float64  # (3,) in the user's unit
+
+
 class Problem(NamedTuple):
     """The frames that a self-calibration looks at, and what is known of the cameras."""
 
@@ -27,8 +47,12 @@ class Problem(NamedTuple):
     weights: Float64  # (N, K, P) confidences
     images: Images
     size: float  # pixels, mean root-mean-square radius of a view
-    reference: Rig  # moving cameras with lenses as they are given, or usual
-    calibration: tuple[Camera | None, ...]  # K
+    usual: Rig  # moving cameras with usual lenses, as though nothing was told
+    reference: Rig  # moving cameras with lenses as they were told, or usual
+    # (K, LENS) standard deviations of what was told of lenses, in the numbers of
+    # `models.bundle.problem.VIEW`: 0 where it is kept as it is, infinity where nothing was told.
+    lens_sds: Float64
+    poses: tuple[Pose | None, ...]  # K, as they were told
 
     @property
     def side(self) -> float:
@@ -36,15 +60,9 @@ class Problem(NamedTuple):
         return self.images.side
 
     @property
-    def told_lenses(self) -> NDArray[np.bool_]:
-        """Which views' (K,) lenses the user gave."""
-        return np.array([c is not None and c.intrinsics is not None for c in self.calibration])
-
-    @property
     def posed(self) -> list[int]:
         """The views whose poses the user gave."""
-        given = enumerate(self.calibration)
-        return [k for k, camera in given if camera is not None and camera.rotation is not None]
+        return [k for k, pose in enumerate(self.poses) if pose is not None]
 
     def views(self, noise: float) -> Views:
         """Return the keypoints, weighted for this noise in pixels."""
@@ -79,18 +97,44 @@ def grouped(members: list[int], views: int) -> NDArray[np.int64]:
     return groups
 
 
-def starting_rig(images: Images, calibration: Sequence[Camera | None]) -> Rig:
-    """Return moving cameras with given lenses, or usual ones in the middle of the images."""
+def told_poses(calibration: Sequence[Camera | None]) -> tuple[Pose | None, ...]:
+    """Return the poses that were told, K of them."""
+    return tuple(_pose_of(camera) for camera in calibration)
+
+
+def told_lenses(usual: Rig, calibration: Sequence[Camera | None]) -> tuple[Rig, Float64]:
+    """Put what was told of lenses into a rig; also how surely, see `Problem.lens_sds`."""
+    given = usual.lenses
+    lenses = Lenses(
+        given.focals.copy(), given.centres.copy(), given.distortion.copy(), given.models.copy()
+    )
+    sds = np.full((len(calibration), LENS), np.inf)
+    for k, camera in enumerate(calibration):
+        if camera is None or camera.intrinsics is None:
+            continue
+        told = camera.intrinsics
+        lenses.models[k] = index_of(told.model)
+        lenses.focals[k], sds[k, FOCAL] = told.focals, told.focal_sd
+        if told.centre is not None:
+            lenses.centres[k], sds[k, [CENTRE_X, CENTRE_Y]] = told.centre, 0
+        if told.distortion is not None:
+            lenses.distortion[k, : len(told.distortion)] = told.distortion
+            sds[k, RADIAL:] = 0
+    return usual._replace(lenses=lenses), sds
+
+
+def _pose_of(camera: Camera | None) -> Pose | None:
+    if camera is None or camera.rotation is None or camera.translation is None:
+        return None
+    told = np.array(camera.rotation, np.float64)
+    matrix = told if told.shape == (3, 3) else rotations_from_vectors(told)
+    return Pose(matrix, np.array(camera.translation, np.float64))
+
+
+def usual_rig(images: Images) -> Rig:
+    """Return moving cameras with usual lenses in the middle of the images."""
     views = len(images.sizes)
     focals = USUAL_FOCAL * images.sizes.max(1, keepdims=True) * np.ones(2)
-    centres = images.middles.copy()
-    distortion, models = np.zeros((views, COEFFICIENTS)), np.zeros(views, np.int8)
-    models[:] = index_of("pinhole")
-    for k, camera in enumerate(calibration):
-        if camera is not None and camera.intrinsics is not None:
-            lens = camera.intrinsics
-            focals[k] = lens.fx, lens.fy
-            centres[k] = lens.cx, lens.cy
-            distortion[k, : len(lens.distortion)] = lens.distortion
-            models[k] = index_of(lens.model)
-    return moving_rig(Lenses(focals, centres, distortion, models))
+    models = np.full(views, index_of("pinhole"), np.int8)
+    lenses = Lenses(focals, images.middles.copy(), np.zeros((views, COEFFICIENTS)), models)
+    return moving_rig(lenses)

@@ -25,7 +25,9 @@ from models.calibrating.problem import (
     Solution,
     Steps,
     reprojection_distances,
-    starting_rig,
+    told_lenses,
+    told_poses,
+    usual_rig,
 )
 from models.calibrating.result import SelfCalibration
 from models.calibrating.told_cameras import given_poses, unit_by_length
@@ -80,10 +82,12 @@ def self_calibrate(
     """
     calibration = config.calibration or (None,) * keypoints.shape[1]
     images = images_of(keypoints, weights, image_sizes)
-    reference = starting_rig(images, calibration)
+    usual = usual_rig(images)
+    reference, lens_sds = told_lenses(usual, calibration)
     there = weights.sum(-1) > 0
     size = float(answers.scales[there].mean())
-    problem = Problem(keypoints, weights, images, size, reference, calibration)
+    poses = told_poses(calibration)
+    problem = Problem(keypoints, weights, images, size, usual, reference, lens_sds, poses)
     start = yield from choose_hand(problem, starting_scene(answers, reference), config.handedness)
     arranged = yield from _arrange(problem, start, config)
     best, reason = arranged.solution, arranged.reason

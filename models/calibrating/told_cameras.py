@@ -21,9 +21,9 @@ def given_poses(problem: Problem, moving: Solution) -> tuple[Solution, float]:
     """Put the moving solution into the poses that the user gave; also a unit in the user's."""
     rotations, translations = moving.rig.rotations.copy(), moving.rig.translations.copy()
     for k in problem.posed:
-        camera = problem.calibration[k]
-        if camera is not None and camera.rotation is not None and camera.translation is not None:
-            rotations[k], translations[k] = camera.rotation, camera.translation
+        pose = problem.poses[k]
+        if pose is not None:
+            rotations[k], translations[k] = pose
     groups = grouped(problem.posed, len(rotations))
     rig = make_rig(moving.rig.lenses, groups, rotations, translations)
     scene = gather(moving.scene, rig, problem.weights.sum(-1) > 0)

@@ -1,0 +1,82 @@
+"""What a user may tell of cameras, what comes back of it, and what is refused in which words."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from models.settings.calibration import Camera, Intrinsics
+from models.settings.config import FitConfig
+
+POSE = {"rotation": np.eye(3).tolist(), "translation": [0, 0, 4]}
+
+
+def told(rotation: Any) -> Camera:
+    return Camera.model_validate({"rotation": rotation, "translation": [0, 0, 4]})
+
+
+def test_a_focal_length_alone_is_that_of_both_axes() -> None:
+    lens = Intrinsics(fx=1100)
+    assert lens.focals == (1100, 1100)
+    assert lens.centre is None
+    assert lens.distortion is None
+    assert Intrinsics(fx=1100, fy=1090).focals == (1100, 1090)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        {"intrinsics": {"fx": 1100.0}},
+        {"intrinsics": {"fx": 1100.0, "fy": 1090.0, "cx": 640.0, "cy": 512.0}},
+        {"rotation": [0.1, 1.5, 0.0], "translation": [0.0, 1.0, 4.0]},
+        {"rotation": np.eye(3).tolist(), "translation": [0.0, 1.0, 4.0]},
+    ],
+)
+def test_what_goes_out_is_what_came_in(camera: dict[str, Any]) -> None:
+    config = FitConfig.model_validate({"calibration": [camera, None]})
+    assert config.model_dump(mode="json", exclude_unset=True)["calibration"] == [camera, None]
+    assert FitConfig.model_validate_json(config.model_dump_json()) == config
+
+
+@pytest.mark.parametrize(
+    ("rotation", "says"),
+    [
+        ([0, 90, 0], "in radians.*degrees, multiply by pi / 180"),
+        ((2 * np.eye(3)).tolist(), r"one times 2; divide by it"),
+        (np.diag([1, 1, -1]).tolist(), "mirrored matrix.*OpenCV"),
+        ([[1, 0, 0], [0, 1, 0], [0.5, 0, 1]], "orthonormal"),
+        (np.diag([1100, 1100, 1]).tolist(), "not of a projection matrix"),
+        ([1, 0, 0, 0], "3x3 matrix .* or Rodrigues' vector"),
+        ([["a", 0, 0]], "3x3 matrix .* or Rodrigues' vector"),
+        ([0, 0, float("nan")], "3x3 matrix .* or Rodrigues' vector"),
+    ],
+)
+def test_a_rotation_that_is_none_is_refused_with_the_fix(rotation: Any, says: str) -> None:
+    with pytest.raises(ValidationError, match=says) as refused:
+        told(rotation)
+    (error,) = refused.value.errors()
+    assert error["loc"] == ("rotation",)
+
+
+def test_rounding_is_forgiven() -> None:
+    turned = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]]) @ np.eye(3)
+    assert told((turned + 1e-4).round(4).tolist()).rotation is not None
+
+
+@pytest.mark.parametrize(
+    ("camera", "says"),
+    [
+        ({"rotation": [0, 0, 0]}, "rotation and translation belong together"),
+        ({"translation": [0, 0, 4]}, "rotation and translation belong together"),
+        ({"intrinsics": {"fx": 1100, "cx": 640}}, "cx and cy belong together"),
+        ({"intrinsics": {"fx": 1100, "distortion": [0.1, 0, 0]}}, r"\[0, 1, 2, 4, 5, 8\].*got 3"),
+        (
+            {"intrinsics": {"fx": 300, "model": "fisheye", "distortion": [0.1]}},
+            r"fisheye lens.*\[0, 4\]",
+        ),
+    ],
+)
+def test_what_does_not_belong_together_is_refused(camera: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValidationError, match=says):
+        Camera.model_validate(camera)
