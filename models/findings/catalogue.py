@@ -6,6 +6,7 @@ Severity = Literal["info", "warning"]
 
 CaptureCode = Literal[  # of the keypoints alone, before any fit
     "keypoint_never_seen",
+    "view_never_seen",
     "keypoint_frozen",
     "views_identical",
     "coordinates_normalised",
@@ -51,10 +52,15 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "No view ever shows this keypoint: its place is not answered (null).",
         "Leave the keypoint out, or look at what the detector wrote for it.",
     ),
+    "view_never_seen": Entry(
+        "warning",
+        "This view never shows four keypoints or more: nothing is found of its camera.",
+        "Leave the view out, or look at what the detector wrote for it.",
+    ),
     "keypoint_frozen": Entry(
         "warning",
-        "The keypoint stays at one pixel while the others move, so it is no detection: cameras"
-        " and structures bend towards it.",
+        "The keypoint stays at one pixel, to the last digit, while the subject moves: it is no"
+        " detection. Fits do not use it there.",
         "Mark it as not observed (null, or confidence 0) where the detector did not find it.",
     ),
     "views_identical": Entry(
@@ -64,7 +70,7 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "coordinates_normalised": Entry(
         "warning",
-        "All coordinates lie between 0 and 1, so they are shares of the image, not pixels: focal"
+        "All coordinates lie about 0 and 1, so they are shares of the image, not pixels: focal"
         " lengths and noise mean nothing.",
         "Multiply x by the image's width and y by its height, in pixels.",
     ),

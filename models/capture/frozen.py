@@ -1,0 +1,130 @@
+"""Keypoints that stay at one pixel while the subject moves: no detections.
+
+A detector that loses a keypoint may go on writing the last place, or a corner such as (0, 0). Such
+a place is repeated to the last digit, in frames that need not follow each other. That alone proves
+nothing: a planted foot whose coordinates were rounded, or the root of a figure that is kept in the
+middle, rests too, and where coordinates were rounded a keypoint comes back to a pixel by chance. So
+the places about it must be visited less, and something must speak against rest: another view in
+which the keypoint moves, or the subject, which goes away from it.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.capture.extents import Extents, extents
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+LEAST_REPEATS = 10  # frames; in real detections five that agree to the last digit were never seen
+MOST_PLACES = 10  # where one keypoint of a view is looked for, the most repeated first
+LEAST_DIFFERENT = 0.25  # of a keypoint's places: a foot that is planted, again and again, has fewer
+STEPS = 3  # of the grid that coordinates were rounded to, that a keypoint moves by at least
+STEP_VALUES = 5000  # coordinates of a view that tell the grid
+# In radii of what a view shows of the subject, see `extents`; a person's is a third of a metre:
+MOVES = 0.03  # a keypoint whose median distance to its median place is larger moves
+FAR_AWAY = 5.0  # a person's feet are three and a half from the middle
+SHARED_AWAY = 2.0  # at the same pixel of several views: only what all views are centred on may be
+GOES_AWAY = 4.0  # a foot that is planted sees the body pass by two and a half
+
+
+class _Place(NamedTuple):
+    """A pixel where keypoint p of view k is again and again."""
+
+    k: int
+    p: int
+    pixel: tuple[float, float]
+    frames: NDArray[np.int64]
+
+
+def frozen_keypoints(pixels: Float32, seen: Bool) -> Bool:
+    """Return which keypoints (N, K, P) are repeated where they cannot rest.
+
+    Parameters
+    ----------
+    pixels, seen
+        (N, K, P, 2), and (N, K, P) whether each was observed. The order of the frames is nothing
+        to the answer.
+    """
+    frozen = np.zeros(seen.shape, np.bool_)
+    places = list(_repeated_places(pixels, seen))
+    if not places:
+        return frozen
+    shown = np.where(seen[..., None], pixels, np.float32(np.nan))
+    steps = np.array([_step(shown[:, k]) for k in range(shown.shape[1])])  # (K,)
+    there = extents(pixels, seen)
+    suspect = [place for place in places if not _is_by_chance(place, shown, steps)]
+    shared = Counter((place.p, place.pixel) for place in suspect)
+    wrong = {
+        place.pixel
+        for place in suspect
+        if _moves_elsewhere(place, shown, there, steps)
+        or _is_left_alone(place, shown, there, shared=shared[place.p, place.pixel] > 1)
+    }
+    for place in suspect:  # what stands for "not found" does so in every view
+        if place.pixel in wrong:
+            frozen[place.frames, place.k, place.p] = True
+    return frozen
+
+
+def _step(shown: Float32) -> float:
+    """Return the step of the grid on which coordinates (N, P, 2) lie, or a small length, pixels."""
+    values = shown[np.isfinite(shown)]
+    values = np.unique(values[:: -(-len(values) // STEP_VALUES)])
+    return float(np.median(np.diff(values))) if len(values) > 1 else 0.0
+
+
+def _is_by_chance(place: _Place, shown: Float32, steps: Float64) -> bool:
+    """Whether the keypoint is as often in the eight places about this one on the grid."""
+    apart = np.abs(shown[:, place.k, place.p] - np.array(place.pixel, np.float32)).max(-1)
+    return int((apart < 1.5 * steps[place.k]).sum()) > 2 * len(place.frames)
+
+
+def _repeated_places(pixels: Float32, seen: Bool) -> Iterator[_Place]:
+    """Yield places to which a keypoint of a view comes back exactly, at least so many times."""
+    if len(pixels) < LEAST_REPEATS:
+        return
+    # Both coordinates of a keypoint as one integer: equal if and only if they are the same bits.
+    keys = np.ascontiguousarray(pixels, np.float32).view(np.uint64)[..., 0]  # (N, K, P)
+    ordered = np.sort(keys, axis=0)
+    again = ordered[LEAST_REPEATS - 1 :] == ordered[: len(ordered) - LEAST_REPEATS + 1]
+    for k, p in np.argwhere(again.any(0)).tolist():
+        there = np.flatnonzero(seen[:, k, p])
+        places, counts = np.unique(keys[there, k, p], return_counts=True)
+        for index in np.argsort(-counts, kind="stable")[:MOST_PLACES]:
+            if counts[index] >= LEAST_REPEATS:
+                frames = there[keys[there, k, p] == places[index]]
+                x, y = pixels[frames[0], k, p].tolist()
+                yield _Place(k, p, (x, y), frames)
+
+
+def _moves_elsewhere(place: _Place, shown: Float32, there: Extents, steps: Float64) -> bool:
+    """Whether another view shows the keypoint moving in frames in which this one repeats it."""
+    others = shown[place.frames, :, place.p]  # (F, K, 2)
+    for k in range(others.shape[1]):
+        known = others[np.isfinite(others[:, k, 0]), k]
+        if k == place.k or len(known) < LEAST_REPEATS:
+            continue
+        different = len(np.unique(known, axis=0)) / len(known)
+        if different > LEAST_DIFFERENT:
+            distances = np.linalg.norm(known - np.median(known, axis=0), axis=-1)
+            if np.median(distances) > MOVES * there.usual_radii[k] + STEPS * steps[k]:
+                return True
+    return False
+
+
+def _is_left_alone(place: _Place, shown: Float32, there: Extents, *, shared: bool) -> bool:
+    """Whether the subject is far from the place, or goes away from it, in the view itself."""
+    n, k = place.frames, place.k
+    offsets = (shown[n, k, place.p] - there.middles[n, k]) / there.usual_radii[k]  # (F, 2)
+    offsets = offsets[np.isfinite(offsets[:, 0])]
+    if len(offsets) < LEAST_REPEATS:
+        return False
+    passed = np.ptp(np.quantile(offsets, (0.05, 0.95), axis=0), axis=0).max()
+    away = np.median(np.linalg.norm(offsets, axis=-1))
+    return bool(away > (SHARED_AWAY if shared else FAR_AWAY) or passed > GOES_AWAY)
