@@ -7,6 +7,7 @@ from models.bundle.adjustment import RigPrior
 from models.bundle.problem import (
     CENTRE_X,
     CENTRE_Y,
+    EXTRINSICS,
     FOCAL,
     LENS,
     RADIAL,
@@ -15,7 +16,7 @@ from models.bundle.problem import (
     Rig,
     make_rig,
 )
-from models.calibrating.problem import Problem, Solution
+from models.calibrating.problem import GivenPoses, Problem, Solution
 from models.optics.lenses.projection import LENSES, index_of
 
 Float64 = NDArray[np.float64]
@@ -29,11 +30,8 @@ CENTRE_SD = 0.02  # of the principal point, as a share of the image's side
 UNTOLD_CENTRE_SD = 0.12  # of the middle of all images whose size nobody told, likewise
 
 
-def rig_prior(problem: Problem, rig: Rig, *, given_poses: bool) -> RigPrior:
-    """Say what is free of the rig, and how strongly it is held where.
-
-    With `given_poses` the rig's extrinsics are those that the user gave, and stay.
-    """
+def rig_prior(problem: Problem, rig: Rig, *, given_poses: GivenPoses | None) -> RigPrior:
+    """Say what is free of the rig, and how strongly it is held where."""
     views = len(rig.groups)
     total = VIEW * views
     precision, free = np.zeros((total, total)), np.zeros(total, bool)
@@ -53,17 +51,35 @@ def rig_prior(problem: Problem, rig: Rig, *, given_poses: bool) -> RigPrior:
         precision[np.ix_(index, index)] = np.linalg.inv(_centre_covariance(problem, these))
         # Where a moving camera looks and where its principal point is are nearly one.
         free[index] = rig.group_count < views
-    for k, number in np.argwhere(~untold & (problem.lens_sds > 0)):
-        precision[VIEW * k + number, VIEW * k + number] = 1 / problem.lens_sds[k, number] ** 2
-        free[VIEW * k + number] = True
-    if not given_poses:
-        first_of_group = np.unique(rig.groups, return_index=True)[1]
-        extrinsics = np.ones((views, VIEW), bool)
-        extrinsics[:, :LENS] = False
-        extrinsics[first_of_group] = False  # its camera is the group's frame of reference
-        free |= extrinsics.ravel()
-    mean = make_rig(problem.reference.lenses, rig.groups, rig.rotations, rig.translations)
+    poses = told_extrinsics(rig, given_poses)
+    sds = np.concatenate((problem.lens_sds, poses.sds), 1).ravel()
+    unsure = np.flatnonzero(np.isfinite(sds) & (sds > 0))
+    precision[unsure, unsure] = 1 / sds[unsure] ** 2
+    free[unsure] = True
+    free.reshape(views, VIEW)[:, LENS:] = poses.sds > 0
+    mean = make_rig(problem.reference.lenses, rig.groups, poses.rotations, poses.translations)
     return RigPrior(mean, precision, free)
+
+
+def told_extrinsics(rig: Rig, given: GivenPoses | None) -> GivenPoses:
+    """Return what holds the extrinsics of a rig.
+
+    A group of which no pose was told has its frame of reference in its first camera.
+    """
+    views = len(rig.groups)
+    sds = np.full((views, EXTRINSICS), np.inf) if given is None else given.sds.copy()
+    held: NDArray[np.bool_] = np.all(np.isfinite(sds), 1)
+    for group in range(rig.group_count):
+        members = np.flatnonzero(rig.groups == group)
+        if not held[members].any():
+            sds[members[0]] = 0
+    if given is None:
+        return GivenPoses(rig.rotations, rig.translations, sds)
+    return GivenPoses(
+        np.where(held[:, None, None], given.rotations, rig.rotations),
+        np.where(held[:, None], given.translations, rig.translations),
+        sds,
+    )
 
 
 def _centre_covariance(problem: Problem, views: NDArray[np.int64]) -> Float64:

@@ -69,6 +69,22 @@ class Problem(NamedTuple):
         return Views(self.keypoints, self.weights / noise**2)
 
 
+class GivenPoses(NamedTuple):
+    """Extrinsics as they were told, in units of the structure, and how strongly they are held."""
+
+    rotations: Float64  # (K, 3, 3)
+    translations: Float64  # (K, 3)
+    # (K, EXTRINSICS) standard deviations, radians and units: 0 where kept as it is, infinity where
+    # nothing was told or what was told is refused.
+    sds: Float64
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Which views (K,) stand where they were told, or near it."""
+        held: NDArray[np.bool_] = np.all(np.isfinite(self.sds), 1)
+        return held
+
+
 class Solution(NamedTuple):
     """What explains the keypoints, and what it was found with."""
 
@@ -79,7 +95,7 @@ class Solution(NamedTuple):
     noise: float  # pixels, not below the least that is reckoned with
     measured_noise: float  # pixels
     information: Float64  # (F, F) inverse covariance of what is free of the rig
-    given_poses: bool = False  # whether the extrinsics are those that the user gave, and stay
+    given_poses: GivenPoses | None = None  # what holds the extrinsics; None: nothing told does
 
 
 def reprojection_distances(problem: Problem, rig: Rig, scene: Scene) -> Float64:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.initial_poses import gather
-from models.bundle.problem import Scene, make_rig
-from models.calibrating.problem import Problem, Solution, grouped
+from models.bundle.problem import EXTRINSICS, Scene, make_rig
+from models.calibrating.problem import GivenPoses, Problem, Solution, grouped
 from models.findings.finding import Finding
 from models.numerics.medians import lower_median
 from models.settings.calibration import KnownLength
@@ -32,10 +32,13 @@ def given_poses(problem: Problem, moving: Solution) -> tuple[Solution, float]:
     sizes, shifts = scene.sizes.copy(), scene.translations.copy()
     sizes[:, 0] -= log_unit
     shifts[:, 0] /= unit
+    rig = rig._replace(translations=rig.translations / unit)
+    sds = np.full((len(rotations), EXTRINSICS), np.inf)
+    sds[problem.posed] = 0
     start = moving._replace(
-        rig=rig._replace(translations=rig.translations / unit),
+        rig=rig,
         scene=scene._replace(sizes=sizes, translations=shifts),
-        given_poses=True,
+        given_poses=GivenPoses(rig.rotations, rig.translations, sds),
     )
     return start, unit
 
