@@ -94,10 +94,17 @@ def unknown_network_errors(keypoints: int) -> NetworkErrors:
     return NetworkErrors(np.zeros((keypoints, 3, 0)), 1.0, np.zeros(0))
 
 
-def learn_network_errors(errors: Sequence[Float64], mean: Float64) -> NetworkErrors:
-    """Learn from errors (N, P, 3) in the frame of `mean` (P, 3), an array per number of views."""
+def learn_network_errors(
+    errors: Sequence[Float64], sizes_from: Sequence[NDArray[np.bool_]], mean: Float64
+) -> NetworkErrors:
+    """Learn from errors (N, P, 3) in the frame of `mean` (P, 3), an array per number of views.
+
+    All of them tell in which directions the network errs; how far is learnt from the frames
+    `sizes_from` (N,) alone.
+    """
     own = [np.sqrt(np.square(part).sum(-1).mean(-1)) for part in errors]  # of every frame
-    scales = np.array([lower_median(part) for part in own]).clip(LEAST_ERROR)
+    judged = zip(own, sizes_from, strict=True)
+    scales = np.array([lower_median(part[which]) for part, which in judged]).clip(LEAST_ERROR)
     # A frame that is off by far counts no more than others; it is what heavy tails are for.
     flat = np.concatenate(
         [

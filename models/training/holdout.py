@@ -1,4 +1,4 @@
-"""Frames that a fit does not see, which tell when it learns nothing more."""
+"""Frames that a fit does not see: they tell how far its network is off, and when it has learnt."""
 
 import numpy as np
 import torch

@@ -42,6 +42,7 @@ class Teaching:
         self,
         network: Prior,
         data: Data,
+        unseen: Data,
         config: FitConfig,
         image_sizes: ImageSizes | None,
         denoiser: Denoiser | None,
@@ -51,6 +52,7 @@ class Teaching:
         self.self_calibration: SelfCalibration | None = None
         self._network = network
         self._data = data
+        self._unseen = unseen  # frames that the network is not taught
         self._config = config
         self._image_sizes = image_sizes
         self._denoiser = denoiser
@@ -150,7 +152,11 @@ class Teaching:
         """Measure the network's errors as they are now, and the time that it takes."""
         started = time.perf_counter()
         measured = learn_errors_of_network(
-            self_calibration, self._data, self._as_prior, seed=[self._config.seed, step, 3]
+            self_calibration,
+            self._data,
+            self._unseen,
+            self._as_prior,
+            seed=[self._config.seed, step, 3],
         )
         self.state.result_seconds = time.perf_counter() - started
         return measured

@@ -103,10 +103,12 @@ class Trainer:
         if denoiser is not None:
             observations = denoiser.denoise(observations, range(observations.keypoints.shape[1]))
         self._holdout: Holdout | None = None
-        if config.early_stopping:
+        held_out = frames[:0]
+        if config.early_stopping or config.refine != "off":
             frames, held_out = split(frames, config.seed)
-            if len(held_out):
-                self._holdout = Holdout(Data.of(observations, held_out), config.seed)
+        unseen = Data.of(observations, held_out)
+        if config.early_stopping and len(held_out):
+            self._holdout = Holdout(unseen, config.seed)
         self._data = Data.of(observations, frames)
         self._batches = Batches(self._data, size=config.batch_size, seed=config.seed)
         self._network = make_prior(config, observations.keypoints.shape[2])
@@ -114,7 +116,7 @@ class Trainer:
         if start is not None:
             _begin_with(self._network, config, start)
         self._learner = Learner(self._network, torch.device(device))
-        self._teaching = Teaching(self._network, self._data, config, image_sizes, denoiser)
+        self._teaching = Teaching(self._network, self._data, unseen, config, image_sizes, denoiser)
         self._state = TrainerState(Schedule.of(config), self._teaching.state)
         self._curve: list[CurvePoint] = []
         if checkpoint is not None:

@@ -185,7 +185,8 @@ def test_network_errors_have_a_scale_for_each_number_of_views() -> None:
         for size in sizes
     ]
     errors[0][:20] *= 1000  # what is off by far does not decide
-    learnt = learn_network_errors(errors, mean)
+    everything = [np.ones(300, np.bool_)] * 3
+    learnt = learn_network_errors(errors, everything, mean)
     for scale, part in zip(learnt.scales.tolist(), errors, strict=True):
         usual = np.median(np.sqrt(np.square(part).sum(-1).mean(-1)))
         assert scale == pytest.approx(usual, rel=0.01)
@@ -198,10 +199,21 @@ def test_network_errors_have_a_scale_for_each_number_of_views() -> None:
     assert total + learnt.spread**2 == pytest.approx(1 / 3, rel=0.15)
 
 
+def test_how_far_a_network_errs_is_told_by_some_frames_alone() -> None:
+    rng = np.random.default_rng(13)
+    mean = standard(rng.standard_normal((6, 3)))
+    errors = 0.1 * rng.standard_normal((200, 6, 3))
+    some = np.arange(200) >= 150
+    errors[some] *= 3
+    learnt = learn_network_errors([errors], [some], mean)
+    usual = np.median(np.sqrt(np.square(errors[some]).sum(-1).mean(-1)))
+    assert learnt.scales[0] == pytest.approx(usual, rel=0.05)
+
+
 def test_a_network_without_errors_is_believed_to_have_small_ones_all_the_same() -> None:
     nothing = np.zeros((10, 5, 3))
     mean = standard(np.random.default_rng(12).standard_normal((5, 3)))
-    learnt = learn_network_errors([nothing], mean)
+    learnt = learn_network_errors([nothing], [np.ones(10, np.bool_)], mean)
     assert learnt.scales.tolist() == [LEAST_ERROR]
     assert learnt.spread == LEAST_SHARE
     assert learnt.basis.shape == (5, 3, 0)
