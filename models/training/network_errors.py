@@ -55,18 +55,19 @@ def learn_errors_of_network(
 
     `data` is what the network was taught, `unseen` is not and may be empty. The errors are measured
     for two policies of settling: every frame, or only frames whose misfit is unusual. The policy
-    with the smaller errors is kept.
+    with the smaller errors in all frames, seen and unseen, is kept: it changes the answers to the
+    same frames, so the more frames, the surer the choice.
     """
     unknown = unknown_network_errors(data.keypoints.shape[2])
     blank = replace(self_calibration, network_errors=unknown, settling=SETTLE_ALL)
     sample = _sample(data, unseen, make_prior(blank), seed)
-    candidates = []
+    best, least = blank, math.inf
     for policy in (SETTLE_ALL, SETTLE_NONE):
         candidate = replace(blank, settling=policy)
-        learnt = _learn(candidate, sample, make_prior(candidate))
-        if learnt is not None:
-            candidates.append(learnt)
-    return min(candidates, key=lambda c: float(c.network_errors.scales.sum()), default=blank)
+        learnt, size = _learn(candidate, sample, make_prior(candidate))
+        if size < least:
+            best, least = learnt, size
+    return best
 
 
 def _sample(data: Data, unseen: Data, prior: FittedPrior, seed: list[int]) -> _Sample:
@@ -93,8 +94,11 @@ def _frames_with_several_views(data: Data) -> tuple[Tensor, Tensor]:
 
 def _learn(
     candidate: SelfCalibration, sample: _Sample, prior: FittedPrior
-) -> SelfCalibration | None:
-    """Learn the errors of the network with one policy of settling; None from too few frames."""
+) -> tuple[SelfCalibration, float]:
+    """Learn the errors of the network with one policy of settling, and how large they are in all.
+
+    Too few frames tell nothing: the candidate stays as it is, and its errors are infinite.
+    """
     mean = candidate.shapes.mean
     known = torch.from_numpy(np.isfinite(sample.structures).all((1, 2)))  # (F,)
     errors, judged, misfits = [], [], []
@@ -111,10 +115,12 @@ def _learn(
         judged.append(judging)
         misfits.append(_misfits(lift)[judging])
     if not errors:
-        return None
+        return candidate, math.inf
     policy = _settling_in_lifts(candidate.settling, np.concatenate(misfits))
     learnt = learn_network_errors(errors, judged, mean)
-    return replace(candidate, network_errors=learnt, settling=policy)
+    everything = [np.ones_like(judging) for judging in judged]
+    size = float(learn_network_errors(errors, everything, mean).scales.sum())
+    return replace(candidate, network_errors=learnt, settling=policy), size
 
 
 def _settling_in_lifts(measured: SettlingPolicy, misfits: NDArray[np.float64]) -> SettlingPolicy:
