@@ -44,23 +44,57 @@ def fit_fundamental(
     if len(x) < LEAST_POINTS:
         raise ValueError(f"a fundamental matrix needs {LEAST_POINTS} correspondences, got {len(x)}")
     given = np.ones(len(x)) if weights is None else weights
-    to_x, to_y = _normalising(x), _normalising(y)
+    everything = np.ones(len(x), bool)
+    to_x, to_y = _normalising(x, everything), _normalising(y, everything)
     rows = _equations(_homogeneous(x) @ to_x.T, _homogeneous(y) @ to_y.T)  # (M, 9)
-    matrix = _start(rows, given, to_x, to_y, x, y)
+    start = _start(rows, given, to_x, to_y, x, y)
+    alone = (array[None] for array in (start, rows, given, to_x, to_y, x, y))
+    matrices, scales = _reweighted(*alone, floor)
+    return Fundamental(matrices[0], float(scales[0]))
+
+
+def fit_fundamentals(
+    x: Float64, y: Float64, weights: Float64, *, floor: float = 0.01
+) -> tuple[Float64, Float64]:
+    """Fit B fundamental matrices at once, each to its own correspondences x, y (B, M, 2).
+
+    Correspondences of weight 0 in `weights` (B, M) take no part; each fit needs eight others, few
+    of them wrong: unlike in `fit_fundamental`, the start is the least-squares solution. Returns
+    the matrices (B, 3, 3) and the scales (B,) of their Sampson distances in pixels.
+    """
+    to_x, to_y = (
+        np.stack([_normalising(row, there) for row, there in zip(points, weights > 0, strict=True)])
+        for points in (x, y)
+    )
+    rows = _equations(_homogeneous(x) @ to_x.mT, _homogeneous(y) @ to_y.mT)  # (B, M, 9)
+    start = _in_pixels(_solve(rows, weights), to_x, to_y)
+    return _reweighted(start, rows, weights, to_x, to_y, x, y, floor)
+
+
+def _reweighted(
+    matrices: Float64,
+    rows: Float64,
+    weights: Float64,
+    to_x: Float64,
+    to_y: Float64,
+    x: Float64,
+    y: Float64,
+    floor: float,
+) -> tuple[Float64, Float64]:
+    """Improve B matrices by reweighted least squares; return them and the scales of their noise."""
     for _ in range(ROUNDS):
-        gradients = _gradient_norms(matrix, x, y)
-        distances = _algebraic(matrix, x, y) / gradients
-        scale = max(robust_scale(distances), floor)
+        gradients = _gradient_norms(matrices, x, y)
+        distances = _algebraic(matrices, x, y) / gradients
+        scales = _scales(distances, weights, floor)
         # Sampson's denominator makes algebraic distances those of pixels.
-        share = gradients / np.median(gradients)
-        robust = student_weights(distances, scale) / np.square(share)
-        matrix = _in_pixels(_solve(rows, given * robust), to_x, to_y)
-    scale = max(robust_scale(sampson_distances(matrix, x, y)), floor)
-    return Fundamental(matrix, scale)
+        share = gradients / _medians(gradients, weights)
+        robust = student_weights(distances, scales) / np.square(share)
+        matrices = _in_pixels(_solve(rows, weights * robust), to_x, to_y)
+    return matrices, _scales(sampson_distances(matrices, x, y), weights, floor)[:, 0]
 
 
 def sampson_distances(matrix: Float64, x: Float64, y: Float64) -> Float64:
-    """Signed Sampson distances (M,) in pixels of correspondences x, y (M, 2) from F (3, 3)."""
+    """Signed Sampson distances (..., M) in pixels of x, y (..., M, 2) from F (..., 3, 3)."""
     distances: Float64 = _algebraic(matrix, x, y) / _gradient_norms(matrix, x, y)
     return distances
 
@@ -70,43 +104,64 @@ def robust_scale(distances: Float64) -> float:
     return NORMAL * float(np.median(np.abs(distances)))
 
 
-def student_weights(distances: Float64, scale: float) -> Float64:
+def student_weights(distances: Float64, scale: float | Float64) -> Float64:
     """Weights of least squares that make its optimum the most likely one under Student's t."""
     weights: Float64 = (FREEDOM + 1) / (FREEDOM + np.square(distances / scale))
     return weights
 
 
+def robust_costs(distances: Float64, scale: float | Float64) -> Float64:
+    """Negative log likelihoods of distances under Student's t of a scale, up to a constant."""
+    squared = np.square(distances / scale) / FREEDOM
+    costs: Float64 = (FREEDOM + 1) / 2 * np.log1p(squared) + np.log(scale)
+    return costs
+
+
 def robust_cost(distances: Float64, scale: float) -> float:
     """Mean negative log likelihood of distances under Student's t of a scale, up to a constant."""
-    squared = np.square(distances / scale) / FREEDOM
-    return float((FREEDOM + 1) / 2 * np.log1p(squared).mean() + np.log(scale))
+    return float(robust_costs(distances, scale).mean())
+
+
+def _medians(values: Float64, weights: Float64) -> Float64:
+    """Medians (B, 1) of those of the values (B, M) that have a weight."""
+    rows = zip(values, weights > 0, strict=True)
+    return np.array([[np.median(row[there])] for row, there in rows])
+
+
+def _scales(distances: Float64, weights: Float64, floor: float) -> Float64:
+    """Robust standard deviations (B, 1) of distances (B, M) that have a weight."""
+    return np.maximum(NORMAL * _medians(np.abs(distances), weights), floor)
 
 
 def _homogeneous(points: Float64) -> Float64:
-    return np.concatenate((points, np.ones((len(points), 1))), 1)
+    return np.concatenate((points, np.ones((*points.shape[:-1], 1))), -1)
 
 
-def _normalising(points: Float64) -> Float64:
-    """Return the similarity (3, 3) that centres points (M, 2) at a mean distance of sqrt(2)."""
+def _normalising(points: Float64, there: NDArray[np.bool_]) -> Float64:
+    """Return the similarity (3, 3) that centres points (M, 2) at a mean distance of sqrt(2).
+
+    Of the points, those count that are `there` (M,).
+    """
+    points = points[there]
     centre = np.median(points, 0)
     scale = np.sqrt(2) / max(float(np.linalg.norm(points - centre, axis=1).mean()), TINY)
     return np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])
 
 
 def _equations(x: Float64, y: Float64) -> Float64:
-    return (y[:, :, None] * x[:, None]).reshape(len(x), 9)
+    return (y[..., :, None] * x[..., None, :]).reshape(*x.shape[:-1], 9)
 
 
 def _solve(rows: Float64, weights: Float64) -> Float64:
-    """Return the matrix of rank two next to the least-squares solution."""
-    vectors = np.linalg.eigh((rows * weights[:, None]).T @ rows)[1]
-    u, s, vt = np.linalg.svd(vectors[:, 0].reshape(3, 3))
-    matrix: Float64 = (u * [s[0], s[1], 0.0]) @ vt
-    return matrix
+    """Return the matrices (..., 3, 3) of rank two next to the least-squares solutions."""
+    vectors = np.linalg.eigh((rows * weights[..., None]).mT @ rows)[1]
+    u, s, vt = np.linalg.svd(vectors[..., 0].reshape(*vectors.shape[:-2], 3, 3))
+    matrices: Float64 = (u * (s * [1.0, 1.0, 0.0])[..., None, :]) @ vt
+    return matrices
 
 
 def _in_pixels(matrix: Float64, to_x: Float64, to_y: Float64) -> Float64:
-    pixels: Float64 = to_y.T @ matrix @ to_x
+    pixels: Float64 = to_y.mT @ matrix @ to_x
     pixels /= np.linalg.norm(pixels, axis=(-2, -1), keepdims=True)
     return pixels
 
@@ -131,13 +186,13 @@ def _start(
 
 
 def _algebraic(matrix: Float64, x: Float64, y: Float64) -> Float64:
-    products: Float64 = ((_homogeneous(x) @ matrix.T) * _homogeneous(y)).sum(1)
+    products: Float64 = ((_homogeneous(x) @ matrix.mT) * _homogeneous(y)).sum(-1)
     return products
 
 
 def _gradient_norms(matrix: Float64, x: Float64, y: Float64) -> Float64:
-    """Length (M,) of the gradient of y^T F x by the four pixel coordinates."""
-    lines_y = (_homogeneous(x) @ matrix.T)[:, :2]
-    lines_x = (_homogeneous(y) @ matrix)[:, :2]
-    norms: Float64 = np.sqrt(np.square(lines_y).sum(1) + np.square(lines_x).sum(1) + TINY**2)
+    """Length (..., M) of the gradient of y^T F x by the four pixel coordinates."""
+    lines_y = (_homogeneous(x) @ matrix.mT)[..., :2]
+    lines_x = (_homogeneous(y) @ matrix)[..., :2]
+    norms: Float64 = np.sqrt(np.square(lines_y).sum(-1) + np.square(lines_x).sum(-1) + TINY**2)
     return norms

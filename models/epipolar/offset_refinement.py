@@ -1,0 +1,257 @@
+"""Offsets in time to a fraction of a frame, and how sure they are: Gauss-Newton with all pairs.
+
+The Sampson distance of a pair depends on its fundamental matrix and on when either view is read. By
+a frame more it changes as the keypoint moves across its epipolar line. So offsets and matrices are
+found together by least squares with Student's weights, where the matrices of rank two (seven
+unknowns on a manifold) are eliminated pair by pair: what remains is one small system for the
+offsets of all views. Offsets are sums of given functions of time, such as a constant and a drift.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.capture.tracks import Motion, Track, motion_at
+from models.epipolar.fundamental import (
+    LEAST_POINTS,
+    fit_fundamental,
+    robust_costs,
+    robust_scale,
+    sampson_distances,
+    student_weights,
+)
+
+Float64 = NDArray[np.float64]
+Int = NDArray[np.int64]
+Pair = tuple[int, int]
+
+POINTS = 9000  # of a pair
+ROUNDS = 8
+MATRIX_ROUNDS = 2  # steps of a pair's matrix in each round
+CONVERGED = 0.003  # frames
+LARGEST_STEP = 1.5  # frames: beyond it, motion is not linear any more
+# The scatter of blocks of frames tells how sure offsets are: at most so many, and each longer than
+# errors of smoothed keypoints (in half widths) and of detectors (in frames) are alike.
+MOST_BLOCKS, BLOCK_WIDTHS, BLOCK_FRAMES = 16, 1.5, 8
+FLOOR = 2e-4  # of the extent of the keypoints: finer than any detector or lens model
+RIDGE = 1e-9  # of the information: views that no pair tells of stay where they are
+
+
+class Scene(NamedTuple):
+    """What is looked at: keypoints as functions of time, in units of their extent."""
+
+    tracks: list[Track]  # K
+    frames: Int  # (T,) consecutive in windows
+    pairs: list[Pair]
+    half_width: float  # frames, of the smoothing
+
+    @property
+    def blocks(self) -> int:
+        """How many blocks of frames are independent of each other."""
+        return count_blocks(len(self.frames), self.half_width)
+
+    @property
+    def radius(self) -> float:
+        """Median root-mean-square radius of the subject in a view."""
+        spreads = []
+        for track in self.tracks:
+            weights = track.weights[self.frames, :, None]
+            total = np.maximum(weights.sum(1), RIDGE)
+            pixels = track.pixels[self.frames]
+            mean = (weights * pixels).sum(1) / total
+            squares = np.square(pixels - mean[:, None]).sum(-1, keepdims=True)
+            spreads.append(np.median(np.sqrt((weights * squares).sum(1) / total)))
+        return float(np.median(spreads))
+
+
+def count_blocks(frames: int, half_width: float) -> int:
+    """How many blocks of so many frames are independent of each other after smoothing."""
+    return min(int(frames // max(BLOCK_WIDTHS * half_width, BLOCK_FRAMES)), MOST_BLOCKS)
+
+
+class Refined(NamedTuple):
+    """Offsets of K views as M coefficients of functions of time, relative to one of them."""
+
+    coefficients: Float64  # (K, M) frames
+    covariances: Float64  # (K, M, M) of a view's coefficients
+    noise: float  # of the smoothed keypoints, in units of their extent
+    matrices: dict[Pair, Float64]
+    block_offsets: Float64  # (B, K) frames, that every block of frames would add to a constant
+    block_weights: Float64  # (B, K) information on these
+
+
+class _Equations(NamedTuple):
+    """What a pair says of how much later its second view is, without its matrix."""
+
+    information: Float64  # (B, M, M)
+    scores: Float64  # (B, M)
+    matrix: Float64  # (3, 3)
+    scale: float
+
+
+def refine_offsets(
+    scene: Scene, start: Float64, functions: Float64, reference: int
+) -> Refined | None:
+    """Refine the coefficients `start` (K, M) of `functions` (T, M) of the scene's frames.
+
+    The view `reference` keeps its own. None if too few keypoints are seen by two views.
+    """
+    views, size = start.shape
+    coefficients = start.copy()
+    thin = slice(None, None, 1 + functions.shape[0] * len(scene.tracks[0].pixels[0]) // POINTS)
+    frames, functions = scene.frames[thin], functions[thin]
+    count = scene.blocks
+    blocks = np.arange(len(frames)) * count // len(frames)
+    free = np.repeat(np.arange(views) != reference, size)
+    matrices: dict[Pair, Float64] = {}
+    for _ in range(ROUNDS):
+        offsets = functions @ coefficients.T  # (T, K)
+        motions = [
+            motion_at(track, frames + offsets[:, v], scene.half_width)
+            for v, track in enumerate(scene.tracks)
+        ]
+        information = np.zeros((count, views, size, views, size))
+        scores = np.zeros((count, views, size))
+        scales = []
+        for pair in scene.pairs:
+            first, second = pair
+            said = _equations(
+                motions[first], motions[second], functions, blocks, matrices.get(pair)
+            )
+            if said is None:
+                continue
+            matrices[pair] = said.matrix
+            scales.append(said.scale)
+            for a, b, sign in (
+                (first, first, 1),
+                (second, second, 1),
+                (first, second, -1),
+                (second, first, -1),
+            ):
+                information[:, a, :, b] += sign * said.information
+            scores[:, second] += said.scores
+            scores[:, first] -= said.scores
+        if not scales:
+            return None
+        flat = information.sum(0).reshape(views * size, views * size)[np.ix_(free, free)]
+        flat += RIDGE * np.trace(flat) * np.eye(len(flat))
+        inverse = np.linalg.inv(flat)
+        by_block = scores.reshape(count, -1)[:, free]
+        step = np.zeros(views * size)
+        step[free] = np.clip(inverse @ by_block.sum(0), -LARGEST_STEP, LARGEST_STEP)
+        coefficients += step.reshape(views, size)
+        if np.abs(step).max() < CONVERGED:
+            break
+    covariance = np.zeros((views * size, views * size))
+    covariance[np.ix_(free, free)] = inverse @ (by_block.T @ by_block) @ inverse
+    covariance *= count / (count - 3)  # few blocks: that of Student's t with count - 1 degrees
+    per_view = covariance.reshape(views, size, views, size)[range(views), :, range(views)]
+    constant = np.einsum("bkmlo->bkl", information)
+    return Refined(
+        coefficients,
+        per_view,
+        float(np.median(scales)),
+        matrices,
+        _of_blocks(constant, scores.sum(-1), reference),
+        np.einsum("bkk->bk", constant),
+    )
+
+
+def costs_of_frames(scene: Scene, matrices: dict[Pair, Float64], offsets: Float64) -> Float64:
+    """Mean robust cost (T,) of every frame with the views at constant `offsets` (K,)."""
+    motions = [
+        motion_at(track, scene.frames + late, scene.half_width)
+        for track, late in zip(scene.tracks, offsets, strict=True)
+    ]
+    total = np.zeros(len(scene.frames))
+    for (first, second), matrix in matrices.items():
+        x, y = motions[first].places, motions[second].places
+        distances = sampson_distances(matrix, x, y)
+        known = np.isfinite(distances)
+        scale = max(robust_scale(distances[known]), FLOOR) if known.any() else 1.0
+        costs = np.where(known, robust_costs(np.where(known, distances, 0), scale), 0)
+        total += costs.sum(1) / np.maximum(known.sum(1), 1)
+    return total
+
+
+def _of_blocks(information: Float64, scores: Float64, reference: int) -> Float64:
+    """Solve for the offsets (B, K) of each block by itself, relative to most of the views."""
+    blocks, views = scores.shape
+    free = np.flatnonzero(np.arange(views) != reference)
+    found = np.zeros((blocks, views))
+    for block in range(blocks):
+        own = information[block][np.ix_(free, free)]
+        own = own + max(RIDGE * float(np.trace(information.sum(0))), RIDGE) * np.eye(len(free))
+        found[block, free] = np.linalg.solve(own, scores[block, free])
+    return found - np.median(found, axis=1, keepdims=True) * (views > 2)
+
+
+def _equations(
+    first: Motion, second: Motion, functions: Float64, blocks: Int, matrix: Float64 | None
+) -> _Equations | None:
+    """Take steps of a pair's matrix, then return the equations of its offset, linear in time."""
+    both = np.isfinite(first.places).all(-1) & np.isfinite(second.places).all(-1)  # (T, P)
+    if both.sum() < 3 * LEAST_POINTS:
+        return None
+    frames = np.nonzero(both)[0]
+    x, y = first.places[both], second.places[both]
+    if matrix is None:
+        matrix = fit_fundamental(x, y, floor=FLOOR).matrix
+    for step in range(MATRIX_ROUNDS + 1):
+        across_y, across_x, distances, by_matrix = _linearise(matrix, x, y)
+        scale = max(robust_scale(distances), FLOOR)
+        weights = student_weights(distances, scale) / scale**2
+        weighted = weights[:, None] * by_matrix
+        normal = by_matrix.T @ weighted
+        normal += RIDGE * np.trace(normal) * np.eye(len(normal))
+        if step < MATRIX_ROUNDS:
+            change = np.linalg.solve(normal, weighted.T @ distances)
+            matrix = _of_rank_two(matrix - (_tangents(matrix) @ change).reshape(3, 3))
+    # Reading the second view later changes a distance as reading the first one earlier does.
+    by_time = (across_y * second.velocities[both]).sum(1) - (across_x * first.velocities[both]).sum(1)
+    columns = by_time[:, None] / 2 * functions[frames]  # (M', M)
+    columns = columns - by_matrix @ np.linalg.solve(normal, weighted.T @ columns)
+    count, size = int(blocks[-1]) + 1, functions.shape[1]
+    information, scores = np.zeros((count, size, size)), np.zeros((count, size))
+    of_block = blocks[frames]
+    for block in range(count):
+        part = slice(*np.searchsorted(of_block, [block, block + 1]))
+        information[block] = columns[part].T @ (weights[part, None] * columns[part])
+        scores[block] = -columns[part].T @ (weights[part] * distances[part])
+    return _Equations(information, scores, matrix, scale)
+
+
+def _linearise(
+    matrix: Float64, x: Float64, y: Float64
+) -> tuple[Float64, Float64, Float64, Float64]:
+    """Normals of the epipolar lines of y and x (M, 2), Sampson distances (M,), derivatives (M, 7).
+
+    Normals are over Sampson's denominator, derivatives are by `_tangents` of the matrix.
+    """
+    one = np.ones((len(x), 1))
+    hx, hy = np.concatenate((x, one), 1), np.concatenate((y, one), 1)
+    lines_y, lines_x = hx @ matrix.T, hy @ matrix
+    norms = np.sqrt(np.square(lines_y[:, :2]).sum(1) + np.square(lines_x[:, :2]).sum(1))[:, None]
+    rows = (hy[:, :, None] * hx[:, None]).reshape(-1, 9) / norms
+    distances = rows @ matrix.ravel()
+    return lines_y[:, :2] / norms, lines_x[:, :2] / norms, distances, rows @ _tangents(matrix)
+
+
+def _tangents(matrix: Float64) -> Float64:
+    """Orthonormal directions (9, 7) in which matrices of rank two and norm 1 change."""
+    u, s, vt = np.linalg.svd(matrix)
+    kept = np.diag([s[0], s[1], 0.0])
+    directions = [u @ np.diag([-s[1], s[0], 0.0]) @ vt]
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        turn = np.zeros((3, 3))
+        turn[a, b], turn[b, a] = 1.0, -1.0
+        directions += [u @ turn @ kept @ vt, u @ kept @ turn @ vt]
+    return np.asarray(np.linalg.qr(np.stack([d.ravel() for d in directions], 1))[0], np.float64)
+
+
+def _of_rank_two(matrix: Float64) -> Float64:
+    """Return the matrix of rank two and norm 1 next to a matrix (3, 3)."""
+    u, s, vt = np.linalg.svd(matrix)
+    nearest: Float64 = (u * [s[0], s[1], 0.0]) @ vt / np.hypot(s[0], s[1])
+    return nearest

@@ -1,0 +1,325 @@
+"""By how many frames views are late, from keypoints alone, for cameras at rest.
+
+At rest, all keypoints of a pair of views obey one epipolar geometry if both views show the same
+moment. A view that is late by d frames does so only if its keypoints are read d frames later: the
+offset for which the best fundamental matrix leaves the least Sampson distances is the true one.
+What tells it is motion across the epipolar lines.
+
+Keypoints are smoothed as functions of time (`models.capture.tracks`). Every pair tries whole
+offsets; the best choice for all pairs together is refined to a fraction of a frame by
+`models.epipolar.offset_refinement`, which also says how sure it is.
+"""
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.capture.tracks import HALF_WIDTHS, choose_half_width, make_track, masked_median, motion_at
+from models.epipolar.fundamental import (
+    LEAST_POINTS,
+    fit_fundamentals,
+    robust_costs,
+    sampson_distances,
+)
+from models.epipolar.offset_refinement import (
+    FLOOR,
+    Refined,
+    Scene,
+    costs_of_frames,
+    count_blocks,
+    refine_offsets,
+)
+
+Float64 = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+REACH = 12  # frames that a view may be late or early where nobody tells how long a frame takes
+REACH_SECONDS = 1.0
+MOST_REACH = 60  # frames
+LEAST_FRAMES = 30  # of a capture of which anything is said
+MOST_FRAMES = 1500  # that are looked at, in windows of consecutive ones
+MOST_PLACES = 200_000  # frames x views x keypoints that are looked at
+WINDOWS = 8
+WIDTH_VIEWS = 4  # that the width of the smoothing is chosen from
+LEAST_BLOCKS = 6  # for a standard deviation
+MOST_KEYPOINTS = 32
+MOST_PAIRS = 24
+SEARCH_POINTS = 1800  # of a pair, for whole offsets
+STEPS = 12  # offsets tried on either side at a time
+STARTS = 6  # of the search for whole offsets that suit all pairs
+FILM = 0.7  # of the usual distance between poses: between frames of a film it is less
+# A view is late if its offset is so many frames and standard deviations from 0, and perhaps late
+# if it is so many.
+LATE_FRAMES, LATE_SDS = 0.2, 4.0
+DOUBTFUL_FRAMES, DOUBTFUL_SDS = 0.5, 2.5
+# Offsets are those of whole frames more often than not: taken as such within two standard
+# deviations, or this many frames.
+WHOLE_SDS, LEAST_WHOLE, MOST_WHOLE = 2.0, 0.02, 0.15
+CHANGE_FRAMES, CHANGE_SDS = 0.5, 6.0  # of a drift or a jump
+CHANGE_BLOCKS = 3  # of frames on either side of a jump
+DRIFT = 0  # in place of the block before which a jump is
+JUMP_ROUNDS = 2
+MOST_NOISE = 0.25  # of a view's radius: beyond it no one geometry explains the frames
+
+
+class Timing(NamedTuple):
+    """By how many frames each of K views is late, at M frames; between them it is interpolated.
+
+    One of M for constant offsets; the first and the last for a drift; two neighbours for a jump.
+    Offsets are relative to most of the views, or to the first of two.
+    """
+
+    frames: Float64  # (M,) rising
+    offsets: Float64  # (M, K) in frames; view k shows in its frame n + offset what others do in n
+    sds: Float64  # (K,) of the offset that tells most
+    late: NDArray[np.bool_]  # (K,) surely
+    doubtful: NDArray[np.bool_]  # (K,) perhaps
+
+
+def find_timing(keypoints: Float64, weights: Float64, *, reach: int = REACH) -> Timing | None:
+    """Find by how many frames the views of keypoints (N, K, P, 2) are late.
+
+    Parameters
+    ----------
+    weights
+        (N, K, P), 0 where not observed.
+    reach
+        Most frames between two views, to either side.
+
+    Returns
+    -------
+    Timing or None
+        None where the keypoints do not tell: cameras that move, or too few frames.
+    """
+    views = keypoints.shape[1]
+    scene = _make_scene(keypoints, weights, reach)
+    if scene is None:
+        return None
+    step = -(-reach // STEPS)
+    whole = _search(scene, np.zeros(views, np.int64), step)
+    if step > 1:
+        whole = _search(scene, whole, 1)
+    reference = int(np.argmin(np.abs(whole - np.median(whole))))
+    start = (whole - whole[reference]).astype(np.float64)[:, None]
+    found = refine_offsets(scene, start, np.ones((len(scene.frames), 1)), reference)
+    if found is None or found.noise > MOST_NOISE * scene.radius:
+        return None
+    changing = _find_change(scene, found, reference)
+    if changing is not None:
+        return changing
+    sds = np.sqrt(found.covariances[:, 0, 0])
+    return _decide(np.zeros(1), found.coefficients.T, sds)
+
+
+def reach_at(fps: float | None) -> int:
+    """Return how many frames to search on either side; the rate is in frames per second."""
+    if fps is None:
+        return REACH
+    return int(np.clip(np.ceil(REACH_SECONDS * fps), REACH, MOST_REACH))
+
+
+def is_film(keypoints: Float64) -> bool:
+    """Whether keypoints (N, K, P, 2) follow each other in time: poses change little by little."""
+    if len(keypoints) < LEAST_FRAMES:
+        return False
+    apart = len(keypoints) // 3
+    with np.errstate(invalid="ignore"):
+        near = np.linalg.norm(np.diff(keypoints, axis=0), axis=-1)
+        far = np.linalg.norm(keypoints[apart:] - keypoints[:-apart], axis=-1)
+    between = [float(masked_median(array.ravel())) for array in (near, far)]
+    return between[0] < FILM * between[1]
+
+
+def _make_scene(keypoints: Float64, weights: Float64, reach: int) -> Scene | None:
+    """Return the keypoints that are looked at, as tracks; None if they are too few."""
+    count, views, _, _ = keypoints.shape
+    chosen = np.sort(np.argsort(-(weights > 0).sum((0, 1)), kind="stable")[:MOST_KEYPOINTS])
+    pixels, weights = keypoints[:, :, chosen], weights[:, :, chosen]
+    seen = weights > 0
+    reach = min(reach, count // 4)
+    if views < 2 or count < LEAST_FRAMES or (seen.sum((0, 2)) < LEAST_FRAMES).any():
+        return None
+    # One scale for all views keeps residuals of all pairs comparable.
+    centres = np.stack([np.median(pixels[:, v][seen[:, v]], 0) for v in range(views)])
+    centred = np.where(seen[..., None], pixels - centres[:, None], 0.0)
+    extent = float(np.sqrt(np.square(centred[seen]).sum(-1).mean()))
+    if extent <= 0:
+        return None
+    tracks = [make_track(centred[:, v] / extent, weights[:, v]) for v in range(views)]
+    frames = np.arange(reach, count - reach)
+    most = int(np.clip(MOST_PLACES // (views * len(chosen)), 10 * WINDOWS, MOST_FRAMES))
+    if len(frames) > most:
+        windows = np.array_split(frames, WINDOWS)
+        each = most // WINDOWS
+        frames = np.concatenate([w[(len(w) - each) // 2 :][:each] for w in windows])
+    pairs = list(combinations(range(views), 2))
+    if len(pairs) > MOST_PAIRS:  # every view with the one that shows most, and the next to it
+        best = int(np.argmax(seen.sum((0, 2))))
+        pairs = sorted(
+            {tuple(sorted((v, other))) for v in range(views) for other in (best, (v + 1) % views)}
+            - {(best, best)}
+        )
+    half_width = choose_half_width(
+        tracks[:: -(-views // WIDTH_VIEWS)],
+        [width for width in HALF_WIDTHS if count_blocks(len(frames), width) >= LEAST_BLOCKS],
+    )
+    if half_width is None:
+        return None
+    return Scene(tracks, frames, pairs, half_width)
+
+
+def _search(scene: Scene, centre: Int, step: int) -> Int:
+    """Return the whole offsets (K,) around `centre`, in steps, that suit all pairs best."""
+    shifts = step * np.arange(-STEPS, STEPS + 1)
+    motions = [motion_at(t, scene.frames + 0.0, scene.half_width) for t in scene.tracks]
+    speeds = np.stack([np.linalg.norm(np.nan_to_num(m.velocities), axis=-1).mean(-1) for m in motions])
+    # What rests tells nothing of time: of every stretch the frame that moves most.
+    keypoints = scene.tracks[0].pixels.shape[1]
+    bins = np.array_split(np.arange(len(scene.frames)), min(len(scene.frames), SEARCH_POINTS // keypoints))
+    picked = scene.frames[[stretch[np.argmax(speeds.mean(0)[stretch])] for stretch in bins]]
+    times = picked + shifts[:, None]  # (D, T)
+    places = []
+    for track, late in zip(scene.tracks, centre, strict=True):
+        needed, back = np.unique(times + late, return_inverse=True)
+        motion = motion_at(track, needed.astype(np.float64), scene.half_width)
+        places.append(motion.places[back.reshape(times.shape)])  # (D, T, P, 2)
+    costs = {}
+    for first, second in scene.pairs:
+        profile = _profile(places[first][STEPS], places[second])
+        if profile is not None:
+            costs[first, second] = profile
+    return centre + step * _best_for_all(costs, len(centre))
+
+
+def _profile(x: Float64, y: Float64) -> Float64 | None:
+    """Mean cost (D,) of keypoints x (T, P, 2) with those of the other view at D offsets."""
+    y = y.reshape(len(y), -1, 2)
+    x = np.broadcast_to(x.reshape(1, -1, 2), y.shape)
+    both = np.isfinite(x).all(-1) & np.isfinite(y).all(-1)
+    if both.sum(1).min() < 3 * LEAST_POINTS:
+        return None
+    x, y = np.where(both[..., None], x, 0.0), np.where(both[..., None], y, 0.0)
+    matrices, scales = fit_fundamentals(x, y, both.astype(np.float64), floor=FLOOR)
+    distances = sampson_distances(matrices, x, y)
+    costs = robust_costs(distances, scales[:, None]) * both
+    return np.asarray(costs.sum(1) / both.sum(1), np.float64)
+
+
+def _best_for_all(costs: dict[tuple[int, int], Float64], views: int) -> Int:
+    """Return the steps (K,) of least cost over all pairs, by coordinate descent from some starts.
+
+    Beyond the steps that were tried, a pair costs what its worst step does.
+    """
+    best, least = np.zeros(views, np.int64), np.inf
+    rng = np.random.default_rng(0)
+    tried = np.arange(-STEPS, STEPS + 1)
+
+    def cost_of(view: int, steps: Int) -> Float64:
+        """Cost of the pairs of a view at each of the steps tried."""
+        total = np.zeros(len(tried))
+        for (first, second), profile in costs.items():
+            if view in (first, second):
+                ahead = tried - steps[first] if view == second else steps[second] - tried
+                outside = np.abs(ahead) > STEPS
+                total += np.where(outside, profile.max(), profile[np.clip(ahead, -STEPS, STEPS) + STEPS])
+        return total
+
+    for start in range(STARTS):
+        steps = rng.integers(-STEPS // 2, STEPS // 2 + 1, views) * (start > 0)
+        before = np.inf
+        while True:
+            now = 0.0
+            for view in range(views):
+                along = cost_of(view, steps)
+                steps[view] = tried[np.argmin(along)]
+                now += along.min()
+            if now >= before:
+                break
+            before = now
+        if before < least:
+            best, least = steps.copy(), before
+    return best - int(np.median(best))
+
+
+def _find_change(scene: Scene, constant: Refined, reference: int) -> Timing | None:
+    """Look for a drift, or for a jump as of dropped frames; None if offsets seem constant."""
+    split = _suspect(constant.block_offsets, constant.block_weights)
+    if split is None:
+        return None
+    first, last = float(scene.frames[0]), float(scene.frames[-1])
+    along = (scene.frames - first) / (last - first)
+    start = np.concatenate((constant.coefficients, constant.coefficients), 1)
+    if split == DRIFT:
+        functions = np.stack((1 - along, along), 1)
+        knots = np.array([first, last])
+    else:
+        border = scene.frames[len(scene.frames) * split // scene.blocks]
+        for _ in range(JUMP_ROUNDS):
+            after = scene.frames >= border
+            start = np.stack(
+                [
+                    _search(scene._replace(frames=scene.frames[side]), np.zeros(len(start), int), 1)
+                    for side in (~after, after)
+                ],
+                1,
+            ).astype(np.float64)
+            start -= start[reference]
+            functions = np.stack((~after, after), 1).astype(np.float64)
+            found = refine_offsets(scene, start, functions, reference)
+            if found is None:
+                return None
+            saved = costs_of_frames(scene, found.matrices, found.coefficients[:, 1])
+            saved -= costs_of_frames(scene, found.matrices, found.coefficients[:, 0])
+            border = scene.frames[int(np.argmin(np.cumsum(-saved))) ]
+        knots = np.array([border - 1.0, float(border)])
+    found = refine_offsets(scene, start, functions, reference)
+    if found is None:
+        return None
+    changes = found.coefficients[:, 1] - found.coefficients[:, 0]
+    c = found.covariances
+    sds = np.sqrt(np.maximum(c[:, 0, 0] + c[:, 1, 1] - 2 * c[:, 0, 1], 0))
+    if not ((np.abs(changes) > CHANGE_FRAMES) & (np.abs(changes) > CHANGE_SDS * sds)).any():
+        return None
+    return _decide(knots, found.coefficients.T, np.sqrt(np.maximum(c[:, 0, 0], c[:, 1, 1])))
+
+
+def _suspect(offsets: Float64, weights: Float64) -> int | None:
+    """Return where a jump between blocks seems to be, DRIFT for a drift, or None.
+
+    `offsets` and `weights` are (B, K). Each view's offsets are explained by a constant, a line and
+    a step, by weighted least squares.
+    """
+    blocks = len(offsets)
+    best: tuple[float, int] | None = None
+    for late, weight in zip(offsets.T, weights.T, strict=True):
+        if weight.sum() <= 0:
+            continue
+        designs = {DRIFT: np.arange(blocks) / (blocks - 1)}
+        designs |= {at: (np.arange(blocks) >= at) * 1.0 for at in range(CHANGE_BLOCKS, blocks - CHANGE_BLOCKS + 1)}
+        mean = np.average(late, weights=weight)
+        rest = float((weight * (late - mean) ** 2).sum())
+        for at, design in designs.items():
+            centred = design - np.average(design, weights=weight)
+            power = float((weight * centred**2).sum())
+            if power <= 0:
+                continue
+            change = float((weight * centred * late).sum()) / power
+            left = rest - change**2 * power
+            ratio = change**2 * power / max(left / (blocks - 2), 1.0)
+            if abs(change) > CHANGE_FRAMES / 2 and ratio > CHANGE_SDS**2:
+                if best is None or ratio > best[0]:
+                    best = ratio, at
+    return None if best is None else best[1]
+
+
+def _decide(frames: Float64, offsets: Float64, sds: Float64) -> Timing:
+    """Tell surely late views from doubtful ones and from those in step, whose offsets become 0."""
+    largest = np.abs(offsets).max(0)
+    late = (largest > LATE_FRAMES) & (largest > LATE_SDS * sds)
+    doubtful = ~late & (largest > DOUBTFUL_FRAMES) & (largest > DOUBTFUL_SDS * sds)
+    nearest = np.round(offsets)
+    near = np.abs(offsets - nearest) <= np.clip(WHOLE_SDS * sds, LEAST_WHOLE, MOST_WHOLE)
+    kept = np.where(near & (len(frames) == 1), nearest, offsets)
+    return Timing(frames, np.where(late | doubtful, kept, 0.0), sds, late, doubtful)
