@@ -5,15 +5,21 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from safetensors.numpy import load, save
 
 from models.settings.keypoints import check_confidence, check_keypoints
+from models.settings.times import check_times
 from store.errors import CaptureError
 
 Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Array = TypeVar("Array", bound=NDArray[Any])
+
+ARRAYS = ("keypoints", "confidence", "points3d", "times")  # of a capture, in this order
 
 
 @dataclass(frozen=True)
@@ -28,11 +34,14 @@ class Capture:
         (N, K, P) in [0, 1], or None.
     points3d
         (N, P, 3) ground truth in the unit the user chose, NaN where unknown, or None.
+    times
+        (N,) or (N, K) seconds, rising: when each frame was taken, or each of its views; or None.
     """
 
     keypoints: Float32
     confidence: Float32 | None = None
     points3d: Float32 | None = None
+    times: Float64 | None = None
 
     @classmethod
     def checked(
@@ -40,6 +49,7 @@ class Capture:
         keypoints: ArrayLike,
         confidence: ArrayLike | None = None,
         points3d: ArrayLike | None = None,
+        times: ArrayLike | None = None,
     ) -> "Capture":
         """Return the capture these arrays make.
 
@@ -49,7 +59,7 @@ class Capture:
             Naming the array, what was expected of it, what came and how to mend it.
         """
         pixels = _checked("keypoints", lambda: check_keypoints(keypoints))
-        n, _, p, _ = pixels.shape
+        n, k, p, _ = pixels.shape
         if n == 0:
             raise CaptureError("keypoints", "expected at least one frame, got none")
         pixels = np.where(np.isnan(pixels).any(-1, keepdims=True), np.float32(np.nan), pixels)
@@ -71,7 +81,10 @@ class Capture:
                     "points3d", "expected finite coordinates, got infinity; write NaN for unknown"
                 )
             truth = np.where(np.isnan(truth).any(-1, keepdims=True), np.float32(np.nan), truth)
-        return cls(pixels, weights, truth)
+        seconds = None
+        if times is not None:
+            seconds = _checked("times", lambda: check_times(times, frames=n, views=k))
+        return cls(pixels, weights, truth, seconds)
 
     @property
     def frames(self) -> int:
@@ -87,18 +100,14 @@ class Capture:
 
     def to_bytes(self) -> bytes:
         """Return the arrays as safetensors."""
-        arrays = {"keypoints": self.keypoints}
-        if self.confidence is not None:
-            arrays["confidence"] = self.confidence
-        if self.points3d is not None:
-            arrays["points3d"] = self.points3d
-        return save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+        arrays = {name: getattr(self, name) for name in ARRAYS}
+        return save({n: np.ascontiguousarray(a) for n, a in arrays.items() if a is not None})
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "Capture":
         """Read back what :meth:`to_bytes` wrote."""
         arrays = load(data)
-        return cls(arrays["keypoints"], arrays.get("confidence"), arrays.get("points3d"))
+        return cls(**{name: arrays[name] for name in ARRAYS if name in arrays})
 
     @classmethod
     def frames_from(cls, read: Callable[[int, int], bytes], frames: slice) -> "Capture":
@@ -114,27 +123,27 @@ class Capture:
         size = int.from_bytes(read(0, 8), "little")
         header = json.loads(read(8, 8 + size))
 
-        def rows(name: str) -> Float32 | None:
+        def rows(name: str, dtype: str = "<f4") -> NDArray[Any] | None:
             if name not in header:
                 return None
             shape = header[name]["shape"][1:]
             first = 8 + size + header[name]["data_offsets"][0]
-            each = 4 * math.prod(shape)
+            each = np.dtype(dtype).itemsize * math.prod(shape)
             data = read(first + each * frames.start, first + each * frames.stop)
-            return np.frombuffer(data, "<f4").reshape(-1, *shape)
+            return np.frombuffer(data, dtype).reshape(-1, *shape)
 
         keypoints = rows("keypoints")
         assert keypoints is not None  # noqa: S101 (every capture has them)
-        return cls(keypoints, rows("confidence"))
+        return cls(keypoints, rows("confidence"), times=rows("times", "<f8"))
 
 
 def concatenate(captures: list[Capture]) -> Capture:
     """Join captures of the same views and keypoints, frame after frame.
 
     Where only some have confidence, the others' keypoints count fully; where only some have a
-    ground truth, the others' is unknown (NaN).
+    ground truth, the others' is unknown (NaN). Either all have times or none.
     """
-    confidence = points3d = None
+    confidence = points3d = times = None
     if any(capture.confidence is not None for capture in captures):
         confidence = np.concatenate(
             [
@@ -151,7 +160,9 @@ def concatenate(captures: list[Capture]) -> Capture:
                 for c in captures
             ]
         )
-    return Capture(np.concatenate([c.keypoints for c in captures]), confidence, points3d)
+    if all(capture.times is not None for capture in captures):
+        times = np.concatenate([c.times for c in captures if c.times is not None])
+    return Capture(np.concatenate([c.keypoints for c in captures]), confidence, points3d, times)
 
 
 def extend_checksum(checksum: str, capture: Capture) -> str:
@@ -160,9 +171,10 @@ def extend_checksum(checksum: str, capture: Capture) -> str:
     Each link hashes the one before it and one frame's little-endian arrays, so a capture has the
     same checksum however it was cut into uploads. The chain of no frames is the empty string.
     """
+    arrays = {name: getattr(capture, name) for name in ARRAYS}
     frames = [
-        array.astype("<f4").reshape(capture.frames, -1)
-        for array in (capture.keypoints, capture.confidence, capture.points3d)
+        array.astype("<f8" if name == "times" else "<f4").reshape(capture.frames, -1)
+        for name, array in arrays.items()
         if array is not None
     ]
     link = bytes.fromhex(checksum)
@@ -171,7 +183,7 @@ def extend_checksum(checksum: str, capture: Capture) -> str:
     return link.hex()
 
 
-def _checked(field: str, check: Callable[[], Float32]) -> Float32:
+def _checked(field: str, check: Callable[[], Array]) -> Array:
     try:
         return check()
     except (TypeError, ValueError) as error:

@@ -5,12 +5,14 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+import numpy as np
 from sqlalchemy import delete as sql_delete
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
+from models.settings.times import check_rate
 from store import jobs
-from store.capture import Capture, concatenate, extend_checksum
+from store.capture import Capture, Float64, concatenate, extend_checksum
 from store.database import Store
 from store.errors import CaptureError, NotFoundError
 from store.idempotency import Idempotency, remember, replayed
@@ -26,6 +28,7 @@ class Description:
     name: str
     skeleton: dict[str, Any] | None = None
     image_sizes: list[Any] | None = None
+    fps: float | None = None
     metadata: dict[str, Any] = field(default_factory=dict)
 
 
@@ -59,6 +62,8 @@ def create(
                 checksum=extend_checksum("", capture),
                 skeleton=description.skeleton,
                 image_sizes=description.image_sizes,
+                fps=description.fps,
+                last_times=_last_times(capture),
                 user_metadata=description.metadata,
             )
             session.add(dataset)
@@ -86,7 +91,8 @@ def append(
     NotFoundError
         If there is no such dataset.
     CaptureError
-        If views or keypoints are not the dataset's, or it would grow beyond ``max_frames``.
+        If views or keypoints are not the dataset's, or it would grow beyond ``max_frames``; if
+        only one of them has times, or those of the new frames are not later.
     """
     dataset = get(store, Dataset, dataset_id)
     expected = (dataset.views, dataset.keypoints)
@@ -110,6 +116,7 @@ def append(
                     f"expected at most {max_frames} frames in a dataset, it has {dataset.frames} "
                     f"and {capture.frames} more came; start a new dataset",
                 )
+            _check_times(dataset, capture)
             columns = _with(dataset, capture)  # too slow for a transaction
             with store.writing() as session:
                 if replayed(session, idempotency) is not None:
@@ -140,7 +147,46 @@ def _with(dataset: Dataset, capture: Capture) -> dict[str, Any]:
         "confidence": dataset.confidence or capture.confidence is not None,
         "ground_truth": dataset.ground_truth or capture.points3d is not None,
         "checksum": extend_checksum(dataset.checksum, capture),
+        "last_times": _last_times(capture),
     }
+
+
+def _last_times(capture: Capture) -> list[float] | None:
+    """Return the time of the last frame, or those of its views; None without times."""
+    return None if capture.times is None else np.atleast_1d(capture.times[-1]).tolist()
+
+
+def _check_times(dataset: Dataset, capture: Capture) -> None:
+    """Raise ``CaptureError`` unless the times of new frames go on from those of the dataset."""
+    last, times = dataset.last_times, capture.times
+    if last is None and times is None:
+        return
+    if last is None or times is None or len(last) != np.atleast_1d(times[0]).size:
+        has = "none" if last is None else "one a frame" if len(last) == 1 else "one a view"
+        raise CaptureError(
+            "times", f"expected times as in the frames before, which have {has}; give the same"
+        )
+    if (np.atleast_1d(times[0]) <= last).any():
+        raise CaptureError(
+            "times",
+            f"expected the first frame to be later than the last one of the dataset, at {last} s, "
+            f"got {np.atleast_1d(times[0]).tolist()}",
+        )
+    if dataset.fps is not None:
+        try:
+            check_rate(dataset.fps, times)
+        except ValueError as error:
+            raise CaptureError("times", str(error)) from error
+
+
+def times_of(dataset: Dataset, capture: Capture, first_frame: int = 0) -> Float64 | None:
+    """Return the times (N,) or (N, K) of a dataset's frames from ``first_frame`` on, in seconds.
+
+    None if the dataset has neither times nor frames per second.
+    """
+    if capture.times is not None or dataset.fps is None:
+        return capture.times
+    return (first_frame + np.arange(capture.frames)) / dataset.fps
 
 
 def _extend(session: Session, dataset: Dataset, columns: dict[str, Any]) -> bool:

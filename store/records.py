@@ -38,6 +38,8 @@ class Dataset(Record):
     skeleton: Mapped[dict[str, Any] | None]
     image_sizes: Mapped[list[Any] | None]
     user_metadata: Mapped[dict[str, Any]]
+    fps: Mapped[float | None]
+    last_times: Mapped[list[Any] | None]  # seconds, of the last frame, one or one a view
     findings: Mapped[list[Any] | None]  # as JSON, see models.findings; None: never looked for
 
 

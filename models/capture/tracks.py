@@ -97,7 +97,7 @@ def choose_half_width(
 def _sums(
     track: Track, times: Float64, half_width: float
 ) -> tuple[tuple[Float64, ...], tuple[Float64, ...]]:
-    """Sums of weight x offset^0..4 (T, P), and of weight x offset^0..2 x pixels (T, P, 2)."""
+    """Sum weight x offset^0..4 (T, P), and weight x offset^0..2 x pixels (T, P, 2)."""
     frames, keypoints, _ = track.pixels.shape
     known = np.isfinite(times)
     base = np.where(known, np.round(times), -1).astype(np.int64)
@@ -169,7 +169,7 @@ def _running_median(values: Float64) -> Float64:
 
 
 def _clips(pixels: Float64, weights: Float64) -> NDArray[np.int64]:
-    """Number the clips (N,): keypoints jump from one to the next."""
+    """Return the number of the clip of each frame (N,): keypoints jump from one to the next."""
     both = (weights[1:] > 0) & (weights[:-1] > 0)
     moved = np.where(both, np.linalg.norm(np.diff(pixels, axis=0), axis=-1), np.nan)  # (N-1, P)
     jumps = masked_median(moved)

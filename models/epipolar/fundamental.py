@@ -48,8 +48,9 @@ def fit_fundamental(
     to_x, to_y = _normalising(x, everything), _normalising(y, everything)
     rows = _equations(_homogeneous(x) @ to_x.T, _homogeneous(y) @ to_y.T)  # (M, 9)
     start = _start(rows, given, to_x, to_y, x, y)
-    alone = (array[None] for array in (start, rows, given, to_x, to_y, x, y))
-    matrices, scales = _reweighted(*alone, floor)
+    matrices, scales = _reweighted(
+        start[None], rows[None], given[None], to_x[None], to_y[None], x[None], y[None], floor
+    )
     return Fundamental(matrices[0], float(scales[0]))
 
 

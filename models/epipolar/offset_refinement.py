@@ -101,43 +101,26 @@ def refine_offsets(
     coefficients = start.copy()
     thin = slice(None, None, 1 + functions.shape[0] * len(scene.tracks[0].pixels[0]) // POINTS)
     frames, functions = scene.frames[thin], functions[thin]
-    count = scene.blocks
-    blocks = np.arange(len(frames)) * count // len(frames)
+    blocks = np.arange(len(frames)) * scene.blocks // len(frames)
     free = np.repeat(np.arange(views) != reference, size)
     matrices: dict[Pair, Float64] = {}
     for _ in range(ROUNDS):
-        offsets = functions @ coefficients.T  # (T, K)
         motions = [
-            motion_at(track, frames + offsets[:, v], scene.half_width)
-            for v, track in enumerate(scene.tracks)
+            motion_at(track, frames + late, scene.half_width)
+            for track, late in zip(scene.tracks, coefficients @ functions.T, strict=True)
         ]
-        information = np.zeros((count, views, size, views, size))
-        scores = np.zeros((count, views, size))
-        scales = []
-        for pair in scene.pairs:
-            first, second = pair
-            said = _equations(
-                motions[first], motions[second], functions, blocks, matrices.get(pair)
-            )
-            if said is None:
-                continue
-            matrices[pair] = said.matrix
-            scales.append(said.scale)
-            for a, b, sign in (
-                (first, first, 1),
-                (second, second, 1),
-                (first, second, -1),
-                (second, first, -1),
-            ):
-                information[:, a, :, b] += sign * said.information
-            scores[:, second] += said.scores
-            scores[:, first] -= said.scores
-        if not scales:
+        said = {
+            pair: equations
+            for pair in scene.pairs
+            if (equations := _equations(motions, pair, functions, blocks, matrices.get(pair)))
+        }
+        if not said:
             return None
+        matrices = {pair: equations.matrix for pair, equations in said.items()}
+        information, scores = _summed(said, views)
         flat = information.sum(0).reshape(views * size, views * size)[np.ix_(free, free)]
-        flat += RIDGE * np.trace(flat) * np.eye(len(flat))
-        inverse = np.linalg.inv(flat)
-        by_block = scores.reshape(count, -1)[:, free]
+        inverse = np.linalg.inv(flat + RIDGE * np.trace(flat) * np.eye(len(flat)))
+        by_block = scores.reshape(len(scores), -1)[:, free]
         step = np.zeros(views * size)
         step[free] = np.clip(inverse @ by_block.sum(0), -LARGEST_STEP, LARGEST_STEP)
         coefficients += step.reshape(views, size)
@@ -145,17 +128,30 @@ def refine_offsets(
             break
     covariance = np.zeros((views * size, views * size))
     covariance[np.ix_(free, free)] = inverse @ (by_block.T @ by_block) @ inverse
-    covariance *= count / (count - 3)  # few blocks: that of Student's t with count - 1 degrees
-    per_view = covariance.reshape(views, size, views, size)[range(views), :, range(views)]
-    constant = np.einsum("bkmlo->bkl", information)
+    # Few blocks: the variance of Student's t with one degree of freedom less than blocks.
+    covariance *= len(scores) / (len(scores) - 3)
     return Refined(
         coefficients,
-        per_view,
-        float(np.median(scales)),
+        covariance.reshape(views, size, views, size)[range(views), :, range(views)],
+        float(np.median([equations.scale for equations in said.values()])),
         matrices,
-        _of_blocks(constant, scores.sum(-1), reference),
-        np.einsum("bkk->bk", constant),
+        _of_blocks(np.einsum("bkmlo->bkl", information), scores.sum(-1), reference),
+        np.einsum("bkmko->bk", information),
     )
+
+
+def _summed(said: dict[Pair, _Equations], views: int) -> tuple[Float64, Float64]:
+    """Return information (B, K, M, K, M) and scores (B, K, M) of all views, from those of pairs."""
+    blocks, size = next(iter(said.values())).scores.shape
+    information = np.zeros((blocks, views, size, views, size))
+    scores = np.zeros((blocks, views, size))
+    for (first, second), equations in said.items():
+        for a in (first, second):
+            for b in (first, second):
+                information[:, a, :, b] += (1 if a == b else -1) * equations.information
+        scores[:, second] += equations.scores
+        scores[:, first] -= equations.scores
+    return information, scores
 
 
 def costs_of_frames(scene: Scene, matrices: dict[Pair, Float64], offsets: Float64) -> Float64:
@@ -184,13 +180,16 @@ def _of_blocks(information: Float64, scores: Float64, reference: int) -> Float64
         own = information[block][np.ix_(free, free)]
         own = own + max(RIDGE * float(np.trace(information.sum(0))), RIDGE) * np.eye(len(free))
         found[block, free] = np.linalg.solve(own, scores[block, free])
-    return found - np.median(found, axis=1, keepdims=True) * (views > 2)
+    if views > 2:
+        found -= np.median(found, axis=1, keepdims=True)
+    return found
 
 
 def _equations(
-    first: Motion, second: Motion, functions: Float64, blocks: Int, matrix: Float64 | None
+    motions: list[Motion], pair: Pair, functions: Float64, blocks: Int, matrix: Float64 | None
 ) -> _Equations | None:
-    """Take steps of a pair's matrix, then return the equations of its offset, linear in time."""
+    """Take steps of a pair's matrix, then return the equations of its offset."""
+    first, second = (motions[view] for view in pair)
     both = np.isfinite(first.places).all(-1) & np.isfinite(second.places).all(-1)  # (T, P)
     if both.sum() < 3 * LEAST_POINTS:
         return None
@@ -209,7 +208,9 @@ def _equations(
             change = np.linalg.solve(normal, weighted.T @ distances)
             matrix = _of_rank_two(matrix - (_tangents(matrix) @ change).reshape(3, 3))
     # Reading the second view later changes a distance as reading the first one earlier does.
-    by_time = (across_y * second.velocities[both]).sum(1) - (across_x * first.velocities[both]).sum(1)
+    by_time = (across_y * second.velocities[both]).sum(1) - (across_x * first.velocities[both]).sum(
+        1
+    )
     columns = by_time[:, None] / 2 * functions[frames]  # (M', M)
     columns = columns - by_matrix @ np.linalg.solve(normal, weighted.T @ columns)
     count, size = int(blocks[-1]) + 1, functions.shape[1]
@@ -225,9 +226,9 @@ def _equations(
 def _linearise(
     matrix: Float64, x: Float64, y: Float64
 ) -> tuple[Float64, Float64, Float64, Float64]:
-    """Normals of the epipolar lines of y and x (M, 2), Sampson distances (M,), derivatives (M, 7).
+    """Return epipolar normals of y and x (M, 2), Sampson distances (M,), derivatives (M, 7).
 
-    Normals are over Sampson's denominator, derivatives are by `_tangents` of the matrix.
+    Normals are those of epipolar lines, over Sampson's denominator; derivatives are by `_tangents`.
     """
     one = np.ones((len(x), 1))
     hx, hy = np.concatenate((x, one), 1), np.concatenate((y, one), 1)

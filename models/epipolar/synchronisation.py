@@ -16,7 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.capture.tracks import HALF_WIDTHS, choose_half_width, make_track, masked_median, motion_at
+from models.capture.tracks import (
+    HALF_WIDTHS,
+    choose_half_width,
+    make_track,
+    masked_median,
+    motion_at,
+)
 from models.epipolar.fundamental import (
     LEAST_POINTS,
     fit_fundamentals,
@@ -60,7 +66,6 @@ WHOLE_SDS, LEAST_WHOLE, MOST_WHOLE = 2.0, 0.02, 0.15
 CHANGE_FRAMES, CHANGE_SDS = 0.5, 6.0  # of a drift or a jump
 CHANGE_BLOCKS = 3  # of frames on either side of a jump
 DRIFT = 0  # in place of the block before which a jump is
-JUMP_ROUNDS = 2
 MOST_NOISE = 0.25  # of a view's radius: beyond it no one geometry explains the frames
 
 
@@ -154,13 +159,7 @@ def _make_scene(keypoints: Float64, weights: Float64, reach: int) -> Scene | Non
         windows = np.array_split(frames, WINDOWS)
         each = most // WINDOWS
         frames = np.concatenate([w[(len(w) - each) // 2 :][:each] for w in windows])
-    pairs = list(combinations(range(views), 2))
-    if len(pairs) > MOST_PAIRS:  # every view with the one that shows most, and the next to it
-        best = int(np.argmax(seen.sum((0, 2))))
-        pairs = sorted(
-            {tuple(sorted((v, other))) for v in range(views) for other in (best, (v + 1) % views)}
-            - {(best, best)}
-        )
+    pairs = _choose_pairs(seen.sum((0, 2)))
     half_width = choose_half_width(
         tracks[:: -(-views // WIDTH_VIEWS)],
         [width for width in HALF_WIDTHS if count_blocks(len(frames), width) >= LEAST_BLOCKS],
@@ -170,15 +169,21 @@ def _make_scene(keypoints: Float64, weights: Float64, reach: int) -> Scene | Non
     return Scene(tracks, frames, pairs, half_width)
 
 
+def _choose_pairs(shown: Int) -> list[tuple[int, int]]:
+    """Return all pairs of views that show so many keypoints (K,), or a few for every view."""
+    views = range(len(shown))
+    pairs = list(combinations(views, 2))
+    if len(pairs) <= MOST_PAIRS:
+        return pairs
+    best = int(np.argmax(shown))
+    next_to = {(view, view + 1) for view in views[:-1]}
+    return sorted(next_to | {(min(v, best), max(v, best)) for v in views if v != best})
+
+
 def _search(scene: Scene, centre: Int, step: int) -> Int:
     """Return the whole offsets (K,) around `centre`, in steps, that suit all pairs best."""
     shifts = step * np.arange(-STEPS, STEPS + 1)
-    motions = [motion_at(t, scene.frames + 0.0, scene.half_width) for t in scene.tracks]
-    speeds = np.stack([np.linalg.norm(np.nan_to_num(m.velocities), axis=-1).mean(-1) for m in motions])
-    # What rests tells nothing of time: of every stretch the frame that moves most.
-    keypoints = scene.tracks[0].pixels.shape[1]
-    bins = np.array_split(np.arange(len(scene.frames)), min(len(scene.frames), SEARCH_POINTS // keypoints))
-    picked = scene.frames[[stretch[np.argmax(speeds.mean(0)[stretch])] for stretch in bins]]
+    picked = _moving_frames(scene)
     times = picked + shifts[:, None]  # (D, T)
     places = []
     for track, late in zip(scene.tracks, centre, strict=True):
@@ -193,14 +198,27 @@ def _search(scene: Scene, centre: Int, step: int) -> Int:
     return centre + step * _best_for_all(costs, len(centre))
 
 
+def _moving_frames(scene: Scene) -> Int:
+    """Return of every stretch of frames the one that moves most: what rests tells no time."""
+    frames = scene.frames.astype(np.float64)
+    speeds = np.zeros(len(frames))
+    for track in scene.tracks:
+        velocities = motion_at(track, frames, scene.half_width).velocities
+        speeds += np.linalg.norm(np.nan_to_num(velocities), axis=-1).mean(-1)
+    keypoints = scene.tracks[0].pixels.shape[1]
+    count = min(len(frames), max(SEARCH_POINTS // keypoints, LEAST_FRAMES))
+    stretches = np.array_split(np.arange(len(frames)), count)
+    return scene.frames[[stretch[np.argmax(speeds[stretch])] for stretch in stretches]]
+
+
 def _profile(x: Float64, y: Float64) -> Float64 | None:
     """Mean cost (D,) of keypoints x (T, P, 2) with those of the other view at D offsets."""
     y = y.reshape(len(y), -1, 2)
     x = np.broadcast_to(x.reshape(1, -1, 2), y.shape)
-    both = np.isfinite(x).all(-1) & np.isfinite(y).all(-1)
+    both = np.asarray(np.isfinite(x).all(-1) & np.isfinite(y).all(-1))
     if both.sum(1).min() < 3 * LEAST_POINTS:
         return None
-    x, y = np.where(both[..., None], x, 0.0), np.where(both[..., None], y, 0.0)
+    x, y = (np.where(both[..., None], points, 0.0) for points in (x, y))
     matrices, scales = fit_fundamentals(x, y, both.astype(np.float64), floor=FLOOR)
     distances = sampson_distances(matrices, x, y)
     costs = robust_costs(distances, scales[:, None]) * both
@@ -223,7 +241,9 @@ def _best_for_all(costs: dict[tuple[int, int], Float64], views: int) -> Int:
             if view in (first, second):
                 ahead = tried - steps[first] if view == second else steps[second] - tried
                 outside = np.abs(ahead) > STEPS
-                total += np.where(outside, profile.max(), profile[np.clip(ahead, -STEPS, STEPS) + STEPS])
+                total += np.where(
+                    outside, profile.max(), profile[np.clip(ahead, -STEPS, STEPS) + STEPS]
+                )
         return total
 
     for start in range(STARTS):
@@ -245,73 +265,72 @@ def _best_for_all(costs: dict[tuple[int, int], Float64], views: int) -> Int:
 
 def _find_change(scene: Scene, constant: Refined, reference: int) -> Timing | None:
     """Look for a drift, or for a jump as of dropped frames; None if offsets seem constant."""
-    split = _suspect(constant.block_offsets, constant.block_weights)
-    if split is None:
+    suspected = _suspect(constant.block_offsets, constant.block_weights)
+    if suspected is None:
         return None
     first, last = float(scene.frames[0]), float(scene.frames[-1])
-    along = (scene.frames - first) / (last - first)
-    start = np.concatenate((constant.coefficients, constant.coefficients), 1)
-    if split == DRIFT:
+    if suspected == DRIFT:
+        along = (scene.frames - first) / (last - first)
         functions = np.stack((1 - along, along), 1)
-        knots = np.array([first, last])
+        start = np.repeat(constant.coefficients, 2, axis=1)
+        found, knots = refine_offsets(scene, start, functions, reference), [first, last]
     else:
-        border = scene.frames[len(scene.frames) * split // scene.blocks]
-        for _ in range(JUMP_ROUNDS):
-            after = scene.frames >= border
-            start = np.stack(
-                [
-                    _search(scene._replace(frames=scene.frames[side]), np.zeros(len(start), int), 1)
-                    for side in (~after, after)
-                ],
-                1,
-            ).astype(np.float64)
-            start -= start[reference]
-            functions = np.stack((~after, after), 1).astype(np.float64)
-            found = refine_offsets(scene, start, functions, reference)
-            if found is None:
-                return None
-            saved = costs_of_frames(scene, found.matrices, found.coefficients[:, 1])
-            saved -= costs_of_frames(scene, found.matrices, found.coefficients[:, 0])
-            border = scene.frames[int(np.argmin(np.cumsum(-saved))) ]
-        knots = np.array([border - 1.0, float(border)])
-    found = refine_offsets(scene, start, functions, reference)
+        border = int(scene.frames[len(scene.frames) * suspected // scene.blocks])
+        found = _with_jump(scene, border, reference)
+        if found is not None:  # the border between two blocks is only near the jump
+            before, after = (
+                costs_of_frames(scene, found.matrices, offsets) for offsets in found.coefficients.T
+            )
+            border = int(scene.frames[np.argmin(np.cumsum(before - after))]) + 1
+            found = _with_jump(scene, border, reference)
+        knots = [border - 1.0, border]
     if found is None:
         return None
     changes = found.coefficients[:, 1] - found.coefficients[:, 0]
-    c = found.covariances
-    sds = np.sqrt(np.maximum(c[:, 0, 0] + c[:, 1, 1] - 2 * c[:, 0, 1], 0))
-    if not ((np.abs(changes) > CHANGE_FRAMES) & (np.abs(changes) > CHANGE_SDS * sds)).any():
+    variances = found.covariances[:, [0, 1], [0, 1]]  # (K, 2)
+    sds = np.sqrt(np.maximum(variances.sum(1) - 2 * found.covariances[:, 0, 1], 0))
+    if not (np.abs(changes) > np.maximum(CHANGE_FRAMES, CHANGE_SDS * sds)).any():
         return None
-    return _decide(knots, found.coefficients.T, np.sqrt(np.maximum(c[:, 0, 0], c[:, 1, 1])))
+    return _decide(np.array(knots), found.coefficients.T, np.sqrt(variances.max(1)))
+
+
+def _with_jump(scene: Scene, border: int, reference: int) -> Refined | None:
+    """Refine two constants for every view: before the frame `border`, and from it on."""
+    after = scene.frames >= border
+    still = np.zeros(len(scene.tracks), np.int64)
+    parts = [
+        _search(scene._replace(frames=scene.frames[side]), still, 1) for side in (~after, after)
+    ]
+    start = np.stack(parts, 1).astype(np.float64)  # (K, 2)
+    functions = np.stack((~after, after), 1).astype(np.float64)
+    return refine_offsets(scene, start - start[reference], functions, reference)
 
 
 def _suspect(offsets: Float64, weights: Float64) -> int | None:
-    """Return where a jump between blocks seems to be, DRIFT for a drift, or None.
+    """Return the block before which a view seems to jump, `DRIFT` for a drift, None for neither.
 
-    `offsets` and `weights` are (B, K). Each view's offsets are explained by a constant, a line and
-    a step, by weighted least squares.
+    The offsets (B, K) of blocks are explained by a line, or by a step, by weighted least squares.
     """
     blocks = len(offsets)
-    best: tuple[float, int] | None = None
+    borders = range(CHANGE_BLOCKS, blocks - CHANGE_BLOCKS + 1)
+    shapes = {at: (np.arange(blocks) >= at).astype(np.float64) for at in borders}
+    shapes[DRIFT] = np.linspace(0.0, 1.0, blocks)
+    best, most = None, CHANGE_SDS**2
     for late, weight in zip(offsets.T, weights.T, strict=True):
         if weight.sum() <= 0:
             continue
-        designs = {DRIFT: np.arange(blocks) / (blocks - 1)}
-        designs |= {at: (np.arange(blocks) >= at) * 1.0 for at in range(CHANGE_BLOCKS, blocks - CHANGE_BLOCKS + 1)}
-        mean = np.average(late, weights=weight)
-        rest = float((weight * (late - mean) ** 2).sum())
-        for at, design in designs.items():
-            centred = design - np.average(design, weights=weight)
-            power = float((weight * centred**2).sum())
+        centred = late - np.average(late, weights=weight)
+        for kind, shape in shapes.items():
+            column = shape - np.average(shape, weights=weight)
+            power = float((weight * column**2).sum())
             if power <= 0:
                 continue
-            change = float((weight * centred * late).sum()) / power
-            left = rest - change**2 * power
-            ratio = change**2 * power / max(left / (blocks - 2), 1.0)
-            if abs(change) > CHANGE_FRAMES / 2 and ratio > CHANGE_SDS**2:
-                if best is None or ratio > best[0]:
-                    best = ratio, at
-    return None if best is None else best[1]
+            change = float((weight * column * centred).sum()) / power
+            left = float((weight * (centred - change * column) ** 2).sum()) / (blocks - 2)
+            certainty = change**2 * power / max(left, 1.0)
+            if abs(change) > CHANGE_FRAMES / 2 and certainty > most:
+                best, most = kind, certainty
+    return best
 
 
 def _decide(frames: Float64, offsets: Float64, sds: Float64) -> Timing:

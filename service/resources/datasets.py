@@ -8,6 +8,7 @@ import orjson
 from fastapi import APIRouter, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from models.settings.times import MAX_FPS, check_rate
 from service.http.dependencies import (
     IdempotencyHeader,
     Identifier,
@@ -22,7 +23,7 @@ from service.resources.pages import Limit, Page, cursor_of, page_of
 from service.settings import Settings
 from service.wire.arrays import Arrays
 from service.wire.captures import read_arrays, to_capture
-from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, Name
+from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, TIMES, Name
 from service.wire.skeletons import Skeleton
 from store import datasets, lookup, records
 from store.capture import Capture
@@ -30,8 +31,8 @@ from store.datasets import Description
 
 router = APIRouter(prefix="/datasets", tags=["datasets"])
 
-CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d"})
-DESCRIPTION_ARRAYS = frozenset({"keypoint_names", "edges", "image_sizes"})
+CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d", "times"})
+DESCRIPTION_ARRAYS = frozenset({"keypoint_names", "edges", "image_sizes", "fps"})
 MAX_LISTED = 10_000  # values of an array that describes
 
 MAX_METADATA = 64 * 1024
@@ -50,6 +51,13 @@ class DatasetDescription(BaseModel):
     skeleton: Skeleton | None = None
     image_sizes: list[ImageSize | None] | None = Field(
         None, description="Width and height in pixels of each view's images, null if unknown."
+    )
+    fps: float | None = Field(
+        None,
+        gt=0,
+        le=MAX_FPS,
+        description="Frames per second, if the frames follow each other in time: views that are "
+        "out of step are then found and shifted (`synchronise` of a fit).",
     )
     metadata: dict[str, Any] = Field(
         {}, description="Anything of yours, kept and given back; 64 KiB of JSON at most."
@@ -75,10 +83,16 @@ class DatasetDescription(BaseModel):
             raise invalid(
                 "/image_sizes", f"expected one per view ({views}), got {len(self.image_sizes)}"
             )
+        if self.fps is not None and capture.times is not None:
+            try:
+                check_rate(self.fps, capture.times)
+            except ValueError as error:
+                raise invalid("/fps", str(error)) from error
         return Description(
             name=self.name,
             skeleton=self.skeleton.model_dump() if self.skeleton else None,
             image_sizes=self.image_sizes,
+            fps=self.fps,
             metadata=self.metadata,
         )
 
@@ -103,6 +117,7 @@ class Frames(BaseModel):
     keypoints: KEYPOINTS
     confidence: CONFIDENCE = None
     points3d: POINTS3D = None
+    times: TIMES = None
 
 
 class DatasetCreate(DatasetDescription, Frames):
@@ -119,6 +134,7 @@ class DatasetCreate(DatasetDescription, Frames):
                     "edges": [[0, 1], [1, 2], [2, 3]],
                 },
                 "image_sizes": [[1280, 1024], [1280, 1024]],
+                "fps": 50.0,
                 "metadata": {"subject": "M7"},
             }
         },
@@ -143,6 +159,8 @@ class Dataset(BaseModel):
                 "checksum": f"sha256:{'5e88' * 16}",
                 "skeleton": None,
                 "image_sizes": None,
+                "fps": 50.0,
+                "has_times": False,
                 "metadata": {"subject": "M7"},
             }
         }
@@ -164,6 +182,8 @@ class Dataset(BaseModel):
     )
     skeleton: Skeleton | None
     image_sizes: list[ImageSize | None] | None
+    fps: float | None = Field(description="Frames per second, if they were told.")
+    has_times: bool = Field(description="Whether every frame came with its time.")
     metadata: dict[str, Any]
 
     @classmethod
@@ -184,6 +204,8 @@ class Dataset(BaseModel):
             checksum=f"sha256:{record.checksum}",
             skeleton=Skeleton.model_validate(record.skeleton) if record.skeleton else None,
             image_sizes=record.image_sizes,
+            fps=record.fps,
+            has_times=record.last_times is not None,
             metadata=record.user_metadata,
         )
 
@@ -197,8 +219,7 @@ class DatasetPage(Page[Dataset]):
 def _read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capture, Description]:
     if upload.is_json:
         body = upload.json(DatasetCreate)
-        capture = to_capture(body.keypoints, body.confidence, body.points3d, settings=settings)
-        return capture, body.describe(capture)
+        return (capture := _capture_of(body, settings)), body.describe(capture)
     found = read_arrays(upload, settings, CAPTURE_ARRAYS | DESCRIPTION_ARRAYS)
     said: dict[str, Any] = {"name": name} if name is not None else {}
     skeleton = {key: _listed(found, key) for key in ("keypoint_names", "edges") if key in found}
@@ -206,21 +227,28 @@ def _read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Cap
         said["skeleton"] = skeleton
     if "image_sizes" in found:
         said["image_sizes"] = _listed(found, "image_sizes")
+    if "fps" in found:
+        fps = found["fps"]
+        said["fps"] = fps.item() if fps.size == 1 else _listed(found, "fps")
     description = upload.form(DatasetDescription, said)
-    capture = to_capture(
-        _required(found), found.get("confidence"), found.get("points3d"), settings=settings
-    )
+    capture = _capture_in(found, settings)
     return capture, description.describe(capture)
 
 
 def _read_frames(upload: Upload, settings: Settings) -> Capture:
     if upload.is_json:
         body = upload.json(Frames)
-        return to_capture(body.keypoints, body.confidence, body.points3d, settings=settings)
-    found = read_arrays(upload, settings, CAPTURE_ARRAYS)
-    return to_capture(
-        _required(found), found.get("confidence"), found.get("points3d"), settings=settings
-    )
+        return _capture_of(body, settings)
+    return _capture_in(read_arrays(upload, settings, CAPTURE_ARRAYS), settings)
+
+
+def _capture_of(body: Frames, settings: Settings) -> Capture:
+    return to_capture(body.keypoints, body.confidence, body.points3d, body.times, settings=settings)
+
+
+def _capture_in(found: Arrays, settings: Settings) -> Capture:
+    others = (found.get(name) for name in ("confidence", "points3d", "times"))
+    return to_capture(_required(found), *others, settings=settings)
 
 
 def _listed(found: Arrays, name: str) -> Any:
@@ -246,7 +274,8 @@ def _required(found: Arrays) -> np.ndarray[Any, Any]:
         DatasetCreate,
         form=DatasetDescription,
         binary="An .npz or safetensors file with `keypoints` and optionally `confidence`, "
-        "`points3d`, `keypoint_names` (npz only), `edges`, `image_sizes`; others are ignored.",
+        "`points3d`, `times`, `fps`, `keypoint_names` (npz only), `edges`, `image_sizes`; others "
+        "are ignored.",
     ),
 )
 def create_dataset(
@@ -278,8 +307,8 @@ def create_dataset(
     responses=problems(*BODY_PROBLEMS, "not_found", "idempotency_key_reused"),
     openapi_extra=request_body(
         Frames,
-        binary="An .npz or safetensors file with `keypoints` and optionally `confidence` and "
-        "`points3d`; others are ignored.",
+        binary="An .npz or safetensors file with `keypoints` and optionally `confidence`, "
+        "`points3d` and `times`; others are ignored.",
     ),
 )
 def append_frames(

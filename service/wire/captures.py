@@ -19,6 +19,7 @@ def to_capture(
     keypoints: object,
     confidence: object = None,
     points3d: object = None,
+    times: object = None,
     *,
     settings: Settings,
     keypoints_field: str = "keypoints",
@@ -42,6 +43,7 @@ def to_capture(
             None
             if points3d is None
             else _array(points3d, "points3d", TRUTH_AXES, (shape[0], shape[2], 3), limit),
+            None if times is None else _times(times, shape),
         )
     except CaptureError as error:
         name = keypoints_field if error.field == "keypoints" else error.field
@@ -52,6 +54,25 @@ def read_arrays(upload: Upload, settings: Settings, known: frozenset[str]) -> Ar
     """Read the arrays of an upload's file that an operation knows; captures come with others."""
     found = arrays.from_bytes(upload.data, max_bytes=settings.max_body_bytes)
     return {name: array for name, array in found.items() if name in known}
+
+
+def _times(value: object, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return seconds as float64: float32 would round the times of a clock to minutes."""
+    if isinstance(value, np.ndarray):
+        if value.dtype.kind not in "iuf":
+            raise invalid("/times", f"expected an array of numbers, got {value.dtype}")
+        return value.astype(np.float64)
+    rows = value if isinstance(value, list) and value else [None]
+    by_view = isinstance(rows[0], list)
+    for place, row in enumerate(rows):
+        numbers = row if by_view else [row]
+        regular = isinstance(numbers, list) and len(numbers) == (shape[1] if by_view else 1)
+        if not regular or not all(type(number) in (int, float) for number in numbers):
+            raise invalid(
+                f"/times/{place}",
+                "expected seconds: a number a frame, or a list of a number a view in all frames",
+            )
+    return np.array(rows, np.float64)
 
 
 def _array(

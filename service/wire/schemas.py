@@ -40,6 +40,13 @@ POINTS3D_SCHEMA = _nullable(_list_of(_nullable(_list_of(_point(3))))) | {
     "description": "Ground truth, for evaluation only: frames x keypoints x (x, y, z), in metres "
     "or any unit of yours; null where unknown.",
 }
+TIMES_SCHEMA = _nullable(
+    {"anyOf": [_list_of({"type": "number"}), _list_of(_list_of({"type": "number"}))]}
+) | {
+    "title": "Times",
+    "description": "When the frames were taken, in seconds, rising: a number a frame, or frames x "
+    "views where every camera has a clock of its own.",
+}
 FRAME_KEYPOINTS_SCHEMA = _VIEWS_OF_KEYPOINTS | {
     "title": "Keypoints of a frame",
     "description": "views x keypoints x (x, y), as in a request of `POST /lift`.",
@@ -55,6 +62,7 @@ CONFIDENCE = Annotated[Any, WithJsonSchema(CONFIDENCE_SCHEMA)]
 FRAME_KEYPOINTS = Annotated[Any, WithJsonSchema(FRAME_KEYPOINTS_SCHEMA)]
 FRAME_CONFIDENCE = Annotated[Any, WithJsonSchema(FRAME_CONFIDENCE_SCHEMA)]
 POINTS3D = Annotated[Any, WithJsonSchema(POINTS3D_SCHEMA)]
+TIMES = Annotated[Any, WithJsonSchema(TIMES_SCHEMA)]
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 

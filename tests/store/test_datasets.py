@@ -71,6 +71,46 @@ def test_confidence_and_truth_may_come_with_some_chunks_only(store: Store) -> No
     assert lookup.get(store, Dataset, dataset.id).ground_truth
 
 
+def test_times_come_back_exactly_whole_and_in_parts(store: Store, capture: Capture) -> None:
+    times = 1.7e9 + np.arange(capture.frames) / 59.94
+    by_view = times[:, None] + np.array([0, 0.0071])
+    for seconds in (times, by_view):
+        parts = [
+            Capture.checked(capture.keypoints[part], times=seconds[part])
+            for part in (slice(0, 5), slice(5, None))
+        ]
+        dataset = datasets.create(store, parts[0], Description("a"))
+        dataset = datasets.append(store, dataset.id, parts[1], max_frames=BIG)
+        assert dataset.last_times == np.atleast_1d(seconds[-1]).tolist()
+        np.testing.assert_array_equal(datasets.load(store, dataset.id).times, seconds)
+        np.testing.assert_array_equal(
+            datasets.load_frames(store, dataset.id, 3, 9).times, seconds[3:9]
+        )
+        whole = Capture.checked(capture.keypoints, times=seconds)
+        assert datasets.create(store, whole, Description("b")).checksum == dataset.checksum
+
+
+def test_frames_must_go_on_in_time(store: Store) -> None:
+    frames = np.ones((3, 2, 4, 2), np.float32)
+    timed = Capture.checked(frames, times=[1, 2, 3])
+    dataset = datasets.create(store, timed, Description("a", fps=1.0))
+    for times in ([3, 4, 5], None, [[4, 4], [5, 5], [6, 6]], [4, 4.5, 5]):
+        with pytest.raises(CaptureError) as refused:
+            datasets.append(store, dataset.id, Capture.checked(frames, times=times), max_frames=BIG)
+        assert refused.value.field == "times"
+    untimed = datasets.create(store, Capture.checked(frames), Description("b"))
+    with pytest.raises(CaptureError):
+        datasets.append(store, untimed.id, timed, max_frames=BIG)
+
+
+def test_frames_per_second_tell_times(store: Store, capture: Capture) -> None:
+    dataset = datasets.create(store, capture, Description("a", fps=25.0))
+    part = datasets.load_frames(store, dataset.id, 5, 8)
+    times = datasets.times_of(dataset, part, 5)
+    assert times is not None
+    np.testing.assert_allclose(times, np.array([0.2, 0.24, 0.28]))
+
+
 @pytest.mark.parametrize(
     ("shape", "max_frames"), [((1, 3, 5, 2), BIG), ((1, 2, 6, 2), BIG), ((2, 2, 5, 2), 13)]
 )

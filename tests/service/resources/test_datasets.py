@@ -215,3 +215,43 @@ def test_arrays_that_a_capture_has_besides_are_ignored(api: TestClient) -> None:
     assert response.status_code == 201, response.text
     assert response.json()["frames"] == 2
     assert response.json()["has_confidence"] is False
+
+
+def test_times_are_kept_whichever_way_they_come(
+    api: TestClient, arrays: dict[str, np.ndarray[Any, Any]]
+) -> None:
+    times = 1.7e9 + np.arange(60) / 50
+    body = {"keypoints": frames_of(arrays["keypoints"]), "times": times.tolist(), "fps": 50}
+    posted = api.post("/datasets", content=orjson.dumps(body), headers=JSON)
+    assert posted.status_code == 201, posted.text
+    assert (posted.json()["fps"], posted.json()["has_times"]) == (50, True)
+    for encode in (to_npz, to_safetensors):
+        data = encode(keypoints=arrays["keypoints"], times=times, fps=np.array(50.0))
+        sent = api.post("/datasets", content=data, headers=BYTES)
+        assert sent.status_code == 201, sent.text
+        for field in ("checksum", "fps", "has_times"):
+            assert sent.json()[field] == posted.json()[field]
+    later = to_npz(keypoints=arrays["keypoints"], times=times + 2)
+    path = f"/datasets/{posted.json()['id']}/frames"
+    assert api.post(path, content=later, headers=BYTES).json()["frames"] == 120
+    problem(api.post(path, content=later, headers=BYTES), 422, "invalid_input", "/times")
+
+
+@pytest.mark.parametrize(
+    ("said", "pointer"),
+    [
+        ({"fps": 0}, "/fps"),
+        ({"fps": 2e5}, "/fps"),
+        ({"times": [0.0] * 60}, "/times"),
+        ({"times": [0.0, None]}, "/times/1"),
+        ({"times": [[0.0, 1.0]]}, "/times/0"),
+        ({"times": 3}, "/times/0"),
+        ({"fps": 25, "times": [n / 50 for n in range(60)]}, "/fps"),
+    ],
+)
+def test_times_that_cannot_be_are_refused(
+    api: TestClient, arrays: dict[str, np.ndarray[Any, Any]], said: dict[str, Any], pointer: str
+) -> None:
+    body = {"keypoints": frames_of(arrays["keypoints"]), **said}
+    answer = api.post("/datasets", content=orjson.dumps(body), headers=JSON)
+    problem(answer, 422, "invalid_input", pointer)
