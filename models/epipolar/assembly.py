@@ -1,0 +1,142 @@
+"""A rig put together from the relative poses of its pairs, view by view."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.epipolar.pairs import RelativePoses
+from models.epipolar.rig_adjustment import (
+    Rigid,
+    Seen,
+    distances_of,
+    noise_of,
+    robust_costs,
+    triangulate_points,
+)
+
+Float64 = NDArray[np.float64]
+ViewGraph = dict[tuple[int, int], RelativePoses]  # by views j < k
+
+SEEDS = 10  # pairs and solutions that a rig begins with
+ROUNDS = 6  # of reweighting for a camera's place
+COMMON = 30  # points that a view must share with those that are placed
+
+
+class Assembled(NamedTuple):
+    """Cameras that were put together, and which of the views they are."""
+
+    rig: Rigid
+    cost: float  # mean robust cost of an observation, under the noise of the pairs
+
+
+def assemble(graph: ViewGraph, seen: Seen, noise: float) -> list[Assembled]:
+    """Put rigs of all K views together, one for each of the best pairs; the best rig first.
+
+    `noise` in sides is that under which rigs and views are compared. A view that shares too little
+    with the others leaves no rig at all.
+    """
+    seeds = [
+        (float(poses.costs[s] - poses.costs[0]), float(poses.noise), pair, s)
+        for pair, poses in graph.items()
+        for s in range(len(poses.costs))
+    ]
+    rigs = []
+    for _, _, pair, s in sorted(seeds)[: SEEDS * 2]:
+        rig = _grow(graph, seen, noise, pair, s)
+        if rig is not None:
+            rigs.append(rig)
+    return sorted(rigs, key=lambda rig: rig.cost)
+
+
+def _grow(
+    graph: ViewGraph, seen: Seen, noise: float, pair: tuple[int, int], solution: int
+) -> Assembled | None:
+    """Begin with one solution of a pair and add one camera after another."""
+    views = len(seen.weights)
+    poses = graph[pair]
+    log_focals = np.zeros(views)
+    rotations, translations = np.tile(np.eye(3), (views, 1, 1)), np.zeros((views, 3))
+    placed = list(pair)
+    log_focals[placed] = np.log(poses.focals[solution])
+    rotations[pair[1]], translations[pair[1]] = poses.rotations[solution], poses.translations[solution]
+    rig = Rigid(log_focals, np.zeros((views, 2)), np.zeros(views), rotations, translations)
+    while len(placed) < views:
+        some = Seen(seen.images[placed], seen.weights[placed])
+        known = (some.weights > 0).sum(0) >= 2
+        points = triangulate_points(rig.of(placed), Seen(some.images[..., known], some.weights[:, known]))
+        best: tuple[float, int, Rigid] | None = None
+        for view in (v for v in range(views) if v not in placed):
+            of_view = Seen(seen.images[[view], :, :][..., known], seen.weights[[view]][:, known])
+            if (of_view.weights > 0).sum() < COMMON:
+                continue
+            for candidate in _candidates(graph, rig, placed, view):
+                camera = _place(candidate, points, of_view)
+                distances = distances_of(camera, points, of_view, np.array([noise]))
+                cost = robust_costs(distances, of_view.weights, np.array([noise])).sum()
+                cost /= of_view.weights.sum()
+                if best is None or cost < best[0]:
+                    best = float(cost), view, camera
+        if best is None:
+            return None
+        _, view, camera = best
+        for array, row in zip(rig, camera, strict=True):
+            array[view] = row[0]
+        placed.append(view)
+    points = triangulate_points(rig, seen)
+    level = np.full(views, noise)
+    costs = robust_costs(distances_of(rig, points, seen, level), seen.weights, level)
+    return Assembled(rig, float(costs.sum() / seen.weights.sum()))
+
+
+def _candidates(graph: ViewGraph, rig: Rigid, placed: list[int], view: int) -> list[Rigid]:
+    """Rotation and focal length of a view as each solution of its pairs says; K = 1."""
+    candidates = []
+    for other in placed:
+        first = other < view
+        poses = graph.get((other, view) if first else (view, other))
+        if poses is None:
+            continue
+        for s in range(len(poses.costs)):
+            turn = poses.rotations[s] if first else poses.rotations[s].T
+            focal = poses.focals[s, 1 if first else 0]
+            candidates.append(
+                Rigid(
+                    np.log(focal)[None],
+                    np.zeros((1, 2)),
+                    np.zeros(1),
+                    (turn @ rig.rotations[other])[None],
+                    np.zeros((1, 3)),
+                )
+            )
+    return candidates
+
+
+def _place(camera: Rigid, points: Float64, seen: Seen) -> Rigid:
+    """Find where a camera of known rotation is: R X + t along the rays, robustly linear in t."""
+    flat = seen.images[0] / np.exp(camera.log_focals[0])  # (2, M)
+    turned = camera.rotations[0] @ points
+    # u (z + t_z) = (x + t_x): two equations of a point.
+    weights = seen.weights[0] > 0
+    robust = weights.astype(float)
+    translation = np.zeros(3)
+    right = flat * turned[2] - turned[:2]  # = t_xy - u t_z
+    for _ in range(ROUNDS):
+        total = robust.sum()
+        mixed = -(robust * flat).sum(1)
+        normal = np.array(
+            [
+                [total, 0, mixed[0]],
+                [0, total, mixed[1]],
+                [mixed[0], mixed[1], (robust * np.square(flat).sum(0)).sum()],
+            ]
+        )
+        target = np.append((robust * right).sum(1), -(robust * (flat * right).sum(0)).sum())
+        translation = np.linalg.solve(normal + 1e-9 * total * np.eye(3), target)
+        residuals = translation[:2, None] - flat * translation[2] - right
+        depths = (turned[2] + translation[2]).clip(1e-3 * np.abs(translation[2]) + 1e-9)
+        distances = np.linalg.norm(residuals, axis=0) / depths
+        scale = max(float(np.median(distances[weights])), 1e-9)
+        robust = weights / (1 + np.square(distances / scale)) / np.square(depths)
+        robust /= max(robust.max(), 1e-30)
+    return camera._replace(translations=translation[None])

@@ -1,0 +1,329 @@
+"""Cameras at rest and structures from keypoints alone, by robust structure from motion.
+
+For cameras at rest, every keypoint of every frame is a point of one rigid scene. Pairs of views
+give relative poses (`pairs`), these are put together to rigs (`assembly`), and the best are
+adjusted (`rig_adjustment`). No network and no shapes take part. All starts, among them the mirror
+image (Necker's reversal) of the best, are compared under one common noise.
+"""
+
+from collections.abc import Iterator
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.epipolar.assembly import Assembled, ViewGraph, assemble
+from models.epipolar.pairs import Beliefs, relate
+from models.epipolar.rig_adjustment import (
+    Adjusted,
+    Rigid,
+    Seen,
+    adjust_rig,
+    distances_of,
+    noise_of,
+    prior_cost,
+    robust_costs,
+    triangulate_points,
+)
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+MOST_POINTS, FEW_POINTS = 3000, 600  # that are adjusted at the end, and to choose among starts
+MOST_PAIRS = 18  # of views that are related
+STARTS, FINALISTS = 6, 3
+FIRST_ITERATIONS, MORE_ITERATIONS, LAST_ITERATIONS = 15, 20, 25
+SAME = 0.03  # radians and share of focal lengths within which rigs count as one
+LEAST_POINTS = 60  # seen by a view together with others, for it to take part
+# Errors of detectors and of lens models repeat from frame to frame: all observations together say
+# no more than so many independent ones would.
+EFFECTIVE = 1500.0
+OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it does not rest with them
+NO_RIG = 0.3  # noise, as a share of a view's size, that says that nothing rests
+
+
+class RestingRig(NamedTuple):
+    """Cameras that rest, as far as keypoints alone say; views that do not rest are NaN."""
+
+    rig: Rigid  # K cameras in sides; of views that take no part the pose is NaN
+    resting: Bool  # (K,) which views take part
+    points: Float64  # (N, P, 3) in the rig's frame, NaN where fewer than two of these views see
+    noise: float  # sides
+    cost: float  # minus log likelihood and log prior of the sample, under this noise
+    mirror_costs: Float64  # (N,) by how much each frame speaks for the rig and against its mirror
+
+
+def find_resting_rig(
+    images: Float64, weights: Float64, beliefs: Beliefs, sizes: Float64, *, seed: int = 0
+) -> RestingRig | None:
+    """Find cameras at rest from what they see of N frames.
+
+    Parameters
+    ----------
+    images
+        (N, K, P, 2) keypoints from the expected principal points, in sides of the image; without
+        distortion where the lens was told.
+    weights
+        (N, K, P) confidences, 0 where not observed.
+    sizes
+        (K,) sides, root-mean-square radius of the subject in each view.
+
+    Returns
+    -------
+    None if no two views share enough, or nothing that rests explains what they see.
+    """
+    rng = np.random.default_rng(seed)
+    scene = _Scene.of(images, weights, rng)
+    graph = _relate_pairs(scene, beliefs, rng)
+    members = _members(graph, sizes)
+    while len(members) > 1:
+        chosen = _adjusted(graph, scene, beliefs, members)
+        if chosen is None:
+            return None
+        out = _out_of_line(chosen.noise_alone, sizes[members])
+        if out is None:
+            return _result(chosen, scene, images, weights, beliefs, members)
+        members = [view for place, view in enumerate(members) if place != out]
+        graph = {pair: poses for pair, poses in graph.items() if set(pair) <= set(members)}
+    return None
+
+
+def necker(rig: Rigid, points: Float64) -> tuple[Rigid, Float64]:
+    """Return the mirror image of cameras and points (3, M), which distant cameras see alike."""
+    centre = np.median(points, 1)
+    flip = np.diag([1.0, 1.0, -1.0])
+    translations = rig.translations + rig.rotations @ centre
+    mirrored = rig._replace(rotations=flip @ rig.rotations @ flip, translations=translations)
+    return mirrored, flip @ (points - centre[:, None])
+
+
+class _Scene(NamedTuple):
+    """All (frame, keypoint) that two views or more see, as points, and a sample of them."""
+
+    frames: NDArray[np.int64]  # (M,)
+    images: Float64  # (K, 2, M)
+    weights: Float64  # (K, M)
+    sample: NDArray[np.int64]  # places of at most `MOST_POINTS` of them, in no order
+
+    @classmethod
+    def of(cls, images: Float64, weights: Float64, rng: np.random.Generator) -> "_Scene":
+        frames, keypoints = np.nonzero((weights > 0).sum(1) >= 2)
+        order = rng.permutation(len(frames))
+        # Points that many views see come first: they tie the views together.
+        seen = (weights > 0).sum(1)[frames, keypoints][order]
+        order = order[np.argsort(-np.minimum(seen, 3), kind="stable")]
+        return cls(
+            frames,
+            images[frames, :, keypoints].transpose(1, 2, 0),
+            weights[frames, :, keypoints].T,
+            order[:MOST_POINTS],
+        )
+
+    def seen(self, members: list[int], most: int) -> Seen:
+        """Return what some views see of at most so many points of the sample."""
+        weights = self.weights[members][:, self.sample]
+        several = np.flatnonzero((weights > 0).sum(0) >= 2)[:most]
+        weights = weights[:, several]
+        share = min(1.0, EFFECTIVE / weights.sum())
+        return Seen(self.images[members][..., self.sample[several]], share * weights)
+
+
+class _Chosen(NamedTuple):
+    adjusted: Adjusted
+    mirror: Adjusted
+    noise_alone: Float64  # (K,) sides, of each view by itself
+    cost: float
+
+
+def _relate_pairs(scene: _Scene, beliefs: Beliefs, rng: np.random.Generator) -> ViewGraph:
+    """Find the relative poses of pairs; of many views those that share most, and all are tied."""
+    views = len(scene.weights)
+    there = (scene.weights > 0).astype(float)
+    shared = there @ there.T
+    pairs = sorted(combinations(range(views), 2), key=lambda pair: -shared[pair])
+    graph: ViewGraph = {}
+    for pair in _chosen_pairs(pairs, views):
+        first, second = pair
+        both = np.flatnonzero((there[first] > 0) & (there[second] > 0))
+        some = rng.permutation(both)[:MOST_POINTS]
+        lenses = list(pair)
+        poses = relate(
+            scene.images[first][:, some].T,
+            scene.images[second][:, some].T,
+            beliefs.focals[lenses],
+            beliefs.focal_sds[lenses],
+            rng,
+        )
+        if poses is not None:
+            graph[pair] = poses
+    return graph
+
+
+def _chosen_pairs(pairs: list[tuple[int, int]], views: int) -> Iterator[tuple[int, int]]:
+    """Take the first pairs, such that every view has its share of them."""
+    if len(pairs) <= MOST_PAIRS:
+        yield from pairs
+        return
+    most = max(3, 2 * MOST_PAIRS // views)
+    count = [0] * views
+    for a, b in pairs:
+        if count[a] < most and count[b] < most or min(count[a], count[b]) == 0:
+            count[a], count[b] = count[a] + 1, count[b] + 1
+            yield a, b
+
+
+def _members(graph: ViewGraph, sizes: Float64) -> list[int]:
+    """Return the views with a pair whose noise does not rule out that they rest."""
+    likely = [p for p, poses in graph.items() if poses.noise < NO_RIG * sizes[list(p)].mean()]
+    label = list(range(len(sizes)))
+    for j, k in likely:
+        old, new = label[k], label[j]
+        label = [new if x == old else x for x in label]
+    largest = max(set(label), key=label.count)
+    return [k for k in range(len(sizes)) if label[k] == largest]
+
+
+def _adjusted(
+    graph: ViewGraph, scene: _Scene, beliefs: Beliefs, members: list[int]
+) -> _Chosen | None:
+    """Put the views together in several ways and adjust the best; None if they do not hang."""
+    place = {view: i for i, view in enumerate(members)}
+    graph = {
+        (place[a], place[b]): poses for (a, b), poses in graph.items() if {a, b} <= set(members)
+    }
+    of_members = beliefs.of(members)
+    few, many = scene.seen(members, FEW_POINTS), scene.seen(members, MOST_POINTS)
+    noise = float(np.median([poses.noise for poses in graph.values()]))
+    rigs = assemble(graph, few, max(noise, 1e-3))
+    if not rigs:
+        return None
+    first = [
+        adjust_rig(
+            rig,
+            triangulate_points(rig, few),
+            few,
+            of_members,
+            iterations=FIRST_ITERATIONS,
+            lenses=False,
+        )
+        for rig in _distinct([rig.rig for rig in rigs], STARTS)
+    ]
+    first = _ordered(first, few, of_members)
+    second = []
+    for adjusted in first[:FINALISTS]:
+        rig = adjusted.rig
+        alike = rig._replace(log_focals=np.where(
+            of_members.focal_sds > 0, np.median(rig.log_focals), rig.log_focals))
+        for start in (rig, alike):
+            second.append(
+                adjust_rig(start, adjusted.points, few, of_members, iterations=MORE_ITERATIONS)
+            )
+    mirror = adjust_rig(
+        *necker(second[0].rig, second[0].points), few, of_members, iterations=MORE_ITERATIONS
+    )
+    finalists = _ordered([*second, mirror], few, of_members)
+    best = _finished(finalists[0].rig, many, of_members)
+    twin_start = necker(best.rig, best.points)
+    twin = adjust_rig(*twin_start, many, of_members, iterations=LAST_ITERATIONS)
+    best, twin = _ordered([best, twin], many, of_members)
+    distances = distances_of(best.rig, best.points, many, np.ones(len(members)))
+    alone = np.array(
+        [np.median(row[w > 0]) for row, w in zip(distances, many.weights, strict=True)]
+    )
+    cost = _cost(best, many, of_members, best.noise)
+    return _Chosen(best, twin, alone, cost)
+
+
+def _finished(rig: Rigid, seen: Seen, beliefs: Beliefs) -> Adjusted:
+    points = triangulate_points(rig, seen)
+    return adjust_rig(rig, points, seen, beliefs, iterations=LAST_ITERATIONS)
+
+
+def _cost(adjusted: Adjusted, seen: Seen, beliefs: Beliefs, noise: Float64) -> float:
+    """Minus log posterior under a noise (K,)."""
+    distances = distances_of(adjusted.rig, adjusted.points, seen, noise)
+    return float(robust_costs(distances, seen.weights, noise).sum()) + prior_cost(
+        adjusted.rig, beliefs
+    )
+
+
+def _ordered(rigs: list[Adjusted], seen: Seen, beliefs: Beliefs) -> list[Adjusted]:
+    """Sort by cost under one common noise: with each its own, what fits worse could win."""
+    common = np.min([rig.noise for rig in rigs], 0)
+    return sorted(rigs, key=lambda rig: _cost(rig, seen, beliefs, common))
+
+
+def _distinct(rigs: list[Rigid], most: int) -> list[Rigid]:
+    """Return the first rigs of which no two are one."""
+    kept: list[Rigid] = []
+    for rig in rigs:
+        if len(kept) < most and not any(_same(rig, other) for other in kept):
+            kept.append(rig)
+    return kept
+
+
+def _same(rig: Rigid, other: Rigid) -> bool:
+    turns = [r.rotations @ r.rotations[0].T for r in (rig, other)]
+    relative = turns[0] @ turns[1].mT
+    cosines = (np.trace(relative, axis1=1, axis2=2) - 1) / 2
+    angles = np.arccos(cosines.clip(-1, 1))
+    return bool(
+        angles.max() < SAME and np.abs(rig.log_focals - other.log_focals).max() < SAME
+    )
+
+
+def _out_of_line(alone: Float64, sizes: Float64) -> int | None:
+    """Return the view that does not rest with the others, if there is one."""
+    relative = alone / sizes
+    worst = int(relative.argmax())
+    common = float(np.sort(alone)[(len(alone) - 1) // 2])
+    beyond = len(alone) > 2 and alone[worst] > OUT_OF_LINE * max(common, 1e-3)
+    return worst if beyond or relative[worst] > NO_RIG else None
+
+
+def _result(
+    chosen: _Chosen,
+    scene: _Scene,
+    images: Float64,
+    weights: Float64,
+    beliefs: Beliefs,
+    members: list[int],
+) -> RestingRig:
+    """Triangulate every frame, and say how much each frame speaks against the mirror image."""
+    frames, views, keypoints, _ = images.shape
+    resting = np.zeros(views, bool)
+    resting[members] = True
+    rig = chosen.adjusted.rig
+    every = Seen(
+        images[:, members].transpose(1, 3, 0, 2).reshape(len(members), 2, -1),
+        weights[:, members].transpose(1, 0, 2).reshape(len(members), -1),
+    )
+    known = np.flatnonzero((every.weights > 0).sum(0) >= 2)
+    some = Seen(every.images[..., known], every.weights[:, known])
+    points = np.full((frames * keypoints, 3), np.nan)
+    costs = []
+    noise = chosen.adjusted.noise
+    for candidate in (chosen.adjusted.rig, chosen.mirror.rig):
+        found = triangulate_points(candidate, some)
+        if candidate is rig:
+            points[known] = found.T
+        robust = robust_costs(distances_of(candidate, found, some, noise), some.weights, noise)
+        costs.append(np.bincount(known // keypoints, robust.sum(0), frames))
+    whole = Rigid(
+        np.log(beliefs.focals),
+        np.zeros((views, 2)),
+        np.zeros(views),
+        np.full((views, 3, 3), np.nan),
+        np.full((views, 3), np.nan),
+    )
+    for array, row in zip(whole, rig, strict=True):
+        array[members] = row
+    return RestingRig(
+        whole,
+        resting,
+        points.reshape(frames, keypoints, 3),
+        float(np.median(noise)),
+        chosen.cost,
+        costs[1] - costs[0],
+    )
