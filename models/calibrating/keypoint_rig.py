@@ -1,0 +1,203 @@
+"""A rig at rest that keypoints alone say, as a start of the search: cameras, structures, poses."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.problem import Scene, make_rig, make_shape_prior
+from models.bundle.shape_model import align, learn_shapes
+from models.calibrating.expectation_maximisation import LEAST_SPREAD, regauge
+from models.calibrating.handedness import mirrored, same_hand
+from models.calibrating.lens_prior import CENTRE_SD, RADIAL_SDS, UNTOLD_CENTRE_SD
+from models.calibrating.problem import Problem, Solution, grouped
+from models.epipolar.pairs import Beliefs
+from models.epipolar.resting_rig import RestingRig, find_resting_rig
+from models.numerics.rotations import nearest_rotations
+from models.optics.lenses.projection import Lenses, project
+
+Float64 = NDArray[np.float64]
+
+FOCAL_SD, UNTOLD_FOCAL_SD = 0.5, 0.6  # of the log focal length, with and without the image's size
+STRAIGHTENINGS = 8  # steps that undo a lens
+STRAY = 4.0  # radii of a structure beyond which a point is none of it
+ROUNDS = 5  # of aligning structures and filling their gaps
+LEAST_KNOWN = 4  # points that tell a structure's pose
+
+
+class KeypointRig(NamedTuple):
+    """Cameras at rest as keypoints alone say, and the start that they make."""
+
+    start: Solution
+    members: list[int]  # the views that rest
+    found: RestingRig
+
+
+def rig_from_keypoints(problem: Problem, moving: Solution) -> KeypointRig | None:
+    """Find cameras at rest from keypoints alone; views that do not rest move as in `moving`.
+
+    None where the keypoints speak against any two cameras at rest.
+    """
+    side, lenses = problem.side, problem.reference.lenses
+    images, sizes = _straight_images(problem)
+    found = find_resting_rig(images, problem.weights, _beliefs(problem), sizes)
+    if found is None:
+        return None
+    members = [int(k) for k in np.flatnonzero(found.resting)]
+    free = found.resting & ~problem.told_lenses
+    rig = found.rig
+    log_focals = np.where(free, rig.log_focals + np.log(side), 0.0)
+    distortion = lenses.distortion.copy()
+    distortion[free, 0] = rig.radial[free]
+    used = lenses._replace(
+        focals=np.where(free[:, None], np.exp(log_focals)[:, None], moving.rig.lenses.focals),
+        centres=lenses.centres + side * np.where(free[:, None], rig.centres, 0.0),
+        distortion=distortion,
+    )
+    structures = _structures(found.points)
+    if structures is None:
+        return None
+    start = _start(problem, moving, found, members, used, structures)
+    return KeypointRig(start, members, found)
+
+
+def _beliefs(problem: Problem) -> Beliefs:
+    """Say what is believed of the lenses, in sides of the longest image."""
+    told, images = problem.told_lenses, problem.images
+    sides = np.where(told, 0, images.sizes.max(1) / problem.side)
+    together = np.where(images.told, 0, UNTOLD_CENTRE_SD) * sides
+    radial = RADIAL_SDS[0] ** 2 + RADIAL_SDS[1] ** 2 * np.eye(len(told))
+    sds = np.where(images.told, FOCAL_SD, UNTOLD_FOCAL_SD)
+    return Beliefs(
+        problem.reference.lenses.focals.mean(1) / problem.side,
+        np.where(told, 0, sds),
+        np.outer(together, together) + np.diag(np.square(CENTRE_SD * sides)),
+        radial * np.outer(~told, ~told),
+    )
+
+
+def _straight_images(problem: Problem) -> tuple[Float64, Float64]:
+    """Keypoints from the expected principal points in sides, and the subject's size in views.
+
+    Distortion of lenses that were told is undone, by fixed-point iteration.
+    """
+    lenses, side = problem.reference.lenses, problem.side
+    mean = lenses.focals.mean(1)[:, None, None]
+    focals = lenses.focals[:, None]
+    flat = (problem.keypoints - lenses.centres[:, None]) / focals  # (N, K, P, 2)
+    told = np.flatnonzero(problem.told_lenses)
+    if len(told):
+        bent, own = flat[:, told], lenses.of(told)
+        straight = bent.copy()
+        for _ in range(STRAIGHTENINGS):
+            rays = np.concatenate((straight, np.ones_like(straight[..., :1])), -1)
+            pixels = project(rays, own)
+            straight += bent - (pixels - own.centres[:, None]) / own.focals[:, None]
+        flat[:, told] = np.where(np.isfinite(straight), straight, bent)
+    images = mean * flat / side
+    weights = (problem.weights > 0)[..., None]
+    count = weights.sum(2).clip(1)
+    centred = (images - ((images * weights).sum(2) / count)[:, :, None]) * weights
+    sizes = np.sqrt(np.square(centred).sum((0, 2, 3)) / weights.sum((0, 2, 3)).clip(1))
+    return images, sizes
+
+
+class _Structures(NamedTuple):
+    """Structures of radius 1, and the similarity v = e^a R x + t that places them in the rig."""
+
+    points: Float64  # (N, P, 3)
+    rotations: Float64  # (N, 3, 3)
+    translations: Float64  # (N, 3) rig units
+    scales: Float64  # (N,) rig units in a unit of the structure
+
+
+def _structures(points: Float64) -> _Structures | None:
+    """Align triangulated structures (N, P, 3), NaN where unknown, and fill their gaps."""
+    known = np.isfinite(points).all(-1)
+    middle = np.nanmedian(np.where(known[..., None], points, np.nan)[known.any(1)], 1)
+    centres = np.zeros((len(points), 3))
+    centres[known.any(1)] = middle
+    distances = np.where(known, np.linalg.norm(points - centres[:, None], axis=-1), np.nan)
+    typical = float(np.nanmedian(distances))
+    known &= np.nan_to_num(distances, nan=np.inf) < STRAY * typical
+    usable = known.sum(1) >= LEAST_KNOWN
+    if not usable.any() or not typical > 0:
+        return None
+    fullest = int(known.sum(1).argmax())
+    mean = np.where(known[fullest][:, None], points[fullest] - centres[fullest], 0.0)
+    mean /= typical
+    filled = np.where(known[..., None], np.nan_to_num(points), centres[:, None])
+    rotations, scales = np.tile(np.eye(3), (len(points), 1, 1)), np.full(len(points), typical)
+    shifts = centres.copy()
+    for _ in range(ROUNDS):
+        weights = known[usable][..., None] / known[usable].sum(1)[:, None, None]
+        places = filled[usable]
+        centre = (weights * places).sum(1)
+        model = mean - (weights * mean).sum(1)[:, None]  # (n, P, 3)
+        offsets = places - centre[:, None]
+        overlap = (weights * offsets).mT @ model
+        turns = nearest_rotations(overlap)
+        sizes = np.sqrt(
+            (weights * np.square(offsets)).sum((1, 2))
+            / (weights * np.square(model)).sum((1, 2)).clip(1e-12)
+        )
+        rotations[usable], scales[usable] = turns, sizes
+        middles = (weights * mean).sum(1)  # (n, 3)
+        shifts[usable] = centre - sizes[:, None] * (turns @ middles[..., None])[..., 0]
+        canonical = np.einsum("nji,npj->npi", rotations, filled - shifts[:, None])
+        canonical /= scales[:, None, None]
+        gaps = np.where((known & usable[:, None])[..., None], canonical, np.nan)
+        seen = np.isfinite(gaps).any(0).all(-1)
+        mean[seen] = np.nanmedian(gaps[:, seen], 0)
+        mean -= mean.mean(0)
+        mean /= np.sqrt(np.square(mean).sum(-1).mean())
+    points = np.where((known & usable[:, None])[..., None], canonical, mean)
+    return _Structures(points, rotations, shifts, scales)
+
+
+def _start(
+    problem: Problem,
+    moving: Solution,
+    found: RestingRig,
+    members: list[int],
+    lenses: Lenses,
+    structures: _Structures,
+) -> Solution:
+    """Put cameras, structures and the views that do not rest together."""
+    views = len(moving.rig.groups)
+    unit = float(np.median(structures.scales))
+    rotations = np.tile(np.eye(3), (views, 1, 1))
+    translations = np.zeros((views, 3))
+    first = found.rig.rotations[members[0]], found.rig.translations[members[0]]
+    for k in members:  # in the frame of the first camera
+        rotations[k] = found.rig.rotations[k] @ first[0].T
+        translations[k] = (found.rig.translations[k] - rotations[k] @ first[1]) / unit
+    groups = grouped(members, views)
+    rig = make_rig(lenses, groups, rotations, translations)
+    held = first[0] @ structures.rotations  # (N, 3, 3)
+    placed = (structures.translations @ first[0].T + first[1]) / unit
+    scene = moving.scene
+    if not same_hand(scene.points, structures.points):
+        scene = mirrored(scene)
+    _, similarity = align(scene.points, structures.points)
+    others = regauge(scene, structures.points, similarity, moving.rig)
+    firsts = [members[0], *(k for k in range(views) if k not in members)]
+    joined = Scene(
+        structures.points,
+        others.rotations[:, firsts],
+        others.translations[:, firsts],
+        np.zeros((len(placed), len(firsts))),
+    )
+    joined.rotations[:, 0], joined.translations[:, 0] = held, placed
+    joined.sizes[:, 0] = np.log(structures.scales / unit)
+    count = 3 * problem.keypoints.shape[2]
+    shapes = learn_shapes(
+        structures.points, np.zeros((len(placed), count, count)), floor=LEAST_SPREAD
+    )
+    prior = make_shape_prior(
+        np.tile(shapes.mean, (len(placed), 1, 1)), shapes.basis, shapes.spread
+    )
+    noise = max(found.noise * problem.side, moving.noise)
+    return moving._replace(
+        rig=rig, scene=joined, prior=prior, shapes=shapes, noise=noise, measured_noise=noise
+    )

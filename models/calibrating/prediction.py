@@ -1,0 +1,94 @@
+"""What a solution predicts of keypoints that it was not shown, in frames it did not learn from."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.problem import Scene, make_shape_prior
+from models.bundle.scene_adjustment import adjust_frames
+from models.bundle.shape_model import align
+from models.calibrating.expectation_maximisation import regauge
+from models.calibrating.problem import Problem, Solution, reprojection_distances
+from models.settings.keypoints import MIN_KEYPOINTS
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+Bool = NDArray[np.bool_]
+
+EVERY = 5  # one frame in so many is left out of learning
+MOST_JUDGES = 80  # frames that are left out at most
+QUARTERS = 4  # a keypoint is hidden in one of so many rounds
+ROUNDS = 2  # of these that are looked at
+ITERATIONS = 15
+FREEDOM = 3.0  # of Student's t
+RAYLEIGH = 1.1774  # median length of a pair of unit normal numbers
+LENS_ERRORS = 1e-3  # of the image's side: errors of lens models, which decide nothing
+WORST = 1e3  # standard deviations that stand for a frame that cannot be explained
+
+
+class Split(NamedTuple):
+    """Frames to learn from, and frames that judge what was learnt."""
+
+    learning: Int64
+    judging: Int64
+
+
+def split_frames(frames: int) -> Split:
+    """Leave every fifth frame out of learning, at most `MOST_JUDGES`."""
+    judging = np.arange(frames)[EVERY // 2 :: EVERY]
+    judging = judging[:: -(-len(judging) // MOST_JUDGES)]
+    return Split(np.setdiff1d(np.arange(frames), judging), judging)
+
+
+def predicted_distances(problem: Problem, learnt: Solution, start: Scene) -> Float64:
+    """Pixels (N, K, P) from keypoints to where they are expected while hidden; NaN where not asked.
+
+    Every frame of the problem is adjusted from `start`, with rig, shapes and noise as they were
+    learnt, to three quarters of the keypoints of every view.
+    """
+    rig, shapes = learnt.rig, learnt.shapes
+    points, similarity = align(start.points, shapes.mean)
+    start = regauge(start, points, similarity, rig)
+    prior = make_shape_prior(
+        np.tile(shapes.mean, (len(points), 1, 1)), shapes.basis, shapes.spread
+    )
+    views = problem.views(learnt.noise)
+    seen = problem.weights > 0
+    quarter = np.random.default_rng(0).integers(QUARTERS, size=seen.shape)
+    distances = np.full(seen.shape, np.nan)
+    for number in range(ROUNDS):
+        hidden = seen & (quarter == number)
+        # A view that would be left with too little is not asked.
+        hidden &= ((seen & ~hidden).sum(-1) >= MIN_KEYPOINTS)[..., None]
+        scene, costs = adjust_frames(
+            views._replace(weights=views.weights * ~hidden),
+            rig,
+            prior,
+            start,
+            iterations=ITERATIONS,
+        )
+        off = reprojection_distances(problem, rig, scene)
+        off[~np.isfinite(costs)] = WORST * problem.side
+        distances[hidden] = off[hidden]
+    return distances
+
+
+def common_noise(distances: list[Float64], side: float) -> float:
+    """Return the noise in pixels under which predictions (N, K, P) are compared: the best one's."""
+    medians = [float(np.nanmedian(each)) for each in distances]
+    return float(np.hypot(min(medians) / RAYLEIGH, LENS_ERRORS * side))
+
+
+def surprise(distances: Float64, weights: Float64, noise: float) -> Float64:
+    """Minus log likelihood of predictions under Student's t; mean (N, K), NaN where none was asked.
+
+    Every view of a frame counts once: its keypoints are not independent of each other.
+    """
+    asked = np.isfinite(distances)
+    off = np.where(asked, distances, 0.0).clip(max=WORST * noise)
+    costs = (FREEDOM + 2) / 2 * np.log1p(np.square(off / noise) / FREEDOM)
+    counts = (weights * asked).sum(-1)
+    with np.errstate(invalid="ignore"):
+        means: Float64 = (costs * weights * asked).sum(-1) / counts
+    return means
