@@ -48,7 +48,9 @@ class Uncertainty(NamedTuple):
     noise_factor: float  # of the noise that was assumed, to what the residuals say
 
 
-def learn(problem: Problem, solution: Solution, *, with_bones: bool = False) -> Steps[Solution]:
+def learn(
+    problem: Problem, solution: Solution, *, with_bones: bool = False, rounds: int = ROUNDS
+) -> Steps[Solution]:
     """Maximise expectations from a solution on.
 
     With `with_bones`, bone lengths have a say, too, and the shape model less of it.
@@ -57,7 +59,7 @@ def learn(problem: Problem, solution: Solution, *, with_bones: bool = False) -> 
     focals = rig.lenses.focals
     floor = LEAST_NOISE * problem.side
     least_spread = LEAST_SPREAD_WITH_BONES if with_bones else LEAST_SPREAD
-    for _ in range(ROUNDS_WITH_BONES if with_bones else ROUNDS):
+    for _ in range(ROUNDS_WITH_BONES if with_bones else rounds):
         views = problem.views(noise)
         rig, scene, information = yield from adjust(
             views,
@@ -77,7 +79,7 @@ def learn(problem: Problem, solution: Solution, *, with_bones: bool = False) -> 
         shapes = learn_shapes(scene.points[unsure.frames], unsure.covariances, floor=least_spread)
         points, similarity = align(scene.points, shapes.mean)
         scene = regauge(scene, points, similarity, rig)
-        prior = _about_model(shapes, len(points))
+        prior = about_model(shapes, len(points))
         change, focals = np.abs(np.log(rig.lenses.focals / focals)).max(), rig.lenses.focals
         if with_bones and change < SETTLED:
             break
@@ -162,5 +164,6 @@ def _noise_terms(
     return _NoiseTerms(float(robust.sum()), float(freedom.sum()))
 
 
-def _about_model(shapes: ShapeModel, frames: int) -> ShapePrior:
+def about_model(shapes: ShapeModel, frames: int) -> ShapePrior:
+    """Return the prior that the structures of all frames are like the model's."""
     return make_shape_prior(np.tile(shapes.mean, (frames, 1, 1)), shapes.basis, shapes.spread)

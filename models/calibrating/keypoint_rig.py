@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import Scene, make_rig, make_shape_prior
+from models.bundle.problem import CENTRE_X, FOCAL, RADIAL, Scene, make_rig, make_shape_prior
 from models.bundle.shape_model import align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, regauge
 from models.calibrating.handedness import mirrored, same_hand
 from models.calibrating.lens_prior import CENTRE_SD, RADIAL_SDS, UNTOLD_CENTRE_SD
-from models.calibrating.problem import Problem, Solution, grouped
+from models.calibrating.problem import Problem, Solution, Steps, grouped
 from models.epipolar.pairs import Beliefs
 from models.epipolar.resting_rig import RestingRig, find_resting_rig
 from models.numerics.rotations import nearest_rotations
@@ -33,25 +33,29 @@ class KeypointRig(NamedTuple):
     found: RestingRig
 
 
-def rig_from_keypoints(problem: Problem, moving: Solution) -> KeypointRig | None:
-    """Find cameras at rest from keypoints alone; views that do not rest move as in `moving`.
+def rig_from_keypoints(
+    problem: Problem, moving: Solution, among: list[int]
+) -> Steps[KeypointRig | None]:
+    """Find cameras at rest `among` some views; those that do not rest move as in `moving`.
 
     None where the keypoints speak against any two cameras at rest.
     """
     side, lenses = problem.side, problem.reference.lenses
     images, sizes = _straight_images(problem)
-    found = find_resting_rig(images, problem.weights, _beliefs(problem), sizes)
+    asked = np.isin(np.arange(len(sizes)), among)
+    weights = problem.weights * asked[:, None]
+    found = yield from find_resting_rig(images, weights, _beliefs(problem), sizes)
     if found is None:
         return None
     members = [int(k) for k in np.flatnonzero(found.resting)]
-    free = found.resting & ~problem.told_lenses
-    rig = found.rig
-    log_focals = np.where(free, rig.log_focals + np.log(side), 0.0)
+    rig, told = found.rig, problem.lens_sds == 0  # (K, LENS)
+    free = found.resting[:, None] & ~told
+    focals = side * np.exp(rig.log_focals)[:, None]
     distortion = lenses.distortion.copy()
-    distortion[free, 0] = rig.radial[free]
+    distortion[free[:, RADIAL], 0] = rig.radial[free[:, RADIAL]]
     used = lenses._replace(
-        focals=np.where(free[:, None], np.exp(log_focals)[:, None], moving.rig.lenses.focals),
-        centres=lenses.centres + side * np.where(free[:, None], rig.centres, 0.0),
+        focals=np.where(free[:, [FOCAL]], focals, moving.rig.lenses.focals),
+        centres=lenses.centres + np.where(free[:, [CENTRE_X]], side * rig.centres, 0.0),
         distortion=distortion,
     )
     structures = _structures(found.points)
@@ -63,16 +67,18 @@ def rig_from_keypoints(problem: Problem, moving: Solution) -> KeypointRig | None
 
 def _beliefs(problem: Problem) -> Beliefs:
     """Say what is believed of the lenses, in sides of the longest image."""
-    told, images = problem.told_lenses, problem.images
-    sides = np.where(told, 0, images.sizes.max(1) / problem.side)
+    images, sds = problem.images, problem.lens_sds
+    focals = problem.reference.lenses.focals.mean(1)
+    sides = np.where(np.isinf(sds[:, CENTRE_X]), images.sizes.max(1) / problem.side, 0)
     together = np.where(images.told, 0, UNTOLD_CENTRE_SD) * sides
-    radial = RADIAL_SDS[0] ** 2 + RADIAL_SDS[1] ** 2 * np.eye(len(told))
-    sds = np.where(images.told, FOCAL_SD, UNTOLD_FOCAL_SD)
+    bends = np.isinf(sds[:, RADIAL])
+    radial = RADIAL_SDS[0] ** 2 + RADIAL_SDS[1] ** 2 * np.eye(len(sides))
+    unknown = np.where(images.told, FOCAL_SD, UNTOLD_FOCAL_SD)
     return Beliefs(
-        problem.reference.lenses.focals.mean(1) / problem.side,
-        np.where(told, 0, sds),
+        focals / problem.side,
+        np.where(np.isinf(sds[:, FOCAL]), unknown, sds[:, FOCAL]),
         np.outer(together, together) + np.diag(np.square(CENTRE_SD * sides)),
-        radial * np.outer(~told, ~told),
+        radial * np.outer(bends, bends),
     )
 
 
@@ -85,7 +91,7 @@ def _straight_images(problem: Problem) -> tuple[Float64, Float64]:
     mean = lenses.focals.mean(1)[:, None, None]
     focals = lenses.focals[:, None]
     flat = (problem.keypoints - lenses.centres[:, None]) / focals  # (N, K, P, 2)
-    told = np.flatnonzero(problem.told_lenses)
+    told = np.flatnonzero(np.isfinite(problem.lens_sds[:, RADIAL]))
     if len(told):
         bent, own = flat[:, told], lenses.of(told)
         straight = bent.copy()
@@ -114,9 +120,9 @@ class _Structures(NamedTuple):
 def _structures(points: Float64) -> _Structures | None:
     """Align triangulated structures (N, P, 3), NaN where unknown, and fill their gaps."""
     known = np.isfinite(points).all(-1)
-    middle = np.nanmedian(np.where(known[..., None], points, np.nan)[known.any(1)], 1)
+    some = known.sum(1) > 0
     centres = np.zeros((len(points), 3))
-    centres[known.any(1)] = middle
+    centres[some] = np.nanmedian(points[some], 1)
     distances = np.where(known, np.linalg.norm(points - centres[:, None], axis=-1), np.nan)
     typical = float(np.nanmedian(distances))
     known &= np.nan_to_num(distances, nan=np.inf) < STRAY * typical
@@ -194,9 +200,7 @@ def _start(
     shapes = learn_shapes(
         structures.points, np.zeros((len(placed), count, count)), floor=LEAST_SPREAD
     )
-    prior = make_shape_prior(
-        np.tile(shapes.mean, (len(placed), 1, 1)), shapes.basis, shapes.spread
-    )
+    prior = make_shape_prior(np.tile(shapes.mean, (len(placed), 1, 1)), shapes.basis, shapes.spread)
     noise = max(found.noise * problem.side, moving.noise)
     return moving._replace(
         rig=rig, scene=joined, prior=prior, shapes=shapes, noise=noise, measured_noise=noise

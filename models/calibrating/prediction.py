@@ -50,9 +50,7 @@ def predicted_distances(problem: Problem, learnt: Solution, start: Scene) -> Flo
     rig, shapes = learnt.rig, learnt.shapes
     points, similarity = align(start.points, shapes.mean)
     start = regauge(start, points, similarity, rig)
-    prior = make_shape_prior(
-        np.tile(shapes.mean, (len(points), 1, 1)), shapes.basis, shapes.spread
-    )
+    prior = make_shape_prior(np.tile(shapes.mean, (len(points), 1, 1)), shapes.basis, shapes.spread)
     views = problem.views(learnt.noise)
     seen = problem.weights > 0
     quarter = np.random.default_rng(0).integers(QUARTERS, size=seen.shape)

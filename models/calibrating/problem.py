@@ -64,6 +64,10 @@ class Problem(NamedTuple):
         """The views whose poses the user gave."""
         return [k for k, pose in enumerate(self.poses) if pose is not None]
 
+    def of(self, frames: NDArray[np.int64]) -> "Problem":
+        """Return the problem of some of the frames."""
+        return self._replace(keypoints=self.keypoints[frames], weights=self.weights[frames])
+
     def views(self, noise: float) -> Views:
         """Return the keypoints, weighted for this noise in pixels."""
         return Views(self.keypoints, self.weights / noise**2)
@@ -96,6 +100,10 @@ class Solution(NamedTuple):
     measured_noise: float  # pixels
     information: Float64  # (F, F) inverse covariance of what is free of the rig
     given_poses: GivenPoses | None = None  # what holds the extrinsics; None: nothing told does
+
+    def of(self, frames: NDArray[np.int64]) -> "Solution":
+        """Return the solution of some of the frames."""
+        return self._replace(scene=self.scene.of(frames), prior=self.prior.of(frames))
 
 
 def reprojection_distances(problem: Problem, rig: Rig, scene: Scene) -> Float64:

@@ -10,7 +10,6 @@ from models.epipolar.rig_adjustment import (
     Rigid,
     Seen,
     distances_of,
-    noise_of,
     robust_costs,
     triangulate_points,
 )
@@ -59,12 +58,17 @@ def _grow(
     rotations, translations = np.tile(np.eye(3), (views, 1, 1)), np.zeros((views, 3))
     placed = list(pair)
     log_focals[placed] = np.log(poses.focals[solution])
-    rotations[pair[1]], translations[pair[1]] = poses.rotations[solution], poses.translations[solution]
+    rotations[pair[1]], translations[pair[1]] = (
+        poses.rotations[solution],
+        poses.translations[solution],
+    )
     rig = Rigid(log_focals, np.zeros((views, 2)), np.zeros(views), rotations, translations)
     while len(placed) < views:
         some = Seen(seen.images[placed], seen.weights[placed])
         known = (some.weights > 0).sum(0) >= 2
-        points = triangulate_points(rig.of(placed), Seen(some.images[..., known], some.weights[:, known]))
+        points = triangulate_points(
+            rig.of(placed), Seen(some.images[..., known], some.weights[:, known])
+        )
         best: tuple[float, int, Rigid] | None = None
         for view in (v for v in range(views) if v not in placed):
             of_view = Seen(seen.images[[view], :, :][..., known], seen.weights[[view]][:, known])

@@ -7,7 +7,7 @@ these.
 """
 
 from itertools import combinations_with_replacement
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +51,10 @@ def five_point(x: Float64, y: Float64) -> Essentials:
     spaces = np.linalg.svd(rows)[2][:, SAMPLE:].reshape(-1, 4, 3, 3)
     constraints = _constraints(np.moveaxis(spaces, 1, -1))  # (B, 10, 20)
     leading = constraints[..., :10] + RIDGE * np.eye(10)
-    reduced = np.linalg.solve(leading, constraints[..., 10:])  # cubes in terms of the basis
-    values, vectors = np.linalg.eig(_multiplication(reduced))
+    reduced: Float64 = np.linalg.solve(leading, constraints[..., 10:]).astype(
+        np.float64
+    )  # cubes in terms of the basis
+    values, vectors = _eigen(_multiplication(reduced))
     real = np.abs(values.imag) <= REAL * np.abs(values).clip(1e-300)
     sample, root = np.nonzero(real)
     monomials = vectors.real[sample, :, root]  # (H, 10)
@@ -64,7 +66,7 @@ def five_point(x: Float64, y: Float64) -> Essentials:
 
 
 def _constraints(linear: Float64) -> Float64:
-    """det E = 0 and 2 E E^T E = tr(E E^T) E of E (B, 3, 3, 4), coefficients (B, 10, 20)."""
+    """Return det E = 0 and 2 E E^T E = tr(E E^T) E of E (B, 3, 3, 4), coefficients (B, 10, 20)."""
     gram = np.einsum("bikp,bjkq,pqr->bijr", linear, linear, _LINEAR_TIMES, optimize=True)
     trace = np.einsum("biir->br", gram)
     gram = 2 * gram - trace[:, None, None] * np.eye(3)[:, :, None]
@@ -81,16 +83,22 @@ def _constraints(linear: Float64) -> Float64:
 
 
 def _multiplication(reduced: Float64) -> Float64:
-    """Return what multiplies the basis monomials (10,) by a, modulo the constraints; (B, 10, 10)."""
+    """Return what multiplies the basis by a, modulo the constraints; (B, 10, 10)."""
     matrices = np.zeros((len(reduced), 10, 10))
     for row, monomial in enumerate(_BASIS):
         product = tuple(sorted((0, *monomial)))
-        cube = _CUBIC.index(product)
+        cube = [tuple(cubic) for cubic in _CUBIC].index(product)
         if cube < 10:
             matrices[:, row] = -reduced[:, cube]
         else:
             matrices[:, row, cube - 10] = 1
     return matrices
+
+
+def _eigen(matrices: Float64) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return complex eigenvalues and eigenvectors, whatever they are."""
+    found: Any = np.linalg.eig(matrices)
+    return found.eigenvalues.astype(np.complex128), found.eigenvectors.astype(np.complex128)
 
 
 def decompose(matrices: Float64) -> tuple[Float64, Float64]:

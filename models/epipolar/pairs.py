@@ -17,8 +17,16 @@ from models.numerics.rotations import rotations_from_vectors
 Float64 = NDArray[np.float64]
 
 LEAST_CORRESPONDENCES = 20
-# Factors of both expected focal lengths that are tried.
-FOCAL_FACTORS = ((0.45, 0.45), (0.65, 0.65), (0.9, 0.9), (1.3, 1.3), (2.0, 2.0), (0.7, 1.4), (1.4, 0.7))
+# Factors of the two expected focal lengths that are tried.
+FOCAL_FACTORS = (
+    (0.45, 0.45),
+    (0.65, 0.65),
+    (0.9, 0.9),
+    (1.3, 1.3),
+    (2.0, 2.0),
+    (0.7, 1.4),
+    (1.4, 0.7),
+)
 SAMPLES = 100  # for each of these
 SCORED = 250  # correspondences that judge a hypothesis
 REFINED = 1000  # correspondences that refine one
@@ -26,6 +34,7 @@ STARTS = 8  # hypotheses that are refined
 ITERATIONS = 12
 DISTINCT = 0.2  # radians between rotations that count as two
 SOLUTIONS = 3  # that are kept of a pair
+LONGEST_STEP = 0.3  # radians, and of a log focal length, in one iteration
 STEP = 1e-5  # of the differences that stand for derivatives
 LEAST_SCALE = 1e-4  # sides: noise below which nothing is concluded
 
@@ -118,7 +127,7 @@ def _hypotheses(
     rng: np.random.Generator,
 ) -> Float64:
     """Return the parameters (H, 14) of the best distinct hypotheses."""
-    matrices, logs, rays = [], [], []
+    matrices, logs = [], []
     factors = {(1.0 if sds[0] == 0 else a, 1.0 if sds[1] == 0 else b) for a, b in FOCAL_FACTORS}
     samples = SAMPLES * len(FOCAL_FACTORS) // len(factors)
     for pair in sorted(factors):
@@ -128,7 +137,6 @@ def _hypotheses(
         matrices.append(found)
         logs.append(np.tile(np.log((f, g)), (len(found), 1)))
     essentials, log_focals = np.concatenate(matrices), np.concatenate(logs)
-    del rays
     distances = np.abs(sampson(_in_sides(essentials, log_focals), x[judges], y[judges]))
     scale = max(NORMAL * float(np.median(distances, 1).min()), LEAST_SCALE)
     costs = np.log1p(np.square(distances / scale) / FREEDOM).mean(1)
@@ -217,7 +225,9 @@ def _refine(
         right[:, 5:] -= precision * (parameters[:, 12:] - expected)
         diagonal = normal[:, range(7), range(7)]
         normal[:, range(7), range(7)] += damping[:, None] * diagonal + 1e-12
-        tried = _moved(parameters, np.linalg.solve(normal, right[..., None])[..., 0].clip(-0.3, 0.3))
+        tried = _moved(
+            parameters, np.linalg.solve(normal, right[..., None])[..., 0].clip(-0.3, 0.3)
+        )
         tried_distances = distances_of(tried)
         better = costs_of(tried_distances, tried, scale) < costs
         parameters = np.where(better[:, None], tried, parameters)
@@ -241,9 +251,7 @@ def _moved(parameters: Float64, step: Float64) -> Float64:
     other = np.cross(translations, one)
     moved = translations + step[:, 3:4] * one + step[:, 4:5] * other
     moved /= np.linalg.norm(moved, axis=1, keepdims=True)
-    return np.concatenate(
-        (rotations.reshape(-1, 9), moved, parameters[:, 12:] + step[:, 5:]), 1
-    )
+    return np.concatenate((rotations.reshape(-1, 9), moved, parameters[:, 12:] + step[:, 5:]), 1)
 
 
 def _angle(rotation: Float64) -> float:

@@ -6,14 +6,14 @@ adjusted (`rig_adjustment`). No network and no shapes take part. All starts, amo
 image (Necker's reversal) of the best, are compared under one common noise.
 """
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from itertools import combinations
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from models.epipolar.assembly import Assembled, ViewGraph, assemble
+from models.epipolar.assembly import ViewGraph, assemble
 from models.epipolar.pairs import Beliefs, relate
 from models.epipolar.rig_adjustment import (
     Adjusted,
@@ -21,7 +21,6 @@ from models.epipolar.rig_adjustment import (
     Seen,
     adjust_rig,
     distances_of,
-    noise_of,
     prior_cost,
     robust_costs,
     triangulate_points,
@@ -29,6 +28,8 @@ from models.epipolar.rig_adjustment import (
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+T = TypeVar("T")
+Steps = Generator[None, None, T]  # yields between pieces of work, so that a fit can be stopped
 
 MOST_POINTS, FEW_POINTS = 3000, 600  # that are adjusted at the end, and to choose among starts
 MOST_PAIRS = 18  # of views that are related
@@ -56,8 +57,8 @@ class RestingRig(NamedTuple):
 
 def find_resting_rig(
     images: Float64, weights: Float64, beliefs: Beliefs, sizes: Float64, *, seed: int = 0
-) -> RestingRig | None:
-    """Find cameras at rest from what they see of N frames.
+) -> Steps[RestingRig | None]:
+    """Find cameras at rest from what they see of N frames; yields now and then, to be stopped.
 
     Parameters
     ----------
@@ -75,10 +76,10 @@ def find_resting_rig(
     """
     rng = np.random.default_rng(seed)
     scene = _Scene.of(images, weights, rng)
-    graph = _relate_pairs(scene, beliefs, rng)
+    graph = yield from _relate_pairs(scene, beliefs, rng)
     members = _members(graph, sizes)
     while len(members) > 1:
-        chosen = _adjusted(graph, scene, beliefs, members)
+        chosen = yield from _adjusted(graph, scene, beliefs, members)
         if chosen is None:
             return None
         out = _out_of_line(chosen.noise_alone, sizes[members])
@@ -136,7 +137,7 @@ class _Chosen(NamedTuple):
     cost: float
 
 
-def _relate_pairs(scene: _Scene, beliefs: Beliefs, rng: np.random.Generator) -> ViewGraph:
+def _relate_pairs(scene: _Scene, beliefs: Beliefs, rng: np.random.Generator) -> Steps[ViewGraph]:
     """Find the relative poses of pairs; of many views those that share most, and all are tied."""
     views = len(scene.weights)
     there = (scene.weights > 0).astype(float)
@@ -144,6 +145,7 @@ def _relate_pairs(scene: _Scene, beliefs: Beliefs, rng: np.random.Generator) -> 
     pairs = sorted(combinations(range(views), 2), key=lambda pair: -shared[pair])
     graph: ViewGraph = {}
     for pair in _chosen_pairs(pairs, views):
+        yield
         first, second = pair
         both = np.flatnonzero((there[first] > 0) & (there[second] > 0))
         some = rng.permutation(both)[:MOST_POINTS]
@@ -168,7 +170,7 @@ def _chosen_pairs(pairs: list[tuple[int, int]], views: int) -> Iterator[tuple[in
     most = max(3, 2 * MOST_PAIRS // views)
     count = [0] * views
     for a, b in pairs:
-        if count[a] < most and count[b] < most or min(count[a], count[b]) == 0:
+        if (count[a] < most and count[b] < most) or min(count[a], count[b]) == 0:
             count[a], count[b] = count[a] + 1, count[b] + 1
             yield a, b
 
@@ -186,7 +188,7 @@ def _members(graph: ViewGraph, sizes: Float64) -> list[int]:
 
 def _adjusted(
     graph: ViewGraph, scene: _Scene, beliefs: Beliefs, members: list[int]
-) -> _Chosen | None:
+) -> Steps[_Chosen | None]:
     """Put the views together in several ways and adjust the best; None if they do not hang."""
     place = {view: i for i, view in enumerate(members)}
     graph = {
@@ -198,24 +200,22 @@ def _adjusted(
     rigs = assemble(graph, few, max(noise, 1e-3))
     if not rigs:
         return None
-    first = [
-        adjust_rig(
-            rig,
-            triangulate_points(rig, few),
-            few,
-            of_members,
-            iterations=FIRST_ITERATIONS,
-            lenses=False,
+    first = []
+    for rig in _distinct([rig.rig for rig in rigs], STARTS):
+        yield
+        points = triangulate_points(rig, few)
+        first.append(
+            adjust_rig(rig, points, few, of_members, iterations=FIRST_ITERATIONS, lenses=False)
         )
-        for rig in _distinct([rig.rig for rig in rigs], STARTS)
-    ]
     first = _ordered(first, few, of_members)
     second = []
     for adjusted in first[:FINALISTS]:
         rig = adjusted.rig
-        alike = rig._replace(log_focals=np.where(
-            of_members.focal_sds > 0, np.median(rig.log_focals), rig.log_focals))
+        alike = rig._replace(
+            log_focals=np.where(of_members.focal_sds > 0, np.median(rig.log_focals), rig.log_focals)
+        )
         for start in (rig, alike):
+            yield
             second.append(
                 adjust_rig(start, adjusted.points, few, of_members, iterations=MORE_ITERATIONS)
             )
@@ -223,7 +223,9 @@ def _adjusted(
         *necker(second[0].rig, second[0].points), few, of_members, iterations=MORE_ITERATIONS
     )
     finalists = _ordered([*second, mirror], few, of_members)
+    yield
     best = _finished(finalists[0].rig, many, of_members)
+    yield
     twin_start = necker(best.rig, best.points)
     twin = adjust_rig(*twin_start, many, of_members, iterations=LAST_ITERATIONS)
     best, twin = _ordered([best, twin], many, of_members)
@@ -268,9 +270,7 @@ def _same(rig: Rigid, other: Rigid) -> bool:
     relative = turns[0] @ turns[1].mT
     cosines = (np.trace(relative, axis1=1, axis2=2) - 1) / 2
     angles = np.arccos(cosines.clip(-1, 1))
-    return bool(
-        angles.max() < SAME and np.abs(rig.log_focals - other.log_focals).max() < SAME
-    )
+    return bool(angles.max() < SAME and np.abs(rig.log_focals - other.log_focals).max() < SAME)
 
 
 def _out_of_line(alone: Float64, sizes: Float64) -> int | None:
@@ -325,5 +325,5 @@ def _result(
         points.reshape(frames, keypoints, 3),
         float(np.median(noise)),
         chosen.cost,
-        costs[1] - costs[0],
+        np.asarray(costs[1] - costs[0], np.float64),
     )

@@ -168,7 +168,7 @@ def noise_of(rig: Rigid, points: Float64, seen: Seen) -> Float64:
 
 
 def _rays(rig: Rigid, images: Float64) -> Float64:
-    """Unit directions (K, 3, M) in the rig's frame; the lens is undone by fixed-point iteration."""
+    """Return unit directions (K, 3, M) in the rig's frame; the lens is undone by iteration."""
     flat = (images - rig.centres[..., None]) / np.exp(rig.log_focals)[:, None, None]
     straight = flat
     for _ in range(4):
@@ -212,7 +212,8 @@ def _lens_prior(rig: Rigid, beliefs: Beliefs) -> _Prior:
     offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, rig.radial))
     focal_sds = np.where(beliefs.focal_sds > 0, beliefs.focal_sds, 1.0)
     centres, radial = (
-        _inverse(covariance) for covariance in (beliefs.centre_covariance, beliefs.radial_covariance)
+        _inverse(covariance)
+        for covariance in (beliefs.centre_covariance, beliefs.radial_covariance)
     )
     blocks = np.stack((np.diag(1 / np.square(focal_sds)), centres, centres, radial))
     gradient = (blocks @ offsets[..., None])[..., 0].T

@@ -1,0 +1,102 @@
+"""Rigs at rest from keypoints alone, against cameras that are known exactly."""
+
+from collections.abc import Generator
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.epipolar.pairs import Beliefs
+from models.epipolar.resting_rig import RestingRig, find_resting_rig
+from tests.models.rigs import IMAGE_SIZE, Lens, RigCapture, make_rig_capture
+
+Float64 = NDArray[np.float64]
+T = TypeVar("T")
+
+SIDE = max(IMAGE_SIZE)
+UNLIKE = (Lens(focal=700), Lens(focal=1300), Lens(focal=2000))
+
+
+def finished(steps: Generator[None, None, T]) -> T:
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            value: T = stop.value
+            return value
+
+
+def found_in(capture: RigCapture) -> RestingRig | None:
+    views = len(capture.lenses)
+    centres = np.array(IMAGE_SIZE) / 2
+    radii = capture.pixels - capture.pixels.mean(2, keepdims=True)
+    sizes = np.sqrt(np.square(radii).sum(-1).mean((0, 2))) / SIDE
+    believed = Beliefs(
+        np.full(views, 1.2),
+        np.full(views, 0.5),
+        0.02**2 * np.eye(views),
+        0.2**2 + 0.05**2 * np.eye(views),
+    )
+    images = (capture.pixels - centres) / SIDE
+    return finished(find_resting_rig(images, capture.weights, believed, sizes))
+
+
+def rotation_errors(capture: RigCapture, found: RestingRig, views: list[int]) -> Float64:
+    """Degrees, of every rotation from the first of some views to another."""
+    first = views[0]
+    ours = found.rig.rotations[views[1:]] @ found.rig.rotations[first].T
+    truth = capture.rotations[0, views[1:]] @ capture.rotations[0, first].T
+    cosines = (np.trace(ours @ truth.mT, axis1=1, axis2=2) - 1) / 2
+    return np.asarray(np.degrees(np.arccos(cosines.clip(-1, 1))))
+
+
+def test_unlike_lenses_and_the_right_hand_are_found() -> None:
+    capture = make_rig_capture([0.0, 80.0, -120.0], frames=80, lenses=UNLIKE, noise=1.0)
+    found = found_in(capture)
+    assert found is not None
+    assert found.resting.all()
+    focals = SIDE * np.exp(found.rig.log_focals)
+    np.testing.assert_allclose(focals, [lens.focal for lens in UNLIKE], rtol=0.04)
+    assert rotation_errors(capture, found, [0, 1, 2]).max() < 2
+    assert found.noise * SIDE < 2
+    # Every frame speaks for the rig and against its mirror image, or nearly.
+    assert (found.mirror_costs > 0).mean() > 0.9
+
+
+def test_outliers_and_gaps_do_no_harm() -> None:
+    capture = make_rig_capture([0.0, 70.0, 150.0, -100.0], frames=60, hidden=0.3)
+    rng = np.random.default_rng(1)
+    stray = rng.random(capture.keypoints.shape[:3]) < 0.15
+    capture.keypoints[stray] += 120 * rng.standard_normal((int(stray.sum()), 2))
+    found = found_in(capture)
+    assert found is not None
+    assert found.resting.all()
+    assert rotation_errors(capture, found, [0, 1, 2, 3]).max() < 2
+    several = np.isfinite(capture.keypoints).all(-1).sum(1) >= 2
+    assert np.isfinite(found.points[several]).all()
+    assert np.isnan(found.points[~several]).all()
+
+
+def test_a_view_that_moves_does_not_spoil_the_others() -> None:
+    capture = make_rig_capture([0.0, 80.0, -120.0, 170.0], frames=60, moving=(1,))
+    found = found_in(capture)
+    assert found is not None
+    assert found.resting.tolist() == [True, False, True, True]
+    assert rotation_errors(capture, found, [0, 2, 3]).max() < 2
+    assert np.isnan(found.rig.rotations[1]).all()
+
+
+def test_nothing_rests_where_all_move() -> None:
+    capture = make_rig_capture([0.0, 80.0, -120.0], frames=60, moving=(0, 1, 2))
+    found = found_in(capture)
+    # A pair can always be made to agree halfway; three views cannot.
+    assert found is None or (found.resting.sum() == 2 and found.noise * SIDE > 5)
+
+
+def test_equal_keypoints_give_equal_rigs() -> None:
+    capture = make_rig_capture([0.0, 80.0], frames=40)
+    first, second = found_in(capture), found_in(capture)
+    assert first is not None
+    assert second is not None
+    np.testing.assert_array_equal(first.rig.rotations, second.rig.rotations)
+    np.testing.assert_array_equal(first.rig.log_focals, second.rig.log_focals)
