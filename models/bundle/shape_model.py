@@ -116,14 +116,20 @@ def learn_network_errors(
     return NetworkErrors(model.basis, model.spread, scales)
 
 
+def similarity_directions(mean: Float64) -> Float64:
+    """Orthonormal directions (3 P, 7) in which similarities move a structure (P, 3)."""
+    count = len(mean)
+    eye = np.broadcast_to(np.eye(3), (count, 3, 3))
+    rotated = np.cross(eye, mean[:, None]).mT  # (P, 3, 3) how rotations about the axes move it
+    axes = np.concatenate((eye, mean[..., None], rotated), -1).reshape(3 * count, SIMILARITY)
+    return np.asarray(np.linalg.qr(axes)[0], np.float64)
+
+
 def _components(mean: Float64, scatter: Float64, floor: float) -> ShapeModel:
     """Decompose a scatter (3 P, 3 P), less what similarities of the mean explain."""
     count = len(mean)
     kept_directions = 3 * count - SIMILARITY
-    eye = np.broadcast_to(np.eye(3), (count, 3, 3))
-    rotated = np.cross(eye, mean[:, None]).mT  # (P, 3, 3) how rotations about the axes move it
-    axes = np.concatenate((eye, mean[..., None], rotated), -1).reshape(3 * count, SIMILARITY)
-    similarity, _ = np.linalg.qr(axes)
+    similarity = similarity_directions(mean)
     keep = np.eye(3 * count) - similarity @ similarity.T
     values, vectors = np.linalg.eigh(keep @ scatter @ keep)
     values, vectors = values[::-1][:kept_directions], vectors[:, ::-1][:, :kept_directions]
