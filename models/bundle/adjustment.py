@@ -68,7 +68,6 @@ class Adjusted(NamedTuple):
 
     rig: Rig
     scene: Scene
-    information: Float64  # (F, F) inverse covariance of what is free of the shared, F of T numbers
 
 
 def move_scene(scene: Scene, points_step: Float64, rest_step: Float64) -> Scene:
@@ -130,7 +129,6 @@ def adjust(
         return float(total if bones is None else total + bones.cost(scene.points[kept]).sum())
 
     best, damping = total_cost(costs, scene, rig), FIRST_DAMPING
-    information = rig_prior.precision[np.ix_(rig_prior.free, rig_prior.free)]
     for _ in range(iterations):
         yield
         equations = normal_equations(views, rig, prior, scene, shared=True)
@@ -148,7 +146,7 @@ def adjust(
             damping *= 10
             if damping > MOST_DAMPING:
                 break
-    return Adjusted(rig, scene, information)
+    return Adjusted(rig, scene)
 
 
 def _shared_equations(

@@ -19,7 +19,7 @@ from models.bundle.bone_lengths import BoneLengths
 from models.bundle.elimination import Reduced, eliminate_frames
 from models.bundle.frame import LEAST_DAMPING
 from models.bundle.frame_equations import OUTLIER
-from models.bundle.problem import Rig, Scene, ShapePrior, Views, points_in_cameras
+from models.bundle.problem import POSE, Rig, Scene, ShapePrior, Views, points_in_cameras
 from models.bundle.scene_adjustment import normal_equations
 from models.bundle.shape_model import similarity_directions
 from models.optics.lenses.projection import project
@@ -37,6 +37,7 @@ class SharedLikelihood(NamedTuple):
     curvature: Float64  # (F, F) for the shape model and bone lengths as they are
     learnt: Float64  # (F, F) the part of it that learning these takes away
     clustered: Float64  # (F, F) covariance of the score, from its parts' own scatter
+    growth: Float64  # (G, F) of the mean log size of what each group sees
 
     @property
     def information(self) -> Float64:
@@ -74,7 +75,19 @@ def likelihood_of_shared(
     for part in parts:  # (N, P or E, F)
         flat, by_cluster = part.reshape(-1, part.shape[-1]), part.sum(0)
         clustered = clustered + by_cluster.T @ by_cluster - flat.T @ flat
-    return SharedLikelihood(scores.sum(0), curvature, learnt, clustered)
+    growth = _growth(reduced, scene)
+    return SharedLikelihood(scores.sum(0), curvature, learnt, clustered, growth)
+
+
+def _growth(reduced: Reduced, scene: Scene) -> Float64:
+    """How the mean log size (G, F) of what each group sees follows the shared numbers."""
+    centred = scene.points - scene.points.mean(1, keepdims=True)  # (N, P, 3)
+    along = centred / np.square(centred).sum((1, 2), keepdims=True)
+    structures = np.einsum("npi,npif->f", along, reduced.points_by_shared) / len(along)
+    groups = scene.sizes.shape[1]
+    sizes = reduced.rest_by_shared[:, POSE - 1 : POSE * groups : POSE].mean(0)  # (G, F)
+    growth: Float64 = structures + sizes
+    return growth
 
 
 def _learnt_shapes(reduced: Reduced, prior: ShapePrior, scene: Scene) -> Float64:

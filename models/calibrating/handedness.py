@@ -72,7 +72,7 @@ def choose_hand(
     prior = _about_structures(means)
     unsure = uncertainty(views, rig, prior, best, np.any(explained, 0))
     shapes = learn_shapes(best.points[unsure.frames], unsure.covariances, floor=LEAST_SPREAD)
-    return Solution(rig, best, prior, shapes, noise, noise, np.zeros((0, 0)))
+    return Solution(rig, best, prior, shapes, noise, noise)
 
 
 def mirrored(scene: Scene) -> Scene:

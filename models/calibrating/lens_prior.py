@@ -1,4 +1,4 @@
-"""What is believed of lenses and rig beforehand, other camera models, and how sure all is."""
+"""What is believed of lenses and rig beforehand, and other camera models."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,16 +88,6 @@ def _centre_covariance(problem: Problem, views: NDArray[np.int64]) -> Float64:
     together = sides * np.where(problem.images.told[views], 0, UNTOLD_CENTRE_SD)
     covariance: Float64 = np.outer(together, together) + np.diag((CENTRE_SD * sides) ** 2)
     return covariance
-
-
-def deviations(problem: Problem, solution: Solution) -> Float64:
-    """Return standard deviations (K, 11) from the information; 0 for what was kept."""
-    free = rig_prior(problem, solution.rig, given_poses=solution.given_poses).free
-    sds = np.zeros(len(free))
-    tolerance = len(solution.information) * np.finfo(np.float64).eps
-    inverse = np.linalg.pinv(solution.information, rcond=tolerance, hermitian=True)
-    sds[free] = np.sqrt(inverse.diagonal().clip(0))
-    return sds.reshape(-1, VIEW)
 
 
 def other_lenses(problem: Problem, solution: Solution) -> list[tuple[str, Problem, Solution]]:

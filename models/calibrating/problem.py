@@ -98,7 +98,7 @@ class Solution(NamedTuple):
     shapes: ShapeModel
     noise: float  # pixels, not below the least that is reckoned with
     measured_noise: float  # pixels
-    information: Float64  # (F, F) inverse covariance of what is free of the rig
+    with_bones: bool = False  # whether bone lengths had a say
     given_poses: GivenPoses | None = None  # what holds the extrinsics; None: nothing told does
 
     def of(self, frames: NDArray[np.int64]) -> "Solution":

@@ -5,6 +5,7 @@ Starts from the network's weak-perspective answers. Everything is one maximum-a-
 maximisation learns the noise of the keypoints and the Gaussian shape model beside it.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,10 +16,11 @@ from models.bundle.initial_poses import WeakPerspectiveScene, starting_scene
 from models.bundle.problem import POSE, VIEW, Scene
 from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
 from models.calibrating.arrangement import find_rest, worst_view
+from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.handedness import choose_hand
 from models.calibrating.image_sizes import ImageSizes, images_of
-from models.calibrating.lens_prior import deviations, other_lenses
+from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
     REST_SLACK,
     Problem,
@@ -39,7 +41,7 @@ Float64 = NDArray[np.float64]
 
 MOST_FRAMES, LEAST_FRAMES = 400, 20  # that are looked at
 OPERATIONS = 300_000_000  # in one iteration: half a second
-BETTER_LENS = 0.95  # share of the noise to which another camera model must bring it to be taken
+BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
 CLEAR_KEYPOINTS = 0.005  # noise as a share of a view's size below which bone lengths find lenses
 WRONG_POSES = 1.5  # times the noise without given poses: more, and they are wrong
 
@@ -93,7 +95,7 @@ def self_calibrate(
     best, reason = arranged.solution, arranged.reason
     for name, tried_problem, tried_start in other_lenses(problem, best):
         trial = yield from learn(tried_problem, tried_start)
-        if trial.measured_noise < BETTER_LENS * best.measured_noise:
+        if _log_posterior(tried_problem, trial) > _log_posterior(problem, best) + BETTER_LENS:
             problem, best = tried_problem, trial
             reason = f"{reason}; {name} lenses explain the keypoints better"
     if best.noise < CLEAR_KEYPOINTS * size and find_bone_lengths(best.scene.points).steady:
@@ -105,6 +107,16 @@ def self_calibrate(
         unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
         findings += contradiction
     return _result(problem, best, reason, unit, findings), best.scene
+
+
+def _log_posterior(problem: Problem, solution: Solution) -> float:
+    """Say how well lenses explain keypoints, with their prior; up to a constant.
+
+    Noise below the least that is reckoned with counts as no better: no lens model is so exact.
+    """
+    believed = rig_prior(problem, solution.rig, given_poses=solution.given_poses)
+    numbers = 2 * int((problem.weights > 0).sum())
+    return -numbers * math.log(solution.noise) - believed.cost(solution.rig) / 2
 
 
 def most_frames(views: int, keypoints: int) -> int:

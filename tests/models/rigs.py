@@ -1,5 +1,6 @@
 """A figure before perspective cameras whose lenses and poses are known."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
 
@@ -143,6 +144,43 @@ def make_rig_capture(
     keypoints += noise * rng.standard_normal(keypoints.shape)
     keypoints[rng.random(keypoints.shape[:3]) < hidden] = np.nan
     return RigCapture(keypoints, figure, rotations, translations, used)
+
+
+def draw_rig_capture(
+    lenses: Sequence[Lens],
+    *,
+    frames: int,
+    noise: float,
+    rng: np.random.Generator,
+    moving: tuple[int, ...] = (),
+) -> RigCapture:
+    """Make a capture of a figure that walks about between cameras all around.
+
+    Longer lenses stand farther away; views `moving` go round from frame to frame.
+    """
+    views = len(lenses)
+    figure = synthetic_capture(
+        frames=frames, views=1, seed=int(rng.integers(1 << 30))
+    ).points3d.astype(np.float64)
+    figure += rng.uniform(-0.6, 0.6, (frames, 1, 3)) * [1, 0.2, 1]
+    angles = 360 / views * np.arange(views) + rng.uniform(-20, 20, views)
+    rotations, translations = np.empty((frames, views, 3, 3)), np.empty((frames, views, 3))
+    for view, lens in enumerate(lenses):
+        distance = 4 * np.clip(lens.focal / 1100, 0.6, 2) * rng.uniform(0.9, 1.2)
+        turned = [rng.uniform(-180, 180, frames), rng.uniform(-35, 5, frames)]
+        if view not in moving:
+            turned = [np.full(frames, angles[view]), np.full(frames, rng.uniform(-35, 5))]
+        turns = np.stack((180 + turned[0], turned[1], np.full(frames, 180.0)), -1)
+        roll = 0.05 * rng.standard_normal((frames if view in moving else 1, 3))
+        turn = Rotation.from_rotvec(roll) * Rotation.from_euler("yxz", turns, degrees=True).inv()
+        rotations[:, view] = turn.as_matrix()
+        aside = 0.1 * rng.standard_normal((frames if view in moving else 1, 3))
+        translations[:, view] = aside + np.array([0, 0, distance])
+    camera = figure[:, None] @ rotations.mT + translations[:, :, None]
+    keypoints = np.stack([lens.project(camera[:, k]) for k, lens in enumerate(lenses)], axis=1)
+    keypoints += noise * rng.standard_normal(keypoints.shape)
+    keypoints[rng.random(keypoints.shape[:3]) < 0.05] = np.nan
+    return RigCapture(keypoints, figure, rotations, translations, tuple(lenses))
 
 
 def keypoint(name: str) -> int:

@@ -14,6 +14,7 @@ from models.bundle.problem import (
     VIEW,
 )
 from models.bundle.scene_adjustment import adjust_frames, costs_of
+from models.bundle.shared_likelihood import likelihood_of_shared
 from models.bundle.structure_covariances import structure_covariances
 from tests.models.bundle.problems import (
     COMPONENTS,
@@ -230,7 +231,7 @@ def test_a_frame_without_definite_equations_says_nothing_and_stays() -> None:
 
 def test_adjusting_frames_and_rig_together_is_where_scipy_finds_the_optimum() -> None:
     problem = make()
-    rig, scene, information = finished(
+    rig, scene = finished(
         adjust(
             problem.views,
             problem.rig,
@@ -270,5 +271,12 @@ def test_adjusting_frames_and_rig_together_is_where_scipy_finds_the_optimum() ->
     rest = slice(FRAMES * OWN, None)
     rows: Float64 = np.asarray(best.jac)
     covariance = np.linalg.pinv(rows.T @ rows, hermitian=True)[rest, rest]
-    ours = np.linalg.inv(information)
+    prior, is_free = problem.rig_prior, problem.rig_prior.free
+    found = likelihood_of_shared(problem.views, rig, problem.prior, scene, free=is_free)
+    held = prior.precision[np.ix_(is_free, is_free)]
+    ours = np.linalg.inv(found.curvature + held)
     np.testing.assert_allclose(np.diag(ours), np.diag(covariance), rtol=0.02)
+    # At the optimum the keypoints pull as hard as what was believed before.
+    pull = (prior.precision @ prior.offset(rig))[is_free]
+    sds = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(found.score * sds, pull * sds, atol=0.02)
