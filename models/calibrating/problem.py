@@ -128,10 +128,7 @@ def told_poses(calibration: Sequence[Camera | None]) -> tuple[Pose | None, ...]:
 
 def told_lenses(usual: Rig, calibration: Sequence[Camera | None]) -> tuple[Rig, Float64]:
     """Put what was told of lenses into a rig; also how surely, see `Problem.lens_sds`."""
-    given = usual.lenses
-    lenses = Lenses(
-        given.focals.copy(), given.centres.copy(), given.distortion.copy(), given.models.copy()
-    )
+    lenses = copied(usual.lenses)
     sds = np.full((len(calibration), LENS), np.inf)
     for k, camera in enumerate(calibration):
         if camera is None or camera.intrinsics is None:
@@ -145,6 +142,13 @@ def told_lenses(usual: Rig, calibration: Sequence[Camera | None]) -> tuple[Rig, 
             lenses.distortion[k, : len(told.distortion)] = told.distortion
             sds[k, RADIAL:] = 0
     return usual._replace(lenses=lenses), sds
+
+
+def copied(lenses: Lenses) -> Lenses:
+    """Return lenses that may be changed."""
+    return Lenses(
+        lenses.focals.copy(), lenses.centres.copy(), lenses.distortion.copy(), lenses.models.copy()
+    )
 
 
 def _pose_of(camera: Camera | None) -> Pose | None:

@@ -15,14 +15,14 @@ from models.bundle.bone_lengths import find_bone_lengths
 from models.bundle.initial_poses import WeakPerspectiveScene, starting_scene
 from models.bundle.problem import POSE, VIEW, Scene
 from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
-from models.calibrating.arrangement import find_rest, worst_view
+from models.calibrating.arrangement import find_rest
 from models.calibrating.deviations import deviations
+from models.calibrating.doubts import Checked, check_told
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.handedness import choose_hand
 from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
-    REST_SLACK,
     Problem,
     Solution,
     Steps,
@@ -32,7 +32,13 @@ from models.calibrating.problem import (
     usual_rig,
 )
 from models.calibrating.result import SelfCalibration
-from models.calibrating.told_cameras import given_poses, unit_by_length
+from models.calibrating.told_cameras import (
+    arrange_posed,
+    disagreements,
+    in_words,
+    poses_disagree,
+    unit_by_length,
+)
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
 from models.settings.config import FitConfig
@@ -43,13 +49,12 @@ MOST_FRAMES, LEAST_FRAMES = 400, 20  # that are looked at
 OPERATIONS = 300_000_000  # in one iteration: half a second
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
 CLEAR_KEYPOINTS = 0.005  # noise as a share of a view's size below which bone lengths find lenses
-WRONG_POSES = 1.5  # times the noise without given poses: more, and they are wrong
 
 
 class _Arranged(NamedTuple):
     """A solution with its cameras told at rest or moving."""
 
-    solution: Solution
+    checked: Checked
     reason: str
     unit: float | None = None  # of a unit of the structure in the user's, if poses were given
     findings: tuple[Finding, ...] = ()
@@ -92,7 +97,7 @@ def self_calibrate(
     problem = Problem(keypoints, weights, images, size, usual, reference, lens_sds, poses)
     start = yield from choose_hand(problem, starting_scene(answers, reference), config.handedness)
     arranged = yield from _arrange(problem, start, config)
-    best, reason = arranged.solution, arranged.reason
+    problem, best, reason = arranged.checked.problem, arranged.checked.solution, arranged.reason
     for name, tried_problem, tried_start in other_lenses(problem, best):
         trial = yield from learn(tried_problem, tried_start)
         if _log_posterior(tried_problem, trial) > _log_posterior(problem, best) + BETTER_LENS:
@@ -149,25 +154,21 @@ def _result(
 
 
 def _arrange(problem: Problem, start: Solution, config: FitConfig) -> Steps[_Arranged]:
-    """Try moving cameras, then given poses, then what rests."""
+    """Try moving cameras, then given poses, then what rests; what was told is held against it."""
     moving = yield from learn(problem, start)
     findings: tuple[Finding, ...] = ()
     if len(problem.posed) > 1:
-        posed_start, unit = given_poses(problem, moving)
-        posed = yield from learn(problem, posed_start)
-        if posed.noise <= WRONG_POSES * moving.noise + REST_SLACK * problem.side:
-            return _Arranged(posed, "the poses of the cameras were given", unit)
-        worst = worst_view(problem, moving, posed, problem.posed)
-        findings = (
-            Finding.of(
-                "calibration_disagrees",
-                views=[worst],
-                noise_as_told=posed.measured_noise,
-                noise=moving.measured_noise,
-            ),
-        )
+        posed = yield from arrange_posed(problem, moving)
+        if posed.fits:
+            findings = disagreements(problem, posed.told, posed.checked, posed.unit)
+            reason = "the poses of the cameras were given" + in_words(findings)
+            return _Arranged(posed.checked, reason, posed.unit, findings)
+        findings = poses_disagree(problem, posed.told, moving)
     if config.cameras == "moving":
-        return _Arranged(moving, "the cameras were declared moving", findings=findings)
-    declared = config.cameras == "static"
-    solution, reason = yield from find_rest(problem, moving, declared=declared)
-    return _Arranged(solution, reason, findings=findings)
+        solution, reason = moving, "the cameras were declared moving"
+    else:
+        declared = config.cameras == "static"
+        solution, reason = yield from find_rest(problem, moving, declared=declared)
+    checked = yield from check_told(problem, solution)
+    findings += disagreements(problem, solution, checked)
+    return _Arranged(checked, reason + in_words(findings), findings=findings)

@@ -1,13 +1,27 @@
-"""What the user told of the cameras, held against the keypoints."""
+"""What the user told of the cameras: given poses, a known length, and what came of all of it."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.initial_poses import gather
 from models.bundle.problem import EXTRINSICS, Scene, make_rig
-from models.calibrating.problem import GivenPoses, Problem, Solution, grouped
+from models.calibrating.doubts import (
+    GROSS,
+    Checked,
+    check_told,
+)
+from models.calibrating.expectation_maximisation import learn
+from models.calibrating.problem import (
+    REST_SLACK,
+    GivenPoses,
+    Problem,
+    Solution,
+    Steps,
+    grouped,
+)
 from models.findings.finding import Finding
 from models.numerics.medians import lower_median
 from models.settings.calibration import KnownLength
@@ -15,6 +29,27 @@ from models.settings.calibration import KnownLength
 Float64 = NDArray[np.float64]
 
 MISFIT = 0.05  # of the log of a length: two statements that differ by more contradict each other
+WRONG_POSES = 2.5  # times the noise of moving cameras: given poses that leave more are wrong
+
+
+class Posed(NamedTuple):
+    """Cameras where they were said to be, as far as the keypoints bear that out."""
+
+    told: Solution  # everything as it was told
+    checked: Checked
+    unit: float  # of a unit of the structure in the user's
+    fits: bool  # whether two told poses or more do
+
+
+def arrange_posed(problem: Problem, moving: Solution) -> Steps[Posed]:
+    """Put views where they were said to be, and refine or refuse what is off of single views."""
+    start, unit = given_poses(problem, moving)
+    posed = yield from learn(problem, start)
+    checked = yield from check_told(problem, posed)
+    given, solution = checked.solution.given_poses, checked.solution
+    bound = WRONG_POSES * moving.noise + REST_SLACK * problem.side
+    fits = given is not None and given.held.sum() > 1 and solution.noise <= bound
+    return Posed(posed, checked, unit, bool(fits))
 
 
 def given_poses(problem: Problem, moving: Solution) -> tuple[Solution, float]:
@@ -41,6 +76,81 @@ def given_poses(problem: Problem, moving: Solution) -> tuple[Solution, float]:
         given_poses=GivenPoses(rig.rotations, rig.translations, sds),
     )
     return start, unit
+
+
+def disagreements(
+    problem: Problem, told: Solution, checked: Checked, unit: float = 1.0
+) -> tuple[Finding, ...]:
+    """Return a finding for every view of which something told was refined or refused.
+
+    `told` solves the `problem` with everything as it was told. Shifts are in the user's unit, of
+    which a unit of the structure is `unit`.
+    """
+    found = checked.solution
+    evidence: dict[int, dict[str, float]] = {}
+    for doubt in checked.doubts:
+        for view in doubt.views:
+            off = _lens_off if doubt.part == "lens" else _pose_off
+            numbers = evidence.setdefault(view, {"refused": 0.0})
+            numbers |= off(problem, told, found, view, unit)
+            numbers["refused"] = max(numbers["refused"], float(doubt.off > GROSS))
+    return tuple(
+        _disagrees([view], told, found, numbers) for view, numbers in sorted(evidence.items())
+    )
+
+
+def poses_disagree(problem: Problem, told: Solution, without: Solution) -> tuple[Finding, ...]:
+    """Return the finding that no two given poses fit each other: which are right is unknown."""
+    return (_disagrees(problem.posed, told, without, {"refused": 1.0}),)
+
+
+def _disagrees(
+    views: list[int], told: Solution, without: Solution, numbers: dict[str, float]
+) -> Finding:
+    noises = {"noise_as_told": told.measured_noise, "noise": without.measured_noise}
+    finding = Finding.of("calibration_disagrees", views=views)
+    return finding.model_copy(update={"evidence": noises | numbers})
+
+
+def in_words(findings: tuple[Finding, ...]) -> str:
+    """Say which views' calibrations were refined or refused, to go on a reason."""
+    words = ""
+    for refused, verb in ((0.0, "refined"), (1.0, "refused")):
+        views = [
+            view
+            for finding in findings
+            if finding.evidence.get("refused") == refused
+            for view in finding.views
+        ]
+        if views:
+            words += f"; the calibration of views {views} was {verb}"
+    return words
+
+
+def _lens_off(
+    problem: Problem, _told: Solution, found: Solution, view: int, _unit: float
+) -> dict[str, float]:
+    given, ours = problem.reference.lenses, found.rig.lenses
+    return {
+        "focal_ratio": float((ours.focals[view] / given.focals[view]).mean()),
+        "centre_px": float(np.linalg.norm(ours.centres[view] - given.centres[view])),
+    }
+
+
+def _pose_off(
+    _problem: Problem, told: Solution, found: Solution, view: int, unit: float
+) -> dict[str, float]:
+    turn = found.rig.rotations[view] @ told.rig.rotations[view].T
+    shift = found.rig.translations[view] - told.rig.translations[view]
+    return {
+        "degrees": math.degrees(turned_by(turn)),
+        "shift": unit * float(np.linalg.norm(shift)),
+    }
+
+
+def turned_by(rotation: Float64) -> float:
+    """Angle of a rotation (3, 3), radians."""
+    return math.acos(min(1.0, max(-1.0, (float(rotation.trace()) - 1) / 2)))
 
 
 def unit_by_length(

@@ -126,8 +126,10 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "calibration_disagrees": Entry(
         "warning",
-        "The calibration of this view does not explain its keypoints.",
-        "Calibrate this camera anew, or leave its calibration out: it is found from the keypoints.",
+        "The calibration of this view does not explain its keypoints: it was refined where it is"
+        " slightly off (`refused` 0), and found anew where it is far off (`refused` 1).",
+        "Look at whether the camera was moved, zoomed, exchanged or calibrated at another image"
+        " size; calibrate it anew, or leave its calibration out.",
     ),
     "known_length_disagrees": Entry(
         "warning",

@@ -1,0 +1,300 @@
+"""Whether the keypoints bear out what was told of lenses and poses, view by view.
+
+At the solution in which all told numbers are kept, one linearisation says how much better the
+keypoints would be explained if one view's lens or pose were free (a score test; Cox & Hinkley,
+*Theoretical Statistics*, sec. 9.3), and where it would go. So nothing is learnt anew unless
+something told is doubtful, and a view that is off is told from its neighbours, which suffer too.
+"""
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.frame_equations import OUTLIER
+from models.bundle.problem import (
+    CENTRE_X,
+    CENTRE_Y,
+    FOCAL,
+    LENS,
+    RADIAL,
+    VIEW,
+    points_in_cameras,
+)
+from models.bundle.shared_likelihood import likelihood_of_shared
+from models.calibrating.expectation_maximisation import learn
+from models.calibrating.lens_prior import PINHOLE, rig_prior
+from models.calibrating.problem import Problem, Solution, Steps, copied, reprojection_distances
+from models.numerics.medians import lower_median
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+Part = Literal["lens", "pose"]
+
+# How far calibrations are off that nothing happened to; also the standard deviations of the prior
+# about what is refined. Focal lengths as a share of themselves, principal points of the image's
+# side, radial coefficients as they are, rotations in degrees, translations as a share of the
+# distance of the subject.
+USUAL_FOCAL_ERROR, USUAL_CENTRE_ERROR, USUAL_RADIAL_ERROR = 0.02, 0.01, 0.1
+USUAL_TURN, USUAL_SHIFT = 0.6, 0.02
+# What is off by more than so many times of that is refused; below, it is refined.
+GROSS = 4.0
+# A view's noise with what was told, over its noise without: from here on it is doubtful, if it is
+# off by more than usual, and if it is grossly off.
+DOUBTFUL, DOUBTFUL_IF_GROSS = 2.5, 1.3
+MOST_OF_TOTAL = 0.9999  # share of the residuals that a linearisation can promise to take away
+TOGETHER = 2.0  # times the gain of one view: what frees all lenses at once must promise
+AS_GOOD = 0.9  # share of the best gain from which two explanations of a view are equally good
+KEPT_IF = 0.98  # share of the noise to which freeing something must really bring it
+MOST_DOUBTS = 12  # that are settled one after the other
+RIDGE = 1e-9  # share of the diagonal, where nothing tells a number
+
+
+class Doubt(NamedTuple):
+    """Something that was told and that the keypoints contradict."""
+
+    views: tuple[int, ...]
+    part: Part
+    gain: float  # of the robust squared residuals in variances, if it were free
+    ratio: float  # the view's noise with what was told, over its noise without, as predicted
+    off: float  # how far off it is, in usual errors of calibrations, as predicted
+
+
+class Checked(NamedTuple):
+    """A solution, and what of the told things it does without."""
+
+    problem: Problem
+    solution: Solution
+    doubts: tuple[Doubt, ...]
+
+
+class Candidate(NamedTuple):
+    """Something that was told and might be wrong."""
+
+    views: tuple[int, ...]
+    part: Part
+    numbers: Bool  # (K, VIEW) that would be free
+
+
+def check_told(problem: Problem, solution: Solution) -> Steps[Checked]:
+    """Refine or refuse, one by one, what was told and is contradicted; most often nothing is.
+
+    Ends when fewer than two told poses are left: which of them is wrong cannot be known then.
+    """
+    found: list[Doubt] = []
+    settled: set[tuple[int, Part]] = set()
+    for _ in range(MOST_DOUBTS):
+        doubt = _worst_doubt(problem, solution, settled)
+        if doubt is None:
+            break
+        freed, start = _without(problem, solution, doubt)
+        trial = yield from learn(freed, start)
+        if trial.measured_noise > KEPT_IF * solution.measured_noise:
+            break
+        problem, solution = freed, trial
+        found.append(doubt)
+        settled |= {(view, doubt.part) for view in doubt.views}
+        if solution.given_poses is not None and solution.given_poses.held.sum() < 2:
+            break
+    return Checked(problem, solution, tuple(found))
+
+
+def _worst_doubt(
+    problem: Problem, solution: Solution, settled: set[tuple[int, Part]]
+) -> Doubt | None:
+    """Return what explains most if it is freed, if anything is doubtful."""
+    candidates = [
+        candidate
+        for candidate in _candidates(problem, solution)
+        if not any((view, candidate.part) in settled for view in candidate.views)
+    ]
+    if not candidates:
+        return None
+    scored = _scored(problem, solution, candidates)
+    doubts = [doubt for doubt in _nearest_of_each_view(scored) if _is_doubtful(doubt)]
+    best = max(doubts, key=lambda doubt: doubt.gain, default=None)
+    together = [doubt for doubt in scored if len(doubt.views) > 1 and _is_doubtful(doubt)]
+    if together and (best is None or together[0].gain > TOGETHER * best.gain):
+        return together[0]
+    return best
+
+
+def _nearest_of_each_view(scored: list[Doubt]) -> list[Doubt]:
+    """Return a doubt for every view: of what explains it about equally well, the least change.
+
+    A camera that was turned and a principal point that is off look nearly alike, as do a focal
+    length and a distance.
+    """
+    doubts = []
+    for view in {doubt.views[0] for doubt in scored}:
+        ours = [doubt for doubt in scored if doubt.views == (view,)]
+        best = max((doubt.gain for doubt in ours), default=0.0)
+        near = [doubt for doubt in ours if doubt.gain >= AS_GOOD * best]
+        doubts += [min(near, key=lambda doubt: doubt.off)] if near else []
+    return doubts
+
+
+def _is_doubtful(doubt: Doubt) -> bool:
+    if doubt.off < 1:
+        return False
+    return doubt.ratio > (DOUBTFUL_IF_GROSS if doubt.off > GROSS else DOUBTFUL)
+
+
+def _candidates(problem: Problem, solution: Solution) -> list[Candidate]:
+    """Every view's lens and pose that was told, and all lenses together."""
+    views = len(problem.poses)
+    resting = solution.rig.resting
+    lenses, candidates = [], []
+    for k in range(views):
+        numbers = np.zeros((views, VIEW), bool)
+        numbers[k, :LENS] = np.isfinite(problem.lens_sds[k])
+        if not resting[k]:  # its principal point and its direction are nearly one
+            numbers[k, CENTRE_X : CENTRE_Y + 1] = False
+        if numbers.any():
+            lenses.append(Candidate((k,), "lens", numbers))
+    candidates += lenses
+    if len(lenses) > 1:
+        every = np.any([candidate.numbers for candidate in lenses], 0)
+        candidates.append(Candidate(tuple(c.views[0] for c in lenses), "lens", every))
+    given = solution.given_poses
+    if given is not None and given.held.sum() > 1:
+        for k in np.flatnonzero(given.held).tolist():
+            numbers = np.zeros((views, VIEW), bool)
+            numbers[k, LENS:] = True
+            candidates.append(Candidate((k,), "pose", numbers))
+    return candidates
+
+
+def _scored(problem: Problem, solution: Solution, candidates: list[Candidate]) -> list[Doubt]:
+    """Say of every candidate what freeing it would gain, and how far its numbers would go."""
+    views = len(problem.poses)
+    prior = rig_prior(problem, solution.rig, given_poses=solution.given_poses)
+    wanted = prior.free | np.any([candidate.numbers.ravel() for candidate in candidates], 0)
+    index = np.flatnonzero(wanted)
+    likelihood = likelihood_of_shared(
+        problem.views(solution.noise),
+        solution.rig,
+        solution.prior,
+        solution.scene,
+        free=wanted,
+        by_keypoint=False,
+    )
+    information = likelihood.curvature + prior.precision[np.ix_(index, index)]
+    right = likelihood.score - (prior.precision @ prior.offset(solution.rig))[index]
+
+    def best_step(free: Bool) -> tuple[float, Float64]:
+        """Twice the gain in log likelihood, and the step (K, VIEW), if these (T,) are free."""
+        these = free[index]
+        matrix = information[np.ix_(these, these)]
+        matrix = matrix + np.diag(RIDGE * matrix.diagonal())
+        step = np.zeros(len(free))
+        step[index[these]] = np.linalg.solve(matrix, right[these])
+        return float(step[index] @ right), step.reshape(views, VIEW)
+
+    already = best_step(prior.free)[0] if prior.free.any() else 0.0
+    total = _robust_total(problem, solution)
+    distances = distances_of_subject(problem, solution)
+    doubts = []
+    for candidate in candidates:
+        gain, step = best_step(prior.free | candidate.numbers.ravel())
+        gain = min(max(gain - already, 0.0), MOST_OF_TOTAL * total)
+        ratio = math.sqrt(1 + views / len(candidate.views) * gain / (total - gain))
+        far = [
+            how_far(problem, k, np.where(candidate.numbers[k], step[k], 0), distances[k])
+            for k in candidate.views
+        ]
+        doubts.append(Doubt(candidate.views, candidate.part, gain, ratio, min(far)))
+    return doubts
+
+
+def how_far(problem: Problem, view: int, step: Float64, distance: float) -> float:
+    """Return the size of a step (VIEW,) of one view's numbers, in usual errors of calibrations."""
+    side = float(problem.images.sizes[view].max())
+    errors = usual_errors(side, distance)
+    parts = (
+        step[[FOCAL]],
+        step[CENTRE_X : CENTRE_Y + 1],
+        step[[RADIAL]],
+        step[LENS : LENS + 3],
+        step[LENS + 3 :],
+    )
+    starts = (FOCAL, CENTRE_X, RADIAL, LENS, LENS + 3)
+    ratios = [np.linalg.norm(part) / errors[at] for part, at in zip(parts, starts, strict=True)]
+    return float(max(ratios))
+
+
+def usual_errors(side: float, distance: float) -> Float64:
+    """Return usual errors (VIEW,) of a view's numbers, for an image's side and a distance."""
+    errors = np.empty(VIEW)
+    errors[FOCAL] = USUAL_FOCAL_ERROR
+    errors[[CENTRE_X, CENTRE_Y]] = USUAL_CENTRE_ERROR * side
+    errors[RADIAL:LENS] = USUAL_RADIAL_ERROR
+    errors[LENS : LENS + 3] = math.radians(USUAL_TURN)
+    errors[LENS + 3 :] = USUAL_SHIFT * distance
+    return errors
+
+
+def distances_of_subject(problem: Problem, solution: Solution) -> Float64:
+    """Median distance (K,) of the subject from each camera, units of the structure."""
+    centres = points_in_cameras(solution.scene, solution.rig).mean(2)  # (N, K, 3)
+    distances = np.linalg.norm(centres, axis=-1)
+    seen = problem.weights.sum(-1) > 0
+    return np.array(
+        [
+            float(lower_median(column[there])) if there.any() else 1.0
+            for column, there in zip(distances.T, seen.T, strict=True)
+        ]
+    )
+
+
+def _robust_total(problem: Problem, solution: Solution) -> float:
+    """Return the sum of the squared residuals in variances of the noise, with Huber's tails."""
+    distances = reprojection_distances(problem, solution.rig, solution.scene)
+    squared = problem.weights * np.square(distances / solution.noise)
+    robust = np.where(squared > OUTLIER**2, 2 * OUTLIER * np.sqrt(squared) - OUTLIER**2, squared)
+    return max(float(robust.sum()), 1e-9)
+
+
+def _without(problem: Problem, solution: Solution, doubt: Doubt) -> tuple[Problem, Solution]:
+    """Return problem and start with something told refined, or refused if it is grossly off."""
+    gross = doubt.off > GROSS
+    distances = distances_of_subject(problem, solution)
+    for view in doubt.views:
+        side = float(problem.images.sizes[view].max())
+        errors = usual_errors(side, float(distances[view]))
+        if doubt.part == "pose":
+            solution = _with_pose_sds(solution, view, np.inf if gross else errors[LENS:])
+        elif gross:
+            problem, solution = _refuse_lens(problem, solution, view)
+        else:
+            told = np.isfinite(problem.lens_sds[view])
+            sds = problem.lens_sds.copy()
+            sds[view, told] = errors[:LENS][told]
+            problem = problem._replace(lens_sds=sds)
+    return problem, solution
+
+
+def _with_pose_sds(solution: Solution, view: int, sds: Float64 | float) -> Solution:
+    given = solution.given_poses
+    if given is None:
+        return solution
+    changed = given.sds.copy()
+    changed[view] = sds
+    return solution._replace(given_poses=given._replace(sds=changed))
+
+
+def _refuse_lens(problem: Problem, solution: Solution, view: int) -> tuple[Problem, Solution]:
+    """Look for a view's lens as though it had not been told; the told focal length is a start."""
+    usual, told, ours = problem.usual.lenses, problem.reference.lenses, solution.rig.lenses
+    reference, start = copied(told), copied(ours)
+    sds = problem.lens_sds.copy()
+    sds[view] = np.inf
+    for lenses in (reference, start):
+        lenses.distortion[view] = 0
+        lenses.models[view] = PINHOLE
+    reference.focals[view], reference.centres[view] = usual.focals[view], usual.centres[view]
+    return (
+        problem._replace(reference=problem.reference._replace(lenses=reference), lens_sds=sds),
+        solution._replace(rig=solution.rig._replace(lenses=start)),
+    )
