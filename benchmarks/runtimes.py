@@ -37,7 +37,7 @@ from benchmarks.arithmetic import NUMPY, TORCH, Constants, feed_forward, fold
 from benchmarks.captures import add_options, from_options, model_from_options
 from benchmarks.figures import Results, Row, command, console, spread, take_turns
 from models.capture.observations import Observations, as_observations
-from models.network.answers import make_answers
+from models.network.answers import make_answers, nothing_unusual
 from models.network.feed_forward import feed_forward as run_compiled
 from models.network.priors.hierarchical import HierarchicalPrior
 from models.network.settling import SETTLE_NONE
@@ -298,7 +298,7 @@ def in_numba(model: Model) -> Lifts:
             usable=np.ones(pairs, np.bool_),
         )
         answers = make_answers(frames, views, count)
-        run_compiled(network, seen, 0.0, SETTLE_NONE, 0, frames, answers)
+        run_compiled(network, seen, 0.0, SETTLE_NONE, nothing_unusual(), 0, frames, answers)
         return answers.points3d
 
     return lift

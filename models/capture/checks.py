@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from models.capture.extents import Extents, extents
-from models.capture.frozen import frozen_keypoints
+from models.capture.frozen import Place, frozen_places
 from models.findings.finding import Finding
 
 Float32 = NDArray[np.float32]
@@ -66,6 +66,7 @@ def capture_findings(
     confidence: ArrayLike | None = None,
     image_sizes: ImageSizes | None = None,
     *,
+    places: Sequence[Place] | None = None,
     numbers: NDArray[np.int64] | None = None,
     frames: int | None = None,
 ) -> tuple[Finding, ...]:
@@ -77,13 +78,17 @@ def capture_findings(
         As `models.settings.keypoints` checks them: NaN, or confidence 0, where not observed.
     image_sizes
         (width, height) in pixels of each view, None where unknown.
+    places
+        What `frozen_places` gives, if that is known already.
     numbers, frames
         Of a sample: which frames of the capture these are, and how many that has.
     """
     pixels = np.asarray(keypoints, np.float32)
     seen = observed(pixels, confidence)
     numbers = np.arange(len(pixels)) if numbers is None else numbers
-    frozen = frozen_keypoints(pixels, seen)
+    frozen = np.zeros(seen.shape, np.bool_)
+    for place in frozen_places(pixels, seen) if places is None else places:
+        frozen[place.frames, place.k, place.p] = True
     stuck = list(_frozen(pixels, seen, frozen, numbers))
     seen = seen & ~frozen  # which are no detections
     capture = _Capture(pixels, seen, extents(pixels, seen), numbers)

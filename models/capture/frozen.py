@@ -9,7 +9,7 @@ which the keypoint moves, or the subject, which goes away from it.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 LEAST_REPEATS = 10  # frames; in real detections five that agree to the last digit were never seen
+MOST_FROZEN = 1000  # places in a capture
 MOST_PLACES = 10  # where one keypoint of a view is looked for, the most repeated first
 LEAST_DIFFERENT = 0.25  # of a keypoint's places: a foot that is planted, again and again, has fewer
 STEPS = 3  # of the grid that coordinates were rounded to, that a keypoint moves by at least
@@ -33,7 +34,7 @@ SHARED_AWAY = 2.0  # at the same pixel of several views: only what all views are
 GOES_AWAY = 4.0  # a foot that is planted sees the body pass by two and a half
 
 
-class _Place(NamedTuple):
+class Place(NamedTuple):
     """A pixel where keypoint p of view k is again and again."""
 
     k: int
@@ -42,8 +43,8 @@ class _Place(NamedTuple):
     frames: NDArray[np.int64]
 
 
-def frozen_keypoints(pixels: Float32, seen: Bool) -> Bool:
-    """Return which keypoints (N, K, P) are repeated where they cannot rest.
+def frozen_places(pixels: Float32, seen: Bool) -> list[Place]:
+    """Return the places that keypoints come back to where they cannot rest.
 
     Parameters
     ----------
@@ -51,10 +52,9 @@ def frozen_keypoints(pixels: Float32, seen: Bool) -> Bool:
         (N, K, P, 2), and (N, K, P) whether each was observed. The order of the frames is nothing
         to the answer.
     """
-    frozen = np.zeros(seen.shape, np.bool_)
     places = list(_repeated_places(pixels, seen))
     if not places:
-        return frozen
+        return []
     shown = np.where(seen[..., None], pixels, np.float32(np.nan))
     steps = np.array([_step(shown[:, k]) for k in range(shown.shape[1])])  # (K,)
     there = extents(pixels, seen)
@@ -66,10 +66,28 @@ def frozen_keypoints(pixels: Float32, seen: Bool) -> Bool:
         if _moves_elsewhere(place, shown, there, steps)
         or _is_left_alone(place, shown, there, shared=shared[place.p, place.pixel] > 1)
     }
-    for place in suspect:  # what stands for "not found" does so in every view
-        if place.pixel in wrong:
-            frozen[place.frames, place.k, place.p] = True
-    return frozen
+    # What stands for "not found" does so in every view.
+    found = [place for place in suspect if place.pixel in wrong]
+    return sorted(found, key=lambda place: -len(place.frames))[:MOST_FROZEN]
+
+
+def at_places(pixels: Float32, places: Float32, views: Sequence[int]) -> Bool:
+    """Return which keypoints (N, K, P) of frames (N, K, P, 2) lie exactly at places of their own.
+
+    Parameters
+    ----------
+    places
+        (M, 4) rows of view, keypoint, x, y.
+    views
+        Which view each of the K is, as the places count them.
+    """
+    there = np.zeros(pixels.shape[:3], np.bool_)
+    index = {view: k for k, view in enumerate(views)}
+    for view, p, x, y in places.tolist():
+        k = index.get(int(view))
+        if k is not None:
+            there[:, k, int(p)] |= (pixels[:, k, int(p)] == np.array((x, y), np.float32)).all(-1)
+    return there
 
 
 def _step(shown: Float32) -> float:
@@ -79,13 +97,13 @@ def _step(shown: Float32) -> float:
     return float(np.median(np.diff(values))) if len(values) > 1 else 0.0
 
 
-def _is_by_chance(place: _Place, shown: Float32, steps: Float64) -> bool:
+def _is_by_chance(place: Place, shown: Float32, steps: Float64) -> bool:
     """Whether the keypoint is as often in the eight places about this one on the grid."""
     apart = np.abs(shown[:, place.k, place.p] - np.array(place.pixel, np.float32)).max(-1)
     return int((apart < 1.5 * steps[place.k]).sum()) > 2 * len(place.frames)
 
 
-def _repeated_places(pixels: Float32, seen: Bool) -> Iterator[_Place]:
+def _repeated_places(pixels: Float32, seen: Bool) -> Iterator[Place]:
     """Yield places to which a keypoint of a view comes back exactly, at least so many times."""
     if len(pixels) < LEAST_REPEATS:
         return
@@ -100,10 +118,10 @@ def _repeated_places(pixels: Float32, seen: Bool) -> Iterator[_Place]:
             if counts[index] >= LEAST_REPEATS:
                 frames = there[keys[there, k, p] == places[index]]
                 x, y = pixels[frames[0], k, p].tolist()
-                yield _Place(k, p, (x, y), frames)
+                yield Place(k, p, (x, y), frames)
 
 
-def _moves_elsewhere(place: _Place, shown: Float32, there: Extents, steps: Float64) -> bool:
+def _moves_elsewhere(place: Place, shown: Float32, there: Extents, steps: Float64) -> bool:
     """Whether another view shows the keypoint moving in frames in which this one repeats it."""
     others = shown[place.frames, :, place.p]  # (F, K, 2)
     for k in range(others.shape[1]):
@@ -118,7 +136,7 @@ def _moves_elsewhere(place: _Place, shown: Float32, there: Extents, steps: Float
     return False
 
 
-def _is_left_alone(place: _Place, shown: Float32, there: Extents, *, shared: bool) -> bool:
+def _is_left_alone(place: Place, shown: Float32, there: Extents, *, shared: bool) -> bool:
     """Whether the subject is far from the place, or goes away from it, in the view itself."""
     n, k = place.frames, place.k
     offsets = (shown[n, k, place.p] - there.middles[n, k]) / there.usual_radii[k]  # (F, 2)

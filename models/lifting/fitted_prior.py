@@ -13,6 +13,7 @@ from models.capture.observations import Observations, as_observations
 from models.findings.finding import Finding
 from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.lifting.explanations import Refiner
+from models.lifting.fitted_capture import FittedCapture, whole_capture
 from models.lifting.frame_refinement import make_refiner, refine_frames
 from models.lifting.lift import Lift
 from models.network.answers import Answers, make_answers
@@ -31,7 +32,12 @@ from models.numerics.tensor_files import (
 )
 from models.numerics.threads import in_slices
 from models.settings.config import FitConfig, Refine
-from models.settings.keypoints import MAX_KEYPOINTS, MIN_KEYPOINTS
+from models.settings.keypoints import (
+    MAX_KEYPOINTS,
+    MIN_KEYPOINTS,
+    check_confidence,
+    check_keypoints,
+)
 
 DENOISER, CAMERAS = "denoiser.", "cameras."  # before the names of their arrays in a file
 LIFTED_FRAMES, REFINED_FRAMES = 64, 16  # that a thread takes at a time
@@ -49,6 +55,7 @@ class FittedPrior:
         foreshortening: float,
         self_calibration: SelfCalibration | None = None,
         denoiser: Denoiser | None = None,
+        capture: FittedCapture | None = None,
     ) -> None:
         self.config = config
         self._denoiser = denoiser
@@ -59,6 +66,19 @@ class FittedPrior:
         self._arrays = arrays
         self._network = lay_out(config, arrays)
         self._refiners: dict[int | tuple[int, ...], Refiner] = {}
+        self.capture = whole_capture(self._network.keypoints) if capture is None else capture
+
+    def of_capture(self, config: FitConfig, capture: FittedCapture) -> "FittedPrior":
+        """Return the same prior for frames such as the capture's, of which it has the known."""
+        return FittedPrior(
+            config,
+            self._arrays,
+            self.curve,
+            self.foreshortening,
+            self._self_calibration,
+            self._denoiser,
+            capture,
+        )
 
     @property
     def noise(self) -> float:
@@ -67,8 +87,9 @@ class FittedPrior:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was noticed of the cameras; none if no cameras were found."""
-        return () if self._self_calibration is None else self._self_calibration.findings
+        """What was noticed of the keypoints alone and, if they were found, of the cameras."""
+        found = self._self_calibration
+        return (*self.capture.findings, *(() if found is None else found.findings))
 
     @property
     def weights(self) -> Arrays:
@@ -77,8 +98,8 @@ class FittedPrior:
 
     @property
     def keypoints_per_frame(self) -> int:
-        """The number of keypoints P that every frame must have."""
-        return self._network.keypoints
+        """The number of keypoints P that every frame must have, known or not."""
+        return len(self.capture.known)
 
     def lift(
         self,
@@ -92,7 +113,8 @@ class FittedPrior:
         """Lift frames (N, K, P, 2) in pixels, with any number of views K and any gaps.
 
         Every frame is lifted on its own: neither its neighbours nor the order of the frames
-        changes its answer. Structures have the handedness that the fit settled on.
+        changes its answer. Structures have the handedness that the fit settled on. Keypoints that
+        no view of the fit showed are NaN, whatever these frames show of them.
 
         Parameters
         ----------
@@ -116,42 +138,68 @@ class FittedPrior:
             `previous` is of other frames or views, or `views` does not name K different views of
             the fit.
         """
-        observations = as_observations(keypoints, confidence)
-        self._check_frames(observations, previous)
+        observations = self._observe(keypoints, confidence, views)
         frames, count, points, _ = observations.keypoints.shape
         views_of_fit = self._views_of_fit(views, count)
+        if previous is not None and previous.scales.shape != (frames, count):
+            raise ValueError(
+                f"previous must have the shape of the keypoints, {frames} frames of {count} views,"
+                f" got {previous.scales.shape}"
+            )
         if self._denoiser is not None and views_of_fit is not None:
             observations = self._denoiser.denoise(observations, views_of_fit)
         mode = self.config.refine if refine is None else refine
         refiner = None if mode == "off" else self._refiner_of(views_of_fit, count)
         answers = make_answers(frames, count, points)
-        before = make_answers(0, count, points) if previous is None else Answers(*previous)
+        before = make_answers(0, count, points)
+        if previous is not None:
+            before = Answers(*previous.of_keypoints(self.capture.known))
         found = self._self_calibration
         policy = SETTLE_ALL if found is None else found.settling
 
         def lift_part(part: slice) -> None:
             here = part.start, part.stop
-            feed_forward(self._network, observations, self.foreshortening, policy, *here, answers)
+            feed_forward(
+                self._network,
+                observations,
+                self.foreshortening,
+                policy,
+                self.capture.usual,
+                *here,
+                answers,
+            )
             if refiner is not None:
                 refine_frames(refiner, observations, before, mode == "full", *here, answers)
 
         size = LIFTED_FRAMES if refiner is None else REFINED_FRAMES
         in_slices(frames, size, lift_part)
-        return Lift(*answers)
+        return Lift(*answers).among(self.capture.known)
 
-    def _check_frames(self, observations: Observations, previous: Lift | None) -> None:
-        """Raise ValueError unless frames and the answers before them suit this prior."""
-        frames, views, keypoints, _ = observations.keypoints.shape
-        if keypoints != self.keypoints_per_frame:
+    def _observe(
+        self,
+        keypoints: ArrayLike,
+        confidence: ArrayLike | None,
+        views: Sequence[int] | None,
+    ) -> Observations:
+        """Return the observations of the keypoints that this prior has.
+
+        Raises ValueError unless the frames suit it.
+        """
+        if self.capture.whole:
+            observations = as_observations(keypoints, confidence)
+            self._check_count(observations.weights.shape[2])
+            return observations
+        pixels, weights = check_keypoints(keypoints), None
+        self._check_count(pixels.shape[2])
+        if confidence is not None:
+            weights = check_confidence(confidence, expected=pixels.shape[:3])
+        return as_observations(*self.capture.observations(pixels, weights, views))
+
+    def _check_count(self, came: int) -> None:
+        if came != self.keypoints_per_frame:
             raise ValueError(
                 f"this prior was fitted to {self.keypoints_per_frame} keypoints per view,"
-                f" got {keypoints}; give them in the order of the fit, NaN for what was not"
-                " observed"
-            )
-        if previous is not None and previous.scales.shape != (frames, views):
-            raise ValueError(
-                f"previous must have the shape of the keypoints, {frames} frames of {views} views,"
-                f" got {previous.scales.shape}"
+                f" got {came}; give them in the order of the fit, NaN for what was not observed"
             )
 
     def _refiner_of(self, views: Sequence[int] | None, count: int) -> Refiner | None:
@@ -195,7 +243,8 @@ class FittedPrior:
         """Return the prior as safetensors bytes, its configuration in the header."""
         about = {
             "config": self.config.model_dump_json(),
-            "keypoints": str(self.keypoints_per_frame),
+            "keypoints": str(self._network.keypoints),
+            **self.capture.to_header(),
         }
         arrays = {
             **self._arrays,
@@ -228,6 +277,7 @@ class FittedPrior:
             raise WeightsError("the header holds no valid configuration") from error
         if not MIN_KEYPOINTS <= keypoints <= MAX_KEYPOINTS:
             raise WeightsError(f"the header says {keypoints} keypoints per frame")
+        capture = FittedCapture.from_header(about, keypoints)
         weights = parameter_shapes(config, keypoints)
         shapes: Shapes = {**weights, "curve": (None, 3), "foreshortening": (1,)}
         if "cameras" in about:
@@ -247,4 +297,5 @@ class FittedPrior:
             arrays["foreshortening"].item(),
             found,
             denoiser,
+            capture,
         )

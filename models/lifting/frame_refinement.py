@@ -24,7 +24,7 @@ from models.lifting.explanations import (
     previous_start_into,
     start_cost,
 )
-from models.network.answers import Answers
+from models.network.answers import RIG_NOT_USED, Answers
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import total
 from models.optics.lenses.projection import Lenses
@@ -108,7 +108,7 @@ def refine_frames(
     Frames whose keypoints perspective explains worse than the network, or not at all, stay as they
     are; with `always` only the latter. `previous` are answers of the frames before, N or none: a
     frame whose views all have a perspective camera there starts from it if that explains it better,
-    and is marked as continued.
+    and is marked as continued. Where the rig was tried in vain, the answers' findings say so.
     """
     _, cameras, count, _ = seen.keypoints.shape
     views = Views(np.empty((cameras, count, 2)), np.empty((cameras, count)))
@@ -134,7 +134,8 @@ def refine_frames(
             )
         chosen = earlier if continued else start
         cost = explain(refiner, refiner.rig, views, usable, mean, chosen, best)
-        if there > 1 and _is_lost(best, usable, refiner.noise):
+        residual, apart = _residual(best, usable), False
+        if there > 1 and residual > LOST * refiner.noise:
             for hypothesis in OTHER_HYPOTHESES:
                 if hypothesis.apart and not joined:
                     continue
@@ -143,10 +144,14 @@ def refine_frames(
                 other_cost = explain(refiner, rig, views, usable, mean, start, other)
                 if other_cost < BETTER * cost:
                     copy_explanation(other, best)
-                    cost, continued = other_cost, False
-        if _accept(best, cost, answers.reprojection_errors[n], usable, always):
+                    cost, continued, apart = other_cost, False, hypothesis.apart
+        accepted = _accept(best, cost, answers.reprojection_errors[n], usable, always)
+        if accepted:
             answers.continued[n] = continued
             _write(refiner, best, n, usable, answers)
+        if (apart or not accepted) and _shares_group(refiner.rig.groups, usable):
+            answers.findings[n] += RIG_NOT_USED
+            answers.rig_residuals[n] = residual
 
 
 @inner
@@ -163,13 +168,23 @@ def _pixels_into(seen: Observations, n: int, noise: float, views: Views) -> None
 
 
 @inner
-def _is_lost(explanation: Explanation, usable: Bool, noise: float) -> bool:
-    """Whether the residuals of a frame are far above the noise."""
+def _residual(explanation: Explanation, usable: Bool) -> float:
+    """Return the mean reprojection error of a frame's usable views, pixels."""
     error = 0.0
     for k in range(len(usable)):
         if usable[k]:
             error += explanation.errors[k]
-    return error > LOST * noise * total(usable)
+    return error / total(usable)
+
+
+@inner
+def _shares_group(groups: NDArray[np.int64], usable: Bool) -> bool:
+    """Whether two usable views rest relative to each other."""
+    for k in range(len(usable)):
+        for other in range(k):
+            if usable[k] and usable[other] and groups[k] == groups[other]:
+                return True
+    return False
 
 
 @inner

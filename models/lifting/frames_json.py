@@ -1,12 +1,14 @@
 """A lift as named arrays and as JSON, an object a frame."""
 
+from collections.abc import Iterable
+from itertools import repeat
 from typing import Any
 
 import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from models.lifting.lift import CAMERA_MODELS, REASONS
+from models.lifting.lift import CAMERA_MODELS, FINDING_BITS, REASONS
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -21,22 +23,45 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
     Parameters
     ----------
     arrays
-        What `Lift.arrays` gives; NaN, and -1 in ``camera_models``, where there is no answer.
+        What `Lift.arrays` gives; NaN, and -1 in ``camera_models``, where there is no answer. Lifts
+        of older versions have no ``keypoints_seen`` and no ``findings``.
     """
     models = arrays["camera_models"]
     views = np.full(models.shape, b"null", object)
     _write_views(views, np.equal(models, 0), arrays, _WEAK, _WEAK_ARRAYS)
     _write_views(views, np.greater(models, 0), arrays, _LENSED, _LENSED_ARRAYS)
-    answered: NDArray[np.bool_] = np.all(np.isfinite(arrays["points3d"]), axis=(1, 2))
+    points = arrays["points3d"]
+    known: NDArray[np.bool_] = np.isfinite(points[..., 0])
+    answered: NDArray[np.bool_] = np.any(known, axis=1)
+    texts = [b"[[%b]]" % text for text in _texts(points)]
+    if not known.all():  # a keypoint that no view of the fit showed
+        texts = [text.replace(_NO_POINT, b"null") for text in texts]
     return [
-        (_ANSWERED if fine else _UNANSWERED) % {b"points": text, b"views": rest}
-        for fine, text, rest in zip(
+        (_ANSWERED if fine else _UNANSWERED)
+        % {b"points": text, b"seen": seen, b"findings": found, b"views": rest}
+        for fine, text, seen, found, rest in zip(
             answered.tolist(),
-            _texts(arrays["points3d"]),
+            texts,
+            _seen(arrays),
+            _findings(arrays),
             map(b",".join, views.tolist()),
             strict=True,
         )
     ]
+
+
+def _seen(arrays: Arrays) -> Iterable[bytes]:
+    """Return the JSON of how many views saw each keypoint, for every frame."""
+    if "keypoints_seen" not in arrays:
+        return repeat(b"null", len(arrays["points3d"]))
+    return [b"[%b]" % text for text in _texts(arrays["keypoints_seen"])]
+
+
+def _findings(arrays: Arrays) -> Iterable[bytes]:
+    """Return the JSON of the codes of every frame."""
+    if "findings" not in arrays:
+        return repeat(b"[]", len(arrays["points3d"]))
+    return [_CODES[total] for total in arrays["findings"].tolist()]
 
 
 def _write_views(
@@ -57,7 +82,7 @@ def _write_views(
     views[chosen] = [form % value for value in values]
 
 
-def _texts(array: NDArray[np.float32]) -> list[bytes]:
+def _texts(array: NDArray[Any]) -> list[bytes]:
     """Return the JSON of each item of an array, without its outermost brackets."""
     text = orjson.dumps(np.ascontiguousarray(array), option=orjson.OPT_SERIALIZE_NUMPY)
     depth = array.ndim
@@ -75,8 +100,16 @@ _LENSED = (
     b'{"camera":%b,"rotation":[[%b]],"scale":%b,"translation":[%b],"reprojection_error":%b,'
     b'"focal":[%b],"principal_point":[%b],"distortion":[%b]}'
 )
-_ANSWERED = b'{"status":"ok","reason":null,"points3d":[[%(points)b]],"views":[%(views)b]}'
-_UNANSWERED = (
-    b'{"status":"too_few_keypoints","reason":%b,"points3d":null,"views":[%%(views)b]}'
-    % orjson.dumps(REASONS["too_few_keypoints"])
+_NO_POINT = b"[null,null,null]"
+_CODES = [  # of every sum of bits
+    orjson.dumps([code for bit, code in FINDING_BITS.items() if total & bit])
+    for total in range(2 * max(FINDING_BITS))
+]
+_ANSWERED = (
+    b'{"status":"ok","reason":null,"points3d":%(points)b,"keypoints_seen":%(seen)b,'
+    b'"views":[%(views)b],"findings":%(findings)b}'
 )
+_UNANSWERED = (
+    b'{"status":"too_few_keypoints","reason":%b,"points3d":null,"keypoints_seen":%%(seen)b,'
+    b'"views":[%%(views)b],"findings":%%(findings)b}'
+) % orjson.dumps(REASONS["too_few_keypoints"])

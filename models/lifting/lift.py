@@ -6,7 +6,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from models.network.answers import Answers
+from models.findings.catalogue import LiftCode
+from models.network.answers import OTHER_SCALE, RIG_NOT_USED, UNLIKE_FIT, Answers
 from models.optics.lenses.projection import LENSES
 from models.settings.keypoints import MIN_KEYPOINTS
 
@@ -19,6 +20,13 @@ REASONS: dict[Status, str] = {
         f"no view shows {MIN_KEYPOINTS} keypoints or more that do not all lie at one place"
     ),
 }
+# What the sums in `findings` are made of.
+FINDING_BITS: dict[int, LiftCode] = {
+    RIG_NOT_USED: "rig_not_used",
+    UNLIKE_FIT: "frame_unlike_fit",
+    OTHER_SCALE: "coordinates_of_another_scale",
+}
+_INTERNAL = frozenset({"continued", "sizes", "misfits", "rig_residuals"})
 
 
 class Lift(Answers):
@@ -40,7 +48,25 @@ class Lift(Answers):
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays under the names that they have in files and on the wire."""
-        return {name: value for name, value in self._asdict().items() if name != "continued"}
+        return {name: value for name, value in self._asdict().items() if name not in _INTERNAL}
+
+    def of_keypoints(self, chosen: NDArray[np.bool_]) -> "Lift":
+        """Return what is said of some of the P keypoints."""
+        if chosen.all():
+            return self
+        return self._replace(
+            points3d=self.points3d[:, chosen], keypoints_seen=self.keypoints_seen[:, chosen]
+        )
+
+    def among(self, known: NDArray[np.bool_]) -> "Lift":
+        """Return the lift of Q keypoints as one of P, of which Q are known; the others are NaN."""
+        if known.all():
+            return self
+        points = np.full((len(self.points3d), len(known), 3), np.nan, np.float32)
+        points[:, known] = self.points3d
+        seen = np.zeros(points.shape[:2], np.uint8)
+        seen[:, known] = self.keypoints_seen
+        return self._replace(points3d=points, keypoints_seen=seen)
 
     def frames(self, chosen: slice) -> "Lift":
         """Return some of the frames, as views of the arrays."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from models.optics.lenses.projection import COEFFICIENTS
 
 Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
 
 
 class Answers(NamedTuple):
@@ -30,7 +31,31 @@ class Answers(NamedTuple):
     # (N, K): pixels, mean over the observed keypoints, as they were denoised if they were.
     reprojection_errors: Float32
     keypoints_used: NDArray[np.int32]  # (N, K)
+    # (N, P): usable views that show the keypoint; 0 where it is inferred from the others.
+    keypoints_seen: NDArray[np.uint8]
+    findings: NDArray[np.uint8]  # (N,) sums of `RIG_NOT_USED`, `UNLIKE_FIT`, `OTHER_SCALE`
     continued: NDArray[np.bool_]  # (N,) whether refinement started from the answer before
+    # What the findings rest on:
+    sizes: Float32  # (N,) pixels, mean size of the usable views
+    misfits: Float32  # (N,) units of the structure, mean reprojection error of the network
+    rig_residuals: Float32  # (N,) pixels, mean with a rig that was tried and not used; else NaN
+
+
+# What `Answers.findings` adds up; the codes in `models.findings` say more.
+RIG_NOT_USED, UNLIKE_FIT, OTHER_SCALE = 1, 2, 4
+
+
+class Usual(NamedTuple):
+    """What is usual of the frames of a fit; a frame beyond it is unlike them."""
+
+    misfits: Float64  # (V,) largest of the network with one usable view, two, ... V or more
+    least_size: float  # pixels, of a view
+    most_size: float
+
+
+def nothing_unusual() -> Usual:
+    """Return limits that no frame is beyond, for fits of which none are known."""
+    return Usual(np.full(1, np.inf), 0.0, np.inf)
 
 
 def make_answers(frames: int, views: int, keypoints: int) -> Answers:
@@ -47,5 +72,10 @@ def make_answers(frames: int, views: int, keypoints: int) -> Answers:
         camera_models=np.empty(per_view, np.int8),
         reprojection_errors=np.empty(per_view, np.float32),
         keypoints_used=np.empty(per_view, np.int32),
+        keypoints_seen=np.empty((frames, keypoints), np.uint8),
+        findings=np.empty(frames, np.uint8),
         continued=np.empty(frames, np.bool_),
+        sizes=np.empty(frames, np.float32),
+        misfits=np.empty(frames, np.float32),
+        rig_residuals=np.empty(frames, np.float32),
     )

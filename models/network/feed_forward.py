@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.capture.observations import Observations
-from models.network.answers import Answers
+from models.network.answers import OTHER_SCALE, UNLIKE_FIT, Answers, Usual
 from models.network.priors.dispatch import decode_into, encode_into
 from models.network.priors.prior import Weights
 from models.network.reprojection_kernels import fill_view_into
@@ -24,6 +24,7 @@ from models.optics.weak_perspective import project_into, solve_camera_into
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
 
 LEAST_WEIGHT = np.float32(1e-6)  # less would divide by zero
 LEAST_SCALE = 1e-6
@@ -35,11 +36,14 @@ def feed_forward(
     seen: Observations,
     foreshortening: float,
     policy: SettlingPolicy,
+    usual: Usual,
     start: int,
     stop: int,
     answers: Answers,
 ) -> None:
     """Write weak-perspective answers for frames from `start` to `stop`; NaN where there is none.
+
+    What is beyond the usual is noted in the answers' findings.
 
     The policy says which frames are settled. A structure that is not settled is mirrored if
     `foreshortening` is negative. If that is 0, the fit could not tell it: structures stay as the
@@ -59,11 +63,10 @@ def feed_forward(
             # What is hidden is filled with its reprojection and the views are read once more.
             _fill_views(keypoints, weights, points, guesses, scratch, filled)
             _reconstruct(network, filled, weights, points, guesses)
+        misfit = _misfit(points, keypoints, weights, guesses, scratch)
+        _note(answers, n, seen.usable[n], seen.sizes[n], misfit, usual)
         if foreshortening != 0:
-            if (
-                policy.every_frame
-                or _misfit(points, keypoints, weights, guesses, scratch) > policy.misfit_limit
-            ):
+            if policy.every_frame or misfit > policy.misfit_limit:
                 settle_frame(points, keypoints, weights, guesses, foreshortening, ROUNDS, scratch)
             elif foreshortening < 0:
                 mirror_frame(points, guesses)
@@ -78,6 +81,13 @@ def _write_no_answer(answers: Answers, n: int, weights: Float32) -> None:
     """Write that frame n has no structure and no cameras, and what its views show."""
     fill(answers.points3d[n], np.nan)
     answers.continued[n] = False
+    answers.findings[n] = 0
+    answers.sizes[n] = answers.misfits[n] = answers.rig_residuals[n] = np.nan
+    for p in range(weights.shape[1]):
+        views = 0
+        for k in range(len(weights)):
+            views += weights[k, p] > 0
+        answers.keypoints_seen[n, p] = views
     for k in range(len(weights)):
         fill(answers.rotations[n, k], np.nan)
         answers.scales[n, k] = np.nan
@@ -91,6 +101,24 @@ def _write_no_answer(answers: Answers, n: int, weights: Float32) -> None:
         for p in range(weights.shape[1]):
             used += weights[k, p] > 0
         answers.keypoints_used[n, k] = used
+
+
+@inner
+def _note(
+    answers: Answers, n: int, usable: Bool, sizes: Float32, misfit: float, usual: Usual
+) -> None:
+    """Write the misfit and the size of frame n, and whether they are beyond the usual."""
+    summed, views, found = 0.0, 0, 0
+    for k in range(len(usable)):
+        if usable[k]:
+            summed += sizes[k]
+            views += 1
+            if not usual.least_size <= sizes[k] <= usual.most_size:
+                found = OTHER_SCALE
+    if misfit > usual.misfits[min(views, len(usual.misfits)) - 1]:
+        found += UNLIKE_FIT
+    answers.sizes[n], answers.misfits[n] = summed / max(views, 1), misfit
+    answers.findings[n] = found
 
 
 @inner

@@ -1,9 +1,12 @@
 """Checkpoints of a fit, as safetensors bytes: its numbers in the header, the rest as tensors."""
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import ValidationError
 from torch import Tensor
 
@@ -39,8 +42,13 @@ class Checkpoint(NamedTuple):
     self_calibration: SelfCalibration | None
 
 
-def write(checkpoint: Checkpoint, *, config: FitConfig, data: str) -> bytes:
-    """Write a checkpoint of a fit of a configuration; `data` identifies its keypoints."""
+def write(
+    checkpoint: Checkpoint, *, config: FitConfig, data: str, known: NDArray[np.bool_]
+) -> bytes:
+    """Write a checkpoint of a fit of a configuration.
+
+    `data` identifies its keypoints, of which the network has the `known` (P,).
+    """
     arrays: Arrays = {
         "weights": checkpoint.weights,
         **dict(zip(MOMENTS, checkpoint.moments, strict=True)),
@@ -49,6 +57,7 @@ def write(checkpoint: Checkpoint, *, config: FitConfig, data: str) -> bytes:
     about = {
         "config": config.model_dump_json(),
         "data": data,
+        "known": json.dumps(known.tolist()),
         "state": state_to_json(checkpoint.state),
     }
     if checkpoint.teachers is not None:
@@ -107,6 +116,24 @@ def read(
         teachers=teachers,
         self_calibration=found,
     )
+
+
+def known_keypoints(written: bytes, keypoints: int) -> NDArray[np.bool_]:
+    """Return which of P keypoints the network of a checkpoint has, (P,).
+
+    Raises
+    ------
+    WeightsError
+        When it is damaged, was written by another version, or was made for other keypoints.
+    """
+    about = read_about(written, kind="checkpoint")
+    try:
+        known = np.array(json.loads(about["known"]), np.bool_).reshape(-1)
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        raise WeightsError("the checkpoint was written by another version; start anew") from error
+    if len(known) != keypoints:
+        raise WeightsError("the checkpoint was made for other keypoints; start anew")
+    return known
 
 
 def _config_of(about: Mapping[str, str]) -> FitConfig | None:

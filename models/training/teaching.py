@@ -21,6 +21,7 @@ from models.capture.denoising import Denoiser
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
+from models.network.answers import Usual
 from models.network.priors.prior import Prior
 from models.network.settling import estimate_foreshortening
 from models.settings.config import FitConfig
@@ -28,6 +29,7 @@ from models.training.batches import Data
 from models.training.network_errors import learn_errors_of_network
 from models.training.state import TeachingState
 from models.training.teachers import Teachers, draw_frames, find_teachers, perspective_teachers
+from models.training.usual import learn_usual
 
 logger = logging.getLogger(__name__)
 
@@ -97,6 +99,10 @@ class Teaching:
         if found is not None:
             found = self._with_network_errors(found, step)
         return self._as_prior(found, self._denoiser, curve)
+
+    def usual(self) -> Usual:
+        """Return what is usual of the frames of the fit, with the network as it is now."""
+        return learn_usual(self._as_prior(None), self._data)
 
     def _as_prior(
         self,

@@ -12,12 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from models.calibrating.image_sizes import ImageSizes
 from models.capture.denoising import learn_denoiser
-from models.capture.observations import Observations, as_observations
+from models.capture.observations import Observations
+from models.findings.finding import Finding
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
 from models.network.priors.prior import Prior
 from models.network.priors.registry import make_prior
 from models.settings.config import FitConfig
+from models.settings.keypoints import check_confidence, check_keypoints
 from models.settings.priors import ARCHITECTURE
 from models.training import checkpoints
 from models.training.batches import Batches, Data
@@ -30,6 +32,7 @@ from models.training.budget import (
 )
 from models.training.checkpoints import Checkpoint
 from models.training.holdout import Holdout, split
+from models.training.keypoints_of_fit import among_known, observe
 from models.training.learner import Learner
 from models.training.schedule import Schedule
 from models.training.state import BestError, TrainerState
@@ -94,9 +97,15 @@ class Trainer:
             When the checkpoint is damaged, was written by another version, or was made for other
             data or another configuration.
         """
-        observations = as_observations(keypoints, confidence)
+        pixels = check_keypoints(keypoints)
+        if confidence is not None:
+            confidence = check_confidence(confidence, expected=pixels.shape[:3])
+        _check_entries_per_view(pixels.shape[1], config, image_sizes)
+        known = None if start is None else start.capture.known
+        if checkpoint is not None:
+            known = checkpoints.known_keypoints(checkpoint, pixels.shape[2])
+        observations, self._capture = observe(pixels, confidence, image_sizes, known)
         frames = _usable_frames(observations)
-        _check_entries_per_view(observations, config, image_sizes)
         self.config = config
         self._fingerprint = _fingerprint(observations, image_sizes)
         denoiser = learn_denoiser(observations) if config.denoising else None
@@ -116,7 +125,8 @@ class Trainer:
         if start is not None:
             _begin_with(self._network, config, start)
         self._learner = Learner(self._network, torch.device(device))
-        self._teaching = Teaching(self._network, self._data, unseen, config, image_sizes, denoiser)
+        among = among_known(config, self._capture.known)
+        self._teaching = Teaching(self._network, self._data, unseen, among, image_sizes, denoiser)
         self._state = TrainerState(Schedule.of(config), self._teaching.state)
         self._curve: list[CurvePoint] = []
         if checkpoint is not None:
@@ -166,7 +176,12 @@ class Trainer:
     def result(self) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
         self._learner.update_network()
-        return self._teaching.result(self.step, self._curve)
+        prior = self._teaching.result(self.step, self._curve)
+        capture = self._capture._replace(usual=self._teaching.usual())
+        if self.config.refine != "off" and prior.cameras is None:
+            found = (*capture.findings, Finding.of("cameras_not_found"))
+            capture = capture._replace(findings=found)
+        return prior.of_capture(self.config, capture)
 
     def checkpoint(self) -> bytes:
         """Return everything needed to go on, as safetensors bytes."""
@@ -178,7 +193,8 @@ class Trainer:
             teachers=self._teaching.teachers,
             self_calibration=self._teaching.self_calibration,
         )
-        return checkpoints.write(saved, config=self.config, data=self._fingerprint)
+        known = self._capture.known
+        return checkpoints.write(saved, config=self.config, data=self._fingerprint, known=known)
 
     def _restore(self, checkpoint: bytes) -> None:
         frames, views, keypoints, _ = self._data.keypoints.shape
@@ -327,7 +343,6 @@ def fit(
 def _begin_with(network: Prior, config: FitConfig, start: FittedPrior) -> None:
     """Copy the weights of a prior of the same architecture."""
     pairs = {name: (getattr(start.config, name), getattr(config, name)) for name in ARCHITECTURE}
-    pairs["keypoints"] = (start.keypoints_per_frame, network.keypoints)
     for what, (has, needs) in pairs.items():
         if has != needs:
             raise ValueError(f"the prior to start from has {what} {has}, the fit {needs}")
@@ -344,10 +359,7 @@ def _usable_frames(observations: Observations) -> NDArray[np.int64]:
     return frames
 
 
-def _check_entries_per_view(
-    observations: Observations, config: FitConfig, image_sizes: ImageSizes | None
-) -> None:
-    views = observations.keypoints.shape[1]
+def _check_entries_per_view(views: int, config: FitConfig, image_sizes: ImageSizes | None) -> None:
     for name, given in (("image_sizes", image_sizes), ("calibration", config.calibration)):
         if given is not None and len(given) != views:
             raise ValueError(f"{name} must have one entry per view ({views}), got {len(given)}")

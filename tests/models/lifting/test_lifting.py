@@ -21,6 +21,10 @@ Float64 = NDArray[np.float64]
 QUICK: dict[str, Any] = {"steps": 30, "dictionary_sizes": (16, 8), "batch_size": 8}
 AZIMUTHS = [0.0, 80.0, -120.0]
 PERSPECTIVE = CAMERA_MODELS.index("perspective")
+OF_VIEWS = (
+    *("rotations", "scales", "translations", "focals", "principal_points", "distortions"),
+    *("camera_models", "reprojection_errors", "keypoints_used"),
+)
 SHIN = (keypoint("left_knee"), keypoint("left_ankle"))
 
 
@@ -46,8 +50,7 @@ def prior(capture: RigCapture) -> FittedPrior:
 def some(lift: Lift, frames: Any, views: Any = slice(None)) -> Lift:
     """Return some of the frames, and of their views."""
     chosen = Lift._make(value[frames] for value in lift)
-    shared = {"points3d", "continued"}  # by all views of a frame
-    parts = {n: value[:, views] for n, value in chosen._asdict().items() if n not in shared}
+    parts = {n: getattr(chosen, n)[:, views] for n in OF_VIEWS}
     return chosen._replace(**parts)
 
 

@@ -101,7 +101,9 @@ def check(lift: Lift, keypoints: Float64) -> None:
     """Answers are finite where there are some, and there are some wherever 4 keypoints show."""
     usable = np.isfinite(keypoints).all(-1).sum(-1) >= 4
     assert [status == "ok" for status in lift.status] == usable.any(1).tolist()
-    np.testing.assert_array_equal(np.isfinite(lift.points3d).all((1, 2)), usable.any(1))
+    seen = (np.isfinite(keypoints).all(-1) & usable[..., None]).any((0, 1))  # (P,) not invented
+    answered = np.isfinite(lift.points3d).all(-1)  # (N, P)
+    np.testing.assert_array_equal(answered, usable.any(1)[:, None] & seen)
     np.testing.assert_array_equal(lift.camera_models >= 0, usable)
     refined = lift.camera_models > 0
     for values, there in (

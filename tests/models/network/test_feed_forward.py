@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from models.capture.observations import Observations, as_observations
-from models.network.answers import Answers, make_answers
+from models.network.answers import Answers, make_answers, nothing_unusual
 from models.network.feed_forward import feed_forward
 from models.network.priors.hierarchical import HierarchicalPrior
 from models.network.reprojection_tensors import project, solve_cameras
@@ -57,7 +57,9 @@ def answers_of(
 ) -> Answers:
     answers = make_answers(*seen.weights.shape)
     prepared = network.lay_out(dict(network.named_parameters()), network.sizes)
-    feed_forward(prepared, seen, foreshortening, policy, 0, len(seen.sizes), answers)
+    feed_forward(
+        prepared, seen, foreshortening, policy, nothing_unusual(), 0, len(seen.sizes), answers
+    )
     return answers
 
 
@@ -132,6 +134,6 @@ def test_frames_outside_of_the_slice_are_left_alone() -> None:
     whole, part = answers_of(network, seen, 0.1, SETTLE_NONE), make_answers(5, 2, 6)
     part.points3d[:] = 7
     prepared = network.lay_out(dict(network.named_parameters()), network.sizes)
-    feed_forward(prepared, seen, 0.1, SETTLE_NONE, 1, 3, part)
+    feed_forward(prepared, seen, 0.1, SETTLE_NONE, nothing_unusual(), 1, 3, part)
     np.testing.assert_array_equal(part.points3d[1:3], whole.points3d[1:3])
     assert (part.points3d[[0, 3, 4]] == 7).all()

@@ -271,7 +271,12 @@ def test_every_kind_of_camera_on_the_wire() -> None:
         camera_models=models,
         reprojection_errors=values(),
         keypoints_used=np.array([[5, 5, 5, 0]], np.int32),
+        keypoints_seen=np.array([[3, 2, 0, 1, 3]], np.uint8),
+        findings=np.array([5], np.uint8),
         continued=np.zeros(1, np.bool_),
+        sizes=np.ones(1, np.float32),
+        misfits=np.ones(1, np.float32),
+        rig_residuals=np.ones(1, np.float32),
     ).arrays
     frames = orjson.loads(orjson.dumps(frames_json(arrays)))
     check_json(frames, arrays)

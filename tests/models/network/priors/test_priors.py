@@ -14,7 +14,7 @@ from models.capture.metrics import pa_mpjpe
 from models.capture.observations import Observations, as_observations
 from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
-from models.network.answers import make_answers
+from models.network.answers import make_answers, nothing_unusual
 from models.network.feed_forward import feed_forward
 from models.network.priors.prior import Prior
 from models.network.priors.registry import (
@@ -96,7 +96,7 @@ def test_it_is_lifted_with_what_was_trained(config: FitConfig, *, gaps: bool) ->
     cameras = solve_cameras(points[:, None], keypoints, weights, guesses)
     answers = make_answers(*seen.weights.shape)
     prepared = lay_out(config, weights_of(network))
-    feed_forward(prepared, seen, 0.0, SETTLE_NONE, 0, len(seen.sizes), answers)
+    feed_forward(prepared, seen, 0.0, SETTLE_NONE, nothing_unusual(), 0, len(seen.sizes), answers)
     some = seen.usable.any(1)
     assert some.all() != gaps
     np.testing.assert_allclose(answers.points3d[some], points.numpy()[some], atol=5e-4)

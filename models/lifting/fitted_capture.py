@@ -1,0 +1,103 @@
+"""What lifts must know of the capture that their prior was fitted to."""
+
+import json
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from models.capture.frozen import at_places
+from models.findings.finding import Finding
+from models.network.answers import Usual, nothing_unusual
+from models.numerics.tensor_files import WeightsError
+from models.settings.keypoints import MAX_KEYPOINTS
+
+Float32 = NDArray[np.float32]
+Bool = NDArray[np.bool_]
+
+FINDINGS = TypeAdapter(tuple[Finding, ...])
+
+
+class FittedCapture(NamedTuple):
+    """What a fit found in its keypoints beside the prior.
+
+    A prior has only the Q of P keypoints that some view showed: what nobody saw is not invented.
+    """
+
+    views: int  # 0 if it is not known how many there were
+    known: Bool  # (P,) keypoints that some view showed; Q of them
+    places: Float32  # (M, 4) view, keypoint, x, y of pixels where a keypoint was stuck
+    usual: Usual
+    findings: tuple[Finding, ...]  # of the keypoints alone
+
+    @property
+    def whole(self) -> bool:
+        """Whether every keypoint of a frame is an observation of one that the prior has."""
+        return bool(self.known.all()) and not len(self.places)
+
+    def observations(
+        self, pixels: Float32, confidence: Float32 | None, views: Sequence[int] | None
+    ) -> tuple[Float32, Float32 | None]:
+        """Return pixels (N, K, Q, 2) and confidence (N, K, Q) of the known keypoints.
+
+        What is stuck where the fit saw it stuck is no observation (NaN), in `views` of the fit:
+        all in their order, if they are as many, unless they are named.
+        """
+        if views is None and pixels.shape[1] == self.views:
+            views = range(self.views)
+        if views is not None and len(self.places):
+            stuck = at_places(pixels, self.places, views)
+            pixels = np.where(stuck[..., None], np.float32(np.nan), pixels)
+        return (
+            pixels[:, :, self.known],
+            None if confidence is None else confidence[:, :, self.known],
+        )
+
+    def to_header(self) -> dict[str, str]:
+        """Return it as texts, for the header of a file."""
+        return {
+            "views": str(self.views),
+            "known": "".join("01"[known] for known in self.known.tolist()),
+            "places": json.dumps(self.places.tolist()),
+            "usual": json.dumps([self.usual.misfits.tolist(), *self.usual[1:]]),
+            "findings": FINDINGS.dump_json(self.findings).decode(),
+        }
+
+    @classmethod
+    def from_header(cls, about: dict[str, str], keypoints: int) -> "FittedCapture":
+        """Read what `to_header` returned, or nothing; `keypoints` is Q.
+
+        Raises
+        ------
+        WeightsError
+            When it is not what was written.
+        """
+        if "known" not in about:
+            return whole_capture(keypoints)
+        try:
+            views = int(about["views"])
+            known = np.array([{"0": False, "1": True}[flag] for flag in about["known"]])
+            places = np.array(json.loads(about["places"]), np.float32).reshape(-1, 4)
+            misfits, least, most = json.loads(about["usual"])
+            usual = Usual(np.array(misfits, np.float64).reshape(-1), float(least), float(most))
+            findings = FINDINGS.validate_json(about["findings"])
+        except (KeyError, TypeError, ValueError, ValidationError, RecursionError) as error:
+            raise WeightsError("the header does not say what the keypoints were") from error
+        consistent = (
+            known.sum() == keypoints
+            and len(known) <= MAX_KEYPOINTS
+            and len(usual.misfits) > 0
+            and bool(np.isfinite(places).all())
+            and bool((places[:, :2] >= 0).all() and (places[:, 1] < len(known)).all())
+        )
+        if not consistent:
+            raise WeightsError("the header contradicts itself about the keypoints")
+        return cls(views, known, places, usual, findings)
+
+
+def whole_capture(keypoints: int) -> FittedCapture:
+    """Return what is known of the capture of an older version: that its prior has all keypoints."""
+    known, places = np.ones(keypoints, np.bool_), np.empty((0, 4), np.float32)
+    return FittedCapture(0, known, places, nothing_unusual(), ())

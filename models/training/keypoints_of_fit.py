@@ -1,0 +1,111 @@
+"""Which keypoints a fit learns from: those that some view shows, where they are no artefacts.
+
+A keypoint that no view ever shows takes no part at all: the network, the shapes and the cameras
+are those of the others, so that nothing is invented and nothing disturbed.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.calibrating.image_sizes import ImageSizes
+from models.capture.checks import capture_findings, observed
+from models.capture.frozen import frozen_places
+from models.capture.observations import Observations, as_observations
+from models.lifting.fitted_capture import FittedCapture
+from models.network.answers import nothing_unusual
+from models.settings.config import FitConfig
+
+Float32 = NDArray[np.float32]
+Bool = NDArray[np.bool_]
+
+
+class Observed(NamedTuple):
+    """N frames of K views of the Q known of P keypoints, and what was noticed of them."""
+
+    observations: Observations
+    capture: FittedCapture
+
+
+def observe(
+    pixels: Float32,
+    confidence: Float32 | None,
+    image_sizes: ImageSizes | None,
+    known: Bool | None,
+) -> Observed:
+    """Return what a fit learns from.
+
+    Parameters
+    ----------
+    pixels, confidence
+        (N, K, P, 2) and (N, K, P), checked.
+    known
+        Which keypoints (P,) the weights have that it starts from; None for a fit of its own.
+
+    Raises
+    ------
+    ValueError
+        When a view shows a keypoint that the weights have not, or there are other keypoints.
+    """
+    places = frozen_places(pixels, observed(pixels, confidence))
+    findings = capture_findings(pixels, confidence, image_sizes, places=places)
+    rows = [(place.k, place.p, *place.pixel) for place in places]
+    views, keypoints = pixels.shape[1:3]
+    capture = FittedCapture(
+        views,
+        np.ones(keypoints, np.bool_),
+        np.array(rows, np.float32).reshape(-1, 4),
+        nothing_unusual(),
+        findings,
+    )
+    observations = as_observations(*capture.observations(pixels, confidence, None))
+    shown = np.any(observations.weights > 0, axis=(0, 1))
+    capture = capture._replace(known=shown if known is None else _suited(known, shown))
+    return Observed(_among(observations, capture.known), capture)
+
+
+def among_known(config: FitConfig, known: Bool) -> FitConfig:
+    """Return a configuration that counts the keypoints that it names among the known.
+
+    Raises ValueError if it names one that no view shows.
+    """
+    place = np.cumsum(known) - 1  # of a keypoint among the known
+    length, hand = config.known_length, config.handedness
+    for field, named in (("known_length", length and length.keypoints), ("handedness", hand)):
+        unseen = [keypoint for keypoint in named or () if not known[keypoint]]
+        if unseen:
+            raise ValueError(
+                f"{field} must name keypoints that some view shows, got {unseen[0]}, which none"
+                " does; name others, or leave it out"
+            )
+    if length is not None:
+        a, b = length.keypoints
+        length = length.model_copy(update={"keypoints": (int(place[a]), int(place[b]))})
+    if hand is not None:
+        a, b, c, d = (int(place[keypoint]) for keypoint in hand)
+        hand = (a, b, c, d)
+    return config.model_copy(update={"known_length": length, "handedness": hand})
+
+
+def _suited(known: Bool, shown: Bool) -> Bool:
+    if known.shape != shown.shape:
+        raise ValueError(
+            f"the prior to start from has {len(known)} keypoints, the fit {len(shown)}"
+        )
+    new = np.flatnonzero(shown & ~known).tolist()
+    if new:
+        raise ValueError(
+            f"the prior to start from never saw keypoints {new}, which these views show; start"
+            " without it, or leave them out (NaN)"
+        )
+    return known
+
+
+def _among(observations: Observations, known: Bool) -> Observations:
+    if known.all():
+        return observations
+    return observations._replace(
+        keypoints=np.ascontiguousarray(observations.keypoints[:, :, known]),
+        weights=np.ascontiguousarray(observations.weights[:, :, known]),
+    )

@@ -1,0 +1,41 @@
+"""What is usual of the frames of a fit, so that lifts can tell which frames are unlike them."""
+
+import numpy as np
+import torch
+
+from models.lifting.fitted_prior import FittedPrior
+from models.network.answers import Usual
+from models.training.batches import Data
+
+MOST_FRAMES = 300  # plenty for a quantile of 99 %
+LEAST_FRAMES = 20  # with some number of views, to say what is usual with these
+MOST_VIEWS = 8  # with more, the misfit is as with so many
+USUAL_SHARE = 0.99
+# Beyond the usual by these factors is unlike it. The network is better on the frames that taught it
+# than on others, by up to twice; a subject may come nearer, or go away.
+MISFIT_FACTOR, SIZE_FACTOR = 3.0, 3.0
+
+
+def learn_usual(prior: FittedPrior, data: Data) -> Usual:
+    """Measure the misfits of the network with one view, two, ... and the sizes of views."""
+    every = max(1, -(-len(data.weights) // MOST_FRAMES))
+    frames = torch.arange(0, len(data.weights), every)
+    pixels, weights = data.pixels(frames), data.weights[frames]
+    observed = (weights > 0).any(-1)  # (T, K)
+    views = observed.shape[1]
+    # Views that were observed come first, and another of them in every frame.
+    turn = (torch.arange(views) + frames[:, None]) % views
+    order = (turn - views * observed.long()).argsort(1).argsort(1)
+    limits: list[float] = []
+    for count in range(1, min(views, MOST_VIEWS) + 1):
+        chosen = observed.sum(1) >= count
+        if chosen.sum() < LEAST_FRAMES:
+            break
+        shown = (weights * (order < count)[..., None])[chosen]
+        misfits = prior.lift(pixels[chosen], confidence=shown, refine="off").misfits
+        limits.append(MISFIT_FACTOR * float(np.nanquantile(misfits, USUAL_SHARE)))
+    sizes = data.sizes[frames][observed].numpy()
+    least, most = np.quantile(sizes, (1 - USUAL_SHARE, USUAL_SHARE))
+    return Usual(
+        np.array(limits or [np.inf]), float(least) / SIZE_FACTOR, float(most) * SIZE_FACTOR
+    )
