@@ -11,7 +11,7 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from models.settings.times import check_rate
-from store import jobs
+from store import dataset_findings, jobs
 from store.capture import Capture, Float64, concatenate, extend_checksum
 from store.database import Store
 from store.errors import CaptureError, NotFoundError
@@ -46,6 +46,7 @@ def create(
     if earlier is not None:
         return get(store, Dataset, earlier)
     key = _put_chunk(store, dataset_id, capture)
+    findings = dataset_findings.of_new(capture, description.image_sizes)
     with store.writing() as session:
         earlier = replayed(session, idempotency)
         if earlier is None:
@@ -65,6 +66,7 @@ def create(
                 fps=description.fps,
                 last_times=_last_times(capture),
                 user_metadata=description.metadata,
+                findings=findings,
             )
             session.add(dataset)
             session.flush()
@@ -118,6 +120,7 @@ def append(
                 )
             _check_times(dataset, capture)
             columns = _with(dataset, capture)  # too slow for a transaction
+            columns["findings"] = dataset_findings.of_longer(store, dataset, capture)
             with store.writing() as session:
                 if replayed(session, idempotency) is not None:
                     break

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from models.capture.extents import Extents, extents
 from models.capture.frozen import Place, frozen_places
 from models.findings.finding import Finding
+from models.settings.keypoints import MIN_KEYPOINTS
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -36,6 +37,8 @@ MOTION_FRAMES = 300  # plenty to see whether anything moves
 # every limb, or a turn by three degrees.
 LEAST_CHANGE, LEAST_PATH = 0.05, 0.1
 SLACK = 1.3  # of the largest variance of white noise, which is known from a median alone
+
+ABSENCES = frozenset({"keypoint_never_seen", "view_never_seen", "too_few_frames", "one_view"})
 
 
 class _Capture(NamedTuple):
@@ -95,8 +98,7 @@ def capture_findings(
     if not capture.sees().any():
         return tuple(stuck)  # such a capture cannot be fitted, which says the rest
     found = [
-        *_never_seen(capture),
-        *_too_little(capture, len(pixels) if frames is None else frames),
+        *absences(seen, len(pixels) if frames is None else frames),
         *stuck,
         *_identical(capture),
     ]
@@ -114,18 +116,18 @@ def sample(frames: int, views: int, keypoints: int) -> NDArray[np.int64]:
     return (starts[:, None] + np.arange(most // BLOCKS)).reshape(-1)
 
 
-def _never_seen(capture: _Capture) -> Iterator[Finding]:
-    usable = capture.there.usable
-    blind = ~capture.sees()
-    if blind.any():
-        yield Finding.of("view_never_seen", views=np.flatnonzero(blind))
-    unseen = ~(capture.seen & usable[..., None]).any((0, 1))  # (P,)
+def absences(seen: Bool, frames: int) -> Iterator[Finding]:
+    """Yield what a capture of so many frames lacks, of which some (N, K, P) say what was observed.
+
+    These findings, `ABSENCES`, are the cheapest, and the only ones that one frame can refute.
+    """
+    usable = seen.sum(2) >= MIN_KEYPOINTS  # (N, K)
+    unseen = ~(seen & usable[..., None]).any((0, 1))  # (P,)
     if unseen.any():
         yield Finding.of("keypoint_never_seen", keypoints=np.flatnonzero(unseen))
-
-
-def _too_little(capture: _Capture, frames: int) -> Iterator[Finding]:
-    usable = capture.there.usable
+    blind = ~usable.any(0)
+    if blind.any():
+        yield Finding.of("view_never_seen", views=np.flatnonzero(blind))
     shown, paired = usable.any(1).mean(), (usable.sum(1) > 1).mean()  # shares of the frames
     if shown * frames < LEAST_FRAMES:
         yield Finding.of("too_few_frames", frames_shown=shown * frames)

@@ -64,7 +64,7 @@ def frozen_places(pixels: Float32, seen: Bool) -> list[Place]:
         place.pixel
         for place in suspect
         if _moves_elsewhere(place, shown, there, steps)
-        or _is_left_alone(place, shown, there, shared=shared[place.p, place.pixel] > 1)
+        or _is_left_alone(place, shown, there, steps, shared=shared[place.p, place.pixel] > 1)
     }
     # What stands for "not found" does so in every view.
     found = [place for place in suspect if place.pixel in wrong]
@@ -129,19 +129,29 @@ def _moves_elsewhere(place: Place, shown: Float32, there: Extents, steps: Float6
         if k == place.k or len(known) < LEAST_REPEATS:
             continue
         different = len(np.unique(known, axis=0)) / len(known)
-        if different > LEAST_DIFFERENT:
-            distances = np.linalg.norm(known - np.median(known, axis=0), axis=-1)
-            if np.median(distances) > MOVES * there.usual_radii[k] + STEPS * steps[k]:
-                return True
+        if different > LEAST_DIFFERENT and _moves(known, k, there, steps):
+            return True
     return False
 
 
-def _is_left_alone(place: Place, shown: Float32, there: Extents, *, shared: bool) -> bool:
-    """Whether the subject is far from the place, or goes away from it, in the view itself."""
+def _moves(known: Float32, k: int, there: Extents, steps: Float64) -> bool:
+    """Whether places (F, 2) of one keypoint in view k are more than one that was rounded."""
+    distances = np.linalg.norm(known - np.median(known, axis=0), axis=-1)
+    return bool(np.median(distances) > MOVES * there.usual_radii[k] + STEPS * steps[k])
+
+
+def _is_left_alone(
+    place: Place, shown: Float32, there: Extents, steps: Float64, *, shared: bool
+) -> bool:
+    """Whether the subject moves far from the place, or away from it, in the view itself."""
     n, k = place.frames, place.k
     offsets = (shown[n, k, place.p] - there.middles[n, k]) / there.usual_radii[k]  # (F, 2)
     offsets = offsets[np.isfinite(offsets[:, 0])]
     if len(offsets) < LEAST_REPEATS:
+        return False
+    others = (shown[n, k, p] for p in range(shown.shape[2]) if p != place.p)  # (F, 2) each
+    known = (other[np.isfinite(other[:, 0])] for other in others)
+    if not any(_moves(other, k, there, steps) for other in known if len(other)):
         return False
     passed = np.ptp(np.quantile(offsets, (0.05, 0.95), axis=0), axis=0).max()
     away = np.median(np.linalg.norm(offsets, axis=-1))

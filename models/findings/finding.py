@@ -1,7 +1,7 @@
 """What was noticed, in the shape that datasets, fits, models, lifts and streams share."""
 
 from collections.abc import Iterable
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,11 @@ class Finding(BaseModel):
         return ", ".join(said) + f". {self.effect} {self.remedy}"
 
 
+def dumped(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """Return findings as plain data, as records and JSON hold them."""
+    return [finding.model_dump(mode="json") for finding in findings]
+
+
 def frame_ranges(frames: NDArray[np.bool_] | Iterable[int]) -> tuple[tuple[int, int], ...]:
     """Return (first, last) of every run of consecutive frames, of a mask (N,) or of indices.
 
@@ -83,16 +88,44 @@ def frame_ranges(frames: NDArray[np.bool_] | Iterable[int]) -> tuple[tuple[int, 
     """
     array = frames if isinstance(frames, np.ndarray) else np.array(sorted(frames), np.int64)
     indices = np.flatnonzero(array) if array.dtype == bool else np.unique(array)
-    if not len(indices):
+    return _joined(indices, indices)
+
+
+def merged(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Join findings of parts of a whole that differ in nothing but their frames and evidence.
+
+    Of numbers that stand for the same the largest is kept. Parts that name no frames have none.
+    """
+    alike: dict[object, list[Finding]] = {}
+    for finding in findings:
+        key = (finding.code, finding.severity, finding.views, finding.keypoints)
+        alike.setdefault(key, []).append(finding)
+    return tuple(_merge(parts) for parts in alike.values())
+
+
+def _merge(parts: list[Finding]) -> Finding:
+    ranges = np.array(sorted(some for part in parts for some in part.frames), np.int64)
+    firsts, lasts = ranges.reshape(-1, 2).T
+    evidence: dict[str, float] = {}
+    for part in parts:
+        for name, value in part.evidence.items():
+            evidence[name] = max(value, evidence.get(name, value))
+    frames = _joined(firsts, np.maximum.accumulate(lasts))
+    return parts[0].model_copy(update={"frames": frames, "evidence": evidence})
+
+
+def _joined(firsts: NDArray[np.int64], lasts: NDArray[np.int64]) -> tuple[tuple[int, int], ...]:
+    """Return ranges in their order with those joined that touch, and the nearest if too many."""
+    if not len(firsts):
         return ()
-    gaps = np.diff(indices)
+    gaps = firsts[1:] - lasts[:-1]
     breaks = np.flatnonzero(gaps > 1)
     if len(breaks) >= MOST_RANGES:
         widest = np.argsort(-gaps[breaks], kind="stable")[: MOST_RANGES - 1]
         breaks = np.sort(breaks[widest])
-    firsts = indices[np.concatenate(([0], breaks + 1))].tolist()
-    lasts = indices[np.concatenate((breaks, [len(indices) - 1]))].tolist()
-    return tuple(zip(firsts, lasts, strict=True))
+    starts = firsts[np.concatenate(([0], breaks + 1))].tolist()
+    ends = lasts[np.concatenate((breaks, [len(lasts) - 1]))].tolist()
+    return tuple(zip(starts, ends, strict=True))
 
 
 def _listed(items: Iterable[object], most: int = 8) -> str:

@@ -68,8 +68,8 @@ class Lift(Answers):
         seen[:, known] = self.keypoints_seen
         return self._replace(points3d=points, keypoints_seen=seen)
 
-    def frames(self, chosen: slice) -> "Lift":
-        """Return some of the frames, as views of the arrays."""
+    def frames(self, chosen: slice | NDArray[np.bool_]) -> "Lift":
+        """Return some of the frames; of a slice, as views of the arrays."""
         return Lift._make(array[chosen] for array in self)
 
 

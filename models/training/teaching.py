@@ -102,7 +102,7 @@ class Teaching:
 
     def usual(self) -> Usual:
         """Return what is usual of the frames of the fit, with the network as it is now."""
-        return learn_usual(self._as_prior(None), self._data)
+        return learn_usual(self._as_prior(None), self._data, self._unseen)
 
     def _as_prior(
         self,

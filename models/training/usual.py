@@ -11,13 +11,28 @@ MOST_FRAMES = 300  # plenty for a quantile of 99 %
 LEAST_FRAMES = 20  # with some number of views, to say what is usual with these
 MOST_VIEWS = 8  # with more, the misfit is as with so many
 USUAL_SHARE = 0.99
-# Beyond the usual by these factors is unlike it. The network is better on the frames that taught it
-# than on others, by up to twice; a subject may come nearer, or go away.
+# Beyond the usual by these factors is unlike it: the network is better on the frames that taught it
+# than on others, and a subject may come nearer, or go away.
 MISFIT_FACTOR, SIZE_FACTOR = 3.0, 3.0
 
 
-def learn_usual(prior: FittedPrior, data: Data) -> Usual:
-    """Measure the misfits of the network with one view, two, ... and the sizes of views."""
+def learn_usual(prior: FittedPrior, data: Data, unseen: Data) -> Usual:
+    """Measure the misfits of the network with one view, two, ... and the sizes of views.
+
+    `data` are the frames that it was taught, `unseen` others of the capture, or none.
+    """
+    limits = _misfit_limits(prior, data)
+    for views, limit in enumerate(_misfit_limits(prior, unseen)):
+        limits[views] = max(limits[views], limit)
+    sizes = data.sizes[(data.weights > 0).any(-1)].numpy()
+    least, most = np.quantile(sizes, (1 - USUAL_SHARE, USUAL_SHARE))
+    return Usual(
+        np.array(limits or [np.inf]), float(least) / SIZE_FACTOR, float(most) * SIZE_FACTOR
+    )
+
+
+def _misfit_limits(prior: FittedPrior, data: Data) -> list[float]:
+    """Return the limits with one view, two, ... as far as there are frames to tell them."""
     every = max(1, -(-len(data.weights) // MOST_FRAMES))
     frames = torch.arange(0, len(data.weights), every)
     pixels, weights = data.pixels(frames), data.weights[frames]
@@ -34,8 +49,4 @@ def learn_usual(prior: FittedPrior, data: Data) -> Usual:
         shown = (weights * (order < count)[..., None])[chosen]
         misfits = prior.lift(pixels[chosen], confidence=shown, refine="off").misfits
         limits.append(MISFIT_FACTOR * float(np.nanquantile(misfits, USUAL_SHARE)))
-    sizes = data.sizes[frames][observed].numpy()
-    least, most = np.quantile(sizes, (1 - USUAL_SHARE, USUAL_SHARE))
-    return Usual(
-        np.array(limits or [np.inf]), float(least) / SIZE_FACTOR, float(most) * SIZE_FACTOR
-    )
+    return limits

@@ -3,7 +3,7 @@
 import numpy as np
 
 from models.findings.catalogue import CATALOGUE, CODES
-from models.findings.finding import MOST_RANGES, Finding, frame_ranges
+from models.findings.finding import MOST_RANGES, Finding, frame_ranges, merged
 
 
 def test_every_code_says_what_it_leads_to_and_what_to_do() -> None:
@@ -32,3 +32,16 @@ def test_a_finding_survives_json_and_reads_in_one_line() -> None:
     assert str(found).startswith(
         "warning: views_swapped, views 0 2, frames 4-6, share 0.25. In these frames"
     )
+
+
+def test_findings_of_parts_are_merged() -> None:
+    early = Finding.of("rig_not_used", frames=[2, 3, 9], residual_px=4, noise_px=1)
+    late = Finding.of("rig_not_used", frames=[10, 11], residual_px=6, noise_px=1)
+    other = Finding.of("frame_unlike_fit", frames=[5], misfit=0.2)
+    whole = Finding.of("rig_not_used", frames=[2, 3, 9, 10, 11], residual_px=6, noise_px=1)
+    assert merged([early, other, late]) == (whole, other)
+    assert merged([late, early]) == (whole,)
+    everywhere = [Finding.of("rig_not_used", frames=[3 * n]) for n in range(2 * MOST_RANGES)]
+    (joined,) = merged(everywhere)
+    assert len(joined.frames) == MOST_RANGES
+    assert (joined.frames[0][0], joined.frames[-1][1]) == (0, 6 * MOST_RANGES - 3)

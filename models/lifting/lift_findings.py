@@ -1,0 +1,69 @@
+"""Findings of lifts: which frames are unlike the fit, in what, and by how much."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.findings.finding import Finding
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import FINDING_BITS, Lift
+from models.network.answers import OTHER_SCALE, RIG_NOT_USED, UNLIKE_FIT
+
+
+def lift_findings(
+    lift: Lift, prior: FittedPrior, *, first_frame: int | None = None
+) -> tuple[Finding, ...]:
+    """Return the findings of a lift by a prior, most often none.
+
+    Parameters
+    ----------
+    first_frame
+        Of a part of a lift: the number of its first frame. Without it these are all frames, and a
+        finding of all of them names none.
+    """
+    if not lift.findings.any():
+        return ()
+    found = []
+    for bit, code in FINDING_BITS.items():
+        about = (lift.findings & bit) > 0  # (N,)
+        if not about.any():
+            continue
+        every = first_frame is None and about.all()
+        numbers = np.flatnonzero(about) + (first_frame or 0)
+        evidence = _EVIDENCE[bit](lift.frames(about), prior)
+        known = {name: value for name, value in evidence.items() if np.isfinite(value)}
+        finding = Finding.of(code, frames=() if every else numbers)
+        found.append(finding.model_copy(update={"evidence": known}))
+    return tuple(found)
+
+
+def _of_rig(lift: Lift, prior: FittedPrior) -> dict[str, float]:
+    residual = _median(lift.rig_residuals)
+    return {
+        "residual_px": residual,
+        "noise_px": prior.noise,
+        "times_the_noise": residual / prior.noise,
+    }
+
+
+def _of_misfit(lift: Lift, prior: FittedPrior) -> dict[str, float]:
+    limits = prior.capture.usual.misfits
+    views = (lift.camera_models >= 0).sum(1)
+    limit = limits[np.minimum(views, len(limits)) - 1]
+    return {"misfit": _median(lift.misfits), "usual_at_most": float(np.median(limit))}
+
+
+def _of_size(lift: Lift, prior: FittedPrior) -> dict[str, float]:
+    usual = prior.capture.usual
+    return {
+        "size_px": _median(lift.sizes),
+        "usual_at_least_px": usual.least_size,
+        "usual_at_most_px": usual.most_size,
+    }
+
+
+_EVIDENCE = {RIG_NOT_USED: _of_rig, UNLIKE_FIT: _of_misfit, OTHER_SCALE: _of_size}
+
+
+def _median(values: NDArray[np.float32]) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.nan

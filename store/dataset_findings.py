@@ -1,0 +1,106 @@
+"""What is noticed of a capture's keypoints as it is stored, at a cost that is bounded."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import func, select
+
+from models.capture.checks import ABSENCES, NUMBERS, absences, capture_findings, observed, sample
+from models.findings.finding import Finding, dumped
+from store.capture import Capture, concatenate
+from store.database import Store
+from store.records import Chunk, Dataset
+
+MOST_CHUNKS = 16  # that are looked at when frames are added
+
+
+def of_new(capture: Capture, image_sizes: list[Any] | None) -> list[Any]:
+    """Return the findings of a capture, as plain data; of a long one, from a sample of it."""
+    _, views, keypoints, _ = capture.keypoints.shape
+    numbers = sample(capture.frames, views, keypoints)
+    found = _of_sample(_frames(capture, numbers), image_sizes, numbers, capture.frames)
+    if len(numbers) == capture.frames:
+        return dumped(found)
+    return dumped(_with(_absences(capture, capture.frames), found))
+
+
+def of_longer(store: Store, dataset: Dataset, added: Capture) -> list[Any]:
+    """Return the findings of a dataset to whose end frames are added, as plain data.
+
+    A few of its chunks are looked at, and the added frames. What no frame had shown before, and
+    none of the added does, is still not shown.
+    """
+    size = max(1, NUMBERS // (dataset.views * dataset.keypoints) // (MOST_CHUNKS + 1))
+    parts, numbers = [], []
+    for chunk in _some_chunks(store, dataset):
+        part = slice(0, min(chunk.frames, size))
+        try:
+            parts.append(Capture.frames_from(partial(store.objects.get_range, chunk.key), part))
+        except FileNotFoundError:  # the dataset was deleted since: nobody will read its findings
+            continue
+        numbers.append(np.arange(chunk.first_frame, chunk.first_frame + part.stop))
+    last = np.arange(min(added.frames, size))
+    parts.append(_frames(added, last))
+    numbers.append(dataset.frames + last)
+    frames, there = dataset.frames + added.frames, np.concatenate(numbers)
+    found = _of_sample(concatenate(parts), dataset.image_sizes, there, frames)
+    if len(there) == frames:
+        return dumped(found)
+    before = [Finding.model_validate(finding) for finding in dataset.findings or []]
+    return dumped(_with(_still(before, _absences(added, frames)), found))
+
+
+def _of_sample(
+    part: Capture, image_sizes: list[Any] | None, numbers: NDArray[np.int64], frames: int
+) -> tuple[Finding, ...]:
+    return capture_findings(
+        part.keypoints, part.confidence, image_sizes, numbers=numbers, frames=frames
+    )
+
+
+def _absences(capture: Capture, frames: int) -> list[Finding]:
+    return list(absences(observed(capture.keypoints, capture.confidence), frames))
+
+
+def _with(absent: Iterable[Finding], found: Sequence[Finding]) -> list[Finding]:
+    """Return what a sample tells, with what is absent from all frames and not from it alone."""
+    return [*absent, *(finding for finding in found if finding.code not in ABSENCES)]
+
+
+def _still(before: Sequence[Finding], now: Sequence[Finding]) -> Iterator[Finding]:
+    """Yield what is absent both from the frames before and from those that were added."""
+    for finding in now:
+        for earlier in before:
+            if finding.code != earlier.code:
+                continue
+            views = tuple(sorted(set(earlier.views) & set(finding.views)))
+            keypoints = tuple(sorted(set(earlier.keypoints) & set(finding.keypoints)))
+            if views or keypoints or not (earlier.views or earlier.keypoints):
+                yield finding.model_copy(update={"views": views, "keypoints": keypoints})
+
+
+def _some_chunks(store: Store, dataset: Dataset) -> list[Chunk]:
+    """Return the chunks of a dataset, or some that are spread evenly over its frames."""
+    mine = select(Chunk).where(Chunk.dataset_id == dataset.id)
+    count = select(func.count()).select_from(mine.subquery())
+    with store.reading() as session:
+        if (session.scalar(count) or 0) <= MOST_CHUNKS:
+            return list(session.scalars(mine.order_by(Chunk.first_frame)))
+        found: dict[int, Chunk] = {}
+        for place in range(MOST_CHUNKS):
+            frame = place * dataset.frames // MOST_CHUNKS
+            before = mine.where(Chunk.first_frame <= frame).order_by(Chunk.first_frame.desc())
+            chunk = session.scalar(before.limit(1))
+            if chunk is not None:
+                found[chunk.first_frame] = chunk
+        return list(found.values())
+
+
+def _frames(capture: Capture, numbers: NDArray[np.int64]) -> Capture:
+    if len(numbers) == capture.frames:
+        return capture
+    confidence = None if capture.confidence is None else capture.confidence[numbers]
+    return Capture(capture.keypoints[numbers], confidence)
