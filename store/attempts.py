@@ -129,6 +129,7 @@ def succeed(
                     "model_id": model.id,
                     "progress": progress,
                     "reconstruction_key": reconstruction_key,
+                    "findings": model.findings,
                 },
             )
     except LeaseLostError:

@@ -1,12 +1,14 @@
 """Chunks of a lift: what a helper may write, for as long as it holds the lease of a chunk."""
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
+from models.findings.finding import Finding, dumped, merged
 from store import jobs, lifts
 from store.database import Store
 from store.errors import LeaseLostError
@@ -99,9 +101,15 @@ def beat(store: Store, helper: Helper, _progress: object = None) -> None:
 
 
 def finish(
-    store: Store, helper: Helper, chunk: LiftChunk, *, arrays: dict[str, Any], lines: bytes
-) -> None:
-    """Store a chunk's result, for good; the last chunk's ends the lift.
+    store: Store,
+    helper: Helper,
+    chunk: LiftChunk,
+    *,
+    arrays: dict[str, Any],
+    lines: bytes,
+    findings: Iterable[Finding] = (),
+) -> LiftJob:
+    """Store a chunk's result, for good; the last chunk's ends the lift. Returns the lift.
 
     Parameters
     ----------
@@ -109,6 +117,8 @@ def finish(
         The lift's arrays under the names that they have in the result, frames first.
     lines
         The same as JSON lines.
+    findings
+        Of the chunk's frames, which they name; they are merged with those of the others.
 
     Raises
     ------
@@ -128,11 +138,14 @@ def finish(
             mine.arrays_key, mine.lines_key = arrays_key, lines_key
             mine.lines_bytes, mine.checksums = len(lines), packed.checksums
             mine.finished_at, mine.holder, mine.lease_expires_at = time.time(), None, None
+            earlier = (Finding.model_validate(finding) for finding in lift.findings or [])
+            lift.findings = dumped(merged((*earlier, *findings)))
             _count(session, lift, mine, packed.layout)
         done = True
     finally:
         if not done:
             store.objects.delete(arrays_key, lines_key)
+    return lift
 
 
 def _count(session: Session, lift: LiftJob, chunk: LiftChunk, layout: Layout) -> None:

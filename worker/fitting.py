@@ -14,6 +14,7 @@ import torch
 from safetensors.numpy import save
 
 from models.capture.metrics import pa_mpjpe, pck
+from models.findings.finding import dumped, log_findings
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
 from models.network.priors.registry import outline
@@ -115,8 +116,10 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
                 "skeleton": dataset.skeleton,
                 "training_curve": [_finite(point._asdict()) for point in prior.curve],
                 "metrics": _finite(evaluate(prior, lift, capture)),
+                "findings": dumped(prior.findings),
             },
         )
+        log_findings(logger, f"Fit {fit.id}", prior.findings)
 
 
 def _reconstruct(prior: FittedPrior, capture: Capture, stopped: Callable[[], bool]) -> Lift | None:
@@ -181,7 +184,7 @@ def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]
     """
     figures: dict[str, Any] = {
         "reprojection_error": float(np.nanmean(lift.reprojection_errors)),
-        "frames_lifted": int(np.isfinite(lift.points3d[:, 0, 0]).sum()),
+        "frames_lifted": int(np.isfinite(lift.points3d).any((1, 2)).sum()),
         "pa_mpjpe": None,
         "pck": None,
         "pck_threshold": None,

@@ -1,11 +1,14 @@
 """Doing chunks of a lift: frames and weights in, arrays and JSON lines out."""
 
+import logging
 from functools import partial
 from typing import cast
 
+from models.findings.finding import Finding, log_findings
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import Lift, join
+from models.lifting.lift_findings import lift_findings
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
 from store import datasets, lift_chunks, lookup, models
@@ -16,6 +19,8 @@ from worker.heartbeat import Heartbeat
 from worker.outcomes import Outcomes, recorded
 from worker.settings import WorkerSettings
 from worker.time_slice import TimeSlice
+
+logger = logging.getLogger(__name__)
 
 SLICE_FRAMES = 512  # lifted between two looks at what is asked of the helper
 
@@ -68,6 +73,7 @@ def _do(
     end = chunk.first_frame + chunk.frames
     capture = datasets.load_frames(store, lift.dataset_id, chunk.first_frame, end)
     parts: list[Lift] = []
+    findings: list[Finding] = []
     for start in range(0, chunk.frames, SLICE_FRAMES):
         if heartbeat.lost:
             return
@@ -75,14 +81,17 @@ def _do(
             lift_chunks.release(store, helper, chunk)
             return
         part = slice(start, start + SLICE_FRAMES)
-        parts.append(
-            prior.lift(
-                capture.keypoints[part],
-                confidence=None if capture.confidence is None else capture.confidence[part],
-                refine=cast(Refine | None, lift.refine),
-                views=lift.views,
-            )
+        lifted = prior.lift(
+            capture.keypoints[part],
+            confidence=None if capture.confidence is None else capture.confidence[part],
+            refine=cast(Refine | None, lift.refine),
+            views=lift.views,
         )
+        parts.append(lifted)
+        findings += lift_findings(lifted, prior, first_frame=chunk.first_frame + start)
     arrays = join(parts).arrays
     lines = b"\n".join((*frames_to_json(arrays), b""))
-    lift_chunks.finish(store, helper, chunk, arrays=arrays, lines=lines)
+    done = lift_chunks.finish(store, helper, chunk, arrays=arrays, lines=lines, findings=findings)
+    if done.status == "succeeded":
+        merged_findings = (Finding.model_validate(one) for one in done.findings or [])
+        log_findings(logger, f"Lift {done.id}", merged_findings)

@@ -1,5 +1,6 @@
 """What was noticed, in the shape that datasets, fits, models, lifts and streams share."""
 
+import logging
 from collections.abc import Iterable
 from typing import Annotated, Any, Self
 
@@ -79,6 +80,13 @@ class Finding(BaseModel):
 def dumped(findings: Iterable[Finding]) -> list[dict[str, Any]]:
     """Return findings as plain data, as records and JSON hold them."""
     return [finding.model_dump(mode="json") for finding in findings]
+
+
+def log_findings(logger: logging.Logger, about: str, findings: Iterable[Finding]) -> None:
+    """Log findings about something, one line each."""
+    for finding in findings:
+        level = logging.WARNING if finding.severity == "warning" else logging.INFO
+        logger.log(level, "%s: %s", about, finding)
 
 
 def frame_ranges(frames: NDArray[np.bool_] | Iterable[int]) -> tuple[tuple[int, int], ...]:

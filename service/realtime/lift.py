@@ -12,6 +12,7 @@ from starlette.responses import Response
 
 from models.lifting import lift as lifts
 from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift_findings import lift_findings
 from models.settings.config import Index, Refine
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.operations import binary_responses, request_body
@@ -20,6 +21,7 @@ from service.realtime.engine import Engine
 from service.realtime.frames import to_frames
 from service.settings import Settings
 from service.wire.captures import read_arrays
+from service.wire.findings import Findings
 from service.wire.representations import FormatQuery, arrays_response
 from service.wire.schemas import CONFIDENCE, KEYPOINTS, LIFTED_FRAME, REFINE, VIEWS, LiftedFrame
 from store.capture import Capture
@@ -62,12 +64,17 @@ class Lift(BaseModel):
 
     model_config = ConfigDict(
         json_schema_extra={
-            "example": {"model": "mdl_01m7ysqde9xx2qq81h8t3gh6xr", "frames": [LIFTED_FRAME]}
+            "example": {
+                "model": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
+                "frames": [LIFTED_FRAME],
+                "findings": [],
+            }
         }
     )
 
     model: str
     frames: list[LiftedFrame]
+    findings: Findings
 
 
 ModelQuery = Annotated[
@@ -82,6 +89,7 @@ ViewsQuery = Annotated[
 
 class _Asked(NamedTuple):
     model: str
+    prior: FittedPrior
     capture: Capture
     refine: Refine | None
     views: list[int] | None
@@ -118,7 +126,7 @@ def _understand(
     if prior is None:
         return None
     capture = to_frames(asked.frames, asked.confidence, views, prior, settings)
-    return _Asked(asked.model, capture, asked.refine or refine, views)
+    return _Asked(asked.model, prior, capture, asked.refine or refine, views)
 
 
 class DirectRoute(APIRoute):
@@ -192,6 +200,7 @@ async def lift(
         request,
         lifted.arrays,
         {"model": asked.model},
+        lift_findings(lifted, asked.prior),
     )
 
 

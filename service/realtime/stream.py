@@ -17,7 +17,7 @@ from service.http.errors import PROBLEMS, ApiError, FieldError, from_validation,
 from service.http.operations import register
 from service.realtime.engine import Engine
 from service.realtime.frames import check_views
-from service.realtime.stream_frames import Frame, json_object, read_frame, write_answer
+from service.realtime.stream_frames import Frame, json_object, read_frame, seen_bytes, write_answer
 from service.settings import Settings
 from service.wire.stream_messages import (
     StreamAnswer,
@@ -160,6 +160,7 @@ class _Conversation:
             refine=self._refine,
             on_overload=self._start.on_overload,
             continuity=self._continuity,
+            seen_bytes=seen_bytes(self._prior.keypoints_per_frame),
             limits=StreamLimits(
                 message_bytes=self._settings.max_stream_bytes,
                 frames_in_hand=FRAMES_IN_HAND,
@@ -233,7 +234,7 @@ class _Conversation:
                 lift = await answer
                 if self._continuity:
                     self._previous = lift
-                message = write_answer(frame, lift)
+                message = write_answer(frame, lift, self._prior)
             self._asked.popleft()
             self._ask()
             self._something_answered.set()

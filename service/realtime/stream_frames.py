@@ -7,17 +7,21 @@ import orjson
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from models.findings.finding import dumped
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import Lift
+from models.lifting.lift_findings import lift_findings
 from service.http.errors import ApiError, from_validation, invalid
 from service.realtime.frames import to_frames
 from service.settings import Settings
 from service.wire.arrays import from_nested
 from service.wire.captures import POINT_AXES
 from service.wire.stream_messages import (
+    ALIGNED,
     ANSWER,
     CONTINUED,
+    FINDINGS,
     FRAME,
     HEADER,
     LIFTED,
@@ -135,17 +139,30 @@ def json_object(message: str) -> dict[str, object]:
     return found
 
 
-def write_answer(frame: Frame, lift: Lift) -> str | bytes:
-    """Return the answer to a frame, lifted: text if it came as text, else bytes."""
+def seen_bytes(keypoints: int) -> int:
+    """Return how many bytes `keypoints_seen` takes in an answer."""
+    return -(-keypoints // ALIGNED) * ALIGNED
+
+
+def write_answer(frame: Frame, lift: Lift, prior: FittedPrior) -> str | bytes:
+    """Return the answer to a frame, lifted by a prior: text if it came as text, else bytes."""
     continued = bool(lift.continued[0])
     if not frame.binary:
         (text,) = frames_to_json(lift.arrays)
-        answer = {"type": "answer", "sequence": frame.sequence, "continued": continued}
-        return orjson.dumps(answer | {"frame": orjson.Fragment(text)}).decode()
+        answer = {
+            "type": "answer",
+            "sequence": frame.sequence,
+            "continued": continued,
+            "frame": orjson.Fragment(text),
+            "findings": dumped(lift_findings(lift, prior)),
+        }
+        return orjson.dumps(answer).decode()
     views = np.empty(lift.scales.shape[1], VIEW)
     for name in VIEW.names or ():
         views[name] = getattr(lift, name)[0]
     flags = LIFTED * (lift.status[0] == "ok") | CONTINUED * continued
+    flags |= int(lift.findings[0]) << FINDINGS
     header = HEADER.pack(ANSWER, flags, len(views), frame.sequence)
     points: NDArray[np.float32] = lift.points3d.astype("<f4", copy=False)
-    return header + points.tobytes() + views.tobytes()
+    seen = lift.keypoints_seen.tobytes().ljust(seen_bytes(lift.keypoints_seen.shape[1]), b"\0")
+    return header + points.tobytes() + views.tobytes() + seen

@@ -1,5 +1,6 @@
 """Datasets: captures, uploaded whole or streamed in chunks."""
 
+import logging
 from datetime import UTC, datetime
 from typing import Annotated, Any, Self
 
@@ -8,6 +9,7 @@ import orjson
 from fastapi import APIRouter, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from models.findings.finding import Finding, log_findings
 from models.settings.times import MAX_FPS, check_rate
 from service.http.dependencies import (
     IdempotencyHeader,
@@ -23,12 +25,14 @@ from service.resources.pages import Limit, Page, cursor_of, page_of
 from service.settings import Settings
 from service.wire.arrays import Arrays
 from service.wire.captures import read_arrays, to_capture
+from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, TIMES, Name
 from service.wire.skeletons import Skeleton
 from store import datasets, lookup, records
 from store.capture import Capture
 from store.datasets import Description
 
+logger = logging.getLogger(__name__)
 router = APIRouter(prefix="/datasets", tags=["datasets"])
 
 CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d", "times"})
@@ -162,6 +166,7 @@ class Dataset(BaseModel):
                 "fps": 50.0,
                 "has_times": False,
                 "metadata": {"subject": "M7"},
+                "findings": EXAMPLE_FINDINGS,
             }
         }
     )
@@ -185,6 +190,7 @@ class Dataset(BaseModel):
     fps: float | None = Field(description="Frames per second, if they were told.")
     has_times: bool = Field(description="Whether every frame came with its time.")
     metadata: dict[str, Any]
+    findings: Findings
 
     @classmethod
     def of(cls, record: records.Dataset) -> Self:
@@ -207,6 +213,7 @@ class Dataset(BaseModel):
             fps=record.fps,
             has_times=record.last_times is not None,
             metadata=record.user_metadata,
+            findings=[Finding.model_validate(finding) for finding in record.findings or []],
         )
 
 
@@ -299,7 +306,9 @@ def create_dataset(
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )
     response.headers["Location"] = f"/datasets/{record.id}"
-    return Dataset.of(record)
+    dataset = Dataset.of(record)
+    log_findings(logger, f"Dataset {record.id}", dataset.findings)
+    return dataset
 
 
 @router.post(

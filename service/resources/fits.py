@@ -22,6 +22,7 @@ from service.http.operations import request_body
 from service.http.uploads import UploadBody
 from service.resources.jobs import JobStatus, Words, add_job_routes, announce, finder
 from service.resources.pages import Limit, Page, cursor_of, page_of
+from service.wire.findings import Findings
 from service.wire.schemas import Name
 from store import fits, records
 from store.database import Store
@@ -123,6 +124,7 @@ class Fit(BaseModel):
                 "finished_at": None,
                 "model_id": None,
                 "error": None,
+                "findings": [],
             }
         }
     )
@@ -146,6 +148,7 @@ class Fit(BaseModel):
     finished_at: datetime | None
     model_id: str | None
     error: FitError | None
+    findings: Findings
 
     @classmethod
     def of(cls, record: records.FitJob) -> Self:
@@ -168,6 +171,7 @@ class Fit(BaseModel):
                 "finished_at": record.finished_at,
                 "model_id": record.model_id,
                 "error": record.error,
+                "findings": record.findings or [],
             }
         )
 

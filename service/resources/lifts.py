@@ -1,5 +1,6 @@
 """Big lifts: jobs that lift a stored dataset of any length."""
 
+import json
 from datetime import datetime
 from functools import partial
 from typing import Annotated, Self
@@ -26,6 +27,7 @@ from service.realtime.dependencies import EngineDep
 from service.realtime.frames import check_views
 from service.resources.jobs import JobStatus, Words, add_job_routes, announce, finder
 from service.resources.pages import Limit, Page, cursor_of, page_of
+from service.wire.findings import Findings
 from service.wire.schemas import REFINE, VIEWS, Name
 from store import lifts, lookup, records
 from store.database import Store
@@ -111,6 +113,7 @@ class LiftJob(BaseModel):
                 "started_at": "2026-03-01T09:41:01Z",
                 "finished_at": None,
                 "error": None,
+                "findings": [],
             }
         }
     )
@@ -129,11 +132,13 @@ class LiftJob(BaseModel):
     started_at: datetime | None
     finished_at: datetime | None
     error: LiftFailure | None
+    findings: Findings
 
     @classmethod
     def of(cls, record: records.LiftJob) -> Self:
         """Return the wire form of a record."""
         shared = {name: getattr(record, name) for name in cls.model_fields if name != "progress"}
+        shared["findings"] = record.findings or []
         progress = {name: getattr(record, name) for name in LiftProgress.model_fields}
         return cls.model_validate({**shared, "progress": progress})
 
@@ -257,6 +262,8 @@ def get_lift_result(
             f"Lift {lift.id!r} is {lift.status}: only a lift that succeeded has a result."
         )
     about = {"lift_id": lift.id, "model_id": lift.model_id, "dataset_id": lift.dataset_id}
+    if lift.findings:
+        about["findings"] = json.dumps(lift.findings)
     file = result_file(lift, lifts.finished_chunks(store, lift), chosen, about)
     return ranged_response(
         request,

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Self
 from fastapi import APIRouter, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 
+from models.findings.finding import dumped
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
@@ -22,6 +23,7 @@ from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
 from service.resources.pages import Limit, Page, cursor_of, page_of
 from service.wire.cameras import ModelCameras
+from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
 from store import lookup, models, records
@@ -61,6 +63,7 @@ class Model(BaseModel):
                 "weights_bytes": 91234,
                 "weights_checksum": f"sha256:{'5e88' * 16}",
                 "training_curve": [{"step": 20, "loss": 0.4, "reprojection_error": 60.1}],
+                "findings": EXAMPLE_FINDINGS,
             }
         }
     )
@@ -93,6 +96,7 @@ class Model(BaseModel):
     weights_bytes: int
     weights_checksum: str
     training_curve: list[CurvePoint]
+    findings: Findings
 
     @classmethod
     def of(cls, record: records.Model) -> Self:
@@ -112,6 +116,7 @@ class Model(BaseModel):
                 "weights_bytes": record.weights_bytes,
                 "weights_checksum": f"sha256:{record.weights_checksum}",
                 "training_curve": record.training_curve,
+                "findings": record.findings or [],
                 **record.metrics,
             }
         )
@@ -220,6 +225,7 @@ def import_model(
         "skeleton": said.skeleton.model_dump() if said.skeleton else None,
         "training_curve": [point._asdict() for point in prior.curve],
         "metrics": {},
+        "findings": dumped(prior.findings),
     }
     record = models.create(
         store,

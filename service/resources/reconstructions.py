@@ -4,10 +4,11 @@ from collections.abc import AsyncIterator
 
 import numpy as np
 from fastapi import APIRouter, Depends, Request
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 from safetensors.numpy import load
 from starlette.responses import Response
 
+from models.findings.finding import Finding
 from models.settings.config import Refine
 from service.http.dependencies import SettingsDep, StoreDep
 from service.http.errors import invalid, problems
@@ -16,6 +17,7 @@ from service.realtime.dependencies import EngineDep
 from service.realtime.lift import RefineQuery
 from service.resources.fits import FitDep
 from service.wire.arrays import Arrays
+from service.wire.findings import Findings
 from service.wire.representations import FormatQuery, arrays_response
 from service.wire.schemas import LIFTED_FRAME, LiftedFrame
 from store import datasets, fits, records
@@ -34,6 +36,7 @@ class Reconstruction(BaseModel):
                 "model_id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
                 "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
                 "frames": [LIFTED_FRAME],
+                "findings": [],
             }
         }
     )
@@ -42,6 +45,7 @@ class Reconstruction(BaseModel):
     model_id: str | None
     dataset_id: str
     frames: list[LiftedFrame]
+    findings: Findings = Field(description="Of the fit.")
 
 
 async def take_turn(request: Request, refine: RefineQuery = None) -> AsyncIterator[None]:
@@ -75,7 +79,11 @@ def get_reconstruction(
     `translations` (N, K, 3), `focals` (N, K, 2), `principal_points` (N, K, 2), `distortions`
     (N, K, 8), `reprojection_errors` (N, K), NaN where there is no answer; `keypoints_used` (N, K)
     and `camera_models` (N, K): 0 weak perspective, 1 perspective, 2 fisheye, -1 no camera. Of weak
-    perspective a translation is (x, y) in pixels and NaN.
+    perspective a translation is (x, y) in pixels and NaN. `keypoints_seen` (N, P) counts the views
+    that show a keypoint, 0 where it is inferred from the others; a keypoint that no view of the fit
+    shows is NaN. `findings` (N,) adds up what was noticed of a frame: 1 `rig_not_used`, 2
+    `frame_unlike_fit`, 4 `coordinates_of_another_scale`. Reconstructions that older versions stored
+    lack these two.
 
     With the fit's own `refine`, or without, this is what the fit stored. With another the frames
     are lifted when asked for, by the fit's model, which takes longer.
@@ -89,8 +97,9 @@ def get_reconstruction(
         "model_id": fit.model_id,
         "dataset_id": fit.dataset_id,
     }
+    findings = [Finding.model_validate(finding) for finding in fit.findings or []]
     return arrays_response(
-        request, found, about, format=format, filename=f"{fit.id}-reconstruction"
+        request, found, about, findings, format=format, filename=f"{fit.id}-reconstruction"
     )
 
 

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from models.calibrating.result import CameraReport
 from models.findings.finding import Finding
 from models.settings.calibration import LiftedLensName
+from service.wire.findings import Findings
 from service.wire.schemas import Distortion, Rotation, Vector2, Vector3
 
 EXAMPLE_FINDING = Finding.of(
@@ -108,7 +109,7 @@ class ModelCameras(BaseModel):
         description="`mixed`: some rest and some move; `unknown`: cameras were not sought."
     )
     reason: str = Field(description="Why, in words.")
-    findings: list[Finding] = Field(
+    findings: Findings = Field(
         description="What was noticed of the cameras, such as a calibration that contradicts the "
         "keypoints."
     )

@@ -1,5 +1,6 @@
 """Answers that carry a lift's arrays: as JSON, safetensors or npz."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import orjson
@@ -7,6 +8,7 @@ from fastapi import Query, Request
 from numpy.typing import NDArray
 from starlette.responses import Response
 
+from models.findings.finding import Finding, dumped
 from service.http.downloads import bytes_response
 from service.http.negotiation import BINARY_FORMATS, NPZ, OCTETS, accepted_format
 from service.wire import arrays
@@ -31,23 +33,27 @@ def arrays_response(
     request: Request,
     found: dict[str, NDArray[Any]],
     about: dict[str, str | None],
+    findings: Sequence[Finding],
     *,
     format: Format | None,
     filename: str,
 ) -> Response:
     """Answer with a lift's arrays in the format the client accepts.
 
-    ``about`` goes into the JSON object beside ``frames``, or into the safetensors metadata.
+    ``about`` and ``findings`` go into the JSON object beside ``frames``, or into the safetensors
+    metadata, the findings as JSON.
     """
     chosen = accepted_format(request, format, _FORMATS)
     if chosen == "json":
-        body = orjson.dumps({**about, "frames": frames_json(found)})
+        said = {**about, "frames": frames_json(found), "findings": dumped(findings)}
+        body = orjson.dumps(said)
         return bytes_response(request, body, media_type=_JSON, filename=None)
     if chosen == "npz":
         return bytes_response(
             request, arrays.to_npz(found), media_type=NPZ, filename=f"{filename}.npz"
         )
     metadata = {name: value for name, value in about.items() if value is not None}
+    metadata["findings"] = orjson.dumps(dumped(findings)).decode()
     return bytes_response(
         request,
         arrays.to_safetensors(found, metadata),

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 import orjson
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 
+from models.findings.catalogue import LiftCode
 from models.lifting.frames_json import frames_to_json
 from models.settings.calibration import LiftedLensName
 from service.wire.arrays import Arrays
@@ -123,6 +124,7 @@ LIFTED_FRAME: dict[str, Any] = {
     "status": "ok",
     "reason": None,
     "points3d": [[0.1, -0.9, 0.0], [0.1, 0.3, 0.1], [-0.3, 0.2, 0.0], [0.1, 0.4, -0.1]],
+    "keypoints_seen": [1, 1, 0, 1],
     "views": [
         {
             "camera": "perspective",
@@ -136,6 +138,7 @@ LIFTED_FRAME: dict[str, Any] = {
         },
         None,
     ],
+    "findings": [],
 }
 
 
@@ -146,12 +149,18 @@ class LiftedFrame(BaseModel):
 
     status: Literal["ok", "too_few_keypoints"]
     reason: str | None = Field(description="Why there is no answer, if there is none.")
-    points3d: list[Vector3] | None = Field(
-        description="The canonical structure, keypoints x (x, y, z): centred, right-handed."
+    points3d: list[Vector3 | None] | None = Field(
+        description="The canonical structure, keypoints x (x, y, z): centred, right-handed. Null "
+        "for a keypoint that no view of the fit showed."
+    )
+    keypoints_seen: list[int] | None = Field(
+        description="How many views show each keypoint: 0, it is inferred from the others; 1, so "
+        "is its depth. Null in what older versions stored."
     )
     views: list[LiftedView | None] = Field(
         description="One camera per view, null where the view shows too few keypoints."
     )
+    findings: list[LiftCode] = Field(description="Codes of what was noticed of this frame.")
 
 
 def frames_json(arrays: Arrays) -> list[orjson.Fragment]:

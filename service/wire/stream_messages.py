@@ -3,8 +3,9 @@
 A frame in bytes:  kind u8 = 1, flags u8, views u16 (K), sequence u32, keypoints f32 (K, P, 2) and,
                    with flag 1, confidence f32 (K, P). NaN: not observed.
 Its answer:        kind u8 = 2, flags u8, views u16 (K), sequence u32, points3d f32 (P, 3) and K
-                   times `VIEW`. NaN: no answer. Flag 1: the frame could be lifted, 2: its
-                   refinement started from the answer before.
+                   times `VIEW`, keypoints_seen u8 (P), zeros up to a multiple of 4 bytes. NaN: no
+                   answer. Flag 1: the frame could be lifted, 2: its refinement started from the
+                   answer before, 4, 8 and 16: see `FINDINGS`.
 """
 
 import struct
@@ -15,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from models.settings.config import Index, Refine
 from service.http.errors import FieldError
+from service.wire.findings import Findings
 from service.wire.schemas import (
     FRAME_CONFIDENCE,
     FRAME_KEYPOINTS,
@@ -27,6 +29,8 @@ from service.wire.schemas import (
 FRAME, ANSWER = 1, 2  # kinds
 WITH_CONFIDENCE = 1  # flag of a frame
 LIFTED, CONTINUED = 1, 2  # flags of an answer
+FINDINGS = 2  # bits by which the sum of a frame's findings (`Lift.findings`) is shifted in flags
+ALIGNED = 4  # bytes that a message is a multiple of
 HEADER = struct.Struct("<BBHI")
 VIEW = np.dtype(
     [
@@ -99,6 +103,7 @@ class StreamReady(BaseModel):
                 "continuity": True,
                 "header_bytes": 8,
                 "view_bytes": 108,
+                "seen_bytes": 20,
                 "limits": {"message_bytes": 262144, "frames_in_hand": 16, "idle_seconds": 60.0},
             }
         }
@@ -113,6 +118,10 @@ class StreamReady(BaseModel):
     continuity: bool
     header_bytes: int = Field(HEADER.size, description="Of a binary message, before its arrays.")
     view_bytes: int = Field(VIEW.itemsize, description="Of each view in a binary answer.")
+    seen_bytes: int = Field(
+        description="Of `keypoints_seen` at the end of a binary answer: one for each keypoint, "
+        f"and zeros up to a multiple of {ALIGNED}."
+    )
     limits: StreamLimits
 
 
@@ -149,6 +158,7 @@ class StreamAnswer(BaseModel):
                 "sequence": 7,
                 "continued": True,
                 "frame": LIFTED_FRAME,
+                "findings": [],
             }
         }
     )
@@ -157,6 +167,7 @@ class StreamAnswer(BaseModel):
     sequence: int
     continued: bool = Field(description="Whether refinement started from the answer before.")
     frame: LiftedFrame
+    findings: Findings
 
 
 class StreamDropped(BaseModel):
