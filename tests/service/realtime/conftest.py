@@ -3,7 +3,7 @@
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import httpx2
 import numpy as np
@@ -73,13 +73,31 @@ def as_json(sequence: int, keypoints: Array) -> str:
     return orjson.dumps({"sequence": sequence, "keypoints": frame}).decode()
 
 
-def read_bytes(data: str | bytes) -> tuple[int, int, Array, Array]:
-    """Return sequence, flags, points3d (P, 3) and views of an answer in bytes."""
+class Answer(NamedTuple):
+    """An answer in bytes."""
+
+    sequence: int
+    flags: int
+    points: Array  # (P, 3)
+    views: Array  # (K,) of VIEW
+    seen: Array  # (P,) how many views show a keypoint
+
+
+def read_bytes(data: str | bytes) -> Answer:
     assert isinstance(data, bytes), data
     kind, flags, count, sequence = struct.unpack_from("<BBHI", data)
     assert kind == 2
-    points = np.frombuffer(data[8 : len(data) - count * 108], "<f4").reshape(-1, 3)
-    return sequence, flags, points, np.frombuffer(data[len(data) - count * 108 :], VIEW)
+    keypoints = 16  # of the model of these tests
+    views_at = 8 + 12 * keypoints
+    seen_at = views_at + 108 * count
+    assert len(data) == seen_at + keypoints
+    return Answer(
+        sequence,
+        flags,
+        np.frombuffer(data[8:views_at], "<f4").reshape(-1, 3),
+        np.frombuffer(data[views_at:seen_at], VIEW),
+        np.frombuffer(data[seen_at:], np.uint8),
+    )
 
 
 def read_json(data: str | bytes) -> dict[str, Any]:
