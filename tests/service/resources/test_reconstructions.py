@@ -52,6 +52,8 @@ def test_the_reconstruction_is_the_same_in_every_format(
         "camera_models": (n, k),
         "reprojection_errors": (n, k),
         "keypoints_used": (n, k),
+        "keypoints_seen": (n, p),
+        "findings": (n,),
     }
     body = data.json()
     assert body["fit_id"] == fitted["id"]
