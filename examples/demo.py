@@ -30,7 +30,7 @@ from embedded import running_service
 from numpy.typing import NDArray
 from picture import Array, Scene, draw
 from safetensors.numpy import load
-from screen import ProgressDisplay, console, number, show, show_cameras
+from screen import ProgressDisplay, console, number, show, show_cameras, show_findings
 
 from models.capture.metrics import Accuracy, pa_mpjpe, pck, procrustes_by_size
 
@@ -112,6 +112,7 @@ def run(address: str, capture: Capture, arguments: argparse.Namespace) -> dict[s
         model = call(client, "GET", f"/models/{fit['model_id']}").json()
         cameras = call(client, "GET", f"/models/{model['id']}/cameras").json()
         show_cameras(cameras)
+        show_findings(model["findings"])
         fitted = Result(seen, reconstruction(client, fit["id"]))
         new = Result(unseen, lift(client, model["id"], unseen) if len(unseen) else {})
         latencies = time_lifts(client, model["id"], unseen if len(unseen) else seen)
@@ -131,6 +132,7 @@ def run(address: str, capture: Capture, arguments: argparse.Namespace) -> dict[s
         "lift_ms_p99": float(np.percentile(latencies, 99)),
         "cameras": cameras["arrangement"],
         "focal_px": [view["focal"] and view["focal"][0] for view in cameras["views"]],
+        "findings": [finding["code"] for finding in model["findings"]],
         "fit_seconds": fit["seconds"],
         "steps": fit["config"]["steps"],
     }

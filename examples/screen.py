@@ -61,9 +61,17 @@ def show_cameras(cameras: dict[str, Any]) -> None:
     focals = [f"{number(view['focal'][0])} ± {number(view['focal_sd'])}" for view in known]
     if focals:
         console.print(f"Focal lengths (px): {', '.join(focals)}", soft_wrap=True)
-    for finding in cameras["findings"]:
-        views = "".join(f", view {view}" for view in finding["views"])
-        said = f"{finding['code']}{views}. {finding['effect']} {finding['remedy']}"
+
+
+def show_findings(findings: list[dict[str, Any]]) -> None:
+    """Print what was noticed of the keypoints and the cameras."""
+    for finding in findings:
+        about = [
+            f", {what} {' '.join(map(str, finding[f'{what}s']))}"
+            for what in ("view", "keypoint")
+            if finding[f"{what}s"]
+        ]
+        said = f"{finding['code']}{''.join(about)}. {finding['effect']} {finding['remedy']}"
         console.print(f"{finding['severity'].capitalize()}: {said}", soft_wrap=True)
 
 
@@ -85,6 +93,7 @@ def show(figures: dict[str, Any]) -> None:
         table.add_row(f"PCK (closer than {threshold})", *shares)
     errors = [number(figures[f"reprojection_error_px{which}"]) for which in ("", "_unseen")]
     table.add_row("reprojection error (px)", *errors)
+    table.add_row("findings", ", ".join(figures["findings"]) or "none", "")
     table.add_row("fit (s)", number(figures["fit_seconds"]), "")
     table.add_row("lift of one frame, median (ms)", "", number(figures["lift_ms_p50"]))
     table.add_row("lift of one frame, 99 in 100 (ms)", "", number(figures["lift_ms_p99"]))

@@ -1,0 +1,29 @@
+"""docs/findings.md says of every code what the catalogue says."""
+
+from pathlib import Path
+from typing import get_args
+
+from models.findings.catalogue import CATALOGUE, CameraCode, CaptureCode, LiftCode
+
+PAGE = Path(__file__).parents[3] / "docs" / "findings.md"
+GROUPS = {
+    "## Of keypoints": CaptureCode,
+    "## Of cameras": CameraCode,
+    "## Of lifts": LiftCode,
+}
+
+
+def catalogue() -> str:
+    """Return the tables of all codes."""
+    lines = []
+    for title, group in GROUPS.items():
+        lines += [title, "", "| code | | effect | remedy |", "|---|---|---|---|"]
+        for code in get_args(group):
+            severity, effect, remedy = CATALOGUE[code]
+            lines.append(f"| `{code}` | {severity} | {effect} | {remedy} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def test_every_code_is_documented_in_the_words_of_the_catalogue() -> None:
+    assert PAGE.read_text().endswith(f"\n{catalogue()}")
