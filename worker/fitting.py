@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from safetensors.numpy import save
 
-from models.capture.metrics import pa_mpjpe, pck
+from models.calibrating.handedness import DECIDED
+from models.capture.metrics import Reflection, pa_mpjpe, pck
 from models.findings.finding import dumped, log_findings
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
@@ -180,7 +181,8 @@ def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]
     -------
     dict
         ``reprojection_error`` in pixels, mean over all views of all frames; ``pa_mpjpe`` and
-        ``pck`` (share of keypoints within ``pck_threshold``) in the truth's unit, or None.
+        ``pck`` (share of keypoints within ``pck_threshold``) in the truth's unit, or None. A
+        mirror image is an error where the fit could tell the hand.
     """
     figures: dict[str, Any] = {
         "reprojection_error": float(np.nanmean(lift.reprojection_errors)),
@@ -190,7 +192,7 @@ def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]
         "pck_threshold": None,
     }
     if capture.points3d is not None:
-        accuracy = pa_mpjpe(lift.points3d, capture.points3d)
+        accuracy = pa_mpjpe(lift.points3d, capture.points3d, reflection=_reflection(prior))
         threshold = prior.config.pck_threshold
         figures |= {
             "pa_mpjpe": accuracy.mean,
@@ -198,6 +200,13 @@ def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]
             "pck_threshold": threshold,
         }
     return figures
+
+
+def _reflection(prior: FittedPrior) -> Reflection:
+    """Say whether a mirror image is forgiven: only where the fit could not tell the hand."""
+    found = prior.cameras
+    decided = found is not None and found.handedness_certainty >= DECIDED
+    return "never" if decided else "either"
 
 
 def _fail(store: Store, attempt: Attempt, code: str, message: str) -> None:

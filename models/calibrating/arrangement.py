@@ -14,8 +14,8 @@ from models.bundle.initial_poses import gather
 from models.bundle.problem import Scene, make_rig
 from models.bundle.shape_model import align
 from models.calibrating.expectation_maximisation import ROUNDS, about_model, learn, regauge
-from models.calibrating.keypoint_rig import rig_from_keypoints
-from models.calibrating.lens_prior import rig_prior
+from models.calibrating.handedness import DECIDED, Handed, certainty, same_hand, volume
+from models.calibrating.keypoint_rig import KeypointRig, rig_from_keypoints
 from models.calibrating.prediction import (
     Split,
     common_noise,
@@ -24,12 +24,11 @@ from models.calibrating.prediction import (
     surprise,
 )
 from models.calibrating.problem import (
-    REST_SLACK,
+    CLEAR_KEYPOINTS,
     Problem,
     Solution,
     Steps,
     grouped,
-    reprojection_distances,
 )
 from models.numerics.medians import lower_median
 from models.numerics.rotations import nearest_rotations
@@ -37,10 +36,11 @@ from models.settings.keypoints import MIN_KEYPOINTS
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+Corners = tuple[int, int, int, int]
 
 MEDIAN_ROUNDS = 10  # of reweighting for a median of rotations
 LEAST_ANGLE = 1e-4  # radians, below which rotations weigh alike there
-SAME_TURN, SAME_LENS = math.radians(2), 0.04  # starts that differ by less lead to one optimum
+LIKELY = 2.0  # standard errors by which one rig must predict better than another to replace it
 MORE_ROUNDS = 2  # of learning, for what has been learnt from nearly the same frames
 SURE = 3.0  # standard errors by which hidden keypoints must speak against rest
 NEGLIGIBLE = 0.05  # nats of a keypoint, of what lens models leave
@@ -57,12 +57,22 @@ class RelativePose(NamedTuple):
 RelativePoses = dict[tuple[int, int], RelativePose]  # by views j < k
 
 
+class Rest(NamedTuple):
+    """Which cameras rest."""
+
+    solution: Solution
+    reason: str
+    # Log odds (N,) of its hand against the other, frame by frame, by each way there is to tell it.
+    evidence: list[Float64]
+
+
 class Candidate(NamedTuple):
     """Cameras at rest that are tried: a start on all frames."""
 
     source: str  # in words
     start: Solution
     members: list[int]  # the views that rest
+    keep_lenses: bool = False
 
 
 class Judged(NamedTuple):
@@ -73,54 +83,65 @@ class Judged(NamedTuple):
     distances: Float64  # (J, K, P) pixels, NaN where not asked
 
 
-def find_rest(problem: Problem, moving: Solution, *, declared: bool) -> Steps[tuple[Solution, str]]:
+def find_rest(
+    problem: Problem, handed: Handed, moving: Solution, *, declared: bool, hint: Corners | None
+) -> Steps[Rest]:
     """Say which views rest relative to each other, and put them at rest.
 
-    There are two ways to a rig: the relative rotations of the `moving` solution, and keypoints
-    alone. Each rig is learnt from a part of the frames, like the moving cameras. In the other
+    There are two ways to a rig: keypoints alone, and the relative rotations of the `moving`
+    solution. Each rig is learnt from a part of the frames, like the moving cameras. In the other
     frames some keypoints are hidden, and predicted from the rest. Views rest if they are predicted
     no worse for it. Otherwise the view that suffers most moves, and the others are tried again.
-    Views that are `declared` to rest are joined in any case. Also returns the reason in words.
+    Views that are `declared` to rest are joined in any case. The `hint` are four keypoints that
+    tell the hand (see `choose_hand`); `handed` is what the moving solution was learnt from.
     """
     split = split_frames(len(problem.keypoints))
-    part, asked = problem.of(split.learning), problem.of(split.judging)
-    free = Candidate("moving", moving, [])
-    unjoined = yield from _judge(free, part, asked, split, rounds=MORE_ROUNDS)
-    views = list(range(len(moving.rig.groups)))
-    members, reason = views, "no two views see enough together"
+    unjoined = yield from _judge(Candidate("", moving, []), problem, split, rounds=MORE_ROUNDS)
+    asked = problem.of(split.judging)
+    members, reason = list(range(len(moving.rig.groups))), "no two views see enough together"
     while len(members) > 1:
-        judged = []
-        candidates = yield from _candidates(problem, moving, members)
+        found = yield from rig_from_keypoints(problem, moving, members)
+        candidates = [] if found is None else _by_keypoints(problem, found, hint)
+        best: Judged | None = None
         for candidate in candidates:
-            of_candidate = yield from _judge(candidate, part, asked, split)
-            judged.append(of_candidate)
-        if not judged:
+            best = _better(asked, best, (yield from _judge(candidate, problem, split)))
+        if best is None or len(members) == 2 or _against_rest(asked, unjoined, best).max() > 0:
+            joined = _by_rotations(problem, moving, members)
+            if joined is not None:
+                best = _better(asked, best, (yield from _judge(joined, problem, split)))
+        if best is None:
             break
-        best = _best(asked, judged)
-        against = _against_rest(asked, unjoined, best)
         resting = best.candidate.members
         figures = (
             f"hidden keypoints are predicted to {np.nanmedian(best.distances):.3g} px if views"
             f" {resting} rest ({best.candidate.source}),"
             f" to {np.nanmedian(unjoined.distances):.3g} px if all move"
         )
+        against = _against_rest(asked, unjoined, best)
         worst = max(resting, key=lambda view: against[view])
         if declared or against[worst] <= 0:
             whole = _on_all_frames(best, split)
-            found = yield from learn(problem, whole, rounds=MORE_ROUNDS)
+            kept = _with_lenses(problem, best.candidate)
+            solution = yield from learn(kept, whole, rounds=MORE_ROUNDS)
             said = "the cameras were declared static; " if declared else ""
-            return found, said + figures
+            return Rest(solution, said + figures, _evidence(solution, handed, found))
         reason = f"{figures}: view {worst} speaks against rest"
         members = [view for view in resting if view != worst]
-    return moving, reason
+    return Rest(moving, reason, _evidence(moving, handed, None))
 
 
-def _candidates(problem: Problem, moving: Solution, members: list[int]) -> Steps[list[Candidate]]:
-    """Return the rigs that keypoints alone and the moving solution say, once if they agree."""
-    candidates = []
-    by_keypoints = yield from rig_from_keypoints(problem, moving, members)
-    if by_keypoints is not None:
-        candidates.append(Candidate("from keypoints", by_keypoints.start, by_keypoints.members))
+def _by_keypoints(problem: Problem, found: KeypointRig, hint: Corners | None) -> list[Candidate]:
+    """Return the rig that keypoints alone say, and its mirror image if they hardly tell which."""
+    keep = len(found.members) > 2 and found.noise > CLEAR_KEYPOINTS * problem.size
+    ours = Candidate("from keypoints", found.start, found.members, keep)
+    theirs = Candidate("from keypoints, mirrored", found.mirror, found.members, keep)
+    if hint is not None:
+        return [ours if volume(found.start.scene.points, hint) > 0 else theirs]
+    return [ours] if certainty([found.log_odds]) > DECIDED else [ours, theirs]
+
+
+def _by_rotations(problem: Problem, moving: Solution, members: list[int]) -> Candidate | None:
+    """Return the rig that the relative rotations of the moving solution say."""
     seen = (problem.weights > 0).sum(-1) >= MIN_KEYPOINTS
     relative: RelativePoses = {}
     for j, k in combinations(members, 2):
@@ -128,34 +149,58 @@ def _candidates(problem: Problem, moving: Solution, members: list[int]) -> Steps
         if pose is not None:
             relative[j, k] = pose
     joined = _largest_component(relative, len(moving.rig.groups))
-    if len(joined) > 1:
-        start = _at_rest(moving, relative, joined, seen)
-        if not (candidates and _agree(candidates[0], Candidate("", start, joined))):
-            candidates.append(Candidate("from rotations", start, joined))
-    return candidates
+    if len(joined) < 2:
+        return None
+    return Candidate("from rotations", _at_rest(moving, relative, joined, seen), joined)
+
+
+def _with_lenses(problem: Problem, candidate: Candidate) -> Problem:
+    """Return the problem in which lenses stay as they are, if those of the candidate do.
+
+    Noisy structures are adjusted towards the shape model, and focal lengths follow them: they
+    come out 5 to 20 % short. Points at rest that three views see have no such prior.
+    """
+    if not candidate.keep_lenses:
+        return problem
+    sds = problem.lens_sds.copy()
+    sds[candidate.members] = 0
+    lenses = candidate.start.rig.lenses
+    return problem._replace(reference=problem.reference._replace(lenses=lenses), lens_sds=sds)
 
 
 def _judge(
-    candidate: Candidate, part: Problem, asked: Problem, split: Split, *, rounds: int = ROUNDS
+    candidate: Candidate, problem: Problem, split: Split, *, rounds: int = ROUNDS
 ) -> Steps[Judged]:
     """Learn from one part of the frames and predict hidden keypoints of the other."""
+    part = _with_lenses(problem, candidate).of(split.learning)
     learnt = yield from learn(part, candidate.start.of(split.learning), rounds=rounds)
     yield
     others = candidate.start.scene.of(split.judging)
-    return Judged(candidate, learnt, predicted_distances(asked, learnt, others))
+    return Judged(candidate, learnt, predicted_distances(problem.of(split.judging), learnt, others))
 
 
-def _best(asked: Problem, judged: list[Judged]) -> Judged:
-    """Return what predicts best, with the lenses' prior where predictions do not tell."""
-    noise = common_noise([each.distances for each in judged], asked.side)
+def _better(asked: Problem, first: Judged | None, other: Judged) -> Judged:
+    """Return the other if it has more views at rest or predicts better beyond chance."""
+    if first is None or len(other.candidate.members) != len(first.candidate.members):
+        counts = 0 if first is None else len(first.candidate.members)
+        return other if first is None or len(other.candidate.members) > counts else first
+    noise = common_noise([first.distances, other.distances], asked.side)
+    gain = surprise(first.distances, asked.weights, noise) - surprise(
+        other.distances, asked.weights, noise
+    )
+    known = gain[np.isfinite(gain)]
+    chance = float(known.std()) / math.sqrt(max(len(known), 1))
+    return other if len(known) and known.mean() > LIKELY * chance else first
 
-    def cost(each: Judged) -> float:
-        surprises = surprise(each.distances, asked.weights, noise)
-        prior = rig_prior(asked, each.learnt.rig, given_poses=None)
-        return float(np.nansum(surprises)) + prior.cost(each.learnt.rig) / 2
 
-    most = max(len(each.candidate.members) for each in judged)
-    return min((e for e in judged if len(e.candidate.members) == most), key=cost)
+def _evidence(solution: Solution, handed: Handed, found: KeypointRig | None) -> list[Float64]:
+    """Return what moving cameras and the rig from keypoints say for a solution's hand."""
+    evidence = [(handed.solution.scene.points, handed.log_odds)]
+    if found is not None:
+        evidence.append((found.start.scene.points, found.log_odds))
+    return [
+        odds if same_hand(solution.scene.points, points) else -odds for points, odds in evidence
+    ]
 
 
 def _against_rest(asked: Problem, moving: Judged, resting: Judged) -> Float64:
@@ -181,32 +226,6 @@ def _on_all_frames(judged: Judged, split: Split) -> Solution:
     for whole, of_part in zip(scene, learnt.scene, strict=True):
         whole[split.learning] = of_part
     return learnt._replace(scene=scene, prior=about_model(learnt.shapes, len(points)))
-
-
-def _agree(one: Candidate, other: Candidate) -> bool:
-    """Whether two rigs are so near to each other that learning makes them one."""
-    if one.members != other.members:
-        return False
-    members = np.array(one.members)
-    first, second = (
-        c.start.rig.rotations[members] @ c.start.rig.rotations[members[0]].T for c in (one, other)
-    )
-    focals = [np.log(c.start.rig.lenses.focals[members]) for c in (one, other)]
-    turns = _angles(first @ second.mT)
-    return bool(turns.max() < SAME_TURN and np.abs(focals[0] - focals[1]).max() < SAME_LENS)
-
-
-def worst_view(problem: Problem, moving: Solution, other: Solution, members: list[int]) -> int:
-    """Return the member whose median residual grows most from the moving solution to another."""
-    seen = problem.weights > 0
-    before, after = (
-        np.array([lower_median(distances[:, k][seen[:, k]]) for k in members])
-        for distances in (
-            reprojection_distances(problem, solution.rig, solution.scene)
-            for solution in (moving, other)
-        )
-    )
-    return members[int((after / (before + REST_SLACK * problem.side)).argmax())]
 
 
 def _relative_pose(scene: Scene, seen: Bool, j: int, k: int) -> RelativePose | None:

@@ -1,4 +1,10 @@
-"""Which of two mirror images the structures are: the one that perspective explains better."""
+"""Which of two mirror images the structures are: the one that perspective explains better.
+
+What frames say is kept as log odds, frame by frame, so that it can be said how sure the hand is.
+"""
+
+import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +26,17 @@ DECISIVE = 0.5  # a frame leaves the handedness of the others if its cost falls 
 ORDINARY_FRAMES = 0.95  # quantile of the costs; what costs more than twice that has no say
 
 
+DECIDED = 0.99  # certainty from which the hand counts as known
+LOUDEST = 10.0  # median log odds that one frame says at most
+
+
+class Handed(NamedTuple):
+    """A solution with the hand that moving cameras say."""
+
+    solution: Solution
+    log_odds: Float64  # (N,) what each frame says for it and against its mirror image
+
+
 class NothingFoundError(Exception):
     """The keypoints do not determine any cameras."""
 
@@ -36,7 +53,7 @@ def same_hand(points: Float64, others: Float64) -> bool:
 
 def choose_hand(
     problem: Problem, scene: Scene, hint: tuple[int, int, int, int] | None
-) -> Steps[Solution]:
+) -> Steps[Handed]:
     """Refine a scene as the network has it and mirrored; what explains the keypoints better stays.
 
     The `hint` are four keypoints whose volume is positive in most frames: it decides instead.
@@ -63,16 +80,45 @@ def choose_hand(
     bound = 2 * np.quantile(np.stack(costs)[explained], ORDINARY_FRAMES)
     mirror = bool(costs[1].clip(max=bound).sum() < costs[0].clip(max=bound).sum())
     if hint is not None:
-        mirror = _volume(scenes[0].points, hint) < 0
+        mirror = volume(scenes[0].points, hint) < 0
     ours, theirs = int(mirror), int(not mirror)
     # A frame that the network mirrored is turned back, if its keypoints say so decidedly.
     turned_back = costs[theirs] < DECISIVE * costs[ours]  # (N,)
     best = _choose_frames(turned_back, scenes[theirs], scenes[ours])
+    log_odds = (costs[theirs].clip(max=bound) - costs[ours].clip(max=bound)) / 2
     means = np.where(turned_back[:, None, None], best.points, starts[ours].points)
     prior = _about_structures(means)
     unsure = uncertainty(views, rig, prior, best, np.any(explained, 0))
     shapes = learn_shapes(best.points[unsure.frames], unsure.covariances, floor=LEAST_SPREAD)
-    return Solution(rig, best, prior, shapes, noise, noise)
+    solution = Solution(rig, best, prior, shapes, noise, noise)
+    return Handed(solution, log_odds)
+
+
+def certainty(evidence: list[Float64]) -> float:
+    """Return how sure the hand is, between 0 and 1, from what frames say for it.
+
+    Each piece of `evidence` is an array (N,) of log odds. Frames repeat errors of lenses and
+    detectors, so a sum of log odds alone says too much: the scatter over the frames counts, too.
+    Pieces are put together as Stouffer did (*The American Soldier*, 1949).
+    """
+    scores = [_score(log_odds) for log_odds in evidence]
+    score = sum(scores) / math.sqrt(max(len(scores), 1))
+    return (1 + math.erf(score / math.sqrt(2))) / 2
+
+
+def _score(log_odds: Float64) -> float:
+    """Return the standard normal number that frames (N,) are worth together."""
+    known = log_odds[np.isfinite(log_odds) & (log_odds != 0)]
+    if len(known) < 2:
+        return 0.0
+    loudest = LOUDEST * float(np.median(np.abs(known)))
+    known = known.clip(-loudest, loudest)
+    total = float(known.sum())
+    error = float(known.std(ddof=1)) * math.sqrt(len(known))
+    # The deviance of two hypotheses is the square of such a number.
+    by_sum = math.sqrt(2 * abs(total))
+    by_scatter = abs(total) / error if error > 0 else by_sum
+    return math.copysign(min(by_sum, by_scatter), total)
 
 
 def mirrored(scene: Scene) -> Scene:
@@ -91,7 +137,7 @@ def _choose_frames(which: NDArray[np.bool_], some: Scene, others: Scene) -> Scen
     )
 
 
-def _volume(points: Float64, corners: tuple[int, int, int, int]) -> float:
+def volume(points: Float64, corners: tuple[int, int, int, int]) -> float:
     """Median of (b - a) x (c - a) . (d - a) of four keypoints of structures (N, P, 3)."""
     a, b, c, d = (points[:, corner] for corner in corners)
     return float(lower_median((np.cross(b - a, c - a) * (d - a)).sum(-1)))

@@ -12,7 +12,8 @@ from models.calibrating.handedness import mirrored, same_hand
 from models.calibrating.lens_prior import CENTRE_SD, RADIAL_SDS, UNTOLD_CENTRE_SD
 from models.calibrating.problem import Problem, Solution, Steps, grouped
 from models.epipolar.pairs import Beliefs
-from models.epipolar.resting_rig import RestingRig, find_resting_rig
+from models.epipolar.resting_rig import find_resting_rig
+from models.epipolar.rig_adjustment import Rigid
 from models.numerics.rotations import nearest_rotations
 from models.optics.lenses.projection import Lenses, project
 
@@ -26,11 +27,13 @@ LEAST_KNOWN = 4  # points that tell a structure's pose
 
 
 class KeypointRig(NamedTuple):
-    """Cameras at rest as keypoints alone say, and the start that they make."""
+    """Cameras at rest as keypoints alone say, and the starts that they make."""
 
     start: Solution
+    mirror: Solution  # of the other hand
     members: list[int]  # the views that rest
-    found: RestingRig
+    noise: float  # pixels
+    log_odds: Float64  # (N,) what each frame says for the start and against its mirror image
 
 
 def rig_from_keypoints(
@@ -40,7 +43,6 @@ def rig_from_keypoints(
 
     None where the keypoints speak against any two cameras at rest.
     """
-    side, lenses = problem.side, problem.reference.lenses
     images, sizes = _straight_images(problem)
     asked = np.isin(np.arange(len(sizes)), among)
     weights = problem.weights * asked[:, None]
@@ -48,21 +50,31 @@ def rig_from_keypoints(
     if found is None:
         return None
     members = [int(k) for k in np.flatnonzero(found.resting)]
-    rig, told = found.rig, problem.lens_sds == 0  # (K, LENS)
-    free = found.resting[:, None] & ~told
-    focals = side * np.exp(rig.log_focals)[:, None]
+    noise = max(found.noise * problem.side, moving.noise)
+    starts = []
+    for explanation in (found.best, found.mirror):
+        structures = _structures(explanation.points)
+        if structures is None:
+            return None
+        lenses = _lenses(problem, moving, explanation.rig, found.resting)
+        start = _start(moving, explanation.rig, members, lenses, structures)
+        starts.append(start._replace(noise=noise, measured_noise=noise))
+    best, mirror = starts
+    return KeypointRig(best, mirror, members, found.noise * problem.side, found.log_odds)
+
+
+def _lenses(problem: Problem, moving: Solution, rig: Rigid, resting: NDArray[np.bool_]) -> Lenses:
+    """Return lenses as found of the views that rest; what was told stays."""
+    side, lenses = problem.side, problem.reference.lenses
+    free = resting[:, None] & (problem.lens_sds > 0)  # (K, LENS)
     distortion = lenses.distortion.copy()
     distortion[free[:, RADIAL], 0] = rig.radial[free[:, RADIAL]]
-    used = lenses._replace(
+    focals = side * np.exp(rig.log_focals)[:, None]
+    return lenses._replace(
         focals=np.where(free[:, [FOCAL]], focals, moving.rig.lenses.focals),
         centres=lenses.centres + np.where(free[:, [CENTRE_X]], side * rig.centres, 0.0),
         distortion=distortion,
     )
-    structures = _structures(found.points)
-    if structures is None:
-        return None
-    start = _start(problem, moving, found, members, used, structures)
-    return KeypointRig(start, members, found)
 
 
 def _beliefs(problem: Problem) -> Beliefs:
@@ -162,22 +174,17 @@ def _structures(points: Float64) -> _Structures | None:
 
 
 def _start(
-    problem: Problem,
-    moving: Solution,
-    found: RestingRig,
-    members: list[int],
-    lenses: Lenses,
-    structures: _Structures,
+    moving: Solution, found: Rigid, members: list[int], lenses: Lenses, structures: _Structures
 ) -> Solution:
     """Put cameras, structures and the views that do not rest together."""
     views = len(moving.rig.groups)
     unit = float(np.median(structures.scales))
     rotations = np.tile(np.eye(3), (views, 1, 1))
     translations = np.zeros((views, 3))
-    first = found.rig.rotations[members[0]], found.rig.translations[members[0]]
+    first = found.rotations[members[0]], found.translations[members[0]]
     for k in members:  # in the frame of the first camera
-        rotations[k] = found.rig.rotations[k] @ first[0].T
-        translations[k] = (found.rig.translations[k] - rotations[k] @ first[1]) / unit
+        rotations[k] = found.rotations[k] @ first[0].T
+        translations[k] = (found.translations[k] - rotations[k] @ first[1]) / unit
     groups = grouped(members, views)
     rig = make_rig(lenses, groups, rotations, translations)
     held = first[0] @ structures.rotations  # (N, 3, 3)
@@ -196,12 +203,9 @@ def _start(
     )
     joined.rotations[:, 0], joined.translations[:, 0] = held, placed
     joined.sizes[:, 0] = np.log(structures.scales / unit)
-    count = 3 * problem.keypoints.shape[2]
+    count = structures.points[0].size
     shapes = learn_shapes(
         structures.points, np.zeros((len(placed), count, count)), floor=LEAST_SPREAD
     )
     prior = make_shape_prior(np.tile(shapes.mean, (len(placed), 1, 1)), shapes.basis, shapes.spread)
-    noise = max(found.noise * problem.side, moving.noise)
-    return moving._replace(
-        rig=rig, scene=joined, prior=prior, shapes=shapes, noise=noise, measured_noise=noise
-    )
+    return moving._replace(rig=rig, scene=joined, prior=prior, shapes=shapes)

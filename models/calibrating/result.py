@@ -1,5 +1,6 @@
 """What a self-calibration comes to: for the library, and as a report for people."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,8 @@ class SelfCalibration:
     reprojection_errors: Float64  # (K,) pixels, mean
     reason: str  # why the cameras were found to rest or to move, in words with figures
     findings: tuple[Finding, ...] = ()  # what does not fit, such as a calibration that is wrong
+    # How sure it is, 0 to 1, that structures are no mirror images; NaN: not asked (older files).
+    handedness_certainty: float = math.nan
 
     @property
     def resting(self) -> NDArray[np.bool_]:
@@ -61,6 +64,7 @@ class CameraReport:
     translation_sds: Float64  # (K, 3)
     reprojection_errors: Float64  # (K,) pixels, mean over the frames it was found from
     noise: float  # pixels, standard deviation of a coordinate about the model
+    handedness_certainty: float  # 0 to 1; NaN where an older version did not ask
 
 
 def camera_report(calibration: SelfCalibration) -> CameraReport:
@@ -92,4 +96,5 @@ def camera_report(calibration: SelfCalibration) -> CameraReport:
         translation_sds=at_rest(unit * deviations[:, LENS + 3 :]),
         reprojection_errors=calibration.reprojection_errors.copy(),
         noise=calibration.noise,
+        handedness_certainty=calibration.handedness_certainty,
     )

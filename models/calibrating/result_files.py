@@ -60,6 +60,7 @@ def to_arrays(calibration: SelfCalibration) -> tuple[Arrays, str]:
         "reason": calibration.reason,
         "findings": [finding.model_dump(mode="json") for finding in calibration.findings],
         "lenses": [LENSES[model].NAME for model in lenses.models],
+        "handedness_certainty": _finite(calibration.handedness_certainty),
     }
     tensors = {n: torch.from_numpy(np.array(a, np.float64, order="C")) for n, a in arrays.items()}
     return tensors, json.dumps(words)
@@ -139,7 +140,22 @@ def from_arrays(arrays: Arrays, words: str) -> SelfCalibration:
         a["errors"],
         str(said["reason"]),
         _findings(said),
+        _certainty(said),
     )
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None
+
+
+def _certainty(said: dict[str, Any]) -> float:
+    """Return how sure the hand is; NaN if the file does not say."""
+    certainty = said.get("handedness_certainty")
+    if certainty is None:
+        return math.nan
+    if not isinstance(certainty, int | float) or not 0 <= certainty <= 1:
+        raise WeightsError("the file does not say what was found of the cameras")
+    return float(certainty)
 
 
 def _read_words(words: str) -> dict[str, Any]:

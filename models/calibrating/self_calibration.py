@@ -6,6 +6,7 @@ maximisation learns the noise of the keypoints and the Gaussian shape model besi
 """
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,14 +16,15 @@ from models.bundle.bone_lengths import find_bone_lengths
 from models.bundle.initial_poses import WeakPerspectiveScene, starting_scene
 from models.bundle.problem import POSE, VIEW, Scene
 from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
-from models.calibrating.arrangement import find_rest
+from models.calibrating.arrangement import Rest, find_rest
 from models.calibrating.deviations import deviations
 from models.calibrating.doubts import Checked, check_told
 from models.calibrating.expectation_maximisation import learn
-from models.calibrating.handedness import choose_hand
+from models.calibrating.handedness import DECIDED, Handed, certainty, choose_hand
 from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
+    CLEAR_KEYPOINTS,
     Problem,
     Solution,
     Steps,
@@ -48,7 +50,6 @@ Float64 = NDArray[np.float64]
 MOST_FRAMES, LEAST_FRAMES = 400, 20  # that are looked at
 OPERATIONS = 300_000_000  # in one iteration: half a second
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
-CLEAR_KEYPOINTS = 0.005  # noise as a share of a view's size below which bone lengths find lenses
 
 
 class _Arranged(NamedTuple):
@@ -56,6 +57,7 @@ class _Arranged(NamedTuple):
 
     checked: Checked
     reason: str
+    hand: float  # how sure the hand is, 0 to 1
     unit: float | None = None  # of a unit of the structure in the user's, if poses were given
     findings: tuple[Finding, ...] = ()
 
@@ -95,8 +97,8 @@ def self_calibrate(
     size = float(answers.scales[there].mean())
     poses = told_poses(calibration)
     problem = Problem(keypoints, weights, images, size, usual, reference, lens_sds, poses)
-    start = yield from choose_hand(problem, starting_scene(answers, reference), config.handedness)
-    arranged = yield from _arrange(problem, start, config)
+    handed = yield from choose_hand(problem, starting_scene(answers, reference), config.handedness)
+    arranged = yield from _arrange(problem, handed, config)
     problem, best, reason = arranged.checked.problem, arranged.checked.solution, arranged.reason
     for name, tried_problem, tried_start in other_lenses(problem, best):
         trial = yield from learn(tried_problem, tried_start)
@@ -111,7 +113,12 @@ def self_calibrate(
     if config.known_length is not None:
         unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
         findings += contradiction
-    return _result(problem, best, reason, unit, findings), best.scene
+    if arranged.hand < DECIDED:
+        findings += (Finding.of("handedness_not_observable", certainty=arranged.hand),)
+    found = replace(
+        _result(problem, best, reason, unit, findings), handedness_certainty=arranged.hand
+    )
+    return found, best.scene
 
 
 def _log_posterior(problem: Problem, solution: Solution) -> float:
@@ -153,22 +160,23 @@ def _result(
     )
 
 
-def _arrange(problem: Problem, start: Solution, config: FitConfig) -> Steps[_Arranged]:
+def _arrange(problem: Problem, handed: Handed, config: FitConfig) -> Steps[_Arranged]:
     """Try moving cameras, then given poses, then what rests; what was told is held against it."""
-    moving = yield from learn(problem, start)
+    moving = yield from learn(problem, handed.solution)
     findings: tuple[Finding, ...] = ()
     if len(problem.posed) > 1:
         posed = yield from arrange_posed(problem, moving)
         if posed.fits:
             findings = disagreements(problem, posed.told, posed.checked, posed.unit)
             reason = "the poses of the cameras were given" + in_words(findings)
-            return _Arranged(posed.checked, reason, posed.unit, findings)
+            return _Arranged(posed.checked, reason, 1.0, posed.unit, findings)
         findings = poses_disagree(problem, posed.told, moving)
     if config.cameras == "moving":
-        solution, reason = moving, "the cameras were declared moving"
+        rest = Rest(moving, "the cameras were declared moving", [handed.log_odds])
     else:
-        declared = config.cameras == "static"
-        solution, reason = yield from find_rest(problem, moving, declared=declared)
-    checked = yield from check_told(problem, solution)
-    findings += disagreements(problem, solution, checked)
-    return _Arranged(checked, reason + in_words(findings), findings=findings)
+        declared, hint = config.cameras == "static", config.handedness
+        rest = yield from find_rest(problem, handed, moving, declared=declared, hint=hint)
+    checked = yield from check_told(problem, rest.solution)
+    findings += disagreements(problem, rest.solution, checked)
+    hand = 1.0 if config.handedness is not None else certainty(rest.evidence)
+    return _Arranged(checked, rest.reason + in_words(findings), hand, findings=findings)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from models.epipolar.assembly import ViewGraph, assemble
 from models.epipolar.pairs import Beliefs, relate
 from models.epipolar.rig_adjustment import (
+    LEAST_NOISE,
     Adjusted,
     Rigid,
     Seen,
@@ -41,18 +42,25 @@ LEAST_POINTS = 60  # seen by a view together with others, for it to take part
 # no more than so many independent ones would.
 EFFECTIVE = 500.0
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it does not rest with them
+UNLIKE_PAIRS = 5.0  # times the noise of the best pair: a pair beyond it does not rest
 NO_RIG = 0.3  # noise, as a share of a view's size, that says that nothing rests
 
 
-class RestingRig(NamedTuple):
-    """Cameras that rest, as far as keypoints alone say; views that do not rest are NaN."""
+class Explanation(NamedTuple):
+    """Cameras at rest, and what they see."""
 
     rig: Rigid  # K cameras in sides; of views that take no part the pose is NaN
-    resting: Bool  # (K,) which views take part
     points: Float64  # (N, P, 3) in the rig's frame, NaN where fewer than two of these views see
+
+
+class RestingRig(NamedTuple):
+    """Cameras that rest, as far as keypoints alone say."""
+
+    best: Explanation
+    mirror: Explanation  # the best that there is of the other hand
+    resting: Bool  # (K,) which views take part
     noise: float  # sides
-    cost: float  # minus log likelihood and log prior of the sample, under this noise
-    mirror_costs: Float64  # (N,) by how much each frame speaks for the rig and against its mirror
+    log_odds: Float64  # (N,) what each frame says for the best and against its mirror image
 
 
 def find_resting_rig(
@@ -84,7 +92,7 @@ def find_resting_rig(
             return None
         out = _out_of_line(chosen.noise_alone, sizes[members])
         if out is None:
-            return _result(chosen, scene, images, weights, beliefs, members)
+            return _result(chosen, images, weights, beliefs, members)
         members = [view for place, view in enumerate(members) if place != out]
         graph = {pair: poses for pair, poses in graph.items() if set(pair) <= set(members)}
     return None
@@ -134,7 +142,6 @@ class _Chosen(NamedTuple):
     adjusted: Adjusted
     mirror: Adjusted
     noise_alone: Float64  # (K,) sides, of each view by itself
-    cost: float
 
 
 def _relate_pairs(scene: _Scene, beliefs: Beliefs, rng: np.random.Generator) -> Steps[ViewGraph]:
@@ -176,8 +183,14 @@ def _chosen_pairs(pairs: list[tuple[int, int]], views: int) -> Iterator[tuple[in
 
 
 def _members(graph: ViewGraph, sizes: Float64) -> list[int]:
-    """Return the views with a pair whose noise does not rule out that they rest."""
-    likely = [p for p, poses in graph.items() if poses.noise < NO_RIG * sizes[list(p)].mean()]
+    """Return the views that pairs tie together whose noise does not rule out that they rest."""
+    least = min((poses.noise for poses in graph.values()), default=0.0)
+    most = UNLIKE_PAIRS * max(least, LEAST_NOISE)
+    likely = [
+        pair
+        for pair, poses in graph.items()
+        if poses.noise < min(most, NO_RIG * float(sizes[list(pair)].mean()))
+    ]
     label = list(range(len(sizes)))
     for j, k in likely:
         old, new = label[k], label[j]
@@ -233,8 +246,7 @@ def _adjusted(
     alone = np.array(
         [np.median(row[w > 0]) for row, w in zip(distances, many.weights, strict=True)]
     )
-    cost = _cost(best, many, of_members, best.noise)
-    return _Chosen(best, twin, alone, cost)
+    return _Chosen(best, twin, alone)
 
 
 def _finished(rig: Rigid, seen: Seen, beliefs: Beliefs) -> Adjusted:
@@ -283,33 +295,36 @@ def _out_of_line(alone: Float64, sizes: Float64) -> int | None:
 
 
 def _result(
-    chosen: _Chosen,
-    scene: _Scene,
-    images: Float64,
-    weights: Float64,
-    beliefs: Beliefs,
-    members: list[int],
+    chosen: _Chosen, images: Float64, weights: Float64, beliefs: Beliefs, members: list[int]
 ) -> RestingRig:
-    """Triangulate every frame, and say how much each frame speaks against the mirror image."""
+    """Triangulate every frame with both hands, and say what each frame says for which."""
     frames, views, keypoints, _ = images.shape
     resting = np.zeros(views, bool)
     resting[members] = True
-    rig = chosen.adjusted.rig
     every = Seen(
         images[:, members].transpose(1, 3, 0, 2).reshape(len(members), 2, -1),
         weights[:, members].transpose(1, 0, 2).reshape(len(members), -1),
     )
     known = np.flatnonzero((every.weights > 0).sum(0) >= 2)
     some = Seen(every.images[..., known], every.weights[:, known])
-    points = np.full((frames * keypoints, 3), np.nan)
-    costs = []
     noise = chosen.adjusted.noise
-    for candidate in (chosen.adjusted.rig, chosen.mirror.rig):
-        found = triangulate_points(candidate, some)
-        if candidate is rig:
-            points[known] = found.T
-        robust = robust_costs(distances_of(candidate, found, some, noise), some.weights, noise)
+    explanations, costs = [], []
+    for rig in (chosen.adjusted.rig, chosen.mirror.rig):
+        found = triangulate_points(rig, some)
+        points = np.full((frames * keypoints, 3), np.nan)
+        points[known] = found.T
+        whole = _of_all_views(rig, beliefs, members)
+        explanations.append(Explanation(whole, points.reshape(frames, keypoints, 3)))
+        robust = robust_costs(distances_of(rig, found, some, noise), some.weights, noise)
         costs.append(np.bincount(known // keypoints, robust.sum(0), frames))
+    best, mirror = explanations
+    odds = np.asarray(costs[1] - costs[0], np.float64)
+    return RestingRig(best, mirror, resting, float(np.median(noise)), odds)
+
+
+def _of_all_views(rig: Rigid, beliefs: Beliefs, members: list[int]) -> Rigid:
+    """Give the cameras of some views their places among all."""
+    views = len(beliefs.focals)
     whole = Rigid(
         np.log(beliefs.focals),
         np.zeros((views, 2)),
@@ -319,11 +334,4 @@ def _result(
     )
     for array, row in zip(whole, rig, strict=True):
         array[members] = row
-    return RestingRig(
-        whole,
-        resting,
-        points.reshape(frames, keypoints, 3),
-        float(np.median(noise)),
-        chosen.cost,
-        np.asarray(costs[1] - costs[0], np.float64),
-    )
+    return whole

@@ -116,6 +116,13 @@ class ModelCameras(BaseModel):
     noise: float | None = Field(
         description="Pixels, the standard deviation of a keypoint's coordinate about the model."
     )
+    handedness_certainty: float | None = Field(
+        default=None,
+        ge=0,
+        le=1,
+        description="How sure it is that structures are no mirror images; 1 if it was told, null"
+        " for models of an older Fewview. Below 0.99 there is a finding.",
+    )
     views: list[FoundView] = Field(description="Of the fit, in its order; none if unknown.")
 
     @classmethod
@@ -156,6 +163,7 @@ class ModelCameras(BaseModel):
                 "reason": found.reason,
                 "findings": list(found.findings),
                 "noise": _known(found.noise),
+                "handedness_certainty": _known(found.handedness_certainty),
                 "views": views,
             }
         )

@@ -46,6 +46,7 @@ def calibration() -> SelfCalibration:
         rng.uniform(0, 1, VIEWS),
         "why",
         (Finding.of("calibration_disagrees", views=[1], noise=2.0),),
+        handedness_certainty=0.75,
     )
 
 

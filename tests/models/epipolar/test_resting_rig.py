@@ -44,7 +44,7 @@ def found_in(capture: RigCapture) -> RestingRig | None:
 def rotation_errors(capture: RigCapture, found: RestingRig, views: list[int]) -> Float64:
     """Degrees, of every rotation from the first of some views to another."""
     first = views[0]
-    ours = found.rig.rotations[views[1:]] @ found.rig.rotations[first].T
+    ours = found.best.rig.rotations[views[1:]] @ found.best.rig.rotations[first].T
     truth = capture.rotations[0, views[1:]] @ capture.rotations[0, first].T
     cosines = (np.trace(ours @ truth.mT, axis1=1, axis2=2) - 1) / 2
     return np.asarray(np.degrees(np.arccos(cosines.clip(-1, 1))))
@@ -55,12 +55,12 @@ def test_unlike_lenses_and_the_right_hand_are_found() -> None:
     found = found_in(capture)
     assert found is not None
     assert found.resting.all()
-    focals = SIDE * np.exp(found.rig.log_focals)
+    focals = SIDE * np.exp(found.best.rig.log_focals)
     np.testing.assert_allclose(focals, [lens.focal for lens in UNLIKE], rtol=0.04)
     assert rotation_errors(capture, found, [0, 1, 2]).max() < 2
     assert found.noise * SIDE < 2
     # Every frame speaks for the rig and against its mirror image, or nearly.
-    assert (found.mirror_costs > 0).mean() > 0.9
+    assert (found.log_odds > 0).mean() > 0.9
 
 
 def test_outliers_and_gaps_do_no_harm() -> None:
@@ -73,8 +73,8 @@ def test_outliers_and_gaps_do_no_harm() -> None:
     assert found.resting.all()
     assert rotation_errors(capture, found, [0, 1, 2, 3]).max() < 2
     several = np.isfinite(capture.keypoints).all(-1).sum(1) >= 2
-    assert np.isfinite(found.points[several]).all()
-    assert np.isnan(found.points[~several]).all()
+    assert np.isfinite(found.best.points[several]).all()
+    assert np.isnan(found.best.points[~several]).all()
 
 
 def test_a_view_that_moves_does_not_spoil_the_others() -> None:
@@ -83,7 +83,7 @@ def test_a_view_that_moves_does_not_spoil_the_others() -> None:
     assert found is not None
     assert found.resting.tolist() == [True, False, True, True]
     assert rotation_errors(capture, found, [0, 2, 3]).max() < 2
-    assert np.isnan(found.rig.rotations[1]).all()
+    assert np.isnan(found.best.rig.rotations[1]).all()
 
 
 def test_nothing_rests_where_all_move() -> None:
@@ -98,5 +98,5 @@ def test_equal_keypoints_give_equal_rigs() -> None:
     first, second = found_in(capture), found_in(capture)
     assert first is not None
     assert second is not None
-    np.testing.assert_array_equal(first.rig.rotations, second.rig.rotations)
-    np.testing.assert_array_equal(first.rig.log_focals, second.rig.log_focals)
+    np.testing.assert_array_equal(first.best.rig.rotations, second.best.rig.rotations)
+    np.testing.assert_array_equal(first.best.rig.log_focals, second.best.rig.log_focals)

@@ -87,6 +87,7 @@ def found_cameras() -> CameraReport:
         translation_sds=np.array([[0.1, 0.1, 0.2], [nan] * 3]),
         reprojection_errors=np.array([1.5, 2.5]),
         noise=1.2,
+        handedness_certainty=0.75,
     )
 
 
@@ -98,6 +99,7 @@ def test_the_cameras_that_were_found(
     monkeypatch.setattr(engine.prior(model), "cameras", found_cameras())
     found = api.get(f"/models/{model}/cameras").json()
     assert (found["model"], found["arrangement"], found["noise"]) == (model, "mixed", 1.2)
+    assert found["handedness_certainty"] == 0.75
     assert found["reason"] == "because"
     (finding,) = found["findings"]
     assert (finding["code"], finding["views"]) == ("calibration_disagrees", [0])
