@@ -30,11 +30,17 @@ class Fundamental(NamedTuple):
 
 
 def fit_fundamental(
-    x: Float64, y: Float64, weights: Float64 | None = None, *, floor: float = 0.01
+    x: Float64,
+    y: Float64,
+    weights: Float64 | None = None,
+    *,
+    floor: float = 0.01,
+    start: Float64 | None = None,
 ) -> Fundamental:
     """Fit a fundamental matrix to correspondences x, y (M, 2) in pixels, of `weights` (M,).
 
-    The scale of the noise is estimated on the way and is not below `floor` pixels.
+    The scale of the noise is estimated on the way and is not below `floor` pixels. A matrix (3, 3)
+    to `start` from saves the search for one.
 
     Raises
     ------
@@ -47,9 +53,9 @@ def fit_fundamental(
     everything = np.ones(len(x), bool)
     to_x, to_y = _normalising(x, everything), _normalising(y, everything)
     rows = _equations(_homogeneous(x) @ to_x.T, _homogeneous(y) @ to_y.T)  # (M, 9)
-    start = _start(rows, given, to_x, to_y, x, y)
+    matrix = _start(rows, given, to_x, to_y, x, y) if start is None else start
     matrices, scales = _reweighted(
-        start[None], rows[None], given[None], to_x[None], to_y[None], x[None], y[None], floor
+        matrix[None], rows[None], given[None], to_x[None], to_y[None], x[None], y[None], floor
     )
     return Fundamental(matrices[0], float(scales[0]))
 

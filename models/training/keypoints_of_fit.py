@@ -13,6 +13,7 @@ from models.calibrating.image_sizes import ImageSizes
 from models.capture.checks import capture_findings, observed
 from models.capture.frozen import frozen_places
 from models.capture.observations import Observations, as_observations
+from models.epipolar.order_checks import order_findings
 from models.lifting.fitted_capture import FittedCapture
 from models.network.answers import nothing_unusual
 from models.settings.config import FitConfig
@@ -59,9 +60,13 @@ def observe(
         nothing_unusual(),
         findings,
     )
-    observations = as_observations(*capture.observations(pixels, confidence, None))
+    detected, trust = capture.observations(pixels, confidence, None)
+    observations = as_observations(detected, trust)
     shown = np.any(observations.weights > 0, axis=(0, 1))
-    capture = capture._replace(known=shown if known is None else _suited(known, shown))
+    capture = capture._replace(
+        known=shown if known is None else _suited(known, shown),
+        findings=(*findings, *order_findings(detected, observations.weights)),
+    )
     return Observed(_among(observations, capture.known), capture)
 
 

@@ -1,0 +1,79 @@
+"""Which keypoints may be each other's left and right: by their names, or by how alike they lie.
+
+Left and right of a body have the same distances to all the rest of it, so the sorted distances of
+such a pair are alike. That holds whatever the views call left, under noise and from every side.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.epipolar.view_pairs import Seen
+
+Float64 = NDArray[np.float64]
+Partners = NDArray[np.intp]  # (P,) with which keypoint each changes places; itself if with none
+
+FRAMES = 100  # plenty for a median
+ALIKE = 0.15  # of the usual distance between keypoints: sorted distances may differ by so much
+SIDES = (("left", "right"), ("l", "r"))
+SEPARATORS = "_- ."
+
+
+def unlikeness(seen: Seen) -> Float64:
+    """Say how unlike keypoints lie (P, P), as a share of the usual distance between them.
+
+    Infinity stands for those that are surely not left and right of each other.
+    """
+    frames, _, count = seen.there.shape
+    few = seen.part(np.unique(np.linspace(0, frames - 1, FRAMES).astype(np.intp)))
+    pixels = few.pixels.reshape(-1, count, 2)
+    shown = few.there.reshape(-1, count)
+    apart = np.linalg.norm(pixels[:, :, None] - pixels[:, None], axis=-1)  # (M, P, P)
+    apart[~(shown[:, :, None] & shown[:, None])] = np.nan
+    apart = apart[np.isfinite(apart).sum((1, 2)) > count]
+    unlike = np.full((count, count), np.inf)
+    if not len(apart):
+        return unlike
+    known = np.isfinite(apart).any(0).all(1)  # (P,) seen at all together with every other
+    distances = np.zeros((count, count))
+    several = np.ix_(known, known)
+    apart = apart[:, known][:, :, known] / np.nanmedian(apart, (1, 2), keepdims=True)
+    distances = np.sort(np.nanmedian(apart, 0), 1)  # (P', P') to all others, in order of size
+    unlike[several] = np.sqrt(np.square(distances[:, None] - distances).mean(-1))
+    unlike[unlike > ALIKE] = np.inf
+    np.fill_diagonal(unlike, np.inf)
+    return unlike
+
+
+def matched(costs: Float64) -> Partners:
+    """Return partners (P,) of the least costs (P, P) first, as far as these are finite."""
+    count = len(costs)
+    partners, free = np.arange(count), np.ones(count, np.bool_)
+    for flat in np.argsort(np.triu(costs, 1) + np.tril(np.full_like(costs, np.inf)), axis=None):
+        p, q = divmod(int(flat), count)
+        if not np.isfinite(costs[p, q]) or p >= q:
+            break
+        if free[p] and free[q]:
+            partners[[p, q]], free[[p, q]] = [q, p], False
+    return partners
+
+
+def partners_by_name(names: Sequence[str]) -> Partners:
+    """Return with which keypoint each changes places by name: left_hip, RKnee, wrist_l, hip.L."""
+    places = {name.lower(): number for number, name in enumerate(names)}
+    partners = np.arange(len(names))
+    for name, number in places.items():
+        for other in _mirrored(name):
+            if other in places:
+                partners[number], partners[places[other]] = places[other], number
+    return partners
+
+
+def _mirrored(name: str) -> Iterator[str]:
+    """Yield a name with the side exchanged that it begins or ends with."""
+    for one, other in (*SIDES, *(side[::-1] for side in SIDES)):
+        if name.startswith(one):
+            yield other + name[len(one) :]
+        if name.endswith(one):
+            yield name[: -len(one)] + other
