@@ -105,7 +105,12 @@ def find_rest(
         best: Judged | None = None
         for candidate in candidates:
             best = _better(asked, best, (yield from _judge(candidate, problem, split)))
-        if best is None or len(members) == 2 or _against_rest(asked, unjoined, best).max() > 0:
+        if (
+            best is None
+            or len(members) == 2
+            or (declared and len(best.candidate.members) < len(members))
+            or _against_rest(asked, unjoined, best).max() > 0
+        ):
             joined = _by_rotations(problem, moving, members)
             if joined is not None:
                 best = _better(asked, best, (yield from _judge(joined, problem, split)))

@@ -37,7 +37,7 @@ Part = Literal["lens", "pose"]
 # side, radial coefficients as they are, rotations in degrees, translations as a share of the
 # distance of the subject.
 USUAL_FOCAL_ERROR, USUAL_CENTRE_ERROR, USUAL_RADIAL_ERROR = 0.02, 0.01, 0.1
-USUAL_TURN, USUAL_SHIFT = 0.6, 0.02
+USUAL_TURN, USUAL_SHIFT = 0.8, 0.02
 # What is off by more than so many times of that is refused; below, it is refined.
 GROSS = 4.0
 # A view's noise with what was told, over its noise without: from here on it is doubtful, if it is
@@ -85,14 +85,17 @@ def check_told(problem: Problem, solution: Solution) -> Steps[Checked]:
     found: list[Doubt] = []
     settled: set[tuple[int, Part]] = set()
     for _ in range(MOST_DOUBTS):
-        doubt = _worst_doubt(problem, solution, settled)
-        if doubt is None:
+        trials = []
+        for doubt in _worst_doubts(problem, solution, settled):
+            freed, start = _without(problem, solution, doubt)
+            learnt = yield from learn(freed, start)
+            trials.append((doubt, freed, learnt))
+        least = min((learnt.measured_noise for _, _, learnt in trials), default=math.inf)
+        if least > KEPT_IF * solution.measured_noise:
             break
-        freed, start = _without(problem, solution, doubt)
-        trial = yield from learn(freed, start)
-        if trial.measured_noise > KEPT_IF * solution.measured_noise:
-            break
-        problem, solution = freed, trial
+        # The nearest comes first.
+        as_good = (trial for trial in trials if KEPT_IF * trial[2].measured_noise <= least)
+        doubt, problem, solution = next(as_good)
         found.append(doubt)
         settled |= {(view, doubt.part) for view in doubt.views}
         if solution.given_poses is not None and solution.given_poses.held.sum() < 2:
@@ -100,39 +103,34 @@ def check_told(problem: Problem, solution: Solution) -> Steps[Checked]:
     return Checked(problem, solution, tuple(found))
 
 
-def _worst_doubt(
+def _worst_doubts(
     problem: Problem, solution: Solution, settled: set[tuple[int, Part]]
-) -> Doubt | None:
-    """Return what explains most if it is freed, if anything is doubtful."""
+) -> list[Doubt]:
+    """Return what explains most if it is freed, if anything is doubtful; none otherwise.
+
+    A camera that was turned and a principal point that is off look nearly alike, as do a focal
+    length and a distance. So there may be two explanations of one view, the nearest first, by
+    which its doubts are measured, too.
+    """
     candidates = [
         candidate
         for candidate in _candidates(problem, solution)
         if not any((view, candidate.part) in settled for view in candidate.views)
     ]
     if not candidates:
-        return None
+        return []
     scored = _scored(problem, solution, candidates)
-    doubts = [doubt for doubt in _nearest_of_each_view(scored) if _is_doubtful(doubt)]
-    best = max(doubts, key=lambda doubt: doubt.gain, default=None)
-    together = [doubt for doubt in scored if len(doubt.views) > 1 and _is_doubtful(doubt)]
-    if together and (best is None or together[0].gain > TOGETHER * best.gain):
-        return together[0]
-    return best
-
-
-def _nearest_of_each_view(scored: list[Doubt]) -> list[Doubt]:
-    """Return a doubt for every view: of what explains it about equally well, the least change.
-
-    A camera that was turned and a principal point that is off look nearly alike, as do a focal
-    length and a distance.
-    """
-    doubts = []
-    for view in {doubt.views[0] for doubt in scored}:
+    worst: list[Doubt] = []
+    for view in range(len(problem.poses)):
         ours = [doubt for doubt in scored if doubt.views == (view,)]
         best = max((doubt.gain for doubt in ours), default=0.0)
-        near = [doubt for doubt in ours if doubt.gain >= AS_GOOD * best]
-        doubts += [min(near, key=lambda doubt: doubt.off)] if near else []
-    return doubts
+        near = sorted((d for d in ours if d.gain >= AS_GOOD * best), key=lambda doubt: doubt.off)
+        if near and _is_doubtful(near[0]) and (not worst or best > max(d.gain for d in worst)):
+            worst = near
+    together = [doubt for doubt in scored if len(doubt.views) > 1 and _is_doubtful(doubt)]
+    if together and together[0].gain > TOGETHER * max((d.gain for d in worst), default=0.0):
+        return together
+    return worst
 
 
 def _is_doubtful(doubt: Doubt) -> bool:

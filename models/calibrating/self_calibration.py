@@ -7,20 +7,17 @@ maximisation learns the noise of the keypoints and the Gaussian shape model besi
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.bone_lengths import find_bone_lengths
-from models.bundle.initial_poses import WeakPerspectiveScene, starting_scene
+from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.problem import POSE, VIEW, Scene
 from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
-from models.calibrating.arrangement import Rest, find_rest
 from models.calibrating.deviations import deviations
-from models.calibrating.doubts import Checked, check_told
 from models.calibrating.expectation_maximisation import learn
-from models.calibrating.handedness import DECIDED, Handed, certainty, choose_hand
+from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
@@ -34,13 +31,8 @@ from models.calibrating.problem import (
     usual_rig,
 )
 from models.calibrating.result import SelfCalibration
-from models.calibrating.told_cameras import (
-    arrange_posed,
-    disagreements,
-    in_words,
-    poses_disagree,
-    unit_by_length,
-)
+from models.calibrating.search import search
+from models.calibrating.told_cameras import unit_by_length
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
 from models.settings.config import FitConfig
@@ -50,16 +42,6 @@ Float64 = NDArray[np.float64]
 MOST_FRAMES, LEAST_FRAMES = 400, 20  # that are looked at
 OPERATIONS = 300_000_000  # in one iteration: half a second
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
-
-
-class _Arranged(NamedTuple):
-    """A solution with its cameras told at rest or moving."""
-
-    checked: Checked
-    reason: str
-    hand: float  # how sure the hand is, 0 to 1
-    unit: float | None = None  # of a unit of the structure in the user's, if poses were given
-    findings: tuple[Finding, ...] = ()
 
 
 def self_calibrate(
@@ -97,8 +79,7 @@ def self_calibrate(
     size = float(answers.scales[there].mean())
     poses = told_poses(calibration)
     problem = Problem(keypoints, weights, images, size, usual, reference, lens_sds, poses)
-    handed = yield from choose_hand(problem, starting_scene(answers, reference), config.handedness)
-    arranged = yield from _arrange(problem, handed, config)
+    arranged = yield from search(problem, answers, config)
     problem, best, reason = arranged.checked.problem, arranged.checked.solution, arranged.reason
     for name, tried_problem, tried_start in other_lenses(problem, best):
         trial = yield from learn(tried_problem, tried_start)
@@ -158,25 +139,3 @@ def _result(
         reason=reason,
         findings=findings,
     )
-
-
-def _arrange(problem: Problem, handed: Handed, config: FitConfig) -> Steps[_Arranged]:
-    """Try moving cameras, then given poses, then what rests; what was told is held against it."""
-    moving = yield from learn(problem, handed.solution)
-    findings: tuple[Finding, ...] = ()
-    if len(problem.posed) > 1:
-        posed = yield from arrange_posed(problem, moving)
-        if posed.fits:
-            findings = disagreements(problem, posed.told, posed.checked, posed.unit)
-            reason = "the poses of the cameras were given" + in_words(findings)
-            return _Arranged(posed.checked, reason, 1.0, posed.unit, findings)
-        findings = poses_disagree(problem, posed.told, moving)
-    if config.cameras == "moving":
-        rest = Rest(moving, "the cameras were declared moving", [handed.log_odds])
-    else:
-        declared, hint = config.cameras == "static", config.handedness
-        rest = yield from find_rest(problem, handed, moving, declared=declared, hint=hint)
-    checked = yield from check_told(problem, rest.solution)
-    findings += disagreements(problem, rest.solution, checked)
-    hand = 1.0 if config.handedness is not None else certainty(rest.evidence)
-    return _Arranged(checked, rest.reason + in_words(findings), hand, findings=findings)

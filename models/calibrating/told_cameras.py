@@ -24,9 +24,11 @@ from models.calibrating.problem import (
 )
 from models.findings.finding import Finding
 from models.numerics.medians import lower_median
+from models.optics.lenses.projection import Lenses
 from models.settings.calibration import KnownLength
 
 Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
 
 MISFIT = 0.05  # of the log of a length: two statements that differ by more contradict each other
 WRONG_POSES = 2.5  # times the noise of moving cameras: given poses that leave more are wrong
@@ -76,6 +78,20 @@ def given_poses(problem: Problem, moving: Solution) -> tuple[Solution, float]:
         given_poses=GivenPoses(rig.rotations, rig.translations, sds),
     )
     return start, unit
+
+
+def forget_lenses(problem: Problem, views: Bool) -> Problem:
+    """Return the problem as though nothing had been told of the lenses of some `views` (K,)."""
+    told, usual = problem.reference.lenses, problem.usual.lenses
+    which = views[:, None]
+    lenses = Lenses(
+        np.where(which, usual.focals, told.focals),
+        np.where(which, usual.centres, told.centres),
+        np.where(which, usual.distortion, told.distortion),
+        np.where(views, usual.models, told.models),
+    )
+    sds = np.where(which, np.inf, problem.lens_sds)
+    return problem._replace(reference=problem.reference._replace(lenses=lenses), lens_sds=sds)
 
 
 def disagreements(
