@@ -27,8 +27,9 @@ MOST_PLACES = 10  # where one keypoint of a view is looked for, the most repeate
 LEAST_DIFFERENT = 0.25  # of a keypoint's places: a foot that is planted, again and again, has fewer
 STEPS = 3  # of the grid that coordinates were rounded to, that a keypoint moves by at least
 STEP_VALUES = 5000  # coordinates of a view that tell the grid
+ROUNDED = 0.8  # share of them that differ: fewer, and they were rounded
 # In radii of what a view shows of the subject, see `extents`; a person's is a third of a metre:
-MOVES = 0.03  # a keypoint whose median distance to its median place is larger moves
+MOVES = 0.01  # a keypoint whose median distance to its median place is larger moves
 FAR_AWAY = 5.0  # a person's feet are three and a half from the middle
 SHARED_AWAY = 2.0  # at the same pixel of several views: only what all views are centred on may be
 GOES_AWAY = 4.0  # a foot that is planted sees the body pass by two and a half
@@ -91,16 +92,29 @@ def at_places(pixels: Float32, places: Float32, views: Sequence[int]) -> Bool:
 
 
 def _step(shown: Float32) -> float:
-    """Return the step of the grid on which coordinates (N, P, 2) lie, or a small length, pixels."""
+    """Return the step of the grid to which coordinates (N, P, 2) were rounded, pixels; 0 if none.
+
+    If none, hardly two of some thousand coordinates are the same.
+    """
     values = shown[np.isfinite(shown)]
-    values = np.unique(values[:: -(-len(values) // STEP_VALUES)])
-    return float(np.median(np.diff(values))) if len(values) > 1 else 0.0
+    values = values[:: -(-len(values) // STEP_VALUES)]
+    different = np.unique(values)
+    if not 1 < len(different) < ROUNDED * len(values):
+        return 0.0
+    return float(np.median(np.diff(different)))
 
 
 def _is_by_chance(place: Place, shown: Float32, steps: Float64) -> bool:
-    """Whether the keypoint is as often in the eight places about this one on the grid."""
+    """Whether coordinates were rounded, and so the keypoint comes back here by chance.
+
+    It does so seldom, or about as often to the eight places about this one.
+    """
+    if not steps[place.k]:
+        return False
     apart = np.abs(shown[:, place.k, place.p] - np.array(place.pixel, np.float32)).max(-1)
-    return int((apart < 1.5 * steps[place.k]).sum()) > 2 * len(place.frames)
+    count = len(place.frames)
+    about = int((apart < 1.5 * steps[place.k]).sum())  # with itself
+    return count < 2 * LEAST_REPEATS or about > 2 * count
 
 
 def _repeated_places(pixels: Float32, seen: Bool) -> Iterator[Place]:
