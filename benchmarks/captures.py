@@ -23,6 +23,7 @@ __all__ = [
     "fitted",
     "from_options",
     "model_from_options",
+    "read_capture",
     "studio",
 ]
 

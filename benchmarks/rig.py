@@ -7,6 +7,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from models.capture.observations import as_observations
 from models.numerics.rotations import rotations_from_vectors
@@ -15,6 +17,7 @@ Float64 = NDArray[np.float64]
 Part = Literal["extrinsics", "intrinsics"]
 
 LEAST_POINTS = 50  # six would do without noise
+MOST_POINTS = 3000  # that refine a lens
 OUTLIER = 3.0  # times the median residual: left out when the camera is found again
 RESTS = 0.1  # residual, as a share of the subject's size in the image, of a camera at rest
 
@@ -52,6 +55,65 @@ def find_rig(keypoints: ArrayLike, points3d: ArrayLike) -> Rig | None:
         projections.append(projection)
         residuals.append(float(np.median(distances)))
     return Rig(np.array(projections), np.array(residuals))
+
+
+class TrueLenses(NamedTuple):
+    """Poses and focal lengths, found from the truth with distortion."""
+
+    rotations: Float64  # (K, 3, 3)
+    focals: Float64  # (K,) pixels
+
+
+def find_lenses(keypoints: ArrayLike, points3d: ArrayLike) -> TrueLenses | None:
+    """Find poses and lenses from the truth; None where a view does not rest.
+
+    A linear transform takes the distortion of a lens for a shifted principal point and a turned
+    camera. So it is refined by robust least squares over pose, focal lengths, principal point,
+    three radial and two tangential coefficients.
+    """
+    linear = find_rig(keypoints, points3d)
+    if linear is None:
+        return None
+    lenses, poses = _decompose(linear.projections)
+    pixels, truth = np.asarray(keypoints, np.float64), np.asarray(points3d, np.float64)
+    rotations, focals = [], []
+    for view in range(pixels.shape[1]):
+        known = np.isfinite(pixels[:, view]).all(-1) & np.isfinite(truth).all(-1)
+        step = max(1, int(known.sum()) // MOST_POINTS)
+        image, world = pixels[:, view][known][::step], truth[known][::step]
+        lens = lenses[view] / lenses[view, 2, 2]
+        first = Rotation.from_matrix(poses[view, :, :3]).as_rotvec()
+        start = np.concatenate(
+            (first, poses[view, :, 3], lens[[0, 1], [0, 1]], image.mean(0), np.zeros(5))
+        )
+
+        def residuals(numbers: Float64, world: Float64 = world, image: Float64 = image) -> Float64:
+            return np.asarray((_distorted(numbers, world) - image).ravel(), np.float64)
+
+        found = least_squares(
+            residuals, start, loss="soft_l1", x_scale=np.abs(start).clip(0.1), max_nfev=300
+        ).x
+        rotations.append(Rotation.from_rotvec(found[:3]).as_matrix())
+        focals.append(found[6:8].mean())
+    return TrueLenses(np.array(rotations), np.array(focals))
+
+
+def _distorted(numbers: Float64, world: Float64) -> Float64:
+    """Pixels (M, 2) of points: pose, focal lengths, centre, k1, k2, k3, p1, p2 (OpenCV's)."""
+    camera = world @ Rotation.from_rotvec(numbers[:3]).as_matrix().T + numbers[3:6]
+    x, y = camera[:, 0] / camera[:, 2], camera[:, 1] / camera[:, 2]
+    k1, k2, k3, p1, p2 = numbers[10:]
+    squared = x * x + y * y
+    gain = 1 + squared * (k1 + squared * (k2 + squared * k3))
+    bent = np.stack(
+        (
+            gain * x + 2 * p1 * x * y + p2 * (squared + 2 * x * x),
+            gain * y + p1 * (squared + 2 * y * y) + 2 * p2 * x * y,
+        ),
+        1,
+    )
+    pixels: Float64 = numbers[6:8] * bent + numbers[8:10]
+    return pixels
 
 
 def miscalibrate(

@@ -24,7 +24,6 @@ from models.calibrating.prediction import (
     surprise,
 )
 from models.calibrating.problem import (
-    CLEAR_KEYPOINTS,
     Problem,
     Solution,
     Steps,
@@ -43,6 +42,7 @@ LEAST_ANGLE = 1e-4  # radians, below which rotations weigh alike there
 LIKELY = 2.0  # standard errors by which one rig must predict better than another to replace it
 MORE_ROUNDS = 2  # of learning, for what has been learnt from nearly the same frames
 SURE = 3.0  # standard errors by which hidden keypoints must speak against rest
+NOISY = 0.015  # of the subject's size: noise from which a rig from keypoints keeps its lenses
 NEGLIGIBLE = 0.05  # nats of a keypoint, of what lens models leave
 
 
@@ -102,9 +102,7 @@ def find_rest(
     while len(members) > 1:
         found = yield from rig_from_keypoints(problem, moving, members)
         candidates = [] if found is None else _by_keypoints(problem, found, hint)
-        best: Judged | None = None
-        for candidate in candidates:
-            best = _better(asked, best, (yield from _judge(candidate, problem, split)))
+        best = yield from _best(candidates, problem, split)
         if (
             best is None
             or len(members) == 2
@@ -113,7 +111,7 @@ def find_rest(
         ):
             joined = _by_rotations(problem, moving, members)
             if joined is not None:
-                best = _better(asked, best, (yield from _judge(joined, problem, split)))
+                best = yield from _best([joined], problem, split, best)
         if best is None:
             break
         resting = best.candidate.members
@@ -137,7 +135,7 @@ def find_rest(
 
 def _by_keypoints(problem: Problem, found: KeypointRig, hint: Corners | None) -> list[Candidate]:
     """Return the rig that keypoints alone say, and its mirror image if they hardly tell which."""
-    keep = len(found.members) > 2 and found.noise > CLEAR_KEYPOINTS * problem.size
+    keep = len(found.members) > 2 and found.noise > NOISY * problem.size
     ours = Candidate("from keypoints", found.start, found.members, keep)
     theirs = Candidate("from keypoints, mirrored", found.mirror, found.members, keep)
     if hint is not None:
@@ -182,6 +180,19 @@ def _judge(
     yield
     others = candidate.start.scene.of(split.judging)
     return Judged(candidate, learnt, predicted_distances(problem.of(split.judging), learnt, others))
+
+
+def _best(
+    candidates: list[Candidate], problem: Problem, split: Split, best: Judged | None = None
+) -> Steps[Judged | None]:
+    """Judge candidates against the best so far; what the keypoints do not determine is no rig."""
+    for candidate in candidates:
+        try:
+            judged = yield from _judge(candidate, problem, split)
+        except np.linalg.LinAlgError:
+            continue
+        best = _better(problem.of(split.judging), best, judged)
+    return best
 
 
 def _better(asked: Problem, first: Judged | None, other: Judged) -> Judged:

@@ -30,7 +30,6 @@ T = TypeVar("T")
 Steps = Generator[None, None, T]  # yields between iterations, so that a fit can be stopped there
 
 USUAL_FOCAL = 1.2  # times the longer side of the image: a field of view of 45 degrees
-CLEAR_KEYPOINTS = 0.005  # noise as a share of a view's size below which bone lengths find lenses
 REST_SLACK = 1e-4  # of the image's side: differences of noise below which nothing is concluded
 
 

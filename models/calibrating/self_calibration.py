@@ -21,7 +21,6 @@ from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
-    CLEAR_KEYPOINTS,
     Problem,
     Solution,
     Steps,
@@ -41,6 +40,7 @@ Float64 = NDArray[np.float64]
 
 MOST_FRAMES, LEAST_FRAMES = 400, 20  # that are looked at
 OPERATIONS = 300_000_000  # in one iteration: half a second
+CLEAR_KEYPOINTS = 0.005  # noise as a share of a view's size below which bone lengths find lenses
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
 
 

@@ -79,7 +79,7 @@ def found_cameras() -> CameraReport:
         principal_points=np.array([[640.0, 512.0], [320.0, 240.0]]),
         principal_point_sds=np.zeros((2, 2)),
         distortions=np.zeros((2, 8)),
-        distortion_sds=np.zeros(2),
+        distortion_sds=np.zeros((2, 2)),
         resting=np.array([True, False]),
         rotations=np.stack((np.eye(3), np.full((3, 3), nan))),
         rotation_sds=np.array([0.1, nan]),
