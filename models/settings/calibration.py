@@ -174,12 +174,26 @@ class Camera(BaseModel):
         return self
 
 
+def keypoints_by_index(told: Any) -> Any:
+    """Say what to do where keypoints are told by name; all else passes."""
+    names = (
+        [item for item in told if isinstance(item, str)] if isinstance(told, list | tuple) else []
+    )
+    if names:
+        raise ValueError(
+            f"keypoints are told by their indices, from 0, got the name {names[0]!r}: give its"
+            " place in the dataset's `skeleton.keypoint_names`"
+        )
+    return told
+
+
 class KnownLength(BaseModel):
     """A distance in the subject that was measured, such as a bone or a stick."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    keypoints: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] = Field(
-        description="Indices of its two ends."
-    )
+    keypoints: Annotated[
+        tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]],
+        BeforeValidator(keypoints_by_index),
+    ] = Field(description="Indices of its two ends.")
     length: float = Field(gt=0, le=1e6, description="In the unit that results shall have.")

@@ -2,9 +2,17 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
-from models.settings.calibration import Camera, KnownLength
+from models.settings.calibration import Camera, KnownLength, keypoints_by_index
 from models.settings.priors import (
     ARCHITECTURE,
     PRIOR_SETTINGS,
@@ -117,7 +125,9 @@ class FitConfig(BaseModel):
     known_length: KnownLength | None = Field(
         default=None, description="A measured distance in the subject: results get its unit."
     )
-    handedness: tuple[Index, Index, Index, Index] | None = Field(
+    handedness: Annotated[
+        tuple[Index, Index, Index, Index] | None, BeforeValidator(keypoints_by_index)
+    ] = Field(
         default=None,
         description=(
             "Four keypoints a, b, c, d with a positive volume (b-a) x (c-a) . (d-a) in most"

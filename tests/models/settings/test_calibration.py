@@ -80,3 +80,15 @@ def test_rounding_is_forgiven() -> None:
 def test_what_does_not_belong_together_is_refused(camera: dict[str, Any], says: str) -> None:
     with pytest.raises(ValidationError, match=says):
         Camera.model_validate(camera)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"known_length": {"keypoints": ["left_knee", "left_ankle"], "length": 0.4}},
+        {"handedness": [0, 1, 2, "neck"]},
+    ],
+)
+def test_names_of_keypoints_are_refused_with_the_fix(told: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError, match=r"by their indices.*skeleton\.keypoint_names"):
+        FitConfig.model_validate(told)
