@@ -92,7 +92,8 @@ class Trainer:
         ValueError
             When no frame has a usable view, the arrays are malformed (see `as_observations`),
             `image_sizes` or the configuration's calibration do not have one entry per view, or
-            `start` has other keypoints, another prior, or other sizes of it.
+            `start` has other keypoints, another prior, or other sizes of it, or the configuration
+            names a keypoint that no view shows.
         WeightsError
             When the checkpoint is damaged, was written by another version, or was made for other
             data or another configuration.
