@@ -81,6 +81,13 @@ class Judged(NamedTuple):
     candidate: Candidate
     learnt: Solution  # of the frames to learn from
     distances: Float64  # (J, K, P) pixels, NaN where not asked
+    against: Float64  # (K,) nats by which hidden keypoints speak against rest, beyond chance
+
+    @property
+    def merits(self) -> tuple[bool, int]:
+        """Whether the keypoints bear it, and how many views rest."""
+        members = self.candidate.members
+        return bool((self.against[members] <= 0).all()), len(members)
 
 
 def find_rest(
@@ -97,21 +104,16 @@ def find_rest(
     """
     split = split_frames(len(problem.keypoints))
     unjoined = yield from _judge(Candidate("", moving, []), problem, split, rounds=MORE_ROUNDS)
-    asked = problem.of(split.judging)
     members, reason = list(range(len(moving.rig.groups))), "no two views see enough together"
     while len(members) > 1:
         found = yield from rig_from_keypoints(problem, moving, members)
         candidates = [] if found is None else _by_keypoints(problem, found, hint)
-        best = yield from _best(candidates, problem, split)
-        if (
-            best is None
-            or len(members) == 2
-            or (declared and len(best.candidate.members) < len(members))
-            or _against_rest(asked, unjoined, best).max() > 0
-        ):
+        rival = None if declared else unjoined
+        best = yield from _best(candidates, problem, split, rival)
+        if best is None or len(members) == 2 or best.merits != (True, len(members)):
             joined = _by_rotations(problem, moving, members)
             if joined is not None:
-                best = yield from _best([joined], problem, split, best)
+                best = yield from _best([joined], problem, split, rival, best)
         if best is None:
             break
         resting = best.candidate.members
@@ -120,14 +122,13 @@ def find_rest(
             f" {resting} rest ({best.candidate.source}),"
             f" to {np.nanmedian(unjoined.distances):.3g} px if all move"
         )
-        against = _against_rest(asked, unjoined, best)
-        worst = max(resting, key=lambda view: against[view])
-        if declared or against[worst] <= 0:
+        if best.merits[0]:
             whole = _on_all_frames(best, split)
             kept = _with_lenses(problem, best.candidate)
             solution = yield from learn(kept, whole, rounds=MORE_ROUNDS)
             said = "the cameras were declared static; " if declared else ""
             return Rest(solution, said + figures, _evidence(solution, handed, found))
+        worst = max(resting, key=list(best.against).__getitem__)
         reason = f"{figures}: view {worst} speaks against rest"
         members = [view for view in resting if view != worst]
     return Rest(moving, reason, _evidence(moving, handed, None))
@@ -179,27 +180,37 @@ def _judge(
     learnt = yield from learn(part, candidate.start.of(split.learning), rounds=rounds)
     yield
     others = candidate.start.scene.of(split.judging)
-    return Judged(candidate, learnt, predicted_distances(problem.of(split.judging), learnt, others))
+    distances = predicted_distances(problem.of(split.judging), learnt, others)
+    return Judged(candidate, learnt, distances, np.zeros(distances.shape[1]))
 
 
 def _best(
-    candidates: list[Candidate], problem: Problem, split: Split, best: Judged | None = None
+    candidates: list[Candidate],
+    problem: Problem,
+    split: Split,
+    moving: Judged | None,
+    best: Judged | None = None,
 ) -> Steps[Judged | None]:
-    """Judge candidates against the best so far; what the keypoints do not determine is no rig."""
+    """Judge candidates against the best so far, and against `moving` unless rest is declared.
+
+    What the keypoints do not determine is no rig.
+    """
     for candidate in candidates:
         try:
             judged = yield from _judge(candidate, problem, split)
         except np.linalg.LinAlgError:
             continue
-        best = _better(problem.of(split.judging), best, judged)
+        asked = problem.of(split.judging)
+        if moving is not None:
+            judged = judged._replace(against=_against_rest(asked, moving, judged))
+        best = _better(asked, best, judged)
     return best
 
 
 def _better(asked: Problem, first: Judged | None, other: Judged) -> Judged:
-    """Return the other if it has more views at rest or predicts better beyond chance."""
-    if first is None or len(other.candidate.members) != len(first.candidate.members):
-        counts = 0 if first is None else len(first.candidate.members)
-        return other if first is None or len(other.candidate.members) > counts else first
+    """Return the other if it has greater merits, or predicts better beyond chance."""
+    if first is None or other.merits != first.merits:
+        return other if first is None or other.merits > first.merits else first
     noise = common_noise([first.distances, other.distances], asked.side)
     gain = surprise(first.distances, asked.weights, noise) - surprise(
         other.distances, asked.weights, noise
