@@ -1,0 +1,95 @@
+"""How often a calibration that is off is found, in the view that it is off in.
+
+Synthetic rigs whose calibration is told, with one view bumped, zoomed, off its principal point or
+exchanged for another camera: ``python -m benchmarks.told --cases 24``.
+"""
+
+import argparse
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from benchmarks.figures import console
+from models.calibrating.result import SelfCalibration
+from models.calibrating.self_calibration import self_calibrate
+from models.settings.config import FitConfig
+from tests.models.rigs import FOCAL, IMAGE_SIZE, RigCapture, make_rig_capture
+
+HARMS = ("bumped", "zoomed", "centre", "exchanged")
+NOISES = (1, 3, 5)  # pixels
+Told = list[dict[str, Any]]
+
+
+def true_calibration(capture: RigCapture) -> Told:
+    """Return lenses and poses of every view."""
+    return [
+        {
+            "intrinsics": {"fx": FOCAL, "cx": 640.0, "cy": 512.0, "distortion": []},
+            "rotation": rotation.tolist(),
+            "translation": translation.tolist(),
+        }
+        for rotation, translation in zip(capture.rotations[0], capture.translations[0], strict=True)
+    ]
+
+
+def harmed(told: Told, view: int, harm: str, rng: np.random.Generator) -> Told:
+    """Return a calibration that is off in one view."""
+    camera = {**told[view], "intrinsics": dict(told[view]["intrinsics"])}
+    sign = rng.choice([-1, 1])
+    if harm == "bumped":
+        axis = rng.standard_normal(3)
+        turn = np.radians(rng.uniform(1, 10)) * axis / np.linalg.norm(axis)
+        matrix = Rotation.from_rotvec(turn).as_matrix()
+        for part in ("rotation", "translation"):
+            camera[part] = (matrix @ np.array(camera[part])).tolist()
+    elif harm == "zoomed":
+        camera["intrinsics"]["fx"] *= 1 + sign * rng.uniform(0.1, 0.3)
+    elif harm == "centre":
+        camera["intrinsics"]["cx"] += sign * rng.uniform(40, 120)
+    else:
+        camera["intrinsics"] = {"fx": 1.3 * FOCAL, "cx": 500, "cy": 400, "distortion": [-0.2, 0.1]}
+    return [*told[:view], camera, *told[view + 1 :]]
+
+
+def calibrated(capture: RigCapture, told: Told) -> SelfCalibration:
+    """Return what is found with this calibration."""
+    config = FitConfig.model_validate({"calibration": told})
+    sizes = [IMAGE_SIZE] * len(told)
+    steps = self_calibrate(capture.pixels, capture.weights, capture.answers(), config, sizes)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            found: SelfCalibration = stop.value[0]
+            return found
+
+
+def named(found: SelfCalibration) -> list[int]:
+    """Return the views whose calibration is said to disagree."""
+    disagreeing = [f for f in found.findings if f.code == "calibration_disagrees"]
+    return sorted({view for finding in disagreeing for view in finding.views})
+
+
+def main() -> None:
+    """Plant harms, and say how many were found and how many right calibrations were doubted."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=24, help="default: %(default)s")
+    cases: int = parser.parse_args().cases
+    right = doubted = 0
+    for seed in range(cases):
+        rng = np.random.default_rng(seed)
+        views, harm = 3 + seed % 2, HARMS[seed % len(HARMS)]
+        azimuths = np.linspace(0, 300, views, endpoint=False) + rng.uniform(-15, 15, views)
+        noise = NOISES[seed % len(NOISES)]
+        capture = make_rig_capture(azimuths.tolist(), frames=30, noise=noise, seed=seed)
+        told, view = true_calibration(capture), int(rng.integers(views))
+        found = named(calibrated(capture, harmed(told, view, harm, rng)))
+        right += found == [view]
+        doubted += named(calibrated(capture, told)) != []
+        console.print(f"{views} views, {noise} px: {harm} {view}, said {found}", soft_wrap=True)
+    console.print(f"{right} of {cases} named rightly; {doubted} right calibrations doubted")
+
+
+if __name__ == "__main__":
+    main()
