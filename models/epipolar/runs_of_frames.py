@@ -33,19 +33,28 @@ def _smooth(ratios: Float64, share: float, switching: float) -> tuple[Float64, f
     leave = np.array([switching / (2 * (1 - share)), switching / (2 * share)]).clip(0, 1)
     change = np.array([[1 - leave[0], leave[0]], [leave[1], 1 - leave[1]]])
     likelihoods = np.stack((np.exp(-ratios.clip(0)), np.exp(ratios.clip(None, 0))), 1)
-    frames = len(ratios)
-    forward, backward = np.empty((frames, 2)), np.ones((frames, 2))
-    belief = np.array([1 - share, share])
-    for n in range(frames):
-        belief = (belief @ change if n else belief) * likelihoods[n]
-        belief = forward[n] = belief / belief.sum()
-    for n in range(frames - 2, -1, -1):
-        later = change @ (likelihoods[n + 1] * backward[n + 1])
-        backward[n] = later / later.sum()
+    steps = change * likelihoods[:, None]  # (N, 2, 2) from the state before to that of a frame
+    first = np.array([1 - share, share]) * likelihoods[0]
+    forward = np.concatenate((first[None], first @ _products(steps[1:])))
+    backward = np.ones_like(forward)
+    backward[:-1] = _products(steps[:0:-1].mT)[::-1].mT.sum(-1)
+    forward /= forward.sum(1, keepdims=True)
     posterior = forward * backward
     posterior /= posterior.sum(1, keepdims=True)
-    ahead = likelihoods[1:] * backward[1:]
-    joint = forward[:-1, :, None] * change * ahead[:, None]
+    joint = forward[:-1, :, None] * steps[1:] * backward[1:, None]  # (N - 1, 2, 2)
     joint /= joint.sum((1, 2), keepdims=True)
-    changed = float((joint[:, 0, 1] + joint[:, 1, 0]).mean()) if frames > 1 else 0.0
+    changed = float((joint[:, 0, 1] + joint[:, 1, 0]).mean()) if len(ratios) > 1 else 0.0
     return posterior[:, 1], changed
+
+
+def _products(matrices: Float64) -> Float64:
+    """Products (M, 2, 2) of each of the matrices and all before it, up to positive factors.
+
+    Hillis and Steele's parallel prefix: a few operations on whole arrays in place of a loop.
+    """
+    products, step = matrices.copy(), 1
+    while step < len(products):
+        products[step:] = products[:-step] @ products[step:]
+        products /= products.max((1, 2), keepdims=True)
+        step *= 2
+    return products
