@@ -15,6 +15,7 @@ from models.bundle.bone_lengths import find_bone_lengths
 from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.problem import POSE, VIEW, Scene
 from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
+from models.calibrating.camera_findings import camera_findings
 from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.handedness import DECIDED
@@ -99,7 +100,8 @@ def self_calibrate(
     found = replace(
         _result(problem, best, reason, unit, findings), handedness_certainty=arranged.hand
     )
-    return found, best.scene
+    noticed = (*found.findings, *camera_findings(found, problem.images, problem.size))
+    return replace(found, findings=noticed), best.scene
 
 
 def _log_posterior(problem: Problem, solution: Solution) -> float:

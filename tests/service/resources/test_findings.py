@@ -11,6 +11,7 @@ from starlette.testclient import TestClient
 
 from models.capture.synthetic import SyntheticCapture
 from models.findings.finding import Finding
+from tests.models.rigs import make_rig_capture
 from tests.service.conftest import (
     BYTES,
     CONFIG,
@@ -182,3 +183,15 @@ def test_a_fit_and_its_model_have_the_findings(
         assert "coordinates_of_another_scale" in result.metadata()["findings"]
         assert (result.get_tensor("findings")[20:30] & 4 == 4).all()
         assert result.get_tensor("keypoints_seen").dtype == np.uint8
+
+
+def test_a_fit_says_in_which_frames_views_changed_places(live: Live) -> None:
+    rig = make_rig_capture([0.0, 70.0, 150.0], frames=60, seed=4)
+    keypoints = rig.keypoints.astype(np.float32)
+    keypoints[40:55] = keypoints[40:55][:, [0, 2, 1]]
+    dataset = uploaded(live.http, keypoints)
+    body = {"dataset_id": dataset["id"], "config": CONFIG | {"steps": 20, "refine": "off"}}
+    fit = live.http.post("/fits", json=body).json()
+    *_, (_, _, ended) = job_events(live, f"/fits/{fit['id']}")
+    (found,) = [finding for finding in ended["findings"] if finding["code"] == "views_swapped"]
+    assert (found["views"], found["frames"]) == ([1, 2], [[40, 54]])

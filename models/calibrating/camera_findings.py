@@ -1,0 +1,74 @@
+"""What is to be said of cameras once they are found: doubtful lenses, noise, views face to face."""
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+
+from models.bundle.problem import CENTRE_X, FOCAL, RADIAL
+from models.calibrating.image_sizes import Images
+from models.calibrating.result import SelfCalibration
+from models.findings.finding import Finding
+from models.optics.lenses.projection import PINHOLE
+
+NOISY = 0.2  # of a view's radius: at a person's, 10 cm
+UNSURE_FOCAL = 0.2  # standard deviation of its log: the prior alone has little more
+SHORTEST, LONGEST = 0.35, 6.0  # focal lengths in sides of the image: fields of view of 110, 10 deg
+MOST_BENT = 1.0  # first radial coefficient, of a pinhole
+OFF_CENTRE = (
+    0.75  # of the image's longest side: a principal point so far from the middle is outside
+)
+NARROW = 10.0  # degrees between two directions of view, or missing to 180
+
+
+def camera_findings(found: SelfCalibration, images: Images, size: float) -> tuple[Finding, ...]:
+    """Return findings of cameras of views of `images`, whose root-mean-square radius is `size`.
+
+    What the user told of a camera is kept, and nothing is said of it.
+    """
+    return (*_lenses(found, images), *_noise(found, size), *_opposite(found))
+
+
+def _lenses(found: SelfCalibration, images: Images) -> Iterator[Finding]:
+    lenses, deviations = found.rig.lenses, found.deviations
+    sought = deviations[:, FOCAL] > 0  # (K,)
+    unsure = sought & (deviations[:, FOCAL] > UNSURE_FOCAL)
+    if unsure.any():
+        yield Finding.of(
+            "focal_not_observable",
+            views=() if unsure.all() else np.flatnonzero(unsure),
+            largest_relative_sd=float(deviations[unsure, FOCAL].max()),
+        )
+    focals = lenses.focals.mean(-1) / images.sizes.max(-1)  # (K,) in sides
+    away = np.abs(lenses.centres - images.middles).max(-1) / images.sizes.max(-1)
+    bent = np.where(lenses.models == PINHOLE, np.abs(lenses.distortion[:, 0]), 0)
+    extreme = sought & ((focals < SHORTEST) | (focals > LONGEST))
+    extreme |= (deviations[:, CENTRE_X] > 0) & (away > OFF_CENTRE)
+    extreme |= (deviations[:, RADIAL] > 0) & (bent > MOST_BENT)
+    if extreme.any():
+        yield Finding.of(
+            "lenses_extreme",
+            views=np.flatnonzero(extreme),
+            shortest_focal_in_sides=float(focals[extreme].min()),
+            longest_focal_in_sides=float(focals[extreme].max()),
+            largest_k1=float(bent[extreme].max()),
+        )
+
+
+def _noise(found: SelfCalibration, size: float) -> Iterator[Finding]:
+    if found.noise > NOISY * size:
+        share = found.noise / size
+        yield Finding.of("noise_high", noise_px=found.noise, share_of_subject=share)
+
+
+def _opposite(found: SelfCalibration) -> Iterator[Finding]:
+    """Yield the pairs of resting views if all face each other or look from the same side."""
+    resting = np.flatnonzero(found.resting)
+    axes = found.rig.rotations[:, 2]  # (K, 3) directions of view in the common frame
+    angles = {
+        (int(a), int(b)): float(np.degrees(np.arccos(np.clip(axes[a] @ axes[b], -1, 1))))
+        for a, b in combinations(resting, 2)
+    }
+    if angles and all(min(angle, 180 - angle) < NARROW for angle in angles.values()):
+        for pair, angle in angles.items():
+            yield Finding.of("views_opposite", views=pair, degrees=angle)
