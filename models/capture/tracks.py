@@ -48,7 +48,7 @@ def make_track(pixels: Float64, weights: Float64) -> Track:
     counts as not observed.
     """
     kept = weights * ~_strays(pixels, weights)
-    return Track(pixels, kept, _clips(pixels, kept))
+    return Track(pixels, kept, number_clips(pixels, kept))
 
 
 def motion_at(track: Track, times: Float64, half_width: float) -> Motion:
@@ -168,7 +168,7 @@ def _running_median(values: Float64) -> Float64:
     return masked_median(np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_FRAMES, axis=0))
 
 
-def _clips(pixels: Float64, weights: Float64) -> NDArray[np.int64]:
+def number_clips(pixels: Float64, weights: Float64) -> NDArray[np.int64]:
     """Return the number of the clip of each frame (N,): keypoints jump from one to the next."""
     both = (weights[1:] > 0) & (weights[:-1] > 0)
     moved = np.where(both, np.linalg.norm(np.diff(pixels, axis=0), axis=-1), np.nan)  # (N-1, P)

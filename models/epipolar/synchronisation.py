@@ -59,6 +59,7 @@ FILM = 0.7  # of the usual distance between poses: between frames of a film it i
 # A view is late if its offset is so many frames and standard deviations from 0, and perhaps late
 # if it is so many.
 LATE_FRAMES, LATE_SDS = 0.2, 4.0
+MOST_SD = 0.5  # frames: with more, it is not sure that the search ended near the true offset
 DOUBTFUL_FRAMES, DOUBTFUL_SDS = 0.5, 2.5
 # Offsets are those of whole frames more often than not: taken as such within two standard
 # deviations, or this many frames.
@@ -336,7 +337,7 @@ def _suspect(offsets: Float64, weights: Float64) -> int | None:
 def _decide(frames: Float64, offsets: Float64, sds: Float64) -> Timing:
     """Tell surely late views from doubtful ones and from those in step, whose offsets become 0."""
     largest = np.abs(offsets).max(0)
-    late = (largest > LATE_FRAMES) & (largest > LATE_SDS * sds)
+    late = (largest > LATE_FRAMES) & (largest > LATE_SDS * sds) & (sds < MOST_SD)
     doubtful = ~late & (largest > DOUBTFUL_FRAMES) & (largest > DOUBTFUL_SDS * sds)
     nearest = np.round(offsets)
     near = np.abs(offsets - nearest) <= np.clip(WHOLE_SDS * sds, LEAST_WHOLE, MOST_WHOLE)

@@ -97,10 +97,11 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "views_out_of_step": Entry(
         "warning",
-        "A view shows every moment later or earlier than the others: fast movements are smeared"
-        " and cameras at rest seem to move.",
-        "Synchronise the cameras, or tell the capture's `fps` or `times`: the view is then shifted"
-        " by the fit itself (`synchronise: auto`).",
+        "A view shows every moment later or earlier than the others. Where it was not shifted"
+        " (`applied` is 0), fast movements are smeared and cameras at rest seem to move.",
+        "Synchronise the cameras, or tell the dataset's `fps` or `times`: fits and lifts of"
+        " datasets then shift the view (`synchronise: auto`). Frames that are lifted one by one or"
+        " in a stream are never shifted: send them in step.",
     ),
     "views_swapped": Entry(
         "warning",

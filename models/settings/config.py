@@ -24,6 +24,7 @@ from models.settings.priors import (
 
 Refine = Literal["auto", "off", "full"]
 Arrangement = Literal["auto", "moving", "static"]
+Synchronise = Literal["auto", "off"]
 Index = Annotated[int, Field(ge=0)]
 
 LEARNING_RATES = ", ".join(
@@ -100,6 +101,14 @@ class FitConfig(BaseModel):
         description=(
             "Remove noise from the keypoints before anything else, in the fit and in lifts, where"
             " the capture shows that it is white and strong (cameras at rest, many frames)."
+        ),
+    )
+    synchronise: Synchronise = Field(
+        default="auto",
+        description=(
+            "`auto`: views that show every moment later than the others are found, and shifted if"
+            " the dataset tells `fps` or `times`; without these they are only reported. `off`: the"
+            " views are taken as they are, save for `times` that differ between views."
         ),
     )
     refine: Refine = Field(
