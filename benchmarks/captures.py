@@ -18,6 +18,7 @@ from capture import Capture, CaptureError, read_capture
 
 __all__ = [
     "Capture",
+    "CaptureError",
     "Float32",
     "add_options",
     "fitted",

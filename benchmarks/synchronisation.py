@@ -185,7 +185,7 @@ def error_of(
         sizes = [(width, height)] * keypoints.shape[1]
     prior = fit(keypoints, config, times=times, image_sizes=sizes)  # type: ignore[call-arg]
     read = put_in_step(keypoints.astype(np.float32), None, times, synchronise).keypoints
-    assert capture.points3d is not None  # noqa: S101 (asked for before)
+    assert capture.points3d is not None
     return pa_mpjpe(prior.lift(read).points3d, capture.points3d).mean
 
 

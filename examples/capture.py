@@ -17,7 +17,8 @@ Float32 = NDArray[np.float32]
 EXPECTED = (
     "expected an .npz file with `keypoints` (frames, views, keypoints, 2) in pixels, NaN where not "
     "observed; optionally `confidence` (frames, views, keypoints), `points3d` (frames, keypoints, "
-    "3), `keypoint_names`, `edges` (n, 2), `image_sizes` (views, 2)"
+    "3), `times` in seconds (frames,) or (frames, views), `fps`, `keypoint_names`, `edges` (n, 2), "
+    "`image_sizes` (views, 2)"
 )
 USABLE_KEYPOINTS = 4  # a view that shows fewer has no camera
 
@@ -33,6 +34,7 @@ class Capture:
     keypoints: Float32  # (N, K, P, 2) pixels, NaN where not observed
     confidence: Float32 | None = None  # (N, K, P) in [0, 1]
     points3d: Float32 | None = None  # (N, P, 3) the truth, NaN where unknown
+    times: Array | None = None  # (N,) or (N, K) seconds
     keypoint_names: Array | None = None  # (P,) of text
     edges: Array | None = None  # (n, 2) of integers: which keypoints are joined
     image_sizes: Array | None = None  # (K, 2) of integers: width and height in pixels
@@ -47,6 +49,7 @@ class Capture:
             keypoints=self.keypoints[which],
             confidence=None if self.confidence is None else self.confidence[which],
             points3d=None if self.points3d is None else self.points3d[which],
+            times=None if self.times is None else self.times[which],
         )
 
     def observed(self) -> NDArray[np.bool_]:
@@ -104,7 +107,8 @@ def _read(file: IO[bytes]) -> dict[str, Array]:
         came = ", ".join(loaded.files) or "no arrays"
         raise CaptureError(f"the file holds {came}; {EXPECTED}")
     found = {}
-    for name in (field.name for field in fields(Capture) if field.name in loaded):
+    known = [*(field.name for field in fields(Capture)), "fps"]
+    for name in (name for name in known if name in loaded):
         try:
             found[name] = loaded[name]
         except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
@@ -123,6 +127,7 @@ def _checked(found: dict[str, Array]) -> Capture:
     for name, kinds, shape in (
         ("confidence", "fiu", (n, k, p)),
         ("points3d", "fiu", (n, p, 3)),
+        ("times", "fiu", (n, k)[: found["times"].ndim] if "times" in found else ()),
         ("keypoint_names", "U", (p,)),
         ("edges", "iu", (None, 2)),
         ("image_sizes", "iu", (k, 2)),
@@ -139,6 +144,12 @@ def _checked(found: dict[str, Array]) -> Capture:
                 f"`{name}` is {array.dtype} of shape {array.shape}, where the {n} frames, {k} "
                 f"views and {p} keypoints of `keypoints` ask for ({sizes}); {EXPECTED}"
             )
+    fps = found.pop("fps", None)
+    if fps is not None:
+        if fps.dtype.kind not in "fiu" or fps.size != 1 or not fps.item() > 0:
+            raise CaptureError(f"`fps` is {fps!r}, expected a number above 0; {EXPECTED}")
+        # Once frames are left out, what remains has times, but no frames per second.
+        found.setdefault("times", np.arange(n) / fps.item())
     for name in ("keypoints", "confidence", "points3d"):
         if name in found:
             found[name] = found[name].astype(np.float32)

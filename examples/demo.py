@@ -87,7 +87,8 @@ def parse_arguments() -> argparse.Namespace:
         default=Path(__file__).with_name("three_actors.npz"),
         help=".npz file with `keypoints` (frames, views, keypoints, 2) in pixels, NaN where not "
         "observed; optionally `confidence` (frames, views, keypoints), `points3d` (frames, "
-        "keypoints, 3), `keypoint_names`, `edges` (n, 2), `image_sizes` (views, 2); default: "
+        "keypoints, 3), `times` (frames,) or (frames, views) in seconds, `fps`, `keypoint_names`, "
+        "`edges` (n, 2), `image_sizes` (views, 2); default: "
         "%(default)s",
     )
     parser.add_argument("--steps", type=int, help="optimiser steps of the fit; fewer are faster")
@@ -162,7 +163,7 @@ def upload(client: httpx2.Client, capture: Capture, name: str) -> dict[str, Any]
 
     The truth goes along for evaluation: the service computes errors with it, and nothing else.
     """
-    arrays = ("keypoints", "confidence", "points3d")
+    arrays = ("keypoints", "confidence", "points3d", "times")
     first, *others = chunks(capture)
     dataset: dict[str, Any] = call(
         client,

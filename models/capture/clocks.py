@@ -5,6 +5,7 @@ linear one next to gaps. What was not observed stays so, and nothing is read acr
 pause. The common times are those of the first view.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +15,10 @@ from models.capture.tracks import number_clips
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
-Int = NDArray[np.int64]
+Bool = NDArray[np.bool_]
 
-PAUSE = 1.5  # times the usual time between frames: nothing is read within a longer one
+PAUSE = 2.5  # times the usual time between frames: nothing is read within a longer one
+EVEN = 1.2  # between the longest and the shortest time of frames that a cubic goes through
 WHOLE = 1e-4  # of a frame: what is nearer to a frame than this is that frame
 
 
@@ -34,14 +36,30 @@ class Clocks(NamedTuple):
         late = [np.interp(times, self.times, offsets) for offsets in self.offsets.T]
         return np.stack(late, axis=1)
 
-    def of_views(self, views: list[int]) -> "Clocks":
+    def of_views(self, views: Sequence[int]) -> "Clocks":
         """Return the clocks of some of the views, in the order given."""
-        return Clocks(self.times, self.offsets[:, views])
+        return Clocks(self.times, self.offsets[:, list(views)])
+
+
+def in_step(
+    keypoints: Float32,
+    confidence: Float32 | None,
+    times: Float64 | None,
+    clocks: Clocks | None = None,
+) -> tuple[Float32, Float32 | None]:
+    """Read all views at the times of the first: keypoints (N, K, P, 2), confidence (N, K, P).
+
+    Without times (N,) or (N, K) in seconds, nothing is known of when, and all stays as it is.
+    """
+    if times is None:
+        return keypoints, confidence
+    times = times_of_views(times, keypoints.shape[1])
+    return read_at(keypoints, confidence, positions_in_step(times, clocks), _even(times))
 
 
 def times_of_views(times: Float64, views: int) -> Float64:
     """Return times (N, K) from those of frames (N,), or of the views of each frame (N, K)."""
-    return np.broadcast_to(times if times.ndim == 2 else times[:, None], (len(times), views))
+    return np.broadcast_to(times.reshape(len(times), -1), (len(times), views))
 
 
 def positions_in_step(times: Float64, clocks: Clocks | None = None) -> Float64:
@@ -72,26 +90,40 @@ def positions_in_step(times: Float64, clocks: Clocks | None = None) -> Float64:
     return positions
 
 
+def _even(times: Float64) -> Bool:
+    """Whether frame n and the next one (N, K) lie as far apart as the two around them."""
+    steps = np.diff(times, axis=0)
+    before, after = (
+        np.concatenate(both) for both in ((steps[:1], steps[:-1]), (steps[1:], steps[-1:]))
+    )
+    three = np.stack((before, steps, after))
+    even = three.max(0) < EVEN * three.min(0)
+    return np.concatenate((even, even[-1:] if len(even) else np.ones_like(times, np.bool_)))
+
+
 def read_at(
-    keypoints: Float32, confidence: Float32 | None, positions: Float64
+    keypoints: Float32, confidence: Float32 | None, positions: Float64, even: Bool
 ) -> tuple[Float32, Float32 | None]:
     """Read keypoints (N, K, P, 2) and confidence (N, K, P) at `positions` (N, K), in frames.
 
-    A view that is read at its own frames stays as it is, bit for bit.
+    A view that is read at its own frames stays as it is, bit for bit. Where frames around a
+    position are not `even` (N, K) in time, interpolation is linear.
     """
     frames = np.arange(len(keypoints))
     pixels = keypoints.copy()
     weights = None if confidence is None else confidence.copy()
     for view in np.flatnonzero((positions != frames[:, None]).any(0)):
         own = None if confidence is None else confidence[:, view]
-        pixels[:, view], read = _read_view(keypoints[:, view], own, positions[:, view])
+        pixels[:, view], read = _read_view(
+            keypoints[:, view], own, positions[:, view], even[:, view]
+        )
         if weights is not None and read is not None:
             weights[:, view] = read
     return pixels, weights
 
 
 def _read_view(
-    pixels: Float32, confidence: Float32 | None, positions: Float64
+    pixels: Float32, confidence: Float32 | None, positions: Float64, even: Bool
 ) -> tuple[Float32, Float32 | None]:
     """Read one view's keypoints (N, P, 2) and confidence (N, P) at positions (T,)."""
     there = np.asarray(np.isfinite(pixels).all(-1))
@@ -104,16 +136,14 @@ def _read_view(
     high = low + (share[:, 0, 0] > 0)
     values = np.nan_to_num(pixels).astype(np.float64)
     seen = there[low] & there[high] & (known & (clips[low] == clips[high]))[:, None]  # (T, P)
-    linear = (1 - share) * values[low] + share * values[high]
+    linear = values[low] + share * (values[high] - values[low])
     earlier, later = np.maximum(low - 1, 0), np.minimum(high + 1, len(pixels) - 1)
-    around = (earlier < low) & (later > high) & (clips[earlier] == clips[later])
+    around = even[low] & (earlier < low) & (later > high) & (clips[earlier] == clips[later])
     smooth = seen & there[earlier] & there[later] & around[:, None]
-    cubic = (
-        -share * (share - 1) * (share - 2) / 6 * values[earlier]
-        + (share + 1) * (share - 1) * (share - 2) / 2 * values[low]
-        - (share + 1) * share * (share - 2) / 2 * values[high]
-        + (share + 1) * share * (share - 1) / 6 * values[later]
-    )
+    # Lagrange's cubic, in second differences: what does not move stays at the very same pixel.
+    bend = (2 - share) * (values[earlier] - 2 * values[low] + values[high])
+    bend += (1 + share) * (values[low] - 2 * values[high] + values[later])
+    cubic = linear - share * (1 - share) / 6 * bend
     read = np.where(smooth[..., None] & (share > 0), cubic, linear)
     if confidence is None:
         return np.where(seen[..., None], read, np.nan).astype(np.float32), None

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.capture.clocks import Clocks, positions_in_step, read_at, times_of_views
+from models.capture.clocks import Clocks, in_step
 from models.epipolar.synchronisation import Timing, find_timing, is_film, reach_at
 from models.findings.catalogue import Severity
 from models.findings.finding import Finding
@@ -13,6 +13,9 @@ from models.settings.config import Synchronise
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+LONGEST_GAP = 5  # places on the grid of times that missing frames take
 
 
 class InStep(NamedTuple):
@@ -36,29 +39,48 @@ def put_in_step(
     are late nevertheless are looked for and shifted; without them they are only told, and nothing
     is told of frames that do not follow each other in time. `synchronise: off` looks for nothing.
     """
-    given, own = keypoints, confidence
-    step = None
-    if times is not None:
-        times = times_of_views(times, keypoints.shape[1])
-        step = float(np.median(np.diff(times[:, 0]))) if len(times) > 1 else None
-        keypoints, confidence = read_at(given, own, positions_in_step(times))
-    nothing = InStep(keypoints, confidence, None, ())
-    if synchronise == "off" or (times is None and not is_film(keypoints.astype(np.float64))):
+    read, trust = in_step(keypoints, confidence, times)
+    nothing = InStep(read, trust, None, ())
+    if synchronise == "off" or (times is None and not is_film(read.astype(np.float64))):
         return nothing
+    first = None if times is None else times.reshape(len(times), -1)[:, 0]
+    step = None if first is None or len(first) < 2 else float(np.median(np.diff(first)))
     reach = reach_at(None if step is None else 1 / step)
-    weights = _weights(keypoints, confidence)
-    timing = find_timing(keypoints.astype(np.float64), weights, reach=reach)
+    slots = np.arange(len(read)) if first is None or step is None else _slots(first, step)
+    timing = find_timing(
+        *_spread(read.astype(np.float64), _weights(read, trust), slots), reach=reach
+    )
     if timing is None:
         return nothing
+    frames = np.arange(len(slots), dtype=np.float64)
+    timing = timing._replace(frames=np.interp(timing.frames, slots, frames))
     findings = tuple(
         _finding(timing, int(view), step) for view in np.flatnonzero(timing.late | timing.doubtful)
     )
-    if times is None or step is None or not timing.late.any():
+    if first is None or step is None or not timing.late.any():
         return nothing._replace(findings=findings)
-    frames = np.arange(len(times), dtype=np.float64)
-    knots = np.interp(timing.frames, frames, times[:, 0])
+    knots = np.interp(timing.frames, frames, first)
     clocks = Clocks(knots, np.where(timing.late, timing.offsets, 0.0) * step)
-    return InStep(*read_at(given, own, positions_in_step(times, clocks)), clocks, findings)
+    return InStep(*in_step(keypoints, confidence, times, clocks), clocks, findings)
+
+
+def _slots(times: Float64, step: float) -> Int:
+    """Return places (N,) on a grid of even steps: frames that are missing leave a place free.
+
+    Long pauses are cut short, and no frame shares a place with another.
+    """
+    steps = np.round(np.diff(times) / step).astype(np.int64)
+    return np.concatenate(([0], np.cumsum(np.clip(steps, 1, LONGEST_GAP))))
+
+
+def _spread(keypoints: Float64, weights: Float64, slots: Int) -> tuple[Float64, Float64]:
+    """Put keypoints (N, K, P, 2) and weights (N, K, P) in their places, of weight 0 between."""
+    if slots[-1] == len(slots) - 1:
+        return keypoints, weights
+    pixels = np.full((slots[-1] + 1, *keypoints.shape[1:]), np.nan)
+    spread = np.zeros((slots[-1] + 1, *weights.shape[1:]))
+    pixels[slots], spread[slots] = keypoints, weights
+    return pixels, spread
 
 
 def _weights(keypoints: Float32, confidence: Float32 | None) -> Float64:
