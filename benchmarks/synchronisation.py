@@ -183,7 +183,7 @@ def error_of(
     if arguments.image_size is not None:
         width, height = map(int, arguments.image_size.split("x"))
         sizes = [(width, height)] * keypoints.shape[1]
-    prior = fit(keypoints, config, times=times, image_sizes=sizes)  # type: ignore[call-arg]
+    prior = fit(keypoints, config, times=times, image_sizes=sizes)
     read = put_in_step(keypoints.astype(np.float32), None, times, synchronise).keypoints
     assert capture.points3d is not None
     return pa_mpjpe(prior.lift(read).points3d, capture.points3d).mean

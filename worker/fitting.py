@@ -14,6 +14,7 @@ import torch
 from safetensors.numpy import save
 
 from models.calibrating.handedness import DECIDED
+from models.capture.clocks import in_step
 from models.capture.metrics import Reflection, pa_mpjpe, pck
 from models.findings.finding import dumped, log_findings
 from models.lifting.fitted_prior import FittedPrior
@@ -25,7 +26,7 @@ from models.settings.config import FitConfig
 from models.training.trainer import Trainer
 from store import attempts, datasets, lookup, models
 from store.attempts import Attempt
-from store.capture import Capture
+from store.capture import Capture, Float64
 from store.database import Store
 from store.errors import LeaseLostError
 from store.records import Dataset, FitJob, Model
@@ -70,7 +71,8 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
     checkpoint = attempts.load_checkpoint(store, fit.id)
     source = None if fit.from_model is None else partial(_load, store, fit.from_model)
     device = _device(settings, capture, config)
-    trainer = _resume(capture, dataset.image_sizes, config, source, checkpoint, device)
+    times = datasets.times_of(dataset, capture)
+    trainer = _resume(capture, times, dataset.image_sizes, config, source, checkpoint, device)
 
     def stopped() -> bool:
         """End the attempt if it has to end now; return whether it did."""
@@ -100,7 +102,7 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
             next_checkpoint = now + max(settings.checkpoint_seconds, CHECKPOINT_SHARE * took)
 
     prior = trainer.result()
-    lift = _reconstruct(prior, capture, stopped)
+    lift = _reconstruct(prior, capture, times, stopped)
     if lift is not None:
         attempts.succeed(
             store,
@@ -123,15 +125,21 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
         log_findings(logger, f"Fit {fit.id}", prior.findings)
 
 
-def _reconstruct(prior: FittedPrior, capture: Capture, stopped: Callable[[], bool]) -> Lift | None:
+def _reconstruct(
+    prior: FittedPrior,
+    capture: Capture,
+    times: Float64 | None,
+    stopped: Callable[[], bool],
+) -> Lift | None:
     """Lift every frame of the fitted capture; None if the attempt has to end before."""
+    keypoints, trust = in_step(capture.keypoints, capture.confidence, times, prior.capture.clocks)
     lifts = []
     for start in range(0, capture.frames, LIFT_FRAMES):
         if stopped():
             return None
         part = slice(start, start + LIFT_FRAMES)
-        confidence = None if capture.confidence is None else capture.confidence[part]
-        lifts.append(prior.lift(capture.keypoints[part], confidence=confidence))
+        confidence = None if trust is None else trust[part]
+        lifts.append(prior.lift(keypoints[part], confidence=confidence))
     return join(lifts)
 
 
@@ -151,6 +159,7 @@ def _load(store: Store, model_id: str) -> FittedPrior:
 
 def _resume(
     capture: Capture,
+    times: Float64 | None,
     image_sizes: list[Any] | None,
     config: FitConfig,
     source: Callable[[], FittedPrior] | None,
@@ -163,6 +172,7 @@ def _resume(
         capture.keypoints,
         config,
         confidence=capture.confidence,
+        times=times,
         image_sizes=sizes,
         device=device,
     )

@@ -4,6 +4,7 @@ import logging
 from functools import partial
 from typing import cast
 
+from models.capture.clocks import frames_apart, in_step
 from models.findings.finding import Finding, log_findings
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
@@ -12,9 +13,10 @@ from models.lifting.lift_findings import lift_findings
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
 from store import datasets, lift_chunks, lookup, models
+from store.capture import Capture
 from store.database import Store
 from store.lift_chunks import Helper
-from store.records import LiftChunk, LiftJob, Model
+from store.records import Dataset, LiftChunk, LiftJob, Model
 from worker.heartbeat import Heartbeat
 from worker.outcomes import Outcomes, recorded
 from worker.settings import WorkerSettings
@@ -22,6 +24,7 @@ from worker.time_slice import TimeSlice
 
 logger = logging.getLogger(__name__)
 
+AROUND = 3  # frames beside those that late views are read from, for interpolation
 SLICE_FRAMES = 512  # lifted between two looks at what is asked of the helper
 
 
@@ -65,13 +68,31 @@ def _load_prior(store: Store, lift_id: str) -> FittedPrior:
     return FittedPrior.from_bytes(models.load_weights(store, model))
 
 
+def _load_in_step(store: Store, lift: LiftJob, chunk: LiftChunk, prior: FittedPrior) -> Capture:
+    """Load a chunk's frames with the views in step, as far as the dataset tells times."""
+    dataset = lookup.get(store, Dataset, lift.dataset_id)
+    first, end = chunk.first_frame, chunk.first_frame + chunk.frames
+    capture = datasets.load_frames(store, dataset.id, first, end)
+    times = datasets.times_of(dataset, capture, first)
+    clocks = prior.capture.clocks_of(lift.views, dataset.views)
+    apart = 0 if times is None else frames_apart(times, clocks)
+    if not apart:
+        return capture
+    begin = max(first - apart - AROUND, 0)
+    stop = min(end + apart + AROUND, lift.frames)
+    around = datasets.load_frames(store, dataset.id, begin, stop)
+    times = datasets.times_of(dataset, around, begin)
+    keypoints, confidence = in_step(around.keypoints, around.confidence, times, clocks)
+    own = slice(first - begin, end - begin)
+    return Capture(keypoints[own], None if confidence is None else confidence[own])
+
+
 def _do(
     store: Store, helper: Helper, chunk: LiftChunk, heartbeat: Heartbeat, prior: FittedPrior
 ) -> None:
     """Do one chunk, unless the process must leave: then it is given back."""
     lift = lookup.get(store, LiftJob, helper.lift_id)
-    end = chunk.first_frame + chunk.frames
-    capture = datasets.load_frames(store, lift.dataset_id, chunk.first_frame, end)
+    capture = _load_in_step(store, lift, chunk, prior)
     parts: list[Lift] = []
     findings: list[Finding] = []
     for start in range(0, chunk.frames, SLICE_FRAMES):

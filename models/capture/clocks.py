@@ -36,6 +36,17 @@ class Clocks(NamedTuple):
         late = [np.interp(times, self.times, offsets) for offsets in self.offsets.T]
         return np.stack(late, axis=1)
 
+    def suit(self, views: int) -> bool:
+        """Whether these can be the clocks of so many views."""
+        shape = (len(self.times), views)
+        return (
+            self.times.ndim == 1
+            and len(self.times) > 0
+            and self.offsets.shape == shape
+            and bool(np.isfinite(self.times).all() and np.isfinite(self.offsets).all())
+            and bool((np.diff(self.times) > 0).all())
+        )
+
     def of_views(self, views: Sequence[int]) -> "Clocks":
         """Return the clocks of some of the views, in the order given."""
         return Clocks(self.times, self.offsets[:, list(views)])
@@ -55,6 +66,21 @@ def in_step(
         return keypoints, confidence
     times = times_of_views(times, keypoints.shape[1])
     return read_at(keypoints, confidence, positions_in_step(times, clocks), _even(times))
+
+
+def frames_apart(times: Float64, clocks: Clocks | None = None) -> int:
+    """Return by how many frames views are read before or after their own, at most.
+
+    `times` (N,) or (N, K) are in seconds; 0 where nothing is to be read at another time.
+    """
+    if len(times) < 2:
+        return 0
+    by_view = times.reshape(len(times), -1)
+    first = by_view[:, 0]
+    late = np.abs(by_view - first[:, None]).max()
+    if clocks is not None:
+        late += np.abs(clocks.offsets).max()
+    return int(np.ceil(late / np.median(np.diff(first)))) if late else 0
 
 
 def times_of_views(times: Float64, views: int) -> Float64:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
+from models.capture.clocks import Clocks
 from models.capture.frozen import at_places
 from models.findings.finding import Finding
 from models.network.answers import Usual, nothing_unusual
@@ -31,6 +32,7 @@ class FittedCapture(NamedTuple):
     places: Float32  # (M, 4) view, keypoint, x, y of pixels where a keypoint was stuck
     usual: Usual
     findings: tuple[Finding, ...]  # of the keypoints alone
+    clocks: Clocks | None = None  # of views that were shifted in time
 
     @property
     def whole(self) -> bool:
@@ -55,15 +57,27 @@ class FittedCapture(NamedTuple):
             None if confidence is None else confidence[:, :, self.known],
         )
 
+    def clocks_of(self, views: Sequence[int] | None, count: int) -> Clocks | None:
+        """Return the clocks of `views` of the fit, or of all if they are as many; None if unknown.
+
+        `count` is the number of views without `views`.
+        """
+        if self.clocks is None or (views is None and count != self.views):
+            return None
+        return self.clocks if views is None else self.clocks.of_views(views)
+
     def to_header(self) -> dict[str, str]:
         """Return it as texts, for the header of a file."""
-        return {
+        about = {
             "views": str(self.views),
             "known": "".join("01"[known] for known in self.known.tolist()),
             "places": json.dumps(self.places.tolist()),
             "usual": json.dumps([self.usual.misfits.tolist(), *self.usual[1:]]),
             "findings": FINDINGS.dump_json(self.findings).decode(),
         }
+        if self.clocks is not None:
+            about["clocks"] = json.dumps([array.tolist() for array in self.clocks])
+        return about
 
     @classmethod
     def from_header(cls, about: dict[str, str], keypoints: int) -> "FittedCapture":
@@ -83,6 +97,10 @@ class FittedCapture(NamedTuple):
             misfits, least, most = json.loads(about["usual"])
             usual = Usual(np.array(misfits, np.float64).reshape(-1), float(least), float(most))
             findings = FINDINGS.validate_json(about["findings"])
+            clocks = None
+            if "clocks" in about:
+                moments, offsets = (np.array(a, np.float64) for a in json.loads(about["clocks"]))
+                clocks = Clocks(moments, offsets)
         except (KeyError, TypeError, ValueError, ValidationError, RecursionError) as error:
             raise WeightsError("the header does not say what the keypoints were") from error
         consistent = (
@@ -91,10 +109,11 @@ class FittedCapture(NamedTuple):
             and len(usual.misfits) > 0
             and bool(np.isfinite(places).all())
             and bool((places[:, :2] >= 0).all() and (places[:, 1] < len(known)).all())
+            and (clocks is None or clocks.suit(views))
         )
         if not consistent:
             raise WeightsError("the header contradicts itself about the keypoints")
-        return cls(views, known, places, usual, findings)
+        return cls(views, known, places, usual, findings, clocks)
 
 
 def whole_capture(keypoints: int) -> FittedCapture:

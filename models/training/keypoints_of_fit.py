@@ -17,6 +17,7 @@ from models.epipolar.order_checks import order_findings
 from models.lifting.fitted_capture import FittedCapture
 from models.network.answers import nothing_unusual
 from models.settings.config import FitConfig
+from models.training.synchronising import InStep
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
@@ -29,18 +30,13 @@ class Observed(NamedTuple):
     capture: FittedCapture
 
 
-def observe(
-    pixels: Float32,
-    confidence: Float32 | None,
-    image_sizes: ImageSizes | None,
-    known: Bool | None,
-) -> Observed:
+def observe(read: InStep, image_sizes: ImageSizes | None, known: Bool | None) -> Observed:
     """Return what a fit learns from.
 
     Parameters
     ----------
-    pixels, confidence
-        (N, K, P, 2) and (N, K, P), checked.
+    read
+        The keypoints, checked, with the views in step.
     known
         Which keypoints (P,) the weights have that it starts from; None for a fit of its own.
 
@@ -49,6 +45,7 @@ def observe(
     ValueError
         When a view shows a keypoint that the weights have not, or there are other keypoints.
     """
+    pixels, confidence = read.keypoints, read.confidence
     places = frozen_places(pixels, observed(pixels, confidence))
     findings = capture_findings(pixels, confidence, image_sizes, places=places)
     rows = [(place.k, place.p, *place.pixel) for place in places]
@@ -58,7 +55,8 @@ def observe(
         np.ones(keypoints, np.bool_),
         np.array(rows, np.float32).reshape(-1, 4),
         nothing_unusual(),
-        findings,
+        (*findings, *read.findings),
+        read.clocks,
     )
     detected, trust = capture.observations(pixels, confidence, None)
     observations = as_observations(detected, trust)

@@ -21,6 +21,7 @@ from models.network.priors.registry import make_prior
 from models.settings.config import FitConfig
 from models.settings.keypoints import check_confidence, check_keypoints
 from models.settings.priors import ARCHITECTURE
+from models.settings.times import check_times
 from models.training import checkpoints
 from models.training.batches import Batches, Data
 from models.training.budget import (
@@ -36,6 +37,7 @@ from models.training.keypoints_of_fit import among_known, observe
 from models.training.learner import Learner
 from models.training.schedule import Schedule
 from models.training.state import BestError, TrainerState
+from models.training.synchronising import put_in_step
 from models.training.teaching import Teaching
 
 CURVE_ROWS = 200
@@ -76,6 +78,7 @@ class Trainer:
         config: FitConfig,
         *,
         confidence: ArrayLike | None = None,
+        times: ArrayLike | None = None,
         image_sizes: ImageSizes | None = None,
         start: FittedPrior | None = None,
         checkpoint: bytes | None = None,
@@ -83,9 +86,11 @@ class Trainer:
     ) -> None:
         """Prepare a fit of `keypoints` (N, K, P, 2) pixels, from a `checkpoint` if given.
 
-        `image_sizes` are (width, height) in pixels, one per view, None where unknown. `start` is a
-        prior whose weights the fit begins with; `models.settings.config.warm` says what suits it.
-        Training steps are taken on the `device`, everything else on the CPU.
+        `times` (N,) or (N, K) in seconds tell when frames, or their views, were taken: views are
+        then put in step (`models.training.synchronising`). `image_sizes` are (width, height) in
+        pixels, one per view, None where unknown. `start` is a prior whose weights the fit begins
+        with; `models.settings.config.warm` says what suits it. Training steps are taken on the
+        `device`, everything else on the CPU.
 
         Raises
         ------
@@ -105,7 +110,10 @@ class Trainer:
         known = None if start is None else start.capture.known
         if checkpoint is not None:
             known = checkpoints.known_keypoints(checkpoint, pixels.shape[2])
-        observations, self._capture = observe(pixels, confidence, image_sizes, known)
+        if times is not None:
+            times = check_times(times, frames=len(pixels), views=pixels.shape[1])
+        read = put_in_step(pixels, confidence, times, config.synchronise)
+        observations, self._capture = observe(read, image_sizes, known)
         frames = _usable_frames(observations)
         self.config = config
         self._fingerprint = _fingerprint(observations, image_sizes)
@@ -321,6 +329,7 @@ def fit(
     config: FitConfig | None = None,
     *,
     confidence: ArrayLike | None = None,
+    times: ArrayLike | None = None,
     image_sizes: ImageSizes | None = None,
     start: FittedPrior | None = None,
     device: str = "cpu",
@@ -331,6 +340,7 @@ def fit(
         keypoints,
         config or FitConfig(),
         confidence=confidence,
+        times=times,
         image_sizes=image_sizes,
         start=start,
         device=device,

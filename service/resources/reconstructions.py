@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from safetensors.numpy import load
 from starlette.responses import Response
 
+from models.capture.clocks import in_step
 from models.findings.finding import Finding
 from models.settings.config import Refine
 from service.http.dependencies import SettingsDep, StoreDep
@@ -20,7 +21,7 @@ from service.wire.arrays import Arrays
 from service.wire.findings import Findings
 from service.wire.representations import FormatQuery, arrays_response
 from service.wire.schemas import LIFTED_FRAME, LiftedFrame
-from store import datasets, fits, records
+from store import datasets, fits, lookup, records
 from store.errors import ConflictError
 
 router = APIRouter(prefix="/fits", tags=["fits"])
@@ -146,4 +147,8 @@ def _lift_again(
         )
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
     prior = engine.prior(fit.model_id)
-    return prior.lift(capture.keypoints, confidence=capture.confidence, refine=refine).arrays
+    times = datasets.times_of(lookup.get(store, records.Dataset, fit.dataset_id), capture)
+    keypoints, confidence = in_step(
+        capture.keypoints, capture.confidence, times, prior.capture.clocks
+    )
+    return prior.lift(keypoints, confidence=confidence, refine=refine).arrays
