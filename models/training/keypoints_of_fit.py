@@ -63,7 +63,7 @@ def observe(read: InStep, image_sizes: ImageSizes | None, known: Bool | None) ->
     shown = np.any(observations.weights > 0, axis=(0, 1))
     capture = capture._replace(
         known=shown if known is None else _suited(known, shown),
-        findings=(*findings, *order_findings(detected, observations.weights)),
+        findings=(*capture.findings, *order_findings(detected, observations.weights)),
     )
     return Observed(_among(observations, capture.known), capture)
 
