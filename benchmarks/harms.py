@@ -22,6 +22,7 @@ from models.epipolar.symmetry import partners_by_name
 from models.findings.finding import Finding
 from models.numerics.rotations import rotations_from_vectors
 from models.training.keypoints_of_fit import observe
+from models.training.synchronising import put_in_step
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -176,7 +177,8 @@ def run_case(code: str, keypoints: Float64, names: list[str] | None, case: int) 
         k = k[:, np.sort(rng.choice(k.shape[1], 2, replace=False))]
     planted = HARMS[code](k, rng, partners)
     k = _spoil(planted.keypoints, SPOILT[case % len(SPOILT)] if planted.order_noise else None, rng)
-    return judge(code, planted, observe(k.astype(np.float32), None, None, None).capture.findings)
+    read = put_in_step(k.astype(np.float32), None, None, "auto")
+    return judge(code, planted, observe(read, None, None).capture.findings)
 
 
 def main() -> None:
