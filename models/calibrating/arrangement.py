@@ -108,9 +108,13 @@ def find_rest(
     while len(members) > 1:
         found = yield from rig_from_keypoints(problem, moving, members)
         candidates = [] if found is None else _by_keypoints(problem, found, hint)
+        if len(members) == 2:
+            # Two views say little of their lenses without shapes, which moving cameras have learnt.
+            joined = _by_rotations(problem, moving, members)
+            candidates = [*([] if joined is None else [joined]), *candidates]
         rival = None if declared else unjoined
         best = yield from _best(candidates, problem, split, rival)
-        if best is None or len(members) == 2 or best.merits != (True, len(members)):
+        if len(members) > 2 and (best is None or best.merits != (True, len(members))):
             joined = _by_rotations(problem, moving, members)
             if joined is not None:
                 best = yield from _best([joined], problem, split, rival, best)

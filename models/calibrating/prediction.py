@@ -35,7 +35,9 @@ class Split(NamedTuple):
 
 
 def split_frames(frames: int) -> Split:
-    """Leave every fifth frame out of learning, at most `MOST_JUDGES`."""
+    """Leave every fifth frame out of learning, at most `MOST_JUDGES`; of very few frames none."""
+    if frames < EVERY:
+        return Split(np.arange(frames), np.arange(frames))
     judging = np.arange(frames)[EVERY // 2 :: EVERY]
     judging = judging[:: -(-len(judging) // MOST_JUDGES)]
     return Split(np.setdiff1d(np.arange(frames), judging), judging)
