@@ -22,6 +22,7 @@ from models.calibrating.prediction import (
     predicted_distances,
     split_frames,
     surprise,
+    typical_distance,
 )
 from models.calibrating.problem import (
     Problem,
@@ -122,9 +123,9 @@ def find_rest(
             break
         resting = best.candidate.members
         figures = (
-            f"hidden keypoints are predicted to {np.nanmedian(best.distances):.3g} px if views"
+            f"hidden keypoints are predicted to {typical_distance(best.distances):.3g} px if views"
             f" {resting} rest ({best.candidate.source}),"
-            f" to {np.nanmedian(unjoined.distances):.3g} px if all move"
+            f" to {typical_distance(unjoined.distances):.3g} px if all move"
         )
         if best.merits[0]:
             whole = _on_all_frames(best, split)

@@ -1,5 +1,6 @@
 """What a solution predicts of keypoints that it was not shown, in frames it did not learn from."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -74,10 +75,16 @@ def predicted_distances(problem: Problem, learnt: Solution, start: Scene) -> Flo
     return distances
 
 
+def typical_distance(distances: Float64) -> float:
+    """Median in pixels of predictions (N, K, P); NaN where none was asked."""
+    asked = distances[np.isfinite(distances)]
+    return float(np.median(asked)) if len(asked) else math.nan
+
+
 def common_noise(distances: list[Float64], side: float) -> float:
     """Return the noise in pixels under which predictions (N, K, P) are compared: the best one's."""
-    medians = [float(np.nanmedian(each)) for each in distances]
-    return float(np.hypot(min(medians) / RAYLEIGH, LENS_ERRORS * side))
+    least = min(typical_distance(each) for each in distances)
+    return math.hypot(least / RAYLEIGH, LENS_ERRORS * side)
 
 
 def surprise(distances: Float64, weights: Float64, noise: float) -> Float64:
