@@ -17,6 +17,7 @@ from models.calibrating.expectation_maximisation import ROUNDS, about_model, lea
 from models.calibrating.handedness import DECIDED, Handed, certainty, same_hand, volume
 from models.calibrating.keypoint_rig import KeypointRig, rig_from_keypoints
 from models.calibrating.prediction import (
+    LENS_ERRORS,
     Split,
     common_noise,
     predicted_distances,
@@ -43,6 +44,7 @@ LEAST_ANGLE = 1e-4  # radians, below which rotations weigh alike there
 LIKELY = 2.0  # standard errors by which one rig must predict better than another to replace it
 MORE_ROUNDS = 2  # of learning, for what has been learnt from nearly the same frames
 SURE = 3.0  # standard errors by which hidden keypoints must speak against rest
+MORE_NOISE = 1.4  # times the noise of moving cameras: no rig at rest has more
 NOISY = 0.015  # of the subject's size: noise from which a rig from keypoints keeps its lenses
 NEGLIGIBLE = 0.05  # nats of a keypoint, of what lens models leave
 
@@ -65,6 +67,7 @@ class Rest(NamedTuple):
     reason: str
     # Log odds (N,) of its hand against the other, frame by frame, by each way there is to tell it.
     evidence: list[Float64]
+    keeps_lenses: bool = False  # whether they are those of the rigid scene, not of the shapes
 
 
 class Candidate(NamedTuple):
@@ -108,7 +111,7 @@ def find_rest(
     members, reason = list(range(len(moving.rig.groups))), "no two views see enough together"
     while len(members) > 1:
         found = yield from rig_from_keypoints(problem, moving, members)
-        candidates = [] if found is None else _by_keypoints(problem, found, hint)
+        candidates = [] if found is None else _by_keypoints(problem, moving, found, hint)
         if len(members) == 2:
             # Two views say little of their lenses without shapes, which moving cameras have learnt.
             joined = _by_rotations(problem, moving, members)
@@ -132,16 +135,20 @@ def find_rest(
             kept = _with_lenses(problem, best.candidate)
             solution = yield from learn(kept, whole, rounds=MORE_ROUNDS)
             said = "the cameras were declared static; " if declared else ""
-            return Rest(solution, said + figures, _evidence(solution, handed, found))
+            evidence = _evidence(solution, handed, found)
+            return Rest(solution, said + figures, evidence, best.candidate.keep_lenses)
         worst = max(resting, key=list(best.against).__getitem__)
         reason = f"{figures}: view {worst} speaks against rest"
         members = [view for view in resting if view != worst]
     return Rest(moving, reason, _evidence(moving, handed, None))
 
 
-def _by_keypoints(problem: Problem, found: KeypointRig, hint: Corners | None) -> list[Candidate]:
+def _by_keypoints(
+    problem: Problem, moving: Solution, found: KeypointRig, hint: Corners | None
+) -> list[Candidate]:
     """Return the rig that keypoints alone say, and its mirror image if they hardly tell which."""
-    keep = len(found.members) > 2 and found.noise > NOISY * problem.size
+    noise = max(found.noise, moving.measured_noise)  # the latter with outliers
+    keep = len(found.members) > 2 and noise > NOISY * problem.size
     ours = Candidate("from keypoints", found.start, found.members, keep)
     theirs = Candidate("from keypoints, mirrored", found.mirror, found.members, keep)
     if hint is not None:
@@ -247,6 +254,11 @@ def _against_rest(asked: Problem, moving: Judged, resting: Judged) -> Float64:
         if len(known) > 1:
             error = float(known.std(ddof=1)) / math.sqrt(len(known))
             against[k] = known.mean() - SURE * error - NEGLIGIBLE
+    # Few hidden keypoints say little; the noise of all that were learnt from counts, too.
+    bearable = math.hypot(MORE_NOISE * moving.learnt.measured_noise, LENS_ERRORS * asked.side)
+    if resting.learnt.measured_noise > bearable:
+        members = resting.candidate.members
+        against[members] += max(NEGLIGIBLE - float(against[members].max()), 0.0)
     return against
 
 

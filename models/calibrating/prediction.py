@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.problem import Scene, make_shape_prior
-from models.bundle.scene_adjustment import adjust_frames
+from models.bundle.scene_adjustment import adjust_frames, costs_of
 from models.bundle.shape_model import align
 from models.calibrating.expectation_maximisation import regauge
 from models.calibrating.problem import Problem, Solution, reprojection_distances
@@ -55,6 +55,9 @@ def predicted_distances(problem: Problem, learnt: Solution, start: Scene) -> Flo
     start = regauge(start, points, similarity, rig)
     prior = make_shape_prior(np.tile(shapes.mean, (len(points), 1, 1)), shapes.basis, shapes.spread)
     views = problem.views(learnt.noise)
+    # A structure from noisy rays may reach behind a camera; the mean one begins there.
+    behind = ~np.isfinite(costs_of(views, rig, prior, start))
+    start = start._replace(points=np.where(behind[:, None, None], shapes.mean, start.points))
     seen = problem.weights > 0
     quarter = np.random.default_rng(0).integers(QUARTERS, size=seen.shape)
     distances = np.full(seen.shape, np.nan)

@@ -40,6 +40,7 @@ class Arranged(NamedTuple):
     hand: float  # how sure the hand is, 0 to 1
     findings: tuple[Finding, ...]
     unit: float | None = None  # of a unit of the structure in the user's, if poses were given
+    keeps_lenses: bool = False  # whether lenses are settled, whatever shapes say
 
 
 def search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) -> Steps[Arranged]:
@@ -86,7 +87,8 @@ def _search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) 
     checked = yield from check_told(problem, told)
     findings += disagreements(problem, told, checked)
     hand = 1.0 if config.handedness is not None else certainty(rest.evidence)
-    return Arranged(told, checked, rest.reason + in_words(findings), hand, findings)
+    reason = rest.reason + in_words(findings)
+    return Arranged(told, checked, reason, hand, findings, keeps_lenses=rest.keeps_lenses)
 
 
 def _against_declared_rest(resting: Solution, found: Solution) -> tuple[Finding, ...]:

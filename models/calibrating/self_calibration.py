@@ -82,7 +82,8 @@ def self_calibrate(
     problem = Problem(keypoints, weights, images, size, usual, reference, lens_sds, poses)
     arranged = yield from search(problem, answers, config)
     problem, best, reason = arranged.checked.problem, arranged.checked.solution, arranged.reason
-    for name, tried_problem, tried_start in other_lenses(problem, best):
+    others = [] if arranged.keeps_lenses else other_lenses(problem, best)
+    for name, tried_problem, tried_start in others:
         trial = yield from learn(tried_problem, tried_start)
         if _log_posterior(tried_problem, trial) > _log_posterior(problem, best) + BETTER_LENS:
             problem, best = tried_problem, trial

@@ -40,7 +40,7 @@ SAME = 0.03  # radians and share of focal lengths within which rigs count as one
 LEAST_POINTS = 60  # seen by a view together with others, for it to take part
 # Errors of detectors and of lens models repeat from frame to frame: all observations together say
 # no more than so many independent ones would.
-EFFECTIVE = 500.0
+EFFECTIVE = 1000.0
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it does not rest with them
 UNLIKE_PAIRS = 5.0  # times the noise of the best pair: a pair beyond it does not rest
 NO_RIG = 0.3  # noise, as a share of a view's size, that says that nothing rests
