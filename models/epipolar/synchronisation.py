@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from models.capture.tracks import (
     HALF_WIDTHS,
+    Track,
     choose_half_width,
     make_track,
     masked_median,
@@ -109,6 +110,8 @@ def find_timing(keypoints: Float64, weights: Float64, *, reach: int = REACH) -> 
         whole = _search(scene, whole, 1)
     reference = int(np.argmin(np.abs(whole - np.median(whole))))
     start = (whole - whole[reference]).astype(np.float64)[:, None]
+    # The search compares offsets on the same frames; from here on, all that views share count.
+    scene = scene._replace(frames=_frames_within(scene.tracks, int(np.abs(start).max())))
     found = refine_offsets(scene, start, np.ones((len(scene.frames), 1)), reference)
     if found is None or found.noise > MOST_NOISE * scene.radius:
         return None
@@ -154,20 +157,27 @@ def _make_scene(keypoints: Float64, weights: Float64, reach: int) -> Scene | Non
     if extent <= 0:
         return None
     tracks = [make_track(centred[:, v] / extent, weights[:, v]) for v in range(views)]
-    frames = np.arange(reach, count - reach)
-    most = int(np.clip(MOST_PLACES // (views * len(chosen)), 10 * WINDOWS, MOST_FRAMES))
-    if len(frames) > most:
-        windows = np.array_split(frames, WINDOWS)
-        each = most // WINDOWS
-        frames = np.concatenate([w[(len(w) - each) // 2 :][:each] for w in windows])
     pairs = _choose_pairs(seen.sum((0, 2)))
+    frames = _frames_within(tracks, 0)
     half_width = choose_half_width(
         tracks[:: -(-views // WIDTH_VIEWS)],
         [width for width in HALF_WIDTHS if count_blocks(len(frames), width) >= LEAST_BLOCKS],
     )
     if half_width is None:
         return None
-    return Scene(tracks, frames, pairs, half_width)
+    return Scene(tracks, _frames_within(tracks, reach), pairs, half_width)
+
+
+def _frames_within(tracks: list[Track], margin: int) -> Int:
+    """Return the frames at least `margin` from the ends, in windows if they are many."""
+    count, keypoints, _ = tracks[0].pixels.shape
+    frames = np.arange(margin, count - margin)
+    most = int(np.clip(MOST_PLACES // (len(tracks) * keypoints), 10 * WINDOWS, MOST_FRAMES))
+    if len(frames) <= most:
+        return frames
+    each = most // WINDOWS
+    windows = np.array_split(frames, WINDOWS)
+    return np.concatenate([w[(len(w) - each) // 2 :][:each] for w in windows])
 
 
 def _choose_pairs(shown: Int) -> list[tuple[int, int]]:
