@@ -71,8 +71,7 @@ def learn(
     learnt = bool(np.ptp(prior.means, axis=0).max() == 0)  # whether the prior is a shape model
     floor = LEAST_NOISE * problem.side
     least_spread = LEAST_SPREAD_WITH_BONES if with_bones else LEAST_SPREAD
-    # What moves hardly tells its lenses apart, and told poses settle them soon.
-    more = MORE_ROUNDS if rig.resting.any() and solution.given_poses is None else 0
+    more = MORE_ROUNDS if rig.resting.any() else 0  # what moves hardly tells its lenses apart
     least, most = (1, ROUNDS_WITH_BONES) if with_bones else (rounds, rounds + more)
     for number in range(1, most + 1):
         views = problem.views(noise)

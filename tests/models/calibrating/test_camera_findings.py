@@ -16,10 +16,7 @@ from models.optics.lenses.projection import COEFFICIENTS, Lenses
 from tests.models.rigs import around
 
 IMAGES = Images(
-    np.full((2, 2), [1280.0, 1024.0]),
-    np.full((2, 2), [640.0, 512.0]),
-    np.ones(2, np.bool_),
-    np.zeros(2),
+    np.full((2, 2), [1280.0, 1024.0]), np.full((2, 2), [640.0, 512.0]), np.ones(2, np.bool_)
 )
 SIZE = 100.0  # pixels
 
