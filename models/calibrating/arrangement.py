@@ -12,15 +12,8 @@ from numpy.typing import NDArray
 
 from models.bundle.initial_poses import gather
 from models.bundle.problem import Scene, make_rig
-from models.bundle.scene_adjustment import adjust_frames
 from models.bundle.shape_model import align
-from models.calibrating.expectation_maximisation import (
-    REFINEMENTS,
-    ROUNDS,
-    about_model,
-    learn,
-    regauge,
-)
+from models.calibrating.expectation_maximisation import ROUNDS, about_model, learn, regauge
 from models.calibrating.handedness import DECIDED, Handed, certainty, same_hand, volume
 from models.calibrating.keypoint_rig import KeypointRig, rig_from_keypoints
 from models.calibrating.prediction import (
@@ -138,8 +131,7 @@ def find_rest(
             f" to {typical_distance(unjoined.distances):.3g} px if all move"
         )
         if best.merits[0]:
-            whole = _on_all_frames(problem, best, split)
-            yield
+            whole = _on_all_frames(best, split)
             kept = _with_lenses(problem, best.candidate)
             solution = yield from learn(kept, whole, rounds=MORE_ROUNDS)
             said = "the cameras were declared static; " if declared else ""
@@ -270,18 +262,14 @@ def _against_rest(asked: Problem, moving: Judged, resting: Judged) -> Float64:
     return against
 
 
-def _on_all_frames(problem: Problem, judged: Judged, split: Split) -> Solution:
+def _on_all_frames(judged: Judged, split: Split) -> Solution:
     """Return what was learnt from one part of the frames as a start on all of them."""
     start, learnt = judged.candidate.start, judged.learnt
     points, similarity = align(start.scene.points, learnt.shapes.mean)
     scene = regauge(start.scene, points, similarity, learnt.rig)
     for whole, of_part in zip(scene, learnt.scene, strict=True):
         whole[split.learning] = of_part
-    prior = about_model(learnt.shapes, len(points))
-    # The other frames stand as the candidate had them: they must not move the lenses.
-    views = problem.views(learnt.noise)
-    scene, _ = adjust_frames(views, learnt.rig, prior, scene, iterations=REFINEMENTS)
-    return learnt._replace(scene=scene, prior=prior)
+    return learnt._replace(scene=scene, prior=about_model(learnt.shapes, len(points)))
 
 
 def _relative_pose(scene: Scene, seen: Bool, j: int, k: int) -> RelativePose | None:

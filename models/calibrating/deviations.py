@@ -1,17 +1,13 @@
 """How surely a rig is known: standard deviations of what a self-calibration found of it."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.adjustment import RigPrior
 from models.bundle.bone_lengths import find_bone_lengths
 from models.bundle.problem import LENS, VIEW, Rig
 from models.bundle.shared_likelihood import SharedLikelihood, likelihood_of_shared
-from models.calibrating.lens_beliefs import weigh_beliefs
 from models.calibrating.lens_prior import rig_prior
-from models.calibrating.problem import LensBelief, Problem, Solution
+from models.calibrating.problem import Problem, Solution
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -21,24 +17,17 @@ MOST_LEARNT = 0.98  # share of what keypoints say of a direction that learning t
 WIDEST_ROTATION, WIDEST_TRANSLATION = np.pi, 1e3
 
 
-class HowSure(NamedTuple):
-    """What is known of how right a finished solution is."""
-
-    deviations: Float64  # (K, 11) standard deviations; 0 for what was kept
-    belief: LensBelief  # about lenses, in the light of the whole
-
-
-def how_sure(problem: Problem, solution: Solution) -> HowSure:
-    """Return standard deviations of a finished solution.
+def deviations(problem: Problem, solution: Solution) -> Float64:
+    """Return standard deviations (K, 11) of a finished solution; 0 for what was kept.
 
     Of the posterior in which the shape model and bone lengths are learnt from the same keypoints,
     made wider where errors are seen to be alike within frames and keypoints. Translations are in
     units of the structure: how surely their ratio to it is known.
     """
     rig, scene = solution.rig, solution.scene
-    prior = _prior(problem, solution, solution.belief)
+    prior = rig_prior(problem, rig, given_poses=solution.given_poses)
     if not prior.free.any():
-        return HowSure(np.zeros((len(rig.groups), VIEW)), solution.belief)
+        return np.zeros((len(rig.groups), VIEW))
     likelihood = likelihood_of_shared(
         problem.views(solution.noise),
         rig,
@@ -47,27 +36,13 @@ def how_sure(problem: Problem, solution: Solution) -> HowSure:
         free=prior.free,
         bones=find_bone_lengths(scene.points) if solution.with_bones else None,
     )
-    belief = weigh_beliefs(
-        problem, rig, likelihood, solution.belief, solution.given_poses, prior.free
-    )
-    prior = _prior(problem, solution, belief)
     held = prior.precision + np.diag(_widest(len(rig.groups)))
     held = held[np.ix_(prior.free, prior.free)]
     given = solution.given_poses
     placed = np.zeros(len(rig.groups)) if given is None else given.held
     reported = _reported(rig, prior.free, likelihood, np.bincount(rig.groups, placed) > 1)
     sds = np.sqrt(_variances(likelihood, held, reported))
-    return HowSure(sds.reshape(-1, VIEW), belief)
-
-
-def _prior(problem: Problem, solution: Solution, belief: LensBelief) -> RigPrior:
-    return rig_prior(
-        problem,
-        solution.rig,
-        belief=belief,
-        given_poses=solution.given_poses,
-        every_centre=True,
-    )
+    return sds.reshape(-1, VIEW)
 
 
 def _variances(likelihood: SharedLikelihood, held: Float64, reported: Float64) -> Float64:

@@ -167,9 +167,7 @@ def _candidates(problem: Problem, solution: Solution) -> list[Candidate]:
 def _scored(problem: Problem, solution: Solution, candidates: list[Candidate]) -> list[Doubt]:
     """Say of every candidate what freeing it would gain, and how far its numbers would go."""
     views = len(problem.poses)
-    prior = rig_prior(
-        problem, solution.rig, belief=solution.belief, given_poses=solution.given_poses
-    )
+    prior = rig_prior(problem, solution.rig, given_poses=solution.given_poses)
     wanted = prior.free | np.any([candidate.numbers.ravel() for candidate in candidates], 0)
     index = np.flatnonzero(wanted)
     likelihood = likelihood_of_shared(

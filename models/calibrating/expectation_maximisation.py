@@ -24,7 +24,6 @@ from models.bundle.scene_adjustment import adjust_frames, costs_of
 from models.bundle.shape_model import ShapeModel, Similarity, align, learn_shapes
 from models.bundle.shared_likelihood import SharedLikelihood, likelihood_of_shared
 from models.bundle.structure_covariances import structure_covariances
-from models.calibrating.lens_beliefs import errors_alike, weigh_beliefs
 from models.calibrating.lens_prior import rig_prior
 from models.calibrating.problem import Problem, Solution, Steps
 from models.optics.lenses.projection import project
@@ -35,7 +34,6 @@ Bool = NDArray[np.bool_]
 ROUNDS = 4
 ROUNDS_WITH_BONES = 8  # at most: until no focal length changes
 SETTLED = 3e-4  # by more than this share
-MORE_ROUNDS, NEARLY_SETTLED = 4, 3e-3  # without bones: so many more while focals change by more
 ADJUSTMENTS, REFINEMENTS = 10, 15  # iterations, of frames and rig together, of frames alone
 LEAST_SPREAD = 0.02  # of the shape model, in radii of the structure
 LEAST_SPREAD_WITH_BONES = 0.1  # lenses are then the bones' business
@@ -66,31 +64,33 @@ def learn(
     With `with_bones`, bone lengths have a say, too, and the shape model less of it.
     """
     rig, scene, prior, noise = solution.rig, solution.scene, solution.prior, solution.noise
-    focals, belief = rig.lenses.focals, solution.belief
-    measured_alike = False
-    learnt = bool(np.ptp(prior.means, axis=0).max() == 0)  # whether the prior is a shape model
+    focals = rig.lenses.focals
     floor = LEAST_NOISE * problem.side
     least_spread = LEAST_SPREAD_WITH_BONES if with_bones else LEAST_SPREAD
-    more = MORE_ROUNDS if rig.resting.any() else 0  # what moves hardly tells its lenses apart
-    least, most = (1, ROUNDS_WITH_BONES) if with_bones else (rounds, rounds + more)
-    for number in range(1, most + 1):
+    for _ in range(ROUNDS_WITH_BONES if with_bones else rounds):
         views = problem.views(noise)
-        bones = find_bone_lengths(scene.points) if with_bones else None
-        believed = rig_prior(problem, rig, belief=belief, given_poses=solution.given_poses)
+        believed = rig_prior(problem, rig, given_poses=solution.given_poses)
         before = rig
         rig, scene = yield from adjust(
-            views, rig, prior, scene, rig_prior=believed, bones=bones, iterations=ADJUSTMENTS
+            views,
+            rig,
+            prior,
+            scene,
+            rig_prior=believed,
+            bones=find_bone_lengths(scene.points) if with_bones else None,
+            iterations=ADJUSTMENTS,
         )
         yield
-        if learnt and believed.free.any():
+        if np.ptp(prior.means, axis=0).max() == 0 and believed.free.any():
+            bones = find_bone_lengths(scene.points) if with_bones else None
             likelihood = likelihood_of_shared(
-                views, rig, prior, scene, free=believed.free, bones=bones, by_keypoint=False
-            )
-            if not measured_alike:
-                alike = errors_alike(views, rig, prior, scene, believed)
-                belief, measured_alike = belief._replace(weight=alike), True
-            belief = weigh_beliefs(
-                problem, rig, likelihood, belief, solution.given_poses, believed.free
+                views,
+                rig,
+                prior,
+                scene,
+                free=believed.free,
+                bones=bones,
+                by_keypoint=False,
             )
             leap = _ahead(likelihood, believed, before, rig, problem.side)
             if np.isfinite(costs_of(views, leap, prior, scene)).all():
@@ -104,9 +104,9 @@ def learn(
         shapes = learn_shapes(scene.points[unsure.frames], unsure.covariances, floor=least_spread)
         points, similarity = align(scene.points, shapes.mean)
         scene = regauge(scene, points, similarity, rig)
-        prior, learnt = about_model(shapes, len(points)), True
+        prior = about_model(shapes, len(points))
         change, focals = np.abs(np.log(rig.lenses.focals / focals)).max(), rig.lenses.focals
-        if number >= least and change < (SETTLED if with_bones else NEARLY_SETTLED):
+        if with_bones and change < SETTLED:
             break
     return solution._replace(
         rig=rig,
@@ -115,7 +115,6 @@ def learn(
         shapes=shapes,
         noise=noise,
         measured_noise=measured,
-        belief=belief,
         with_bones=with_bones,
     )
 

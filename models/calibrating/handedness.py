@@ -90,7 +90,7 @@ def choose_hand(
     prior = _about_structures(means)
     unsure = uncertainty(views, rig, prior, best, np.any(explained, 0))
     shapes = learn_shapes(best.points[unsure.frames], unsure.covariances, floor=LEAST_SPREAD)
-    solution = Solution(rig, best, prior, shapes, noise, noise, problem.first_belief)
+    solution = Solution(rig, best, prior, shapes, noise, noise)
     return Handed(solution, log_odds)
 
 

@@ -12,38 +12,6 @@ ImageSizes = Sequence[tuple[int, int] | None]  # (width, height) in pixels
 
 STRAY = 0.002  # share of the keypoints on either side that may lie astray, even outside the image
 OUTSIDE = 0.02  # share of keypoints at negative coordinates from which the origin is no corner
-USUAL_SIZES = (  # of images, width and height as they lie; upright ones count, too
-    (640, 480),
-    (720, 480),
-    (720, 576),
-    (800, 600),
-    (848, 480),
-    (960, 540),
-    (1000, 1000),
-    (1024, 768),
-    (1024, 1024),
-    (1280, 720),
-    (1280, 800),
-    (1280, 960),
-    (1280, 1024),
-    (1440, 1080),
-    (1600, 1200),
-    (1920, 1080),
-    (1920, 1200),
-    (2048, 1088),
-    (2048, 1536),
-    (2048, 2048),
-    (2448, 2048),
-    (2560, 1440),
-    (2704, 1520),
-    (3840, 2160),
-    (4000, 3000),
-    (4096, 2160),
-    (5312, 2988),
-)
-
-
-MOST_LARGER = 4.0  # times the area that the keypoints need: images are not larger
 EMPTY = (0.0, 1.0)  # least and most coordinate where there is no keypoint
 
 
@@ -53,7 +21,6 @@ class Images(NamedTuple):
     sizes: Float64  # (K, 2) width and height, told or guessed
     middles: Float64  # (K, 2) where they have their middles
     told: Bool  # (K,) whether the user told the size
-    needed: Float64  # (2,) least width and height of those that were not told
 
     @property
     def side(self) -> float:
@@ -72,33 +39,18 @@ def images_of(keypoints: Float64, weights: Float64, image_sizes: ImageSizes | No
     views = keypoints.shape[1]
     given = [None] * views if image_sizes is None else list(image_sizes)
     told = np.array([size is not None for size in given])
-    guess, middle, needed = _guess(keypoints[:, ~told], weights[:, ~told] > 0)
+    guess, middle = _guess(keypoints[:, ~told], weights[:, ~told] > 0)
     sizes = np.array([guess if size is None else np.array(size, float) for size in given])
-    return Images(sizes, np.where(told[:, None], sizes / 2, middle), told, needed)
+    return Images(sizes, np.where(told[:, None], sizes / 2, middle), told)
 
 
-def usual_sizes(images: Images) -> list[tuple[int, int]]:
-    """Return usual sizes that the images may have which were not told; none if that is absurd."""
-    lying = {*USUAL_SIZES, *((height, width) for width, height in USUAL_SIZES)}
-    lying |= {(int(width), int(height)) for width, height in images.sizes[images.told]}
-    return sorted(
-        size
-        for size in lying
-        if (images.needed <= size).all() and np.prod(size) < MOST_LARGER * images.needed.prod()
-    )
-
-
-def _guess(keypoints: Float64, seen: Bool) -> tuple[Float64, Float64, Float64]:
-    """Return size and middle (2,) of the images that all of these views have, and what they need.
-
-    An infinite need stands for an origin that is not the images' corner.
-    """
+def _guess(keypoints: Float64, seen: Bool) -> tuple[Float64, Float64]:
+    """Return size and middle (2,) of the images that all of these views have."""
     places = keypoints[seen]  # (n, 2)
     low, high = (np.full(2, bound) for bound in EMPTY)
     if len(places):
         low, high = np.quantile(places, (STRAY, 1 - STRAY), axis=0)
     if len(places) and (places < 0).mean() > OUTSIDE:  # the origin is elsewhere
-        nowhere = np.full(2, np.inf)
-        return np.asarray(high - low, np.float64), np.asarray(low + high, np.float64) / 2, nowhere
+        return np.asarray(high - low, np.float64), np.asarray(low + high, np.float64) / 2
     size: Float64 = low.clip(0) + high
-    return size, size / 2, high
+    return size, size / 2

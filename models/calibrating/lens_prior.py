@@ -8,86 +8,57 @@ from models.bundle.problem import (
     CENTRE_X,
     CENTRE_Y,
     EXTRINSICS,
+    FOCAL,
     LENS,
     RADIAL,
+    RADIAL_2,
     VIEW,
     Rig,
     make_rig,
 )
-from models.calibrating.problem import GivenPoses, LensBelief, Problem, Solution
+from models.calibrating.problem import GivenPoses, Problem, Solution
 from models.optics.lenses.projection import LENSES, index_of
 
 Float64 = NDArray[np.float64]
 
-# Standard deviations of what is not told: of all cameras together, of a kind of lenses beside that,
-# and of each lens beside its kind.
-FOCAL_SDS = (0.2, 0.35, 0.01)  # of the log focal length
-RADIAL_SDS = (0.05, 0.1, 0.02)  # of the first radial coefficient
-RADIAL_2_SDS = (0.05, 0.1, 0.02)  # of the second
+# Standard deviations of what is not told: of all cameras together, and of each beside that.
+FOCAL_SDS = (0.3, 0.01)  # of the log focal length
+RADIAL_SDS = (0.2, 0.05)  # of the first radial coefficient
+RADIAL_2_SDS = (0.1, 0.02)  # of the second
 PINHOLE = index_of("pinhole")
 CENTRE_SD = 0.02  # of the principal point, as a share of the image's side
 UNTOLD_CENTRE_SD = 0.12  # of the middle of all images whose size nobody told, likewise
 
 
-def rig_prior(
-    problem: Problem,
-    rig: Rig,
-    *,
-    belief: LensBelief,
-    given_poses: GivenPoses | None,
-    every_centre: bool = False,
-) -> RigPrior:
-    """Say what is free of the rig, and how strongly it is held where.
-
-    Where a moving camera looks and where its principal point is are nearly one: if all cameras
-    move, their principal points are not sought. `every_centre` frees them all the same.
-    """
+def rig_prior(problem: Problem, rig: Rig, *, given_poses: GivenPoses | None) -> RigPrior:
+    """Say what is free of the rig, and how strongly it is held where."""
     views = len(rig.groups)
     total = VIEW * views
     precision, free = np.zeros((total, total)), np.zeros(total, bool)
     untold = np.isinf(problem.lens_sds)  # (K, LENS)
-    covariances = _lens_covariances(problem, belief)
-    for number, covariance in enumerate(covariances):
+    for number, (together, alone) in (
+        (FOCAL, FOCAL_SDS),
+        (RADIAL, RADIAL_SDS),
+        (RADIAL_2, RADIAL_2_SDS),
+    ):
+        index = VIEW * np.flatnonzero(untold[:, number]) + number
+        covariance = together**2 + alone**2 * np.eye(len(index))
+        precision[np.ix_(index, index)] = np.linalg.inv(covariance)
+        free[index] = True
+    for number in (CENTRE_X, CENTRE_Y):
         these = np.flatnonzero(untold[:, number])
         index = VIEW * these + number
-        held = np.linalg.inv(covariance[np.ix_(these, these)])
-        precision[np.ix_(index, index)] = belief.weight * held
-        sought = every_centre or rig.group_count < views
-        free[index] = sought or number not in (CENTRE_X, CENTRE_Y)
+        precision[np.ix_(index, index)] = np.linalg.inv(_centre_covariance(problem, these))
+        # Where a moving camera looks and where its principal point is are nearly one.
+        free[index] = rig.group_count < views
     poses = told_extrinsics(rig, given_poses)
     sds = np.concatenate((problem.lens_sds, poses.sds), 1).ravel()
     unsure = np.flatnonzero(np.isfinite(sds) & (sds > 0))
     precision[unsure, unsure] = 1 / sds[unsure] ** 2
     free[unsure] = True
     free.reshape(views, VIEW)[:, LENS:] = poses.sds > 0
-    lenses = problem.reference.lenses
-    centres = lenses.centres.copy()
-    if belief.size is not None:
-        assumed = ~problem.images.told & untold[:, CENTRE_X]
-        centres[assumed] = np.array(belief.size) / 2
-    mean = make_rig(
-        lenses._replace(centres=centres), rig.groups, poses.rotations, poses.translations
-    )
+    mean = make_rig(problem.reference.lenses, rig.groups, poses.rotations, poses.translations)
     return RigPrior(mean, precision, free)
-
-
-def _lens_covariances(problem: Problem, belief: LensBelief) -> list[Float64]:
-    """Covariances (K, K) over the views, one for each number of a lens, in their order."""
-    views = len(belief.kinds)
-    alike = belief.kinds[:, None] == belief.kinds
-
-    def of_kinds(sds: tuple[float, float, float]) -> Float64:
-        together, kind, alone = np.square(sds)
-        covariance: Float64 = together + kind * alike + alone * np.eye(views)
-        return covariance
-
-    sides = problem.images.sizes.max(1)
-    sized = problem.images.told | (belief.size is not None)
-    together = sides * np.where(sized, 0, UNTOLD_CENTRE_SD)
-    of_centres = np.outer(together, together) + np.diag((CENTRE_SD * sides) ** 2)
-    radial = of_kinds(RADIAL_SDS), of_kinds(RADIAL_2_SDS)
-    of_focals = of_kinds(FOCAL_SDS) + belief.misfit**2 * np.eye(views)
-    return [of_focals, of_centres, of_centres, *radial]
 
 
 def told_extrinsics(rig: Rig, given: GivenPoses | None) -> GivenPoses:
@@ -109,6 +80,14 @@ def told_extrinsics(rig: Rig, given: GivenPoses | None) -> GivenPoses:
         np.where(held[:, None], given.translations, rig.translations),
         sds,
     )
+
+
+def _centre_covariance(problem: Problem, views: NDArray[np.int64]) -> Float64:
+    """Covariance (k, k) of one coordinate of the principal points of some views."""
+    sides = problem.images.sizes[views].max(1)
+    together = sides * np.where(problem.images.told[views], 0, UNTOLD_CENTRE_SD)
+    covariance: Float64 = np.outer(together, together) + np.diag((CENTRE_SD * sides) ** 2)
+    return covariance
 
 
 def other_lenses(problem: Problem, solution: Solution) -> list[tuple[str, Problem, Solution]]:

@@ -23,10 +23,9 @@ from models.bundle.shape_model import ShapeModel
 from models.calibrating.image_sizes import Images
 from models.numerics.rotations import rotations_from_vectors
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, index_of, project
-from models.settings.calibration import Alike, Camera
+from models.settings.calibration import Camera
 
 Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
 T = TypeVar("T")
 Steps = Generator[None, None, T]  # yields between iterations, so that a fit can be stopped there
 
@@ -39,29 +38,6 @@ class Pose(NamedTuple):
 
     rotation: Float64  # (3, 3)
     translation: Float64  # (3,) in the user's unit
-
-
-class LensBelief(NamedTuple):
-    """What is taken to hold of the lenses of K views that nobody told."""
-
-    kinds: Int64  # (K,) views with the same number have lenses of one kind, which are alike
-    size: tuple[int, int] | None = None  # of all images whose size was not told; None: unknown
-    # How strongly what is believed of lenses counts: keypoints say so much less than if their
-    # errors had nothing to do with each other.
-    weight: float = 1.0
-    misfit: float = 0.0  # standard deviation of a log focal length beside that of its kind
-
-    @property
-    def words(self) -> str:
-        """Say it."""
-        count = len(np.unique(self.kinds))
-        if count == 1:
-            said = "lenses alike"
-        elif count == len(self.kinds):
-            said = "lenses unlike"
-        else:
-            said = f"lenses of {count} kinds, {self.kinds.tolist()}"
-        return said if self.size is None else f"{said}, images of {self.size[0]} x {self.size[1]}"
 
 
 class Problem(NamedTuple):
@@ -77,18 +53,11 @@ class Problem(NamedTuple):
     # `models.bundle.problem.VIEW`: 0 where it is kept as it is, infinity where nothing was told.
     lens_sds: Float64
     poses: tuple[Pose | None, ...]  # K, as they were told
-    cameras_alike: Alike = "auto"
 
     @property
     def side(self) -> float:
         """Pixels, the longest side of the images."""
         return self.images.side
-
-    @property
-    def first_belief(self) -> LensBelief:
-        """What is believed of lenses before keypoints were heard."""
-        views = len(self.poses)
-        return LensBelief(np.arange(views) if self.cameras_alike is False else np.zeros(views, int))
 
     @property
     def posed(self) -> list[int]:
@@ -129,7 +98,6 @@ class Solution(NamedTuple):
     shapes: ShapeModel
     noise: float  # pixels, not below the least that is reckoned with
     measured_noise: float  # pixels
-    belief: LensBelief  # about lenses that were not told
     with_bones: bool = False  # whether bone lengths had a say
     given_poses: GivenPoses | None = None  # what holds the extrinsics; None: nothing told does
 

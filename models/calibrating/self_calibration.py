@@ -16,7 +16,7 @@ from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.problem import POSE, VIEW, Scene
 from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
 from models.calibrating.camera_findings import camera_findings
-from models.calibrating.deviations import how_sure
+from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
@@ -79,17 +79,7 @@ def self_calibrate(
     there = weights.sum(-1) > 0
     size = float(answers.scales[there].mean())
     poses = told_poses(calibration)
-    problem = Problem(
-        keypoints,
-        weights,
-        images,
-        size,
-        usual,
-        reference,
-        lens_sds,
-        poses,
-        config.cameras_alike,
-    )
+    problem = Problem(keypoints, weights, images, size, usual, reference, lens_sds, poses)
     arranged = yield from search(problem, answers, config)
     problem, best, reason = arranged.checked.problem, arranged.checked.solution, arranged.reason
     others = [] if arranged.keeps_lenses else other_lenses(problem, best)
@@ -120,9 +110,7 @@ def _log_posterior(problem: Problem, solution: Solution) -> float:
 
     Noise below the least that is reckoned with counts as no better: no lens model is so exact.
     """
-    believed = rig_prior(
-        problem, solution.rig, belief=solution.belief, given_poses=solution.given_poses
-    )
+    believed = rig_prior(problem, solution.rig, given_poses=solution.given_poses)
     numbers = 2 * int((problem.weights > 0).sum())
     return -numbers * math.log(solution.noise) - believed.cost(solution.rig) / 2
 
@@ -142,16 +130,15 @@ def _result(
 ) -> SelfCalibration:
     observed = problem.weights > 0  # (N, K, P)
     distances = reprojection_distances(problem, best.rig, best.scene)
-    sure = how_sure(problem, best)
     return SelfCalibration(
         rig=best.rig,
-        deviations=sure.deviations,
+        deviations=deviations(problem, best),
         shapes=best.shapes,
         network_errors=unknown_network_errors(problem.keypoints.shape[2]),
         settling=SETTLE_ALL,
         noise=best.measured_noise,
         unit=1.0 if unit is None else unit,
         reprojection_errors=(distances * observed).sum((0, 2)) / observed.sum((0, 2)).clip(1),
-        reason=f"{reason}; {sure.belief.words}",
+        reason=reason,
         findings=findings,
     )
