@@ -64,9 +64,9 @@ def test_perspective_cameras_project_the_structure_to_the_reported_error(
         lens = Lens(
             focal=float(lift.focals[n, k, 0]),
             centre=(float(lift.principal_points[n, k, 0]), float(lift.principal_points[n, k, 1])),
-            distortion=(float(lift.distortions[n, k, 0]),),
+            distortion=tuple(lift.distortions[n, k, :2].tolist()),
         )
-        assert (lift.distortions[n, k, 1:] == 0).all()
+        assert (lift.distortions[n, k, 2:] == 0).all()
         assert lift.focals[n, k, 0] == lift.focals[n, k, 1]
         camera = lift.points3d[n].astype(np.float64) @ lift.rotations[n, k].T
         camera += lift.translations[n, k]
