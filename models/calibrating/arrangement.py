@@ -258,7 +258,11 @@ def _against_rest(asked: Problem, moving: Judged, resting: Judged) -> Float64:
     bearable = math.hypot(MORE_NOISE * moving.learnt.measured_noise, LENS_ERRORS * asked.side)
     if resting.learnt.measured_noise > bearable:
         members = resting.candidate.members
-        against[members] += max(NEGLIGIBLE - float(against[members].max()), 0.0)
+        most = float(against[members].max())
+        if most == -math.inf:  # no keypoint could be hidden
+            against[members] = NEGLIGIBLE
+        else:
+            against[members] += max(NEGLIGIBLE - most, 0.0)
     return against
 
 

@@ -36,7 +36,8 @@ def unlikeness(seen: Seen) -> Float64:
     if not len(apart):
         return unlike
     known = np.isfinite(apart).any(0).all(1)  # (P,) seen at all together with every other
-    distances = np.zeros((count, count))
+    if not known.any():
+        return unlike
     several = np.ix_(known, known)
     apart = apart[:, known][:, :, known] / np.nanmedian(apart, (1, 2), keepdims=True)
     distances = np.sort(np.nanmedian(apart, 0), 1)  # (P', P') to all others, in order of size

@@ -94,7 +94,7 @@ def among_known(config: FitConfig, known: Bool) -> FitConfig:
 def _suited(known: Bool, shown: Bool) -> Bool:
     if known.shape != shown.shape:
         raise ValueError(
-            f"the prior to start from has {len(known)} keypoints, the fit {len(shown)}"
+            f"the prior to start from has keypoints {len(known)}, the fit {len(shown)}"
         )
     new = np.flatnonzero(shown & ~known).tolist()
     if new:
