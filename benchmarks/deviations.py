@@ -6,9 +6,8 @@ lenses are drawn from what real ones are like, the answers of a network are imit
 """
 
 import argparse
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +16,11 @@ from scipy.spatial.transform import Rotation
 from models.bundle.problem import LENS, Scene
 from models.calibrating.result import CameraReport, SelfCalibration, camera_report
 from models.calibrating.self_calibration import self_calibrate
+from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import Lens, RigCapture, draw_rig_capture
 
 Float64 = NDArray[np.float64]
-T = TypeVar("T")
 
 IMAGE_SIZE = (1280, 1024)
 NAMES = ("focal", "centre", "radial", "rotation", "translation")
@@ -135,16 +134,6 @@ def _log_sizes(points: Float64) -> Float64:
     centred = points - points.mean(1, keepdims=True)
     sizes: Float64 = np.log(np.square(centred).sum(-1).mean(-1)) / 2
     return sizes
-
-
-def finished(steps: Generator[None, None, T]) -> T:
-    """Return what steps come to."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            value: T = stop.value
-            return value
 
 
 def table(kinds: Sequence[Kind], seeds: range) -> dict[Kind, dict[str, Float64]]:

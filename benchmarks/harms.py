@@ -11,14 +11,13 @@ the .json file beside it; without them left and right are not exchanged.
 import argparse
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from models.epipolar.symmetry import partners_by_name
 from models.findings.finding import Finding
 from models.numerics.rotations import rotations_from_vectors
 from models.training.keypoints_of_fit import observe
@@ -31,6 +30,7 @@ Rng = np.random.Generator
 # Noise in pixels, share of outliers, share of gaps: taken in turns.
 SPOILT = ((0, 0, 0), (2, 0, 0), (5, 0, 0), (15, 0, 0), (5, 0.1, 0.3), (8, 0.1, 0))
 SAME_FRAMES = 0.97  # of all frames said rightly to be harmed or not
+SIDES = (("left", "right"), ("l", "r"))  # what a name begins or ends with
 JOINED = 100  # ranges: a finding that lists so many has joined some of them
 
 
@@ -164,6 +164,26 @@ def judge(code: str, planted: Planted, findings: tuple[Finding, ...]) -> Score:
             said[first : last + 1] = True
         when = bool((said == planted.frames).mean() >= SAME_FRAMES)
     return Score(True, where, when, others)
+
+
+def partners_by_name(names: Sequence[str]) -> NDArray[np.intp]:
+    """Return with which keypoint each changes places by name: left_hip, RKnee, wrist_l, hip.L."""
+    places = {name.lower(): number for number, name in enumerate(names)}
+    partners = np.arange(len(names))
+    for name, number in places.items():
+        for other in _mirrored(name):
+            if other in places:
+                partners[number], partners[places[other]] = places[other], number
+    return partners
+
+
+def _mirrored(name: str) -> Iterator[str]:
+    """Yield a name with the side exchanged that it begins or ends with."""
+    for one, other in (*SIDES, *(side[::-1] for side in SIDES)):
+        if name.startswith(one):
+            yield other + name[len(one) :]
+        if name.endswith(one):
+            yield name[: -len(one)] + other
 
 
 def run_case(code: str, keypoints: Float64, names: list[str] | None, case: int) -> Score | None:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.figures import console
 from models.calibrating.result import SelfCalibration
 from models.calibrating.self_calibration import self_calibrate
+from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import FOCAL, IMAGE_SIZE, RigCapture, make_rig_capture
 
@@ -57,12 +58,7 @@ def calibrated(capture: RigCapture, told: Told) -> SelfCalibration:
     config = FitConfig.model_validate({"calibration": told})
     sizes = [IMAGE_SIZE] * len(told)
     steps = self_calibrate(capture.pixels, capture.weights, capture.answers(), config, sizes)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            found: SelfCalibration = stop.value[0]
-            return found
+    return finished(steps)[0]
 
 
 def named(found: SelfCalibration) -> list[int]:

@@ -5,7 +5,6 @@ one frame is compiled.
 """
 
 import math
-from collections.abc import Generator
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +27,7 @@ from models.bundle.problem import (
 )
 from models.bundle.scene_adjustment import costs_of, normal_equations
 from models.numerics.rotations import rotations_from_vectors
+from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
 
@@ -109,7 +109,7 @@ def adjust(
     rig_prior: RigPrior,
     bones: BoneLengths | None = None,
     iterations: int = 20,
-) -> Generator[None, None, Adjusted]:
+) -> Steps[Adjusted]:
     """Adjust frames and rig together, yielding after each iteration.
 
     The `bones` of the subject have a say in what is shared; frames follow as their keypoints and

@@ -28,11 +28,11 @@ from models.calibrating.prediction import (
 from models.calibrating.problem import (
     Problem,
     Solution,
-    Steps,
     grouped,
 )
 from models.numerics.medians import lower_median
 from models.numerics.rotations import nearest_rotations
+from models.numerics.steps import Steps
 from models.settings.keypoints import MIN_KEYPOINTS
 
 Float64 = NDArray[np.float64]

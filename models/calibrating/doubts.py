@@ -25,8 +25,9 @@ from models.bundle.problem import (
 from models.bundle.shared_likelihood import likelihood_of_shared
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.lens_prior import PINHOLE, rig_prior
-from models.calibrating.problem import Problem, Solution, Steps, copied, reprojection_distances
+from models.calibrating.problem import Problem, Solution, copied, reprojection_distances
 from models.numerics.medians import lower_median
+from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]

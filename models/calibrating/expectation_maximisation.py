@@ -25,7 +25,8 @@ from models.bundle.shape_model import ShapeModel, Similarity, align, learn_shape
 from models.bundle.shared_likelihood import SharedLikelihood, likelihood_of_shared
 from models.bundle.structure_covariances import structure_covariances
 from models.calibrating.lens_prior import rig_prior
-from models.calibrating.problem import Problem, Solution, Steps
+from models.calibrating.problem import Problem, Solution
+from models.numerics.steps import Steps
 from models.optics.lenses.projection import project
 
 Float64 = NDArray[np.float64]

@@ -13,9 +13,10 @@ from models.bundle.problem import Scene, ShapePrior, make_shape_prior
 from models.bundle.scene_adjustment import adjust_frames
 from models.bundle.shape_model import align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, uncertainty
-from models.calibrating.problem import Problem, Solution, Steps
+from models.calibrating.problem import Problem, Solution
 from models.network.settling import mirror_images
 from models.numerics.medians import lower_median
+from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
 

@@ -10,11 +10,12 @@ from models.bundle.shape_model import align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, regauge
 from models.calibrating.handedness import mirrored, same_hand
 from models.calibrating.lens_prior import CENTRE_SD, RADIAL_SDS, UNTOLD_CENTRE_SD
-from models.calibrating.problem import Problem, Solution, Steps, grouped
+from models.calibrating.problem import Problem, Solution, grouped
 from models.epipolar.pairs import Beliefs
 from models.epipolar.resting_rig import find_resting_rig
 from models.epipolar.rig_adjustment import Rigid
 from models.numerics.rotations import nearest_rotations
+from models.numerics.steps import Steps
 from models.optics.lenses.projection import Lenses, project
 
 Float64 = NDArray[np.float64]

@@ -1,7 +1,7 @@
 """What a self-calibration starts from: the keypoints, what the user told, and usual lenses."""
 
-from collections.abc import Generator, Sequence
-from typing import NamedTuple, TypeVar
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,6 @@ from models.optics.lenses.projection import COEFFICIENTS, Lenses, index_of, proj
 from models.settings.calibration import Camera
 
 Float64 = NDArray[np.float64]
-T = TypeVar("T")
-Steps = Generator[None, None, T]  # yields between iterations, so that a fit can be stopped there
 
 USUAL_FOCAL = 1.2  # times the longer side of the image: a field of view of 45 degrees
 REST_SLACK = 1e-4  # of the image's side: differences of noise below which nothing is concluded

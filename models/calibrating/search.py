@@ -14,7 +14,7 @@ from models.calibrating.arrangement import Rest, find_rest
 from models.calibrating.doubts import Checked, check_told
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.handedness import certainty, choose_hand
-from models.calibrating.problem import Problem, Solution, Steps
+from models.calibrating.problem import Problem, Solution
 from models.calibrating.told_cameras import (
     arrange_posed,
     disagreements,
@@ -23,6 +23,7 @@ from models.calibrating.told_cameras import (
     poses_disagree,
 )
 from models.findings.finding import Finding
+from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 
 Bool = NDArray[np.bool_]

@@ -24,7 +24,6 @@ from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
     Problem,
     Solution,
-    Steps,
     reprojection_distances,
     told_lenses,
     told_poses,
@@ -35,6 +34,7 @@ from models.calibrating.search import search
 from models.calibrating.told_cameras import unit_by_length
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
+from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 
 Float64 = NDArray[np.float64]

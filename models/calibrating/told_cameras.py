@@ -19,11 +19,11 @@ from models.calibrating.problem import (
     GivenPoses,
     Problem,
     Solution,
-    Steps,
     grouped,
 )
 from models.findings.finding import Finding
 from models.numerics.medians import lower_median
+from models.numerics.steps import Steps
 from models.optics.lenses.projection import Lenses
 from models.settings.calibration import KnownLength
 

@@ -124,11 +124,6 @@ def robust_costs(distances: Float64, scale: float | Float64) -> Float64:
     return costs
 
 
-def robust_cost(distances: Float64, scale: float) -> float:
-    """Mean negative log likelihood of distances under Student's t of a scale, up to a constant."""
-    return float(robust_costs(distances, scale).mean())
-
-
 def _medians(values: Float64, weights: Float64) -> Float64:
     """Medians (B, 1) of those of the values (B, M) that have a weight."""
     rows = zip(values, weights > 0, strict=True)

@@ -1,18 +1,18 @@
 """Views that show left and right keypoints the other way round than the others do.
 
-Which keypoints are left and right of each other is known from their names, or found: those whose
-exchange in one view brings them onto the epipolar lines of the other views. A view may show them so
-in all frames (a mirrored image, another order of keypoints) or in some.
+Which keypoints are left and right of each other is found: those whose exchange in one view brings
+them onto the epipolar lines of the other views. A view may show them so in all frames (a mirrored
+image, another order of keypoints) or in some.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.runs_of_frames import likely_frames
-from models.epipolar.symmetry import Partners, matched, partners_by_name, unlikeness
+from models.epipolar.symmetry import Partners, matched, unlikeness
 from models.epipolar.view_pairs import (
     DEPENDENCE,
     Matrices,
@@ -50,15 +50,13 @@ class LeftRightSwapped(NamedTuple):
     gain: float  # log likelihood
 
 
-def find_left_right(
-    seen: Seen, matrices: Matrices, names: Sequence[str] | None = None
-) -> LeftRightSwapped | None:
+def find_left_right(seen: Seen, matrices: Matrices) -> LeftRightSwapped | None:
     """Find the view that shows left and right the other way round than the others, if any does."""
     frames, views = seen.there.shape[:2]
     kept = np.unique(np.linspace(0, frames - 1, min(frames // 2, SAMPLE)).astype(np.intp))
     sample, unseen = seen.part(kept), np.ones(frames, np.bool_)
     unseen[kept] = False
-    alike = _alike(sample, names)
+    alike = unlikeness(sample)
     tried = {}
     for view in range(views):
         mine = {pair: found for pair, found in matrices.items() if view in pair}
@@ -170,17 +168,6 @@ def _partners(seen: Seen, view: int, matrices: Matrices, allowed: Bool) -> Partn
     partners = matched(costs)
     moved = int((partners != np.arange(len(partners))).sum())
     return partners if moved >= 2 * LEAST_PAIRS else None
-
-
-def _alike(sample: Seen, names: Sequence[str] | None) -> Float64:
-    """Say how unlike keypoints are (P, P) of which names, or else places, say left and right."""
-    if names is None:
-        return unlikeness(sample)
-    partners = partners_by_name(names)
-    alike = np.full((len(partners), len(partners)), np.inf)
-    alike[np.arange(len(partners)), partners] = 0
-    np.fill_diagonal(alike, np.inf)
-    return alike
 
 
 def _judge(

@@ -25,7 +25,6 @@ def order_findings(
     keypoints: NDArray[np.floating],
     weights: NDArray[np.floating],
     *,
-    names: Sequence[str] | None = None,
     late: Sequence[int] = (),
 ) -> tuple[Finding, ...]:
     """Find views that have changed places, left and right exchanged, and a camera that was moved.
@@ -35,18 +34,15 @@ def order_findings(
     keypoints, weights
         (N, K, P, 2) pixels and (N, K, P), 0 where not observed; frames in the order of filming,
         which only a moved camera needs.
-    names
-        Of the keypoints, if known; else left and right are found by how alike they lie.
     late
         Views that are known to be out of step: whether they were moved is not asked.
     """
     seen = seen_keypoints(keypoints, weights)
     if len(seen.there) < LEAST_FRAMES or seen.there.shape[1] < 2:
         return ()
-    names = names and [names[keypoint] for keypoint in seen.keypoints]
     findings: list[Finding] = []
     for _ in range(MOST_HARMS):
-        harm = _worst(seen, names, late)
+        harm = _worst(seen, late)
         if harm is None:
             break
         findings += _said(harm, len(seen.there))
@@ -56,16 +52,14 @@ def order_findings(
     return tuple(findings)
 
 
-def _worst(
-    seen: Seen, names: Sequence[str] | None, late: Sequence[int]
-) -> Reordered | LeftRightSwapped | MovedCamera | None:
+def _worst(seen: Seen, late: Sequence[int]) -> Reordered | LeftRightSwapped | MovedCamera | None:
     """Return the harm that explains the frames best, if any does."""
     pairs = chosen_pairs(seen)
     plain = fit_pairs(seen, pairs)
     if not plain:
         return None
     swapped = find_swapped_views(seen, pairs, plain)
-    sided = find_left_right(seen, plain, names)
+    sided = find_left_right(seen, plain)
     moved = find_moved_camera(seen, plain)
     if moved is not None and set(moved.views) & set(late):
         moved = None

@@ -34,7 +34,6 @@ STARTS = 8  # hypotheses that are refined
 ITERATIONS = 12
 DISTINCT = 0.2  # radians between rotations that count as two
 SOLUTIONS = 3  # that are kept of a pair
-LONGEST_STEP = 0.3  # radians, and of a log focal length, in one iteration
 STEP = 1e-5  # of the differences that stand for derivatives
 LEAST_SCALE = 1e-4  # sides: noise below which nothing is concluded
 

@@ -6,9 +6,9 @@ adjusted (`rig_adjustment`). No network and no shapes take part. All starts, amo
 image (Necker's reversal) of the best, are compared under one common noise.
 """
 
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from itertools import combinations
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,10 @@ from models.epipolar.rig_adjustment import (
     robust_costs,
     triangulate_points,
 )
+from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
-T = TypeVar("T")
-Steps = Generator[None, None, T]  # yields between pieces of work, so that a fit can be stopped
 
 MOST_POINTS, FEW_POINTS = 3000, 600  # that are adjusted at the end, and to choose among starts
 MOST_PAIRS = 18  # of views that are related

@@ -1,10 +1,8 @@
-"""Which keypoints may be each other's left and right: by their names, or by how alike they lie.
+"""Which keypoints may be each other's left and right, by how alike they lie.
 
 Left and right of a body have the same distances to all the rest of it, so the sorted distances of
 such a pair are alike. That holds whatever the views call left, under noise and from every side.
 """
-
-from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +14,6 @@ Partners = NDArray[np.intp]  # (P,) with which keypoint each changes places; its
 
 FRAMES = 100  # plenty for a median
 ALIKE = 0.15  # of the usual distance between keypoints: sorted distances may differ by so much
-SIDES = (("left", "right"), ("l", "r"))
-SEPARATORS = "_- ."
 
 
 def unlikeness(seen: Seen) -> Float64:
@@ -58,23 +54,3 @@ def matched(costs: Float64) -> Partners:
         if free[p] and free[q]:
             partners[[p, q]], free[[p, q]] = [q, p], False
     return partners
-
-
-def partners_by_name(names: Sequence[str]) -> Partners:
-    """Return with which keypoint each changes places by name: left_hip, RKnee, wrist_l, hip.L."""
-    places = {name.lower(): number for number, name in enumerate(names)}
-    partners = np.arange(len(names))
-    for name, number in places.items():
-        for other in _mirrored(name):
-            if other in places:
-                partners[number], partners[places[other]] = places[other], number
-    return partners
-
-
-def _mirrored(name: str) -> Iterator[str]:
-    """Yield a name with the side exchanged that it begins or ends with."""
-    for one, other in (*SIDES, *(side[::-1] for side in SIDES)):
-        if name.startswith(one):
-            yield other + name[len(one) :]
-        if name.endswith(one):
-            yield name[: -len(one)] + other

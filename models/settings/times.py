@@ -10,13 +10,6 @@ RATE_TOLERANCE = 0.05  # by which `fps` and the times of the frames may differ
 Float64 = NDArray[np.float64]
 
 
-def check_fps(fps: float) -> float:
-    """Return a number of frames per second, or raise ValueError saying why not."""
-    if not 0 < fps <= MAX_FPS:
-        raise ValueError(f"fps must be above 0 and at most {MAX_FPS:g}, got {fps:g}")
-    return float(fps)
-
-
 def check_times(times: ArrayLike, *, frames: int, views: int) -> Float64:
     """Return times in seconds, (N,) or (N, K), or raise ValueError saying why not.
 

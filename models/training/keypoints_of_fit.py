@@ -61,9 +61,15 @@ def observe(read: InStep, image_sizes: ImageSizes | None, known: Bool | None) ->
     detected, trust = capture.observations(pixels, confidence, None)
     observations = as_observations(detected, trust)
     shown = np.any(observations.weights > 0, axis=(0, 1))
+    late = [
+        view
+        for finding in read.findings
+        if not finding.evidence["applied"]
+        for view in finding.views
+    ]
     capture = capture._replace(
         known=shown if known is None else _suited(known, shown),
-        findings=(*capture.findings, *order_findings(detected, observations.weights)),
+        findings=(*capture.findings, *order_findings(detected, observations.weights, late=late)),
     )
     return Observed(_among(observations, capture.known), capture)
 

@@ -1,8 +1,7 @@
 """A small problem of bundle adjustment, and its cost and equations computed in the plainest way."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from models.bundle.scene_adjustment import costs_of, normal_equations
 from models.optics.lenses.projection import Lenses
 
 Float64 = NDArray[np.float64]
-T = TypeVar("T")
 
 FRAMES, POINTS, COMPONENTS = 3, 6, 2
 GROUPS = (0, 0, 1, 0)  # a rig of three, and a camera that moves
@@ -261,15 +259,6 @@ def without_components(matrix: Float64, pull: Float64) -> tuple[Float64, Float64
         matrix[np.ix_(kept, kept)] - carried @ matrix[np.ix_(gone, kept)],
         pull[kept] - carried @ pull[gone],
     )
-
-
-def finished(steps: Generator[None, None, T]) -> T:
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            value: T = stop.value
-            return value
 
 
 def of(problem: Problem, scene: Scene, rig: Rig) -> Float64:

@@ -16,6 +16,7 @@ from models.bundle.problem import (
 from models.bundle.scene_adjustment import adjust_frames, costs_of
 from models.bundle.shared_likelihood import likelihood_of_shared
 from models.bundle.structure_covariances import structure_covariances
+from models.numerics.steps import finished
 from tests.models.bundle.problems import (
     COMPONENTS,
     FRAMES,
@@ -29,7 +30,6 @@ from tests.models.bundle.problems import (
     changed,
     dense,
     differences,
-    finished,
     jacobian,
     linearised,
     make,

@@ -5,8 +5,9 @@ import pytest
 
 from models.calibrating.handedness import DECIDED, certainty
 from models.calibrating.self_calibration import self_calibrate
+from models.numerics.steps import finished
 from models.settings.config import FitConfig
-from tests.models.calibrating.test_self_calibration import CORNERS, finished
+from tests.models.calibrating.test_self_calibration import CORNERS
 from tests.models.rigs import IMAGE_SIZE, Lens, make_rig_capture
 
 

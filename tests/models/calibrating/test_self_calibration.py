@@ -1,7 +1,6 @@
 """What is found of cameras that are known, from answers that are off as a network's would be."""
 
-from collections.abc import Generator
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +12,12 @@ from models.calibrating.handedness import NothingFoundError
 from models.calibrating.result import CameraReport, SelfCalibration, camera_report
 from models.calibrating.self_calibration import self_calibrate
 from models.capture.metrics import pa_mpjpe
+from models.numerics.steps import finished
 from models.settings.calibration import Camera, Intrinsics, KnownLength
 from models.settings.config import FitConfig
 from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, RigCapture, keypoint, make_rig_capture
 
 Float64 = NDArray[np.float64]
-T = TypeVar("T")
 
 AZIMUTHS = [0.0, 80.0, -120.0]
 SHIN = (keypoint("left_knee"), keypoint("left_ankle"))
@@ -40,15 +39,6 @@ def mixed() -> RigCapture:
 @pytest.fixture(scope="module")
 def moving() -> RigCapture:
     return make_rig_capture(AZIMUTHS, frames=40, moving=(0, 1, 2))
-
-
-def finished(steps: Generator[None, None, T]) -> T:
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            value: T = stop.value
-            return value
 
 
 def found_by(

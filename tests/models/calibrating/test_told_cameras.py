@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from models.calibrating.result import SelfCalibration, camera_report
 from models.calibrating.self_calibration import self_calibrate
 from models.findings.finding import Finding
+from models.numerics.steps import finished
 from models.settings.config import FitConfig
-from tests.models.calibrating.test_self_calibration import camera, finished
+from tests.models.calibrating.test_self_calibration import camera
 from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, RigCapture, make_rig_capture
 
 Float64 = NDArray[np.float64]

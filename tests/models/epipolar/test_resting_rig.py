@@ -1,29 +1,17 @@
 """Rigs at rest from keypoints alone, against cameras that are known exactly."""
 
-from collections.abc import Generator
-from typing import TypeVar
-
 import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
 from models.epipolar.resting_rig import RestingRig, find_resting_rig
+from models.numerics.steps import finished
 from tests.models.rigs import IMAGE_SIZE, Lens, RigCapture, make_rig_capture
 
 Float64 = NDArray[np.float64]
-T = TypeVar("T")
 
 SIDE = max(IMAGE_SIZE)
 UNLIKE = (Lens(focal=700), Lens(focal=1300), Lens(focal=2000))
-
-
-def finished(steps: Generator[None, None, T]) -> T:
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            value: T = stop.value
-            return value
 
 
 def found_in(capture: RigCapture) -> RestingRig | None:
