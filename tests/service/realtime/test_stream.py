@@ -94,8 +94,11 @@ def test_a_frame_that_shows_too_little_says_so(
 def test_with_continuity_a_frame_may_start_from_the_one_before(
     http: httpx2.Client, model: str, capture: SyntheticCapture
 ) -> None:
-    """Of a figure that hardly moves, between two others; each stream continues its own."""
-    still = np.repeat(capture.keypoints[:1], 10, axis=0)
+    """Of a figure that hardly moves, between two others; each stream continues its own.
+
+    The model explains this frame to a pixel, so that there is one answer wherever it starts from.
+    """
+    still = np.repeat(capture.keypoints[1:2], 10, axis=0)
     still += np.random.default_rng(0).normal(0, 0.05, still.shape).astype(np.float32)
     frames = [*still, capture.keypoints[30], *capture.keypoints[40:43, :2]]
     for continuity, refine in ((True, "full"), (False, "full"), (True, "off")):
@@ -114,7 +117,7 @@ def test_with_continuity_a_frame_may_start_from_the_one_before(
                 continued.append(flags & 2 == 2)
                 if n < len(still):
                     known = lifted(http, model, still[n : n + 1], refine=refine)[0]
-                    np.testing.assert_allclose(points, known["points3d"], atol=0.05)
+                    np.testing.assert_allclose(points, known["points3d"], atol=0.01)
         if continuity and refine == "full":
             assert not continued[0]
             assert sum(continued[1:10]) >= 5
