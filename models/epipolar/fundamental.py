@@ -89,9 +89,10 @@ def _reweighted(
     floor: float,
 ) -> tuple[Float64, Float64]:
     """Improve B matrices by reweighted least squares; return them and the scales of their noise."""
+    hx, hy = _homogeneous(x), _homogeneous(y)
     for _ in range(ROUNDS):
-        gradients = _gradient_norms(matrices, x, y)
-        distances = _algebraic(matrices, x, y) / gradients
+        errors, gradients = _epipolar_errors(matrices, hx, hy)
+        distances = errors / gradients
         scales = _scales(distances, weights, floor)
         # Sampson's denominator makes algebraic distances those of pixels.
         share = gradients / _medians(gradients, weights)
@@ -102,7 +103,8 @@ def _reweighted(
 
 def sampson_distances(matrix: Float64, x: Float64, y: Float64) -> Float64:
     """Signed Sampson distances (..., M) in pixels of x, y (..., M, 2) from F (..., 3, 3)."""
-    distances: Float64 = _algebraic(matrix, x, y) / _gradient_norms(matrix, x, y)
+    errors, gradients = _epipolar_errors(matrix, _homogeneous(x), _homogeneous(y))
+    distances: Float64 = errors / gradients
     return distances
 
 
@@ -136,7 +138,9 @@ def _scales(distances: Float64, weights: Float64, floor: float) -> Float64:
 
 
 def _homogeneous(points: Float64) -> Float64:
-    return np.concatenate((points, np.ones((*points.shape[:-1], 1))), -1)
+    homogeneous = np.ones((*points.shape[:-1], 3))
+    homogeneous[..., :2] = points
+    return homogeneous
 
 
 def _normalising(points: Float64, there: NDArray[np.bool_]) -> Float64:
@@ -187,14 +191,17 @@ def _start(
     return best
 
 
-def _algebraic(matrix: Float64, x: Float64, y: Float64) -> Float64:
-    products: Float64 = ((_homogeneous(x) @ matrix.mT) * _homogeneous(y)).sum(-1)
-    return products
+def _epipolar_errors(matrix: Float64, hx: Float64, hy: Float64) -> tuple[Float64, Float64]:
+    """Return y^T F x and the length of its gradient by the four pixel coordinates, (..., M) each.
 
-
-def _gradient_norms(matrix: Float64, x: Float64, y: Float64) -> Float64:
-    """Length (..., M) of the gradient of y^T F x by the four pixel coordinates."""
-    lines_y = (_homogeneous(x) @ matrix.mT)[..., :2]
-    lines_x = (_homogeneous(y) @ matrix)[..., :2]
-    norms: Float64 = np.sqrt(np.square(lines_y).sum(-1) + np.square(lines_x).sum(-1) + TINY**2)
-    return norms
+    Of homogeneous points hx, hy (..., M, 3). Sums are written out: NumPy's over so few numbers
+    take most of the time.
+    """
+    lines_y, lines_x = hx @ matrix.mT, hy @ matrix
+    products = lines_y * hy
+    errors: Float64 = products[..., 0] + products[..., 1] + products[..., 2]
+    np.square(lines_y, out=lines_y)
+    np.square(lines_x, out=lines_x)
+    slopes = (lines_y[..., 0] + lines_y[..., 1]) + (lines_x[..., 0] + lines_x[..., 1])
+    norms: Float64 = np.sqrt(slopes + TINY**2)
+    return errors, norms
