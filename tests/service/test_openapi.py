@@ -23,7 +23,7 @@ from service.http import errors
 from service.openapi import document
 from service.realtime import lift
 from service.resources import datasets, fits, health, lifts, models, reconstructions
-from tests.service.conftest import CONFIG, Live, frames_of, to_npz
+from tests.service.conftest import SEEKING, Live, frames_of, to_npz
 
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
@@ -185,7 +185,7 @@ def test_a_generated_client_does_the_whole_job(
         file = types.File(payload=io.BytesIO(to_npz(keypoints=capture.keypoints[30:])))
         assert call("datasets.append_frames", dataset.id, body=file).frames == 60
 
-        config = wire.FitConfig.from_dict(CONFIG)
+        config = wire.FitConfig.from_dict(SEEKING)
         fit = call("fits.create_fit", body=wire.FitCreate(dataset_id=dataset.id, config=config))
         deadline = time.monotonic() + 60
         while fit.status in (wire.FitStatus.QUEUED, wire.FitStatus.RUNNING):
@@ -193,7 +193,7 @@ def test_a_generated_client_does_the_whole_job(
             time.sleep(0.1)
             fit = call("fits.get_fit", fit.id)
         assert fit.status == wire.FitStatus.SUCCEEDED
-        assert fit.progress.step == CONFIG["steps"]
+        assert fit.progress.step == SEEKING["steps"]
         assert len(call("fits.get_reconstruction", fit.id).frames) == 60
 
         model = call("models.get_model", fit.model_id)

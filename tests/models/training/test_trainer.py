@@ -28,7 +28,7 @@ def capture() -> SyntheticCapture:
 def prior(capture: SyntheticCapture, tmp_path_factory: pytest.TempPathFactory) -> FittedPrior:
     """Fit every second frame; the others are lifted unseen."""
     keypoints, confidence = capture.keypoints[::2], capture.confidence[::2]
-    config = FitConfig(steps=450)
+    config = FitConfig(steps=450, cameras="moving")
     return fitted_once(
         tmp_path_factory, "refined", lambda: fit(keypoints, config, confidence=confidence)
     )

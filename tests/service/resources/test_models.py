@@ -142,7 +142,8 @@ def test_the_cameras_of_a_capture_are_found(
     live: Live, fitted: dict[str, Any], capture: SyntheticCapture
 ) -> None:
     """By the fit itself; they travel with the weights."""
-    found = live.get(f"/models/{fitted['model_id']}/cameras")
+    fit = live.finished(live.fit(fitted["dataset_id"], cameras="auto")["id"])
+    found = live.get(f"/models/{fit['model_id']}/cameras")
     assert found["arrangement"] in ("static", "moving", "mixed")
     assert found["reason"]
     assert found["noise"] > 0
@@ -152,7 +153,7 @@ def test_the_cameras_of_a_capture_are_found(
         assert view["focal"][0] > 0
         assert view["focal_sd"] >= 0
         assert (view["rotation"] is None) is not view["resting"]
-    weights = live.http.get(f"/models/{fitted['model_id']}/weights").content
+    weights = live.http.get(f"/models/{fit['model_id']}/weights").content
     copy = live.http.post("/models", content=weights, headers=BYTES).json()["id"]
     assert live.get(f"/models/{copy}/cameras") == found | {"model": copy}
 
