@@ -67,6 +67,7 @@ class Rest(NamedTuple):
     reason: str
     # Log odds (N,) of its hand against the other, frame by frame, by each way there is to tell it.
     evidence: list[Float64]
+    lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
     keeps_lenses: bool = False  # whether they are those of the rigid scene, not of the shapes
 
 
@@ -76,6 +77,7 @@ class Candidate(NamedTuple):
     source: str  # in words
     start: Solution
     members: list[int]  # the views that rest
+    lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
     keep_lenses: bool = False
 
 
@@ -107,19 +109,21 @@ def find_rest(
     tell the hand (see `choose_hand`); `handed` is what the moving solution was learnt from.
     """
     split = split_frames(len(problem.keypoints))
-    unjoined = yield from _judge(Candidate("", moving, []), problem, split, rounds=MORE_ROUNDS)
+    alone = Candidate("", moving, [], problem.lens_groups)
+    unjoined = yield from _judge(alone, problem, split, rounds=MORE_ROUNDS)
     members, reason = list(range(len(moving.rig.groups))), "no two views see enough together"
     while len(members) > 1:
         found = yield from rig_from_keypoints(problem, moving, members)
         candidates = [] if found is None else _by_keypoints(problem, moving, found, hint)
+        groups = problem.lens_groups if found is None else found.lens_groups
         if len(members) == 2:
             # Two views say little of their lenses without shapes, which moving cameras have learnt.
-            joined = _by_rotations(problem, moving, members)
+            joined = _by_rotations(problem, moving, members, groups)
             candidates = [*([] if joined is None else [joined]), *candidates]
         rival = None if declared else unjoined
         best = yield from _best(candidates, problem, split, rival)
         if len(members) > 2 and (best is None or best.merits != (True, len(members))):
-            joined = _by_rotations(problem, moving, members)
+            joined = _by_rotations(problem, moving, members, groups)
             if joined is not None:
                 best = yield from _best([joined], problem, split, rival, best)
         if best is None:
@@ -136,11 +140,17 @@ def find_rest(
             solution = yield from learn(kept, whole, rounds=MORE_ROUNDS)
             said = "the cameras were declared static; " if declared else ""
             evidence = _evidence(solution, handed, found)
-            return Rest(solution, said + figures, evidence, best.candidate.keep_lenses)
+            return Rest(
+                solution,
+                said + figures,
+                evidence,
+                best.candidate.lens_groups,
+                best.candidate.keep_lenses,
+            )
         worst = max(resting, key=list(best.against).__getitem__)
         reason = f"{figures}: view {worst} speaks against rest"
         members = [view for view in resting if view != worst]
-    return Rest(moving, reason, _evidence(moving, handed, None))
+    return Rest(moving, reason, _evidence(moving, handed, None), problem.lens_groups)
 
 
 def _by_keypoints(
@@ -149,14 +159,17 @@ def _by_keypoints(
     """Return the rig that keypoints alone say, and its mirror image if they hardly tell which."""
     noise = max(found.noise, moving.measured_noise)  # the latter with outliers
     keep = len(found.members) > 2 and noise > NOISY * problem.size
-    ours = Candidate("from keypoints", found.start, found.members, keep)
-    theirs = Candidate("from keypoints, mirrored", found.mirror, found.members, keep)
+    members, groups = found.members, found.lens_groups
+    ours = Candidate("from keypoints", found.start, members, groups, keep)
+    theirs = Candidate("from keypoints, mirrored", found.mirror, members, groups, keep)
     if hint is not None:
         return [ours if volume(found.start.scene.points, hint) > 0 else theirs]
     return [ours] if certainty([found.log_odds]) > DECIDED else [ours, theirs]
 
 
-def _by_rotations(problem: Problem, moving: Solution, members: list[int]) -> Candidate | None:
+def _by_rotations(
+    problem: Problem, moving: Solution, members: list[int], groups: NDArray[np.int64]
+) -> Candidate | None:
     """Return the rig that the relative rotations of the moving solution say."""
     seen = (problem.weights > 0).sum(-1) >= MIN_KEYPOINTS
     relative: RelativePoses = {}
@@ -167,15 +180,16 @@ def _by_rotations(problem: Problem, moving: Solution, members: list[int]) -> Can
     joined = _largest_component(relative, len(moving.rig.groups))
     if len(joined) < 2:
         return None
-    return Candidate("from rotations", _at_rest(moving, relative, joined, seen), joined)
+    return Candidate("from rotations", _at_rest(moving, relative, joined, seen), joined, groups)
 
 
 def _with_lenses(problem: Problem, candidate: Candidate) -> Problem:
-    """Return the problem in which lenses stay as they are, if those of the candidate do.
+    """Return the problem with lenses as alike as the candidate's, or that stay as they are.
 
     Noisy structures are adjusted towards the shape model, and focal lengths follow them: they
     come out 5 to 20 % short. Points at rest that three views see have no such prior.
     """
+    problem = problem._replace(lens_groups=candidate.lens_groups)
     if not candidate.keep_lenses:
         return problem
     sds = problem.lens_sds.copy()

@@ -9,11 +9,12 @@ from models.bundle.problem import CENTRE_X, FOCAL, RADIAL, Scene, make_rig, make
 from models.bundle.shape_model import align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, regauge
 from models.calibrating.handedness import mirrored, same_hand
-from models.calibrating.lens_prior import CENTRE_SD, RADIAL_SDS, UNTOLD_CENTRE_SD
+from models.calibrating.lens_groups import find_lens_groups
+from models.calibrating.lens_prior import CENTRE_SD, FOCAL_SDS, RADIAL_SDS, UNTOLD_CENTRE_SD
 from models.calibrating.problem import Problem, Solution, grouped
 from models.epipolar.pairs import Beliefs
-from models.epipolar.resting_rig import find_resting_rig
-from models.epipolar.rig_adjustment import Rigid
+from models.epipolar.resting_rig import RestingRig, find_resting_rig
+from models.epipolar.rig_adjustment import FocalLikelihood, Rigid
 from models.numerics.rotations import nearest_rotations
 from models.numerics.steps import Steps
 from models.optics.lenses.projection import Lenses, project
@@ -24,6 +25,7 @@ FOCAL_SD, UNTOLD_FOCAL_SD = 0.5, 0.6  # of the log focal length, with and withou
 STRAIGHTENINGS = 8  # steps that undo a lens
 STRAY = 4.0  # radii of a structure beyond which a point is none of it
 ROUNDS = 5  # of aligning structures and filling their gaps
+LEAST_VIEWS = 3  # that tell lenses apart: two explain almost all keypoints with many lenses
 LEAST_KNOWN = 4  # points that tell a structure's pose
 
 
@@ -35,6 +37,7 @@ class KeypointRig(NamedTuple):
     members: list[int]  # the views that rest
     noise: float  # pixels
     log_odds: Float64  # (N,) what each frame says for the start and against its mirror image
+    lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
 
 
 def rig_from_keypoints(
@@ -47,7 +50,8 @@ def rig_from_keypoints(
     images, sizes = _straight_images(problem)
     asked = np.isin(np.arange(len(sizes)), among)
     weights = problem.weights * asked[:, None]
-    found = yield from find_resting_rig(images, weights, _beliefs(problem), sizes)
+    beliefs = _beliefs(problem)
+    found = yield from find_resting_rig(images, weights, beliefs, sizes)
     if found is None:
         return None
     members = [int(k) for k in np.flatnonzero(found.resting)]
@@ -61,7 +65,30 @@ def rig_from_keypoints(
         start = _start(moving, explanation.rig, members, lenses, structures)
         starts.append(start._replace(noise=noise, measured_noise=noise))
     best, mirror = starts
-    return KeypointRig(best, mirror, members, found.noise * problem.side, found.log_odds)
+    groups = _lens_groups(problem, beliefs, found)
+    return KeypointRig(best, mirror, members, found.noise * problem.side, found.log_odds, groups)
+
+
+def _lens_groups(problem: Problem, beliefs: Beliefs, found: RestingRig) -> NDArray[np.int64]:
+    """Say which of the lenses that nobody told are alike, of three views or more that rest.
+
+    The other views have lenses like those of most.
+    """
+    members = np.flatnonzero(found.resting)
+    untold = beliefs.focal_sds[members] > 0
+    if problem.cameras_alike != "auto" or len(members) < LEAST_VIEWS or untold.sum() < 2:
+        return problem.lens_groups
+    told = np.flatnonzero(~untold)
+    information, vector = found.focals
+    known = np.log(beliefs.focals[members])
+    said = FocalLikelihood(
+        information[np.ix_(untold, untold)],
+        vector[untold] - information[np.ix_(untold, told)] @ known[told],
+    )
+    kinds = find_lens_groups(said, known[untold], *FOCAL_SDS)
+    groups = np.full(len(problem.lens_groups), np.bincount(kinds).argmax())
+    groups[members[untold]] = kinds
+    return groups
 
 
 def _lenses(problem: Problem, moving: Solution, rig: Rigid, resting: NDArray[np.bool_]) -> Lenses:

@@ -16,12 +16,13 @@ from models.bundle.problem import (
     Rig,
     make_rig,
 )
+from models.calibrating.lens_groups import group_covariance
 from models.calibrating.problem import GivenPoses, Problem, Solution
 from models.optics.lenses.projection import LENSES, index_of
 
 Float64 = NDArray[np.float64]
 
-# Standard deviations of what is not told: of all cameras together, and of each beside that.
+# Standard deviations of what is not told: of cameras of one kind together, and of each beside that.
 FOCAL_SDS = (0.3, 0.01)  # of the log focal length
 RADIAL_SDS = (0.2, 0.05)  # of the first radial coefficient
 RADIAL_2_SDS = (0.1, 0.02)  # of the second
@@ -41,8 +42,9 @@ def rig_prior(problem: Problem, rig: Rig, *, given_poses: GivenPoses | None) -> 
         (RADIAL, RADIAL_SDS),
         (RADIAL_2, RADIAL_2_SDS),
     ):
-        index = VIEW * np.flatnonzero(untold[:, number]) + number
-        covariance = together**2 + alone**2 * np.eye(len(index))
+        these = np.flatnonzero(untold[:, number])
+        index = VIEW * these + number
+        covariance = group_covariance(problem.lens_groups[these], together, alone)
         precision[np.ix_(index, index)] = np.linalg.inv(covariance)
         free[index] = True
     for number in (CENTRE_X, CENTRE_Y):

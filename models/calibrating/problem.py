@@ -23,7 +23,7 @@ from models.bundle.shape_model import ShapeModel
 from models.calibrating.image_sizes import Images
 from models.numerics.rotations import rotations_from_vectors
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, index_of, project
-from models.settings.calibration import Camera
+from models.settings.calibration import Alike, Camera
 
 Float64 = NDArray[np.float64]
 
@@ -51,6 +51,8 @@ class Problem(NamedTuple):
     # `models.bundle.problem.VIEW`: 0 where it is kept as it is, infinity where nothing was told.
     lens_sds: Float64
     poses: tuple[Pose | None, ...]  # K, as they were told
+    cameras_alike: Alike
+    lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
 
     @property
     def side(self) -> float:

@@ -77,14 +77,15 @@ def _search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) 
             return Arranged(posed.told, posed.checked, reason, 1.0, findings, posed.unit)
         findings = poses_disagree(problem, posed.told, moving)
     if config.cameras == "moving":
-        rest = Rest(moving, "the cameras were declared moving", [handed.log_odds])
+        said = "the cameras were declared moving"
+        rest = Rest(moving, said, [handed.log_odds], problem.lens_groups)
     else:
         declared, hint = config.cameras == "static", config.handedness
         rest = yield from find_rest(problem, handed, moving, declared=declared, hint=hint)
         if declared and rest.solution.noise > DOUBTFUL_REST * moving.noise:
             freely = yield from find_rest(problem, handed, moving, declared=False, hint=hint)
             findings += _against_declared_rest(rest.solution, freely.solution)
-    told = rest.solution
+    told, problem = rest.solution, problem._replace(lens_groups=rest.lens_groups)
     checked = yield from check_told(problem, told)
     findings += disagreements(problem, told, checked)
     hand = 1.0 if config.handedness is not None else certainty(rest.evidence)

@@ -79,7 +79,11 @@ def self_calibrate(
     there = weights.sum(-1) > 0
     size = float(answers.scales[there].mean())
     poses = told_poses(calibration)
-    problem = Problem(keypoints, weights, images, size, usual, reference, lens_sds, poses)
+    alike = config.cameras_alike
+    groups = np.arange(len(lens_sds)) if alike is False else np.zeros(len(lens_sds), np.int64)
+    problem = Problem(
+        keypoints, weights, images, size, usual, reference, lens_sds, poses, alike, groups
+    )
     arranged = yield from search(problem, answers, config)
     problem, best, reason = arranged.checked.problem, arranged.checked.solution, arranged.reason
     others = [] if arranged.keeps_lenses else other_lenses(problem, best)

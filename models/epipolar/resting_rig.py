@@ -18,10 +18,12 @@ from models.epipolar.pairs import Beliefs, relate
 from models.epipolar.rig_adjustment import (
     LEAST_NOISE,
     Adjusted,
+    FocalLikelihood,
     Rigid,
     Seen,
     adjust_rig,
     distances_of,
+    focal_likelihood,
     prior_cost,
     robust_costs,
     triangulate_points,
@@ -60,6 +62,7 @@ class RestingRig(NamedTuple):
     resting: Bool  # (K,) which views take part
     noise: float  # sides
     log_odds: Float64  # (N,) what each frame says for the best and against its mirror image
+    focals: FocalLikelihood  # what keypoints say of the focal lengths of the views that rest
 
 
 def find_resting_rig(
@@ -141,6 +144,7 @@ class _Chosen(NamedTuple):
     adjusted: Adjusted
     mirror: Adjusted
     noise_alone: Float64  # (K,) sides, of each view by itself
+    focals: FocalLikelihood
 
 
 def _relate_pairs(scene: _Scene, beliefs: Beliefs, rng: np.random.Generator) -> Steps[ViewGraph]:
@@ -245,7 +249,7 @@ def _adjusted(
     alone = np.array(
         [np.median(row[w > 0]) for row, w in zip(distances, many.weights, strict=True)]
     )
-    return _Chosen(best, twin, alone)
+    return _Chosen(best, twin, alone, focal_likelihood(best, many, of_members))
 
 
 def _finished(rig: Rigid, seen: Seen, beliefs: Beliefs) -> Adjusted:
@@ -318,7 +322,7 @@ def _result(
         costs.append(np.bincount(known // keypoints, robust.sum(0), frames))
     best, mirror = explanations
     odds = np.asarray(costs[1] - costs[0], np.float64)
-    return RestingRig(best, mirror, resting, float(np.median(noise)), odds)
+    return RestingRig(best, mirror, resting, float(np.median(noise)), odds, chosen.focals)
 
 
 def _of_all_views(rig: Rigid, beliefs: Beliefs, members: list[int]) -> Rigid:

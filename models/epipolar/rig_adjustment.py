@@ -270,16 +270,19 @@ def _free(rig: Rigid, beliefs: Beliefs, *, lenses: bool) -> Bool:
     return free
 
 
-def _step(
-    rig: Rigid,
-    points: Float64,
-    seen: Seen,
-    noise: Float64,
-    beliefs: Beliefs,
-    free: Bool,
-    damping: float,
-) -> tuple[Rigid, Float64]:
-    """Take one damped step of Gauss and Newton, the points eliminated."""
+class _Reduced(NamedTuple):
+    """The normal equations of the cameras, the points eliminated."""
+
+    information: Float64  # (10 K, 10 K) of cameras and points
+    matrix: Float64  # (10 K, 10 K) of the cameras alone
+    vector: Float64  # (10 K,)
+    spread: Float64  # (10 K, 3 M) by how much a camera's number moves the points
+    solved: Float64  # (3, M) the points' own step
+
+
+def _reduced(
+    rig: Rigid, points: Float64, seen: Seen, noise: Float64, beliefs: Beliefs, damping: float
+) -> _Reduced:
     views, count = seen.weights.shape
     residuals, by_camera, by_point = _linearised(rig, points, seen, noise)
     # Sums over what a view sees of products of its two rows.
@@ -300,15 +303,59 @@ def _step(
     flat = cross.reshape(views * CAMERA, 3, count)
     spread = np.einsum("cam,abm->cbm", flat, inverse, optimize=True)
     flat, spread = flat.reshape(len(flat), -1), spread.reshape(len(flat), -1)
-    matrix = information.reshape(len(flat), len(flat)) - spread @ flat.T
-    vector = right.ravel() - flat @ solved.ravel()
+    whole = information.reshape(len(flat), len(flat))
+    return _Reduced(
+        whole, whole - spread @ flat.T, right.ravel() - flat @ solved.ravel(), spread, solved
+    )
+
+
+def _step(
+    rig: Rigid,
+    points: Float64,
+    seen: Seen,
+    noise: Float64,
+    beliefs: Beliefs,
+    free: Bool,
+    damping: float,
+) -> tuple[Rigid, Float64]:
+    """Take one damped step of Gauss and Newton, the points eliminated."""
+    equations = _reduced(rig, points, seen, noise, beliefs, damping)
     places = np.flatnonzero(free)
-    reduced = matrix[np.ix_(places, places)]
-    scale = information.reshape(len(flat), len(flat)).diagonal()[places]
-    step = np.zeros(views * CAMERA)
-    step[places] = np.linalg.solve(reduced + np.diag(damping * scale + 1e-9), vector[places])
-    moved = solved - (step @ spread).reshape(3, count)
-    return _moved(rig, step.reshape(views, CAMERA)), points + moved
+    matrix = equations.matrix[np.ix_(places, places)]
+    scale = equations.information.diagonal()[places]
+    step = np.zeros(free.size)
+    step[places] = np.linalg.solve(
+        matrix + np.diag(damping * scale + 1e-9), equations.vector[places]
+    )
+    moved = equations.solved - (step @ equations.spread).reshape(equations.solved.shape)
+    return _moved(rig, step.reshape(free.shape)), points + moved
+
+
+class FocalLikelihood(NamedTuple):
+    """What keypoints say of the logs x (K,) of focal lengths: -x' A x / 2 + b' x, a log density."""
+
+    information: Float64  # A (K, K)
+    vector: Float64  # b (K,)
+
+
+def focal_likelihood(adjusted: Adjusted, seen: Seen, beliefs: Beliefs) -> FocalLikelihood:
+    """Say what keypoints alone tell of the focal lengths; poses and points follow them."""
+    rig = adjusted.rig
+    equations = _reduced(rig, adjusted.points, seen, adjusted.noise, beliefs, 0.0)
+    prior = _lens_prior(rig, beliefs)
+    views = len(rig.log_focals)
+    focals = np.arange(views) * CAMERA
+    others = np.setdiff1d(np.flatnonzero(_free(rig, beliefs, lenses=True)), focals)
+    matrix, vector = equations.matrix.copy(), equations.vector.copy()
+    matrix[np.ix_(focals, focals)] -= prior.precision[:, 0, :, 0]
+    vector[focals] += prior.gradient[:, 0]
+    among = matrix[np.ix_(others, others)]
+    carried = np.linalg.solve(among + 1e-9 * np.eye(len(others)), matrix[np.ix_(others, focals)]).T
+    information = matrix[np.ix_(focals, focals)] - carried @ matrix[np.ix_(others, focals)]
+    values, vectors = np.linalg.eigh((information + information.T) / 2)
+    information = (vectors * values.clip(0)) @ vectors.T
+    pull = vector[focals] - carried @ vector[others]
+    return FocalLikelihood(information, information @ rig.log_focals + pull)
 
 
 def _moved(rig: Rigid, step: Float64) -> Rigid:

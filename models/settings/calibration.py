@@ -8,6 +8,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 
 LensName = Literal["pinhole", "fisheye"]  # a file each in `models.optics.lenses`
 LiftedLensName = Literal["perspective", "fisheye"]  # the same lenses, as lifts and models call them
+Alike = bool | Literal["auto"]  # whether lenses are alike; "auto": as the keypoints say
 NUMBERS_OF_COEFFICIENTS: dict[LensName, tuple[int, ...]] = {
     "pinhole": (0, 1, 2, 4, 5, 8),
     "fisheye": (0, 4),

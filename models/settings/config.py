@@ -12,7 +12,7 @@ from pydantic import (
     model_validator,
 )
 
-from models.settings.calibration import Camera, KnownLength, keypoints_by_index
+from models.settings.calibration import Alike, Camera, KnownLength, keypoints_by_index
 from models.settings.priors import (
     ARCHITECTURE,
     PRIOR_SETTINGS,
@@ -124,6 +124,14 @@ class FitConfig(BaseModel):
         description=(
             "`static`: the cameras rest relative to each other; `moving`: each may move from frame"
             " to frame; `auto`: found from the keypoints, view by view."
+        ),
+    )
+    cameras_alike: Alike = Field(
+        default="auto",
+        description=(
+            "Whether lenses that are not told are alike, as those of cameras of one model set to"
+            " the same zoom: `true`, `false`, or `auto`: alike, of several kinds or unlike, as the"
+            " keypoints say of three or more cameras at rest. Other cameras count as alike then."
         ),
     )
     calibration: tuple[Camera | None, ...] | None = Field(

@@ -1,0 +1,73 @@
+"""Which cameras have alike lenses: as many kinds of lens as the keypoints make likely."""
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.epipolar.rig_adjustment import FocalLikelihood
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+
+DECISIVE = 5.0  # nats by which several kinds of lens must be more likely than one
+
+
+def group_covariance(groups: Int64, together: float, alone: float) -> Float64:
+    """Covariance (K, K) of numbers of lenses of several kinds.
+
+    `together` is the standard deviation of what a kind has in common, `alone` that of each lens
+    beside it; `groups` (K,) are the kinds.
+    """
+    alike = groups[:, None] == groups
+    covariance: Float64 = together**2 * alike + alone**2 * np.eye(len(groups))
+    return covariance
+
+
+def find_lens_groups(
+    said: FocalLikelihood, expected: Float64, together: float, alone: float
+) -> Int64:
+    """Return the kinds (K,) of lens under which what keypoints say of focal lengths is likely.
+
+    Every kind has a focal length of its own, whose log is expected at `expected` (K,) with a
+    standard deviation of `together`; lenses of a kind differ by `alone`. The marginal likelihood of
+    such a prior has a closed form. Kinds are merged as long as that makes the keypoints more likely
+    (agglomerative clustering). Lenses are of one kind unless others are decisively better.
+    """
+    views = len(expected)
+    one = np.zeros(views, np.int64)
+    if views < 2:
+        return one
+
+    def evidence(groups: Int64) -> float:
+        covariance = group_covariance(groups, together, alone)
+        return _log_evidence(said, expected, covariance)
+
+    groups = np.arange(views)
+    best = evidence(groups)
+    while groups.max() > 0:
+        merged = [
+            _merged(groups, first, second)
+            for first, second in combinations(range(groups.max() + 1), 2)
+        ]
+        values = [evidence(each) for each in merged]
+        if max(values) < best:
+            break
+        best = max(values)
+        groups = merged[values.index(best)]
+    return groups if best > evidence(one) + DECISIVE else one
+
+
+def _merged(groups: Int64, first: int, second: int) -> Int64:
+    """Make one group of two, and number the groups anew from 0."""
+    joined = np.where(groups == second, first, groups)
+    numbered: Int64 = np.unique(joined, return_inverse=True)[1]
+    return numbered
+
+
+def _log_evidence(said: FocalLikelihood, expected: Float64, covariance: Float64) -> float:
+    """Log marginal likelihood of focal lengths under a Gaussian prior, up to a constant."""
+    pull = said.vector - said.information @ expected
+    inner = np.eye(len(expected)) + covariance @ said.information
+    explained = pull @ np.linalg.solve(inner, covariance @ pull)
+    return float(explained - np.linalg.slogdet(inner).logabsdet) / 2
