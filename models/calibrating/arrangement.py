@@ -30,6 +30,7 @@ from models.calibrating.problem import (
     Solution,
     grouped,
 )
+from models.epipolar.rig_adjustment import LEAST_NOISE
 from models.numerics.medians import lower_median
 from models.numerics.rotations import nearest_rotations
 from models.numerics.steps import Steps
@@ -45,7 +46,8 @@ LIKELY = 2.0  # standard errors by which one rig must predict better than anothe
 MORE_ROUNDS = 2  # of learning, for what has been learnt from nearly the same frames
 SURE = 3.0  # standard errors by which hidden keypoints must speak against rest
 MORE_NOISE = 1.4  # times the noise of moving cameras: no rig at rest has more
-NOISY = 0.015  # of the subject's size: noise from which a rig from keypoints keeps its lenses
+NOISY = 0.005  # of the subject's size: noise from which a rig from keypoints keeps its lenses
+ABOVE_LEAST = 1.5  # times the least noise that is reckoned with: less may be none
 NEGLIGIBLE = 0.05  # nats of a keypoint, of what lens models leave
 
 
@@ -68,7 +70,9 @@ class Rest(NamedTuple):
     # Log odds (N,) of its hand against the other, frame by frame, by each way there is to tell it.
     evidence: list[Float64]
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
-    keeps_lenses: bool = False  # whether they are those of the rigid scene, not of the shapes
+    # Standard deviations (K, VIEW) of cameras that are those of the rigid scene, not of the shapes;
+    # infinite of those that are not. None: no camera is.
+    kept: Float64 | None = None
 
 
 class Candidate(NamedTuple):
@@ -78,7 +82,7 @@ class Candidate(NamedTuple):
     start: Solution
     members: list[int]  # the views that rest
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
-    keep_lenses: bool = False
+    kept: Float64 | None = None  # as in `Rest`
 
 
 class Judged(NamedTuple):
@@ -136,7 +140,7 @@ def find_rest(
         )
         if best.merits[0]:
             whole = _on_all_frames(best, split)
-            kept = _with_lenses(problem, best.candidate)
+            kept = _believing(problem, best.candidate)
             solution = yield from learn(kept, whole, rounds=MORE_ROUNDS)
             said = "the cameras were declared static; " if declared else ""
             evidence = _evidence(solution, handed, found)
@@ -145,7 +149,7 @@ def find_rest(
                 said + figures,
                 evidence,
                 best.candidate.lens_groups,
-                best.candidate.keep_lenses,
+                best.candidate.kept,
             )
         worst = max(resting, key=list(best.against).__getitem__)
         reason = f"{figures}: view {worst} speaks against rest"
@@ -157,11 +161,12 @@ def _by_keypoints(
     problem: Problem, moving: Solution, found: KeypointRig, hint: Corners | None
 ) -> list[Candidate]:
     """Return the rig that keypoints alone say, and its mirror image if they hardly tell which."""
-    noise = max(found.noise, moving.measured_noise)  # the latter with outliers
-    keep = len(found.members) > 2 and noise > NOISY * problem.size
+    floor = LEAST_NOISE * problem.side  # of the rig, whose noise is no less
+    noise = max(found.noise if found.noise > ABOVE_LEAST * floor else 0.0, moving.measured_noise)
+    kept = found.deviations if len(found.members) > 2 and noise > NOISY * problem.size else None
     members, groups = found.members, found.lens_groups
-    ours = Candidate("from keypoints", found.start, members, groups, keep)
-    theirs = Candidate("from keypoints, mirrored", found.mirror, members, groups, keep)
+    ours = Candidate("from keypoints", found.start, members, groups, kept)
+    theirs = Candidate("from keypoints, mirrored", found.mirror, members, groups, kept)
     if hint is not None:
         return [ours if volume(found.start.scene.points, hint) > 0 else theirs]
     return [ours] if certainty([found.log_odds]) > DECIDED else [ours, theirs]
@@ -183,26 +188,23 @@ def _by_rotations(
     return Candidate("from rotations", _at_rest(moving, relative, joined, seen), joined, groups)
 
 
-def _with_lenses(problem: Problem, candidate: Candidate) -> Problem:
-    """Return the problem with lenses as alike as the candidate's, or that stay as they are.
+def _believing(problem: Problem, candidate: Candidate) -> Problem:
+    """Return the problem with lenses as alike as the candidate's, or cameras that stay as they are.
 
     Noisy structures are adjusted towards the shape model, and focal lengths follow them: they
     come out 5 to 20 % short. Points at rest that three views see have no such prior.
     """
     problem = problem._replace(lens_groups=candidate.lens_groups)
-    if not candidate.keep_lenses:
+    if candidate.kept is None:
         return problem
-    sds = problem.lens_sds.copy()
-    sds[candidate.members] = 0
-    lenses = candidate.start.rig.lenses
-    return problem._replace(reference=problem.reference._replace(lenses=lenses), lens_sds=sds)
+    return problem._replace(kept=np.all(np.isfinite(candidate.kept), 1))
 
 
 def _judge(
     candidate: Candidate, problem: Problem, split: Split, *, rounds: int = ROUNDS
 ) -> Steps[Judged]:
     """Learn from one part of the frames and predict hidden keypoints of the other."""
-    part = _with_lenses(problem, candidate).of(split.learning)
+    part = _believing(problem, candidate).of(split.learning)
     learnt = yield from learn(part, candidate.start.of(split.learning), rounds=rounds)
     yield
     others = candidate.start.scene.of(split.judging)

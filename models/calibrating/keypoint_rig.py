@@ -1,19 +1,37 @@
 """A rig at rest that keypoints alone say, as a start of the search: cameras, structures, poses."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import CENTRE_X, FOCAL, RADIAL, Scene, make_rig, make_shape_prior
+from models.bundle.problem import (
+    CENTRE_X,
+    CENTRE_Y,
+    FOCAL,
+    LENS,
+    RADIAL,
+    VIEW,
+    Scene,
+    make_rig,
+    make_shape_prior,
+)
 from models.bundle.shape_model import align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, regauge
 from models.calibrating.handedness import mirrored, same_hand
 from models.calibrating.lens_groups import find_lens_groups
-from models.calibrating.lens_prior import CENTRE_SD, FOCAL_SDS, RADIAL_SDS, UNTOLD_CENTRE_SD
+from models.calibrating.lens_prior import (
+    CENTRE_SD,
+    FOCAL_SDS,
+    RADIAL_2_SDS,
+    RADIAL_SDS,
+    UNTOLD_CENTRE_SD,
+)
 from models.calibrating.problem import Problem, Solution, grouped
 from models.epipolar.pairs import Beliefs
 from models.epipolar.resting_rig import RestingRig, find_resting_rig
+from models.epipolar.rig_adjustment import LENS as CAMERA_LENS
 from models.epipolar.rig_adjustment import FocalLikelihood, Rigid
 from models.numerics.rotations import nearest_rotations
 from models.numerics.steps import Steps
@@ -38,6 +56,7 @@ class KeypointRig(NamedTuple):
     noise: float  # pixels
     log_odds: Float64  # (N,) what each frame says for the start and against its mirror image
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
+    deviations: Float64  # (K, VIEW) standard deviations, infinite for views that do not rest
 
 
 def rig_from_keypoints(
@@ -56,7 +75,7 @@ def rig_from_keypoints(
         return None
     members = [int(k) for k in np.flatnonzero(found.resting)]
     noise = max(found.noise * problem.side, moving.noise)
-    starts = []
+    starts, units = [], []
     for explanation in (found.best, found.mirror):
         structures = _structures(explanation.points)
         if structures is None:
@@ -64,9 +83,23 @@ def rig_from_keypoints(
         lenses = _lenses(problem, moving, explanation.rig, found.resting)
         start = _start(moving, explanation.rig, members, lenses, structures)
         starts.append(start._replace(noise=noise, measured_noise=noise))
+        units.append(structures.unit)
     best, mirror = starts
     groups = _lens_groups(problem, beliefs, found)
-    return KeypointRig(best, mirror, members, found.noise * problem.side, found.log_odds, groups)
+    noise = found.noise * problem.side
+    sds = _deviations(problem, found, units[0])
+    return KeypointRig(best, mirror, members, noise, found.log_odds, groups, sds)
+
+
+def _deviations(problem: Problem, found: RestingRig, unit: float) -> Float64:
+    """Return standard deviations (K, VIEW), `unit` units of the rig in one of the structure."""
+    sds = np.full((len(found.resting), VIEW), np.inf)
+    lens, pose = np.split(found.deviations[found.resting], [CAMERA_LENS], axis=1)
+    bends = np.where(lens[:, RADIAL:] > 0, math.hypot(*RADIAL_2_SDS), 0)
+    sds[found.resting] = np.concatenate((lens, bends, pose), 1)
+    sds[:, [CENTRE_X, CENTRE_Y]] *= problem.side
+    sds[:, LENS + 3 :] /= unit
+    return sds
 
 
 def _lens_groups(problem: Problem, beliefs: Beliefs, found: RestingRig) -> NDArray[np.int64]:
@@ -156,6 +189,11 @@ class _Structures(NamedTuple):
     translations: Float64  # (N, 3) rig units
     scales: Float64  # (N,) rig units in a unit of the structure
 
+    @property
+    def unit(self) -> float:
+        """Rig units in a unit of the structure, of most frames."""
+        return float(np.median(self.scales))
+
 
 def _structures(points: Float64) -> _Structures | None:
     """Align triangulated structures (N, P, 3), NaN where unknown, and fill their gaps."""
@@ -206,7 +244,7 @@ def _start(
 ) -> Solution:
     """Put cameras, structures and the views that do not rest together."""
     views = len(moving.rig.groups)
-    unit = float(np.median(structures.scales))
+    unit = structures.unit
     rotations = np.tile(np.eye(3), (views, 1, 1))
     translations = np.zeros((views, 3))
     first = found.rotations[members[0]], found.translations[members[0]]

@@ -59,6 +59,7 @@ def rig_prior(problem: Problem, rig: Rig, *, given_poses: GivenPoses | None) -> 
     precision[unsure, unsure] = 1 / sds[unsure] ** 2
     free[unsure] = True
     free.reshape(views, VIEW)[:, LENS:] = poses.sds > 0
+    free.reshape(views, VIEW)[problem.kept] = False
     mean = make_rig(problem.reference.lenses, rig.groups, poses.rotations, poses.translations)
     return RigPrior(mean, precision, free)
 

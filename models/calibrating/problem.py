@@ -53,6 +53,7 @@ class Problem(NamedTuple):
     poses: tuple[Pose | None, ...]  # K, as they were told
     cameras_alike: Alike
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
+    kept: NDArray[np.bool_]  # (K,) whose cameras stay as a solution has them
 
     @property
     def side(self) -> float:

@@ -27,6 +27,7 @@ from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 
 Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
 
 MOST_LENSES = 0.5  # share of the told lenses from which, refused, the search begins anew
 DOUBTFUL_REST = 1.4  # times the noise of moving cameras: more, and declared rest is looked at again
@@ -41,7 +42,9 @@ class Arranged(NamedTuple):
     hand: float  # how sure the hand is, 0 to 1
     findings: tuple[Finding, ...]
     unit: float | None = None  # of a unit of the structure in the user's, if poses were given
-    keeps_lenses: bool = False  # whether lenses are settled, whatever shapes say
+    # Standard deviations (K, VIEW) of cameras that are settled, whatever shapes say; infinite of
+    # those that are not. None: no camera is.
+    kept: Float64 | None = None
 
 
 def search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) -> Steps[Arranged]:
@@ -90,7 +93,7 @@ def _search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) 
     findings += disagreements(problem, told, checked)
     hand = 1.0 if config.handedness is not None else certainty(rest.evidence)
     reason = rest.reason + in_words(findings)
-    return Arranged(told, checked, reason, hand, findings, keeps_lenses=rest.keeps_lenses)
+    return Arranged(told, checked, reason, hand, findings, kept=rest.kept)
 
 
 def _against_declared_rest(resting: Solution, found: Solution) -> tuple[Finding, ...]:

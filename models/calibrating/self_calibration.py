@@ -82,11 +82,21 @@ def self_calibrate(
     alike = config.cameras_alike
     groups = np.arange(len(lens_sds)) if alike is False else np.zeros(len(lens_sds), np.int64)
     problem = Problem(
-        keypoints, weights, images, size, usual, reference, lens_sds, poses, alike, groups
+        keypoints,
+        weights,
+        images,
+        size,
+        usual,
+        reference,
+        lens_sds,
+        poses,
+        alike,
+        groups,
+        kept=np.zeros(len(lens_sds), bool),
     )
     arranged = yield from search(problem, answers, config)
     problem, best, reason = arranged.checked.problem, arranged.checked.solution, arranged.reason
-    others = [] if arranged.keeps_lenses else other_lenses(problem, best)
+    others = other_lenses(problem, best) if arranged.kept is None else []
     for name, tried_problem, tried_start in others:
         trial = yield from learn(tried_problem, tried_start)
         if _log_posterior(tried_problem, trial) > _log_posterior(problem, best) + BETTER_LENS:
@@ -102,8 +112,13 @@ def self_calibrate(
         findings += contradiction
     if arranged.hand < DECIDED:
         findings += (Finding.of("handedness_not_observable", certainty=arranged.hand),)
+    surely = deviations(problem, best)
+    if arranged.kept is not None:
+        surely = np.where(np.isfinite(arranged.kept), arranged.kept, surely)
     found = replace(
-        _result(problem, best, reason, unit, findings), handedness_certainty=arranged.hand
+        _result(problem, best, reason, unit, findings),
+        deviations=surely,
+        handedness_certainty=arranged.hand,
     )
     noticed = (*found.findings, *camera_findings(found, problem.images, problem.size))
     return replace(found, findings=noticed), best.scene

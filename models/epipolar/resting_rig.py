@@ -16,15 +16,18 @@ from numpy.typing import NDArray
 from models.epipolar.assembly import ViewGraph, assemble
 from models.epipolar.pairs import Beliefs, relate
 from models.epipolar.rig_adjustment import (
+    CAMERA,
     LEAST_NOISE,
     Adjusted,
     FocalLikelihood,
     Rigid,
     Seen,
     adjust_rig,
+    camera_deviations,
     distances_of,
     focal_likelihood,
     prior_cost,
+    repetition,
     robust_costs,
     triangulate_points,
 )
@@ -39,8 +42,8 @@ STARTS, FINALISTS = 6, 3
 FIRST_ITERATIONS, MORE_ITERATIONS, LAST_ITERATIONS = 15, 20, 25
 SAME = 0.03  # radians and share of focal lengths within which rigs count as one
 LEAST_POINTS = 60  # seen by a view together with others, for it to take part
-# Errors of detectors and of lens models repeat from frame to frame: all observations together say
-# no more than so many independent ones would.
+# Errors of detectors and of lens models repeat from frame to frame: before it is known how much,
+# all observations together say no more than so many independent ones would.
 EFFECTIVE = 1000.0
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it does not rest with them
 UNLIKE_PAIRS = 5.0  # times the noise of the best pair: a pair beyond it does not rest
@@ -63,6 +66,7 @@ class RestingRig(NamedTuple):
     noise: float  # sides
     log_odds: Float64  # (N,) what each frame says for the best and against its mirror image
     focals: FocalLikelihood  # what keypoints say of the focal lengths of the views that rest
+    deviations: Float64  # (K, 10) of `Rigid`'s numbers, see `camera_deviations`; of the best
 
 
 def find_resting_rig(
@@ -113,6 +117,7 @@ class _Scene(NamedTuple):
     """All (frame, keypoint) that two views or more see, as points, and a sample of them."""
 
     frames: NDArray[np.int64]  # (M,)
+    keypoints: NDArray[np.int64]  # (M,)
     images: Float64  # (K, 2, M)
     weights: Float64  # (K, M)
     sample: NDArray[np.int64]  # places of at most `MOST_POINTS` of them, in no order
@@ -126,6 +131,7 @@ class _Scene(NamedTuple):
         order = order[np.argsort(-np.minimum(seen, 3), kind="stable")]
         return cls(
             frames,
+            keypoints,
             images[frames, :, keypoints].transpose(1, 2, 0),
             weights[frames, :, keypoints].T,
             order[:MOST_POINTS],
@@ -133,11 +139,15 @@ class _Scene(NamedTuple):
 
     def seen(self, members: list[int], most: int) -> Seen:
         """Return what some views see of at most so many points of the sample."""
-        weights = self.weights[members][:, self.sample]
-        several = np.flatnonzero((weights > 0).sum(0) >= 2)[:most]
-        weights = weights[:, several]
+        points = self.chosen(members, most)
+        weights = self.weights[members][:, points]
         share = min(1.0, EFFECTIVE / weights.sum())
-        return Seen(self.images[members][..., self.sample[several]], share * weights)
+        return Seen(self.images[members][..., points], share * weights)
+
+    def chosen(self, members: list[int], most: int) -> NDArray[np.int64]:
+        """Return the places of these points."""
+        several = np.flatnonzero((self.weights[members][:, self.sample] > 0).sum(0) >= 2)
+        return self.sample[several[:most]]
 
 
 class _Chosen(NamedTuple):
@@ -145,6 +155,7 @@ class _Chosen(NamedTuple):
     mirror: Adjusted
     noise_alone: Float64  # (K,) sides, of each view by itself
     focals: FocalLikelihood
+    deviations: Float64  # (K, 10)
 
 
 def _relate_pairs(scene: _Scene, beliefs: Beliefs, rng: np.random.Generator) -> Steps[ViewGraph]:
@@ -242,6 +253,9 @@ def _adjusted(
     yield
     best = _finished(finalists[0].rig, many, of_members)
     yield
+    many = _as_independent(scene, best, members, many)
+    best = adjust_rig(best.rig, best.points, many, of_members, iterations=LAST_ITERATIONS)
+    yield
     twin_start = necker(best.rig, best.points)
     twin = adjust_rig(*twin_start, many, of_members, iterations=LAST_ITERATIONS)
     best, twin = _ordered([best, twin], many, of_members)
@@ -249,7 +263,16 @@ def _adjusted(
     alone = np.array(
         [np.median(row[w > 0]) for row, w in zip(distances, many.weights, strict=True)]
     )
-    return _Chosen(best, twin, alone, focal_likelihood(best, many, of_members))
+    focals = focal_likelihood(best, many, of_members)
+    return _Chosen(best, twin, alone, focals, camera_deviations(best, many, of_members))
+
+
+def _as_independent(scene: _Scene, adjusted: Adjusted, members: list[int], seen: Seen) -> Seen:
+    """Weigh what is seen by how much errors repeat within frames and within keypoints."""
+    points = scene.chosen(members, MOST_POINTS)
+    frames, keypoints = scene.frames[points], scene.keypoints[points]
+    repeated = repetition(adjusted, seen, frames) + repetition(adjusted, seen, keypoints) - 1
+    return seen._replace(weights=scene.weights[members][:, points] / repeated)
 
 
 def _finished(rig: Rigid, seen: Seen, beliefs: Beliefs) -> Adjusted:
@@ -322,7 +345,10 @@ def _result(
         costs.append(np.bincount(known // keypoints, robust.sum(0), frames))
     best, mirror = explanations
     odds = np.asarray(costs[1] - costs[0], np.float64)
-    return RestingRig(best, mirror, resting, float(np.median(noise)), odds, chosen.focals)
+    deviations = np.full((views, CAMERA), np.inf)
+    deviations[members] = chosen.deviations
+    noise_of_all = float(np.median(noise))
+    return RestingRig(best, mirror, resting, noise_of_all, odds, chosen.focals, deviations)
 
 
 def _of_all_views(rig: Rigid, beliefs: Beliefs, members: list[int]) -> Rigid:

@@ -304,9 +304,8 @@ def _reduced(
     spread = np.einsum("cam,abm->cbm", flat, inverse, optimize=True)
     flat, spread = flat.reshape(len(flat), -1), spread.reshape(len(flat), -1)
     whole = information.reshape(len(flat), len(flat))
-    return _Reduced(
-        whole, whole - spread @ flat.T, right.ravel() - flat @ solved.ravel(), spread, solved
-    )
+    vector = right.ravel() - flat @ solved.ravel()
+    return _Reduced(whole, whole - spread @ flat.T, vector, spread, solved)
 
 
 def _step(
@@ -329,6 +328,49 @@ def _step(
     )
     moved = equations.solved - (step @ equations.spread).reshape(equations.solved.shape)
     return _moved(rig, step.reshape(free.shape)), points + moved
+
+
+def camera_deviations(adjusted: Adjusted, seen: Seen, beliefs: Beliefs) -> Float64:
+    """Say how surely (K, 10) the cameras' numbers are known: standard deviations, 0 where told.
+
+    Rotations and translations are relative to the first camera, translations in the unit of the
+    points, which is kept by the lengths of the translations.
+    """
+    rig = adjusted.rig
+    equations = _reduced(rig, adjusted.points, seen, adjusted.noise, beliefs, 0.0)
+    free = _free(rig, beliefs, lenses=True)
+    places = np.flatnonzero(free)
+    growth = np.zeros(free.shape)  # of a rig that is taken for larger
+    growth[:, LENS + 3 :] = rig.translations
+    along = growth.ravel()[places]
+    along /= np.linalg.norm(along)
+    matrix = equations.matrix[np.ix_(places, places)]
+    scale = matrix.diagonal()
+    held = matrix + np.diag(1e-9 * scale + 1e-12) + scale.max() * np.outer(along, along)
+    sds = np.zeros(free.size)
+    sds[places] = np.sqrt(np.linalg.inv(held).diagonal().clip(0))
+    return sds.reshape(free.shape)
+
+
+def repetition(adjusted: Adjusted, seen: Seen, clusters: NDArray[np.int64]) -> float:
+    """By how much errors repeat in `clusters` (M,) of points: 1 where all are independent.
+
+    The variance of sums over a cluster in a view, over what it would be (the design effect; Kish,
+    *Survey Sampling*, 1965): so many observations say no more than one. What cameras have taken up
+    of the errors is not among them, so what is said of the cameras themselves would tell too little.
+    """
+    rig = adjusted.rig
+    camera = rig.rotations @ adjusted.points + rig.translations[..., None]
+    flat, visible = _flat(camera, seen)
+    residuals = _images(rig, flat)[0] - seen.images  # (K, 2, M)
+    squared = np.square(residuals).sum(1) / np.square(adjusted.noise)[:, None]
+    weights = seen.weights * visible * (squared < BLIND**2) / (FREEDOM + squared)
+    pulls = residuals * weights[:, None]
+    sums = np.array([[np.bincount(clusters, row) for row in of_view] for of_view in pulls])
+    # What is far below the noise that lens models are granted repeats, but does no harm.
+    granted = 2 * np.square(adjusted.noise[:, None] * seen.weights / (FREEDOM + 2)).sum()
+    alone = max(float(np.square(pulls).sum()), float(granted))
+    return max(1.0, float(np.square(sums).sum()) / alone)
 
 
 class FocalLikelihood(NamedTuple):
