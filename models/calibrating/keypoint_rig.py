@@ -66,7 +66,9 @@ def rig_from_keypoints(
 
     None where the keypoints speak against any two cameras at rest.
     """
-    images, sizes = _straight_images(problem)
+    # Two views hold each other less than noise disturbs them: they do better without it.
+    keypoints = problem.detected if len(among) >= LEAST_VIEWS else problem.keypoints
+    images, sizes = _straight_images(problem, keypoints)
     asked = np.isin(np.arange(len(sizes)), among)
     weights = problem.weights * asked[:, None]
     beliefs = _beliefs(problem)
@@ -155,7 +157,7 @@ def _beliefs(problem: Problem) -> Beliefs:
     )
 
 
-def _straight_images(problem: Problem) -> tuple[Float64, Float64]:
+def _straight_images(problem: Problem, keypoints: Float64) -> tuple[Float64, Float64]:
     """Keypoints from the expected principal points in sides, and the subject's size in views.
 
     Distortion of lenses that were told is undone, by fixed-point iteration.
@@ -163,7 +165,7 @@ def _straight_images(problem: Problem) -> tuple[Float64, Float64]:
     lenses, side = problem.reference.lenses, problem.side
     mean = lenses.focals.mean(1)[:, None, None]
     focals = lenses.focals[:, None]
-    flat = (problem.keypoints - lenses.centres[:, None]) / focals  # (N, K, P, 2)
+    flat = (keypoints - lenses.centres[:, None]) / focals  # (N, K, P, 2)
     told = np.flatnonzero(np.isfinite(problem.lens_sds[:, RADIAL]))
     if len(told):
         bent, own = flat[:, told], lenses.of(told)

@@ -42,6 +42,7 @@ class Problem(NamedTuple):
     """The frames that a self-calibration looks at, and what is known of the cameras."""
 
     keypoints: Float64  # (N, K, P, 2) pixels
+    detected: Float64  # (N, K, P, 2) pixels, the same with the noise that was removed from them
     weights: Float64  # (N, K, P) confidences
     images: Images
     size: float  # pixels, mean root-mean-square radius of a view
@@ -67,7 +68,11 @@ class Problem(NamedTuple):
 
     def of(self, frames: NDArray[np.int64]) -> "Problem":
         """Return the problem of some of the frames."""
-        return self._replace(keypoints=self.keypoints[frames], weights=self.weights[frames])
+        return self._replace(
+            keypoints=self.keypoints[frames],
+            detected=self.detected[frames],
+            weights=self.weights[frames],
+        )
 
     def views(self, noise: float) -> Views:
         """Return the keypoints, weighted for this noise in pixels."""

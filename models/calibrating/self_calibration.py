@@ -51,6 +51,8 @@ def self_calibrate(
     answers: WeakPerspectiveScene,
     config: FitConfig,
     image_sizes: ImageSizes | None,
+    *,
+    detected: Float64 | None = None,
 ) -> Steps[tuple[SelfCalibration, Scene]]:
     """Find lenses, handedness, resting cameras and the shape model; yields between iterations.
 
@@ -60,6 +62,9 @@ def self_calibrate(
         (N, K, P, 2) pixels and (N, K, P) confidences of frames with two usable views or more.
     answers
         The network's, for these frames.
+    detected
+        (N, K, P, 2) pixels, the keypoints with the noise that was removed from them; None: none
+        was. What denoising makes of three views or more is no longer one rigid scene.
 
     Returns
     -------
@@ -83,6 +88,7 @@ def self_calibrate(
     groups = np.arange(len(lens_sds)) if alike is False else np.zeros(len(lens_sds), np.int64)
     problem = Problem(
         keypoints,
+        keypoints if detected is None else detected,
         weights,
         images,
         size,

@@ -37,6 +37,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 MOST_POINTS, FEW_POINTS = 3000, 600  # that are adjusted at the end, and to choose among starts
+NOISY_POINTS = 9000  # that are adjusted at the end if there is noise that more of them average out
 MOST_PAIRS = 18  # of views that are related
 STARTS, FINALISTS = 6, 3
 FIRST_ITERATIONS, MORE_ITERATIONS, LAST_ITERATIONS = 15, 20, 25
@@ -45,6 +46,10 @@ LEAST_POINTS = 60  # seen by a view together with others, for it to take part
 # Errors of detectors and of lens models repeat from frame to frame: before it is known how much,
 # all observations together say no more than so many independent ones would.
 EFFECTIVE = 1000.0
+# Nor do they ever say more than so many would, over the square of the noise as a share of the
+# subject's size: adjusting points with noisy rays biases cameras (Neyman & Scott, 1948), and the
+# bias, unlike the scatter, does not fall with their number.
+UNBIASED = 20.0
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it does not rest with them
 UNLIKE_PAIRS = 5.0  # times the noise of the best pair: a pair beyond it does not rest
 NO_RIG = 0.3  # noise, as a share of a view's size, that says that nothing rests
@@ -93,7 +98,7 @@ def find_resting_rig(
     graph = yield from _relate_pairs(scene, beliefs, rng)
     members = _members(graph, sizes)
     while len(members) > 1:
-        chosen = yield from _adjusted(graph, scene, beliefs, members)
+        chosen = yield from _adjusted(graph, scene, beliefs, sizes, members)
         if chosen is None:
             return None
         out = _out_of_line(chosen.noise_alone, sizes[members])
@@ -120,7 +125,7 @@ class _Scene(NamedTuple):
     keypoints: NDArray[np.int64]  # (M,)
     images: Float64  # (K, 2, M)
     weights: Float64  # (K, M)
-    sample: NDArray[np.int64]  # places of at most `MOST_POINTS` of them, in no order
+    sample: NDArray[np.int64]  # places of at most `NOISY_POINTS` of them, in no order
 
     @classmethod
     def of(cls, images: Float64, weights: Float64, rng: np.random.Generator) -> "_Scene":
@@ -134,14 +139,24 @@ class _Scene(NamedTuple):
             keypoints,
             images[frames, :, keypoints].transpose(1, 2, 0),
             weights[frames, :, keypoints].T,
-            order[:MOST_POINTS],
+            order[:NOISY_POINTS],
         )
 
-    def seen(self, members: list[int], most: int) -> Seen:
-        """Return what some views see of at most so many points of the sample."""
+    def seen(
+        self,
+        members: list[int],
+        most: int,
+        *,
+        repeated: float = 1.0,
+        most_effective: float = EFFECTIVE,
+    ) -> Seen:
+        """Return what some views see of at most so many points of the sample.
+
+        So many `repeated` observations count as one, and all together as `most_effective`.
+        """
         points = self.chosen(members, most)
         weights = self.weights[members][:, points]
-        share = min(1.0, EFFECTIVE / weights.sum())
+        share = min(1 / repeated, most_effective / weights.sum())
         return Seen(self.images[members][..., points], share * weights)
 
     def chosen(self, members: list[int], most: int) -> NDArray[np.int64]:
@@ -214,7 +229,7 @@ def _members(graph: ViewGraph, sizes: Float64) -> list[int]:
 
 
 def _adjusted(
-    graph: ViewGraph, scene: _Scene, beliefs: Beliefs, members: list[int]
+    graph: ViewGraph, scene: _Scene, beliefs: Beliefs, sizes: Float64, members: list[int]
 ) -> Steps[_Chosen | None]:
     """Put the views together in several ways and adjust the best; None if they do not hang."""
     place = {view: i for i, view in enumerate(members)}
@@ -253,8 +268,15 @@ def _adjusted(
     yield
     best = _finished(finalists[0].rig, many, of_members)
     yield
-    many = _as_independent(scene, best, members, many)
-    best = adjust_rig(best.rig, best.points, many, of_members, iterations=LAST_ITERATIONS)
+    chosen = scene.chosen(members, MOST_POINTS)
+    # Errors repeat within frames and within keypoints.
+    within = (scene.frames[chosen], scene.keypoints[chosen])
+    repeated = sum(repetition(best, many, clusters) for clusters in within) - 1
+    noise = float(np.median(best.noise))
+    most = UNBIASED / (noise / float(sizes[members].mean())) ** 2
+    points = NOISY_POINTS if noise > LEAST_NOISE else MOST_POINTS
+    many = scene.seen(members, points, repeated=repeated, most_effective=most)
+    best = _finished(best.rig, many, of_members)
     yield
     twin_start = necker(best.rig, best.points)
     twin = adjust_rig(*twin_start, many, of_members, iterations=LAST_ITERATIONS)
@@ -265,14 +287,6 @@ def _adjusted(
     )
     focals = focal_likelihood(best, many, of_members)
     return _Chosen(best, twin, alone, focals, camera_deviations(best, many, of_members))
-
-
-def _as_independent(scene: _Scene, adjusted: Adjusted, members: list[int], seen: Seen) -> Seen:
-    """Weigh what is seen by how much errors repeat within frames and within keypoints."""
-    points = scene.chosen(members, MOST_POINTS)
-    frames, keypoints = scene.frames[points], scene.keypoints[points]
-    repeated = repetition(adjusted, seen, frames) + repetition(adjusted, seen, keypoints) - 1
-    return seen._replace(weights=scene.weights[members][:, points] / repeated)
 
 
 def _finished(rig: Rigid, seen: Seen, beliefs: Beliefs) -> Adjusted:

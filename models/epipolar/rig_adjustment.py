@@ -356,8 +356,8 @@ def repetition(adjusted: Adjusted, seen: Seen, clusters: NDArray[np.int64]) -> f
     """By how much errors repeat in `clusters` (M,) of points: 1 where all are independent.
 
     The variance of sums over a cluster in a view, over what it would be (the design effect; Kish,
-    *Survey Sampling*, 1965): so many observations say no more than one. What cameras have taken up
-    of the errors is not among them, so what is said of the cameras themselves would tell too little.
+    *Survey Sampling*, 1965): so many observations say no more than one. What they say of the
+    cameras would not tell, for cameras have taken up what errors say of them.
     """
     rig = adjusted.rig
     camera = rig.rotations @ adjusted.points + rig.translations[..., None]

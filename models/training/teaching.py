@@ -48,6 +48,7 @@ class Teaching:
         config: FitConfig,
         image_sizes: ImageSizes | None,
         denoiser: Denoiser | None,
+        detected: Data,
     ) -> None:
         self.state = TeachingState("not_sought" if config.refine == "off" else "sought")
         self.teachers: Teachers | None = None
@@ -58,6 +59,7 @@ class Teaching:
         self._config = config
         self._image_sizes = image_sizes
         self._denoiser = denoiser
+        self._detected = detected  # the data with the noise that was removed
 
     def make_teachers(self, step: int, *, most: int) -> Iterator[None]:
         """Make teachers anew, and find the cameras first if they are sought.
@@ -141,6 +143,7 @@ class Teaching:
                 answers,
                 self._config,
                 self._image_sizes,
+                detected=self._detected.pixels(frames).double().numpy(),
             )
         except (LinAlgError, NothingFoundError):
             logger.warning("The keypoints do not say what the cameras are", exc_info=True)

@@ -117,6 +117,7 @@ class Trainer:
         frames = _usable_frames(observations)
         self.config = config
         self._fingerprint = _fingerprint(observations, image_sizes)
+        detected = observations
         denoiser = learn_denoiser(observations) if config.denoising else None
         if denoiser is not None:
             observations = denoiser.denoise(observations, range(observations.keypoints.shape[1]))
@@ -135,7 +136,15 @@ class Trainer:
             _begin_with(self._network, config, start)
         self._learner = Learner(self._network, torch.device(device))
         among = among_known(config, self._capture.known)
-        self._teaching = Teaching(self._network, self._data, unseen, among, image_sizes, denoiser)
+        self._teaching = Teaching(
+            self._network,
+            self._data,
+            unseen,
+            among,
+            image_sizes,
+            denoiser,
+            self._data if denoiser is None else Data.of(detected, frames),
+        )
         self._state = TrainerState(Schedule.of(config), self._teaching.state)
         self._curve: list[CurvePoint] = []
         if checkpoint is not None:
