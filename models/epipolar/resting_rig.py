@@ -49,7 +49,7 @@ EFFECTIVE = 1000.0
 # Nor do they ever say more than so many would, over the square of the noise as a share of the
 # subject's size: adjusting points with noisy rays biases cameras (Neyman & Scott, 1948), and the
 # bias, unlike the scatter, does not fall with their number.
-UNBIASED = 20.0
+UNBIASED = 40.0
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it does not rest with them
 UNLIKE_PAIRS = 5.0  # times the noise of the best pair: a pair beyond it does not rest
 NO_RIG = 0.3  # noise, as a share of a view's size, that says that nothing rests
@@ -274,8 +274,8 @@ def _adjusted(
     repeated = sum(repetition(best, many, clusters) for clusters in within) - 1
     noise = float(np.median(best.noise))
     most = UNBIASED / (noise / float(sizes[members].mean())) ** 2
-    points = NOISY_POINTS if noise > LEAST_NOISE else MOST_POINTS
-    many = scene.seen(members, points, repeated=repeated, most_effective=most)
+    count = NOISY_POINTS if noise > LEAST_NOISE else MOST_POINTS
+    many = scene.seen(members, count, repeated=repeated, most_effective=most)
     best = _finished(best.rig, many, of_members)
     yield
     twin_start = necker(best.rig, best.points)
