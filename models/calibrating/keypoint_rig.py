@@ -32,7 +32,8 @@ from models.calibrating.problem import Problem, Solution, grouped
 from models.epipolar.pairs import Beliefs
 from models.epipolar.resting_rig import RestingRig, find_resting_rig
 from models.epipolar.rig_adjustment import LENS as CAMERA_LENS
-from models.epipolar.rig_adjustment import FocalLikelihood, Rigid
+from models.epipolar.rig_adjustment import Rigid
+from models.epipolar.rig_certainty import FocalLikelihood
 from models.numerics.rotations import nearest_rotations
 from models.numerics.steps import Steps
 from models.optics.lenses.projection import Lenses, project

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from models.epipolar.rig_adjustment import FocalLikelihood
+from models.epipolar.rig_certainty import FocalLikelihood
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]

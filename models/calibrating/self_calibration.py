@@ -102,13 +102,17 @@ def self_calibrate(
     )
     arranged = yield from search(problem, answers, config)
     problem, best, reason = arranged.checked.problem, arranged.checked.solution, arranged.reason
-    others = other_lenses(problem, best) if arranged.kept is None else []
+    kept, others = arranged.kept, other_lenses(problem, best)
+    rival = best
+    if others and kept is not None:  # what others are held against is learnt as they are
+        rival = yield from learn(problem, best)
     for name, tried_problem, tried_start in others:
         trial = yield from learn(tried_problem, tried_start)
-        if _log_posterior(tried_problem, trial) > _log_posterior(problem, best) + BETTER_LENS:
-            problem, best = tried_problem, trial
+        if _log_posterior(tried_problem, trial) > _log_posterior(problem, rival) + BETTER_LENS:
+            problem, best, rival, kept = tried_problem, trial, trial, None
             reason = f"{reason}; {name} lenses explain the keypoints better"
-    if best.noise < CLEAR_KEYPOINTS * size and find_bone_lengths(best.scene.points).steady:
+    clear = kept is None and best.noise < CLEAR_KEYPOINTS * size
+    if clear and find_bone_lengths(best.scene.points).steady:
         # The lens under which shapes look most alike need not be the true one, and with two views
         # it is not; with a wrong one, bones grow and shrink as they turn.
         best = yield from learn(problem, best, with_bones=True)
@@ -119,12 +123,10 @@ def self_calibrate(
     if arranged.hand < DECIDED:
         findings += (Finding.of("handedness_not_observable", certainty=arranged.hand),)
     surely = deviations(problem, best)
-    if arranged.kept is not None:
-        surely = np.where(np.isfinite(arranged.kept), arranged.kept, surely)
+    if kept is not None:
+        surely = np.where(np.isfinite(kept), kept, surely)
     found = replace(
-        _result(problem, best, reason, unit, findings),
-        deviations=surely,
-        handedness_certainty=arranged.hand,
+        _result(problem, best, surely, reason, unit, findings), handedness_certainty=arranged.hand
     )
     noticed = (*found.findings, *camera_findings(found, problem.images, problem.size))
     return replace(found, findings=noticed), best.scene
@@ -149,6 +151,7 @@ def most_frames(views: int, keypoints: int) -> int:
 def _result(
     problem: Problem,
     best: Solution,
+    surely: Float64,
     reason: str,
     unit: float | None,
     findings: tuple[Finding, ...],
@@ -157,7 +160,7 @@ def _result(
     distances = reprojection_distances(problem, best.rig, best.scene)
     return SelfCalibration(
         rig=best.rig,
-        deviations=deviations(problem, best),
+        deviations=surely,
         shapes=best.shapes,
         network_errors=unknown_network_errors(problem.keypoints.shape[2]),
         settling=SETTLE_ALL,

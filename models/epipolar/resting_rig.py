@@ -19,17 +19,19 @@ from models.epipolar.rig_adjustment import (
     CAMERA,
     LEAST_NOISE,
     Adjusted,
-    FocalLikelihood,
     Rigid,
     Seen,
     adjust_rig,
-    camera_deviations,
     distances_of,
-    focal_likelihood,
     prior_cost,
-    repetition,
     robust_costs,
     triangulate_points,
+)
+from models.epipolar.rig_certainty import (
+    FocalLikelihood,
+    camera_deviations,
+    focal_likelihood,
+    repetition,
 )
 from models.numerics.steps import Steps
 

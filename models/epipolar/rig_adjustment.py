@@ -86,11 +86,15 @@ def triangulate_points(rig: Rigid, seen: Seen, *, rounds: int = 4) -> Float64:
     return points
 
 
+def images_of(rig: Rigid, points: Float64, seen: Seen) -> tuple[Float64, Bool]:
+    """Return images (K, 2, M) of points (3, M), and whether (K, M) a camera can see them there."""
+    flat, visible = _flat(rig.rotations @ points + rig.translations[..., None], seen)
+    return _images(rig, flat)[0], visible
+
+
 def distances_of(rig: Rigid, points: Float64, seen: Seen, noise: Float64) -> Float64:
     """Sides (K, M) from what is seen to the points' images; `BLIND` noises where none can be."""
-    camera = rig.rotations @ points + rig.translations[..., None]
-    flat, visible = _flat(camera, seen)
-    images = _images(rig, flat)[0]
+    images, visible = images_of(rig, points, seen)
     lengths = np.linalg.norm(images - seen.images, axis=1)
     most = BLIND * noise[:, None]
     # What is far off is an outlier anyway; so a start that cannot see it does not gain by that.
@@ -107,7 +111,7 @@ def robust_costs(distances: Float64, weights: Float64, noise: Float64) -> Float6
 
 def prior_cost(rig: Rigid, beliefs: Beliefs) -> float:
     """Minus log density of the lenses, up to a constant."""
-    return 0.5 * float(_lens_prior(rig, beliefs).cost)
+    return 0.5 * float(lens_prior(rig, beliefs).cost)
 
 
 def adjust_rig(
@@ -123,7 +127,7 @@ def adjust_rig(
 
     The noise of each view is learnt from its median distance on the way.
     """
-    free = _free(rig, beliefs, lenses=lenses)
+    free = free_numbers(rig, beliefs, lenses=lenses)
     noise = noise_of(rig, points, seen)
     damping, learn_noise = FIRST_DAMPING, 3
     cost = _cost(rig, points, seen, noise, beliefs)
@@ -206,7 +210,7 @@ class _Prior(NamedTuple):
     precision: Float64  # (K, 4, K, 4)
 
 
-def _lens_prior(rig: Rigid, beliefs: Beliefs) -> _Prior:
+def lens_prior(rig: Rigid, beliefs: Beliefs) -> _Prior:
     """Say what is believed of the lenses, as a quadratic about where they are."""
     views = len(rig.log_focals)
     offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, rig.radial))
@@ -260,7 +264,7 @@ def _cost(rig: Rigid, points: Float64, seen: Seen, noise: Float64, beliefs: Beli
     return float(costs.sum()) + prior_cost(rig, beliefs)
 
 
-def _free(rig: Rigid, beliefs: Beliefs, *, lenses: bool) -> Bool:
+def free_numbers(rig: Rigid, beliefs: Beliefs, *, lenses: bool) -> Bool:
     """Which of the cameras' numbers (K, 10) may change; the first camera's pose is the frame."""
     free = np.ones((len(rig.log_focals), CAMERA), bool)
     free[:, 0] = beliefs.focal_sds > 0
@@ -270,7 +274,7 @@ def _free(rig: Rigid, beliefs: Beliefs, *, lenses: bool) -> Bool:
     return free
 
 
-class _Reduced(NamedTuple):
+class Reduced(NamedTuple):
     """The normal equations of the cameras, the points eliminated."""
 
     information: Float64  # (10 K, 10 K) of cameras and points
@@ -280,9 +284,10 @@ class _Reduced(NamedTuple):
     solved: Float64  # (3, M) the points' own step
 
 
-def _reduced(
+def reduced_equations(
     rig: Rigid, points: Float64, seen: Seen, noise: Float64, beliefs: Beliefs, damping: float
-) -> _Reduced:
+) -> Reduced:
+    """Return the normal equations of the cameras about a rig and its points (3, M)."""
     views, count = seen.weights.shape
     residuals, by_camera, by_point = _linearised(rig, points, seen, noise)
     # Sums over what a view sees of products of its two rows.
@@ -291,7 +296,7 @@ def _reduced(
     information = np.zeros((views, CAMERA, views, CAMERA))
     information[range(views), :, range(views), :] = rows @ rows.mT
     right = -np.einsum("kan,kn->ka", rows, residuals.reshape(views, -1))
-    prior = _lens_prior(rig, beliefs)
+    prior = lens_prior(rig, beliefs)
     information[:, :LENS, :, :LENS] += prior.precision
     right[:, :LENS] -= prior.gradient
     normal = np.einsum("kiam,kibm->abm", by_point, by_point, optimize=True)
@@ -305,7 +310,7 @@ def _reduced(
     flat, spread = flat.reshape(len(flat), -1), spread.reshape(len(flat), -1)
     whole = information.reshape(len(flat), len(flat))
     vector = right.ravel() - flat @ solved.ravel()
-    return _Reduced(whole, whole - spread @ flat.T, vector, spread, solved)
+    return Reduced(whole, whole - spread @ flat.T, vector, spread, solved)
 
 
 def _step(
@@ -318,7 +323,7 @@ def _step(
     damping: float,
 ) -> tuple[Rigid, Float64]:
     """Take one damped step of Gauss and Newton, the points eliminated."""
-    equations = _reduced(rig, points, seen, noise, beliefs, damping)
+    equations = reduced_equations(rig, points, seen, noise, beliefs, damping)
     places = np.flatnonzero(free)
     matrix = equations.matrix[np.ix_(places, places)]
     scale = equations.information.diagonal()[places]
@@ -328,76 +333,6 @@ def _step(
     )
     moved = equations.solved - (step @ equations.spread).reshape(equations.solved.shape)
     return _moved(rig, step.reshape(free.shape)), points + moved
-
-
-def camera_deviations(adjusted: Adjusted, seen: Seen, beliefs: Beliefs) -> Float64:
-    """Say how surely (K, 10) the cameras' numbers are known: standard deviations, 0 where told.
-
-    Rotations and translations are relative to the first camera, translations in the unit of the
-    points, which is kept by the lengths of the translations.
-    """
-    rig = adjusted.rig
-    equations = _reduced(rig, adjusted.points, seen, adjusted.noise, beliefs, 0.0)
-    free = _free(rig, beliefs, lenses=True)
-    places = np.flatnonzero(free)
-    growth = np.zeros(free.shape)  # of a rig that is taken for larger
-    growth[:, LENS + 3 :] = rig.translations
-    along = growth.ravel()[places]
-    along /= np.linalg.norm(along)
-    matrix = equations.matrix[np.ix_(places, places)]
-    scale = matrix.diagonal()
-    held = matrix + np.diag(1e-9 * scale + 1e-12) + scale.max() * np.outer(along, along)
-    sds = np.zeros(free.size)
-    sds[places] = np.sqrt(np.linalg.inv(held).diagonal().clip(0))
-    return sds.reshape(free.shape)
-
-
-def repetition(adjusted: Adjusted, seen: Seen, clusters: NDArray[np.int64]) -> float:
-    """By how much errors repeat in `clusters` (M,) of points: 1 where all are independent.
-
-    The variance of sums over a cluster in a view, over what it would be (the design effect; Kish,
-    *Survey Sampling*, 1965): so many observations say no more than one. What they say of the
-    cameras would not tell, for cameras have taken up what errors say of them.
-    """
-    rig = adjusted.rig
-    camera = rig.rotations @ adjusted.points + rig.translations[..., None]
-    flat, visible = _flat(camera, seen)
-    residuals = _images(rig, flat)[0] - seen.images  # (K, 2, M)
-    squared = np.square(residuals).sum(1) / np.square(adjusted.noise)[:, None]
-    weights = seen.weights * visible * (squared < BLIND**2) / (FREEDOM + squared)
-    pulls = residuals * weights[:, None]
-    sums = np.array([[np.bincount(clusters, row) for row in of_view] for of_view in pulls])
-    # What is far below the noise that lens models are granted repeats, but does no harm.
-    granted = 2 * np.square(adjusted.noise[:, None] * seen.weights / (FREEDOM + 2)).sum()
-    alone = max(float(np.square(pulls).sum()), float(granted))
-    return max(1.0, float(np.square(sums).sum()) / alone)
-
-
-class FocalLikelihood(NamedTuple):
-    """What keypoints say of the logs x (K,) of focal lengths: -x' A x / 2 + b' x, a log density."""
-
-    information: Float64  # A (K, K)
-    vector: Float64  # b (K,)
-
-
-def focal_likelihood(adjusted: Adjusted, seen: Seen, beliefs: Beliefs) -> FocalLikelihood:
-    """Say what keypoints alone tell of the focal lengths; poses and points follow them."""
-    rig = adjusted.rig
-    equations = _reduced(rig, adjusted.points, seen, adjusted.noise, beliefs, 0.0)
-    prior = _lens_prior(rig, beliefs)
-    views = len(rig.log_focals)
-    focals = np.arange(views) * CAMERA
-    others = np.setdiff1d(np.flatnonzero(_free(rig, beliefs, lenses=True)), focals)
-    matrix, vector = equations.matrix.copy(), equations.vector.copy()
-    matrix[np.ix_(focals, focals)] -= prior.precision[:, 0, :, 0]
-    vector[focals] += prior.gradient[:, 0]
-    among = matrix[np.ix_(others, others)]
-    carried = np.linalg.solve(among + 1e-9 * np.eye(len(others)), matrix[np.ix_(others, focals)]).T
-    information = matrix[np.ix_(focals, focals)] - carried @ matrix[np.ix_(others, focals)]
-    values, vectors = np.linalg.eigh((information + information.T) / 2)
-    information = (vectors * values.clip(0)) @ vectors.T
-    pull = vector[focals] - carried @ vector[others]
-    return FocalLikelihood(information, information @ rig.log_focals + pull)
 
 
 def _moved(rig: Rigid, step: Float64) -> Rigid:
