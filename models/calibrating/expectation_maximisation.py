@@ -33,7 +33,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 ROUNDS = 4
-ROUNDS_WITH_BONES = 8  # at most: until no focal length changes
+ROUNDS_WITH_BONES = 20  # at most: until no focal length changes
 SETTLED = 3e-4  # by more than this share
 ADJUSTMENTS, REFINEMENTS = 10, 15  # iterations, of frames and rig together, of frames alone
 LEAST_SPREAD = 0.02  # of the shape model, in radii of the structure

@@ -25,7 +25,7 @@ Float64 = NDArray[np.float64]
 # Standard deviations of what is not told: of cameras of one kind together, and of each beside that.
 FOCAL_SDS = (0.3, 0.01)  # of the log focal length
 RADIAL_SDS = (0.2, 0.05)  # of the first radial coefficient
-RADIAL_2_SDS = (0.1, 0.02)  # of the second
+RADIAL_2_SDS = (0.07, 0.01)  # of the second
 PINHOLE = index_of("pinhole")
 CENTRE_SD = 0.02  # of the principal point, as a share of the image's side
 UNTOLD_CENTRE_SD = 0.12  # of the middle of all images whose size nobody told, likewise
