@@ -150,9 +150,15 @@ def _beliefs(problem: Problem) -> Beliefs:
     bends = np.isinf(sds[:, RADIAL])
     radial = RADIAL_SDS[0] ** 2 + RADIAL_SDS[1] ** 2 * np.eye(len(sides))
     unknown = np.where(images.told, FOCAL_SD, UNTOLD_FOCAL_SD)
+    own = np.where(np.isinf(sds[:, FOCAL]), unknown, sds[:, FOCAL])
+    focal_covariance = np.diag(np.square(own))
+    if problem.cameras_alike is True:
+        alike = np.isinf(sds[:, FOCAL])
+        focal_covariance += (np.outer(own, own) - focal_covariance) * np.outer(alike, alike)
+        focal_covariance += np.diag(np.where(alike, FOCAL_SDS[1] ** 2, 0))
     return Beliefs(
         focals / problem.side,
-        np.where(np.isinf(sds[:, FOCAL]), unknown, sds[:, FOCAL]),
+        focal_covariance,
         np.outer(together, together) + np.diag(np.square(CENTRE_SD * sides)),
         radial * np.outer(bends, bends),
     )

@@ -45,16 +45,21 @@ class Beliefs(NamedTuple):
     """
 
     focals: Float64  # (K,)
-    focal_sds: Float64  # (K,) of the log
+    focal_covariance: Float64  # (K, K) of the log
     centre_covariance: Float64  # (K, K) of a coordinate of the principal points
     radial_covariance: Float64  # (K, K) of the first radial coefficients
+
+    @property
+    def focal_sds(self) -> Float64:
+        """Standard deviations (K,) of the log focal lengths."""
+        return np.sqrt(self.focal_covariance.diagonal())
 
     def of(self, views: list[int]) -> "Beliefs":
         """Return what is believed of some of the views."""
         some = np.ix_(views, views)
         return Beliefs(
             self.focals[views],
-            self.focal_sds[views],
+            self.focal_covariance[some],
             self.centre_covariance[some],
             self.radial_covariance[some],
         )

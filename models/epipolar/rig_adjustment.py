@@ -214,12 +214,8 @@ def lens_prior(rig: Rigid, beliefs: Beliefs) -> _Prior:
     """Say what is believed of the lenses, as a quadratic about where they are."""
     views = len(rig.log_focals)
     offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, rig.radial))
-    focal_sds = np.where(beliefs.focal_sds > 0, beliefs.focal_sds, 1.0)
-    centres, radial = (
-        _inverse(covariance)
-        for covariance in (beliefs.centre_covariance, beliefs.radial_covariance)
-    )
-    blocks = np.stack((np.diag(1 / np.square(focal_sds)), centres, centres, radial))
+    focals, centres, radial = (_inverse(covariance) for covariance in beliefs[1:])
+    blocks = np.stack((focals, centres, centres, radial))
     gradient = (blocks @ offsets[..., None])[..., 0].T
     cost = float((gradient.T * offsets).sum())
     low, high = LOG_WALLS

@@ -343,3 +343,23 @@ def test_keypoints_that_say_nothing_are_named_as_such(static: RigCapture) -> Non
     )
     with pytest.raises(NothingFoundError):
         finished(behind)
+
+
+def test_unlike_lenses_are_told_apart_unless_they_are_said_to_be_alike() -> None:
+    lenses = (Lens(focal=700), Lens(focal=1400), Lens(focal=1000))
+    capture = make_rig_capture([0.0, 80.0, -120.0], frames=60, lenses=lenses, noise=1.0)
+    found, _ = found_by(capture)
+    focals = camera_report(found).focals.mean(1)
+    np.testing.assert_allclose(focals, [700, 1400, 1000], rtol=0.04)
+    alike, _ = found_by(capture, cameras_alike=True)
+    assert np.ptp(np.log(camera_report(alike).focals.mean(1))) < np.ptp(np.log(focals)) / 2
+
+
+def test_lenses_of_two_kinds_are_found() -> None:
+    lenses = (Lens(focal=800), Lens(focal=1500), Lens(focal=804), Lens(focal=1495))
+    capture = make_rig_capture([0.0, 80.0, -120.0, 160.0], frames=60, lenses=lenses, noise=1.0)
+    found, _ = found_by(capture)
+    report = camera_report(found)
+    np.testing.assert_allclose(report.focals.mean(1), [800, 1500, 804, 1495], rtol=0.03)
+    scores = (report.focals.mean(1) - [800, 1500, 804, 1495]) / report.focal_sds
+    assert np.abs(scores).max() < 4

@@ -21,7 +21,7 @@ def found_in(capture: RigCapture) -> RestingRig | None:
     sizes = np.sqrt(np.square(radii).sum(-1).mean((0, 2))) / SIDE
     believed = Beliefs(
         np.full(views, 1.2),
-        np.full(views, 0.5),
+        0.5**2 * np.eye(views),
         0.02**2 * np.eye(views),
         0.2**2 + 0.05**2 * np.eye(views),
     )
