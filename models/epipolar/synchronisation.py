@@ -32,6 +32,7 @@ from models.epipolar.fundamental import (
 )
 from models.epipolar.offset_refinement import (
     FLOOR,
+    MOST_BLOCKS,
     Refined,
     Scene,
     costs_of_frames,
@@ -60,6 +61,7 @@ FILM = 0.7  # of the usual distance between poses: between frames of a film it i
 # A view is late if its offset is so many frames and standard deviations from 0, and perhaps late
 # if it is so many.
 LATE_FRAMES, LATE_SDS = 0.2, 4.0
+HALVES_FRAMES = 2  # by which the halves of a short capture may differ from the whole
 MOST_SD = 0.5  # frames: with more, it is not sure that the search ended near the true offset
 DOUBTFUL_FRAMES, DOUBTFUL_SDS = 0.5, 2.5
 # Offsets are those of whole frames more often than not: taken as such within two standard
@@ -119,7 +121,21 @@ def find_timing(keypoints: Float64, weights: Float64, *, reach: int = REACH) -> 
     if changing is not None:
         return changing
     sds = np.sqrt(found.covariances[:, 0, 0])
-    return _decide(np.zeros(1), found.coefficients.T, sds)
+    timing = _decide(np.zeros(1), found.coefficients.T, sds, scene.blocks)
+    if timing.late.any() and scene.blocks < MOST_BLOCKS:
+        return _unless_halves_differ(scene, timing, reference, step)
+    return timing
+
+
+def _unless_halves_differ(scene: Scene, timing: Timing, reference: int, step: int) -> Timing:
+    """Call views of a short capture doubtful unless both its halves have them as late."""
+    agreed = np.ones(len(timing.late), np.bool_)
+    for frames in np.array_split(scene.frames, 2):
+        whole = _search(scene._replace(frames=frames), np.zeros(len(agreed), np.int64), step)
+        apart = np.abs(whole - whole[reference] - timing.offsets[0])
+        agreed &= apart <= max(HALVES_FRAMES, step)
+    late = timing.late & agreed
+    return timing._replace(late=late, doubtful=timing.doubtful | (timing.late & ~agreed))
 
 
 def reach_at(fps: float | None) -> int:
@@ -302,7 +318,7 @@ def _find_change(scene: Scene, constant: Refined, reference: int) -> Timing | No
     sds = np.sqrt(np.maximum(variances.sum(1) - 2 * found.covariances[:, 0, 1], 0))
     if not (np.abs(changes) > np.maximum(CHANGE_FRAMES, CHANGE_SDS * sds)).any():
         return None
-    return _decide(np.array(knots), found.coefficients.T, np.sqrt(variances.max(1)))
+    return _decide(np.array(knots), found.coefficients.T, np.sqrt(variances.max(1)), scene.blocks)
 
 
 def _with_jump(scene: Scene, border: int, reference: int) -> Refined | None:
@@ -344,10 +360,16 @@ def _suspect(offsets: Float64, weights: Float64) -> int | None:
     return best
 
 
-def _decide(frames: Float64, offsets: Float64, sds: Float64) -> Timing:
-    """Tell surely late views from doubtful ones and from those in step, whose offsets become 0."""
+def _decide(frames: Float64, offsets: Float64, sds: Float64, blocks: int) -> Timing:
+    """Tell surely late views from doubtful ones and from those in step, whose offsets become 0.
+
+    Standard deviations from few blocks are unsure themselves: Student's t with a degree of freedom
+    less than blocks has as much beyond 4 blocks / (blocks - 3) of its standard deviations as a
+    Gaussian has beyond 4 (within 3 % for 6 to 16 blocks).
+    """
     largest = np.abs(offsets).max(0)
-    late = (largest > LATE_FRAMES) & (largest > LATE_SDS * sds) & (sds < MOST_SD)
+    enough = LATE_SDS * blocks / (blocks - 3)
+    late = (largest > LATE_FRAMES) & (largest > enough * sds) & (sds < MOST_SD)
     doubtful = ~late & (largest > DOUBTFUL_FRAMES) & (largest > DOUBTFUL_SDS * sds)
     nearest = np.round(offsets)
     near = np.abs(offsets - nearest) <= np.clip(WHOLE_SDS * sds, LEAST_WHOLE, MOST_WHOLE)
