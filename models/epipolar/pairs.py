@@ -5,6 +5,8 @@ of five correspondences under several focal lengths give hypotheses; the best di
 refined over pose and both focal lengths with Student's weights on Sampson distances.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +40,8 @@ STEP = 1e-5  # of the differences that stand for derivatives
 LEAST_SCALE = 1e-4  # sides: noise below which nothing is concluded
 
 
-class Beliefs(NamedTuple):
+@dataclass(frozen=True)
+class Beliefs:
     """What is believed of K lenses beforehand, in sides of the image; variances of 0: told.
 
     Principal points are measured from the expected ones, each of their coordinates alike.
@@ -54,6 +57,13 @@ class Beliefs(NamedTuple):
         """Standard deviations (K,) of the log focal lengths."""
         return np.sqrt(self.focal_covariance.diagonal())
 
+    @cached_property
+    def precisions(self) -> Float64:
+        """Inverse covariances (4, K, K) of log focal length, principal point (x, y), radial."""
+        centres = _inverse(self.centre_covariance)
+        ends = _inverse(self.focal_covariance), _inverse(self.radial_covariance)
+        return np.stack((ends[0], centres, centres, ends[1]))
+
     def of(self, views: list[int]) -> "Beliefs":
         """Return what is believed of some of the views."""
         some = np.ix_(views, views)
@@ -63,6 +73,15 @@ class Beliefs(NamedTuple):
             self.centre_covariance[some],
             self.radial_covariance[some],
         )
+
+
+def _inverse(covariance: Float64) -> Float64:
+    """Invert a covariance (K, K); what does not vary stays out of it."""
+    inverse = np.zeros_like(covariance)
+    varies = np.flatnonzero(covariance.diagonal() > 0)
+    some = np.ix_(varies, varies)
+    inverse[some] = np.linalg.inv(covariance[some])
+    return inverse
 
 
 class RelativePoses(NamedTuple):

@@ -39,7 +39,8 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 MOST_POINTS, FEW_POINTS = 3000, 600  # that are adjusted at the end, and to choose among starts
-NOISY_POINTS = 9000  # that are adjusted at the end if there is noise that more of them average out
+# With noise, which more points average out, so many of them, or so many observations of them.
+NOISY_POINTS, NOISY_OBSERVATIONS = 9000, 36000
 MOST_PAIRS = 18  # of views that are related
 STARTS, FINALISTS = 6, 3
 FIRST_ITERATIONS, MORE_ITERATIONS, LAST_ITERATIONS = 15, 20, 25
@@ -276,7 +277,8 @@ def _adjusted(
     repeated = sum(repetition(best, many, clusters) for clusters in within) - 1
     noise = float(np.median(best.noise))
     most = UNBIASED / (noise / float(sizes[members].mean())) ** 2
-    count = NOISY_POINTS if noise > LEAST_NOISE else MOST_POINTS
+    many_points = max(MOST_POINTS, min(NOISY_POINTS, NOISY_OBSERVATIONS // len(members)))
+    count = many_points if noise > LEAST_NOISE else MOST_POINTS
     many = scene.seen(members, count, repeated=repeated, most_effective=most)
     best = _finished(best.rig, many, of_members)
     yield

@@ -214,8 +214,7 @@ def lens_prior(rig: Rigid, beliefs: Beliefs) -> _Prior:
     """Say what is believed of the lenses, as a quadratic about where they are."""
     views = len(rig.log_focals)
     offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, rig.radial))
-    focals, centres, radial = (_inverse(covariance) for covariance in beliefs[1:])
-    blocks = np.stack((focals, centres, centres, radial))
+    blocks = beliefs.precisions.copy()
     gradient = (blocks @ offsets[..., None])[..., 0].T
     cost = float((gradient.T * offsets).sum())
     low, high = LOG_WALLS
@@ -230,15 +229,6 @@ def lens_prior(rig: Rigid, beliefs: Beliefs) -> _Prior:
     precision[:, 0, :, 0] += together.precision[:, 0, :, 0]
     gradient[:, 0] += together.gradient[:, 0]
     return _Prior(cost + together.cost, gradient, precision)
-
-
-def _inverse(covariance: Float64) -> Float64:
-    """Invert a covariance (K, K); what does not vary stays out of it."""
-    inverse = np.zeros_like(covariance)
-    varies = np.flatnonzero(covariance.diagonal() > 0)
-    some = np.ix_(varies, varies)
-    inverse[some] = np.linalg.inv(covariance[some])
-    return inverse
 
 
 def _alike(log_focals: Float64) -> _Prior:

@@ -8,7 +8,7 @@ Compiling takes about a minute. Later processes read the machine code that this 
 
 from models.capture.synthetic import synthetic_capture
 from models.network.priors.registry import PRIORS
-from models.settings.config import FitConfig
+from models.settings.config import Arrangement, FitConfig
 from models.training.trainer import fit
 
 STEPS = 30  # enough for every kind of teacher
@@ -17,9 +17,12 @@ STEPS = 30  # enough for every kind of teacher
 def compile_all() -> None:
     """Fit every prior to a small capture, with and without perspective, and lift in every way."""
     capture = synthetic_capture(frames=24, views=2, hidden_keypoints=0.05, seed=1)
-    for name in PRIORS:
+    for number, name in enumerate(PRIORS):
+        cameras: Arrangement = "moving" if number else "auto"  # one search for rest is enough
         for refine in ("auto", "off"):
-            config = FitConfig(prior=name, steps=STEPS, batch_size=8, refine=refine)
+            config = FitConfig(
+                prior=name, steps=STEPS, batch_size=8, refine=refine, cameras=cameras
+            )
             prior = fit(capture.keypoints, config, confidence=capture.confidence)
             lift = prior.lift(capture.keypoints)
             prior.lift(capture.keypoints, previous=lift)

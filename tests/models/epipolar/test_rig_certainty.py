@@ -1,5 +1,7 @@
 """What keypoints say of cameras at rest: against the scatter of what is found, and known errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -59,7 +61,7 @@ def test_what_keypoints_say_of_focal_lengths_does_not_depend_on_beliefs() -> Non
     points = points_of(rng)
     clean = images_of(rig, points)
     seen = Seen(clean + NOISE * rng.standard_normal(clean.shape), np.ones((3, POINTS)))
-    wrong = BELIEFS._replace(focals=1.1 * FOCALS, focal_covariance=0.01**2 * np.eye(3))
+    wrong = replace(BELIEFS, focals=1.1 * FOCALS, focal_covariance=0.01**2 * np.eye(3))
     said, sds = [], []
     for beliefs in (BELIEFS, wrong):
         found = adjust_rig(rig, points, seen, beliefs, iterations=25)
