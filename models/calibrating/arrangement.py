@@ -48,6 +48,8 @@ SURE = 3.0  # standard errors by which hidden keypoints must speak against rest
 MORE_NOISE = 1.4  # times the noise of moving cameras: no rig at rest has more
 NOISY = 0.005  # of the subject's size: noise from which a rig from keypoints keeps its lenses
 ABOVE_LEAST = 1.5  # times the least noise that is reckoned with: less may be none
+NEARLY = 3.0  # times the errors of lens models: what predicts so well may not be learnt to the end
+LAST_ROUNDS = 8  # of learning, before it counts as moving
 NEGLIGIBLE = 0.05  # nats of a keypoint, of what lens models leave
 
 
@@ -201,11 +203,17 @@ def _believing(problem: Problem, candidate: Candidate) -> Problem:
 
 
 def _judge(
-    candidate: Candidate, problem: Problem, split: Split, *, rounds: int = ROUNDS
+    candidate: Candidate,
+    problem: Problem,
+    split: Split,
+    *,
+    rounds: int = ROUNDS,
+    learnt: Solution | None = None,
 ) -> Steps[Judged]:
-    """Learn from one part of the frames and predict hidden keypoints of the other."""
+    """Learn from one part of the frames, or go on to, and predict hidden keypoints of the other."""
     part = _believing(problem, candidate).of(split.learning)
-    learnt = yield from learn(part, candidate.start.of(split.learning), rounds=rounds)
+    start = candidate.start.of(split.learning) if learnt is None else learnt
+    learnt = yield from learn(part, start, rounds=rounds)
     yield
     others = candidate.start.scene.of(split.judging)
     distances = predicted_distances(problem.of(split.judging), learnt, others)
@@ -231,6 +239,12 @@ def _best(
         asked = problem.of(split.judging)
         if moving is not None:
             judged = judged._replace(against=_against_rest(asked, moving, judged))
+            near = NEARLY * LENS_ERRORS * asked.side
+            if not judged.merits[0] and typical_distance(judged.distances) < near:
+                judged = yield from _judge(
+                    candidate, problem, split, rounds=LAST_ROUNDS, learnt=judged.learnt
+                )
+                judged = judged._replace(against=_against_rest(asked, moving, judged))
         best = _better(asked, best, judged)
     return best
 

@@ -44,6 +44,7 @@ NOISY_POINTS, NOISY_OBSERVATIONS = 9000, 36000
 MOST_PAIRS = 18  # of views that are related
 STARTS, FINALISTS = 6, 3
 FIRST_ITERATIONS, MORE_ITERATIONS, LAST_ITERATIONS = 15, 20, 25
+NEAR_ITERATIONS = 10  # until errors can be told to repeat or not
 SAME = 0.03  # radians and share of focal lengths within which rigs count as one
 LEAST_POINTS = 60  # seen by a view together with others, for it to take part
 # Errors of detectors and of lens models repeat from frame to frame: before it is known how much,
@@ -269,7 +270,7 @@ def _adjusted(
     )
     finalists = _ordered([*second, mirror], few, of_members)
     yield
-    best = _finished(finalists[0].rig, many, of_members)
+    best = _finished(finalists[0].rig, many, of_members, iterations=NEAR_ITERATIONS)
     yield
     chosen = scene.chosen(members, MOST_POINTS)
     # Errors repeat within frames and within keypoints.
@@ -280,7 +281,7 @@ def _adjusted(
     many_points = max(MOST_POINTS, min(NOISY_POINTS, NOISY_OBSERVATIONS // len(members)))
     count = many_points if noise > LEAST_NOISE else MOST_POINTS
     many = scene.seen(members, count, repeated=repeated, most_effective=most)
-    best = _finished(best.rig, many, of_members)
+    best = _finished(best.rig, many, of_members, iterations=LAST_ITERATIONS)
     yield
     twin_start = necker(best.rig, best.points)
     twin = adjust_rig(*twin_start, many, of_members, iterations=LAST_ITERATIONS)
@@ -293,9 +294,9 @@ def _adjusted(
     return _Chosen(best, twin, alone, focals, camera_deviations(best, many, of_members))
 
 
-def _finished(rig: Rigid, seen: Seen, beliefs: Beliefs) -> Adjusted:
+def _finished(rig: Rigid, seen: Seen, beliefs: Beliefs, *, iterations: int) -> Adjusted:
     points = triangulate_points(rig, seen)
-    return adjust_rig(rig, points, seen, beliefs, iterations=LAST_ITERATIONS)
+    return adjust_rig(rig, points, seen, beliefs, iterations=iterations)
 
 
 def _cost(adjusted: Adjusted, seen: Seen, beliefs: Beliefs, noise: Float64) -> float:
