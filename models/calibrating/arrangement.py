@@ -26,6 +26,7 @@ from models.calibrating.prediction import (
     typical_distance,
 )
 from models.calibrating.problem import (
+    CLEAR,
     Problem,
     Solution,
     grouped,
@@ -46,7 +47,6 @@ LIKELY = 2.0  # standard errors by which one rig must predict better than anothe
 MORE_ROUNDS = 2  # of learning, for what has been learnt from nearly the same frames
 SURE = 3.0  # standard errors by which hidden keypoints must speak against rest
 MORE_NOISE = 1.4  # times the noise of moving cameras: no rig at rest has more
-NOISY = 0.005  # of the subject's size: noise from which a rig from keypoints keeps its lenses
 ABOVE_LEAST = 1.5  # times the least noise that is reckoned with: less may be none
 NEARLY = 3.0  # times the errors of lens models: what predicts so well may not be learnt to the end
 LAST_ROUNDS = 8  # of learning, before it counts as moving
@@ -165,7 +165,7 @@ def _by_keypoints(
     """Return the rig that keypoints alone say, and its mirror image if they hardly tell which."""
     floor = LEAST_NOISE * problem.side  # of the rig, whose noise is no less
     noise = max(found.noise if found.noise > ABOVE_LEAST * floor else 0.0, moving.measured_noise)
-    kept = found.deviations if len(found.members) > 2 and noise > NOISY * problem.size else None
+    kept = found.deviations if len(found.members) > 2 and noise > CLEAR * problem.size else None
     members, groups = found.members, found.lens_groups
     ours = Candidate("from keypoints", found.start, members, groups, kept)
     theirs = Candidate("from keypoints, mirrored", found.mirror, members, groups, kept)
@@ -239,8 +239,10 @@ def _best(
         asked = problem.of(split.judging)
         if moving is not None:
             judged = judged._replace(against=_against_rest(asked, moving, judged))
-            near = NEARLY * LENS_ERRORS * asked.side
-            if not judged.merits[0] and typical_distance(judged.distances) < near:
+            # With noise, more rounds only pull cameras further towards the shape model.
+            clear = moving.learnt.measured_noise < CLEAR * problem.size
+            near = typical_distance(judged.distances) < NEARLY * LENS_ERRORS * asked.side
+            if clear and near and not judged.merits[0]:
                 judged = yield from _judge(
                     candidate, problem, split, rounds=LAST_ROUNDS, learnt=judged.learnt
                 )

@@ -28,6 +28,7 @@ from models.settings.calibration import Alike, Camera
 Float64 = NDArray[np.float64]
 
 USUAL_FOCAL = 1.2  # times the longer side of the image: a field of view of 45 degrees
+CLEAR = 0.005  # noise as a share of the subject's size, from which it pulls what shapes tell
 REST_SLACK = 1e-4  # of the image's side: differences of noise below which nothing is concluded
 
 

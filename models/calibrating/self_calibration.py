@@ -22,6 +22,7 @@ from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
+    CLEAR,
     Problem,
     Solution,
     reprojection_distances,
@@ -41,7 +42,6 @@ Float64 = NDArray[np.float64]
 
 MOST_FRAMES, LEAST_FRAMES = 400, 20  # that are looked at
 OPERATIONS = 300_000_000  # in one iteration: half a second
-CLEAR_KEYPOINTS = 0.005  # noise as a share of a view's size below which bone lengths find lenses
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
 
 
@@ -111,7 +111,7 @@ def self_calibrate(
         if _log_posterior(tried_problem, trial) > _log_posterior(problem, rival) + BETTER_LENS:
             problem, best, rival, kept = tried_problem, trial, trial, None
             reason = f"{reason}; {name} lenses explain the keypoints better"
-    clear = kept is None and best.noise < CLEAR_KEYPOINTS * size
+    clear = kept is None and best.noise < CLEAR * size
     if clear and find_bone_lengths(best.scene.points).steady:
         # The lens under which shapes look most alike need not be the true one, and with two views
         # it is not; with a wrong one, bones grow and shrink as they turn.
