@@ -120,7 +120,8 @@ def find_timing(keypoints: Float64, weights: Float64, *, reach: int = REACH) -> 
     changing = _find_change(scene, found, reference)
     if changing is not None:
         return changing
-    sds = np.sqrt(found.covariances[:, 0, 0])
+    variances = found.covariances[:, 0, 0]
+    sds = np.sqrt(np.where(variances >= 0, variances, np.inf))  # equal views say no time at all
     timing = _decide(np.zeros(1), found.coefficients.T, sds, scene.blocks)
     if timing.late.any() and scene.blocks < MOST_BLOCKS:
         return _unless_halves_differ(scene, timing, reference, step)
