@@ -93,7 +93,9 @@ def _search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) 
     findings += disagreements(problem, told, checked)
     hand = 1.0 if config.handedness is not None else certainty(rest.evidence)
     reason = rest.reason + in_words(findings)
-    return Arranged(told, checked, reason, hand, findings, kept=rest.kept)
+    # What a told lens is found to be, once it is refused, is no longer the rigid scene's.
+    kept = None if checked.doubts else rest.kept
+    return Arranged(told, checked, reason, hand, findings, kept=kept)
 
 
 def _against_declared_rest(resting: Solution, found: Solution) -> tuple[Finding, ...]:
