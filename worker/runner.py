@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import signal
 import time
+from contextlib import suppress
 
 import redis.exceptions
 from obstore.exceptions import BaseError as ObjectStoreError
@@ -75,6 +76,8 @@ class JobWorker(Worker):
     def maintain_heartbeats(self, job: Job) -> None:
         """Do the same while a job runs, and stop it if it does not heed a cancel."""
         super().maintain_heartbeats(job)
+        if self.stopping:
+            self._have_job_saved()  # it may not have been there yet when SIGTERM came
         self._look_after_records(job)
 
     def _look_after_records(self, job: Job | None = None) -> None:
@@ -117,8 +120,12 @@ class JobWorker(Worker):
         """Have the running job save what it has and go back to the queue, then leave."""
         super().handle_warm_shutdown_request()  # type: ignore[no-untyped-call]
         self.stopping = True
+        self._have_job_saved()
+
+    def _have_job_saved(self) -> None:
         if self.horse_pid:
-            os.kill(self.horse_pid, signal.SIGTERM)
+            with suppress(ProcessLookupError):
+                os.kill(self.horse_pid, signal.SIGTERM)
 
 
 def _sweep(store: Store, parent: int) -> None:

@@ -9,10 +9,11 @@ import subprocess
 import time
 import urllib.error
 import urllib.request
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from types import FrameType
-from typing import IO, NoReturn
+from typing import IO
 
 import redis
 from pydantic import RedisDsn
@@ -25,7 +26,7 @@ logger = logging.getLogger(__name__)
 
 POLL_SECONDS = 0.1
 START_SECONDS = 60.0
-STOP_SECONDS = 20.0
+STOP_SECONDS = 15.0
 LONGEST_PAUSE_SECONDS = 10.0
 
 
@@ -35,6 +36,27 @@ class StartError(Exception):
 
 class _Stop(Exception):  # noqa: N818 (no error)
     """SIGTERM or Ctrl-C came."""
+
+
+class _Signals:
+    """Takes SIGTERM and Ctrl-C, and ends a pause with them.
+
+    A handler that raised would do so anywhere, also where a lock was just taken.
+    """
+
+    def __init__(self) -> None:
+        self._came = False
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._take)
+
+    def _take(self, _number: int, _frame: FrameType | None) -> None:
+        self._came = True
+
+    def pause(self) -> None:
+        """Wait a moment; raise ``_Stop`` if a signal has come."""
+        time.sleep(POLL_SECONDS)
+        if self._came:
+            raise _Stop
 
 
 @dataclass
@@ -77,17 +99,22 @@ class Child:
             )
             self.process, self.started_at = None, time.monotonic()
 
-    def stop(self) -> None:
-        """End the process with SIGTERM, or with SIGKILL if it does not heed that."""
-        if self.process is None:
-            return
-        self.process.terminate()
+
+def stop(children: Sequence[Child]) -> None:
+    """End the processes side by side with SIGTERM, and with SIGKILL what does not heed that."""
+    for child in children:
+        if child.process is not None:
+            child.process.terminate()
+    deadline = time.monotonic() + STOP_SECONDS
+    for child in children:
+        if child.process is None:
+            continue
         try:
-            self.process.wait(STOP_SECONDS)
+            child.process.wait(max(0.0, deadline - time.monotonic()))
         except subprocess.TimeoutExpired:
-            logger.warning("%s does not stop: killing it", self.name)
-            self.process.kill()
-            self.process.wait()
+            logger.warning("%s does not stop: killing it", child.name)
+            child.process.kill()
+            child.process.wait()
 
 
 def serve(settings: Settings) -> None:
@@ -98,45 +125,38 @@ def serve(settings: Settings) -> None:
     StartError
         If the data folder is in use, the port is taken, or a part does not start.
     """
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, _on_signal)
-    children: list[Child] = []
+    signals = _Signals()
+    queue: list[Child] = []
+    users: list[Child] = []  # of the queue
     embedded = settings.redis_url is None
     try:
         lock = _lock(settings)
         listener = _listen(settings)
         if embedded:
             valkey, url = _valkey(settings)
-            children.append(valkey)
+            queue.append(valkey)
             valkey.start()
-            _await_redis(url, valkey)
+            _await_redis(url, valkey, signals)
             settings = settings.model_copy(update={"redis_url": RedisDsn(url)})
         environment = settings.to_environment()
         workers = settings.workers if settings.workers is not None else int(embedded)
-        children += [_worker(number, environment) for number in range(1, workers + 1)]
         api = _api(listener, environment)
-        children.append(api)
-        for child in children[embedded:]:
+        users += [api, *(_worker(number, environment) for number in range(1, workers + 1))]
+        for child in users:
             child.start()
         address = f"http://{_host(settings)}:{listener.getsockname()[1]}"
-        _await_api(address, api)
+        _await_api(address, api, signals)
         _announce(settings, address, workers, embedded=embedded)
         while True:
-            time.sleep(POLL_SECONDS)
-            for child in children:
+            signals.pause()
+            for child in (*queue, *users):
                 child.watch()
     except _Stop:
         print("Stopping: a running fit goes on at the next start.", flush=True)
     finally:
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, signal.SIG_IGN)
-        for child in reversed(children):  # the API first, the queue last
-            child.stop()
+        stop(users)
+        stop(queue)  # which the others need until their end
     lock.close()
-
-
-def _on_signal(_number: int, _frame: FrameType | None) -> NoReturn:
-    raise _Stop
 
 
 def _lock(settings: Settings) -> IO[str]:
@@ -199,7 +219,7 @@ def _api(listener: socket.socket, environment: dict[str, str]) -> Child:
     return Child("The API", command, environment, inherited=(fileno,))
 
 
-def _await_redis(url: str, child: Child) -> None:
+def _await_redis(url: str, child: Child, signals: _Signals) -> None:
     client = redis.Redis.from_url(url)
     deadline = time.monotonic() + START_SECONDS
     while True:
@@ -207,11 +227,11 @@ def _await_redis(url: str, child: Child) -> None:
             client.ping()
             break
         except redis.exceptions.RedisError:
-            _check_starting(child, deadline)
+            _check_starting(child, deadline, signals)
     client.close()
 
 
-def _await_api(address: str, child: Child) -> None:
+def _await_api(address: str, child: Child, signals: _Signals) -> None:
     deadline = time.monotonic() + START_SECONDS
     direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # it is this machine
     while True:
@@ -219,16 +239,16 @@ def _await_api(address: str, child: Child) -> None:
             with direct.open(f"{address}/health/live", timeout=1):
                 return
         except (urllib.error.URLError, TimeoutError, ConnectionError):
-            _check_starting(child, deadline)
+            _check_starting(child, deadline, signals)
 
 
-def _check_starting(child: Child, deadline: float) -> None:
+def _check_starting(child: Child, deadline: float, signals: _Signals) -> None:
     process = child.process
     if process is not None and process.poll() is not None:
         raise StartError(f"{child.name} ended as it started (exit status {process.returncode}).")
     if time.monotonic() > deadline:
         raise StartError(f"{child.name} did not answer within {START_SECONDS:.0f} s.")
-    time.sleep(POLL_SECONDS)
+    signals.pause()
 
 
 def _announce(settings: Settings, address: str, workers: int, *, embedded: bool) -> None:

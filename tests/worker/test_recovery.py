@@ -177,6 +177,37 @@ def test_the_worker_is_told_to_leave(
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
 
 
+# A worker that gets SIGTERM when it has a job, but no process for it yet.
+TOLD_BEFORE_THE_JOB = """
+import os, signal
+from worker import runner
+from worker.settings import WorkerSettings
+
+class Told(runner.JobWorker):
+    def fork_work_horse(self, job, queue):
+        os.kill(os.getpid(), signal.SIGTERM)
+        super().fork_work_horse(job, queue)
+
+runner.JobWorker = Told
+runner.run(WorkerSettings())
+"""
+
+
+def test_the_worker_is_told_to_leave_as_a_job_comes(
+    store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
+) -> None:
+    fit = queue(store, redis, dataset_id, LONG)
+    worker = subprocess.Popen(
+        tied("-c", TOLD_BEFORE_THE_JOB), env=os.environ | settings.to_environment()
+    )
+    try:
+        assert worker.wait(30) == 0
+        assert lookup.get(store, FitJob, fit.id).status in ("queued", "running")
+    finally:
+        worker.kill()
+        worker.wait()
+
+
 def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
     store: Store, queued: FitJob, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
