@@ -36,6 +36,9 @@ MOTION_FRAMES = 300  # plenty to see whether anything moves
 # In radii of what a view shows. A person's is half a metre, so that 0.05 is a few centimetres of
 # every limb, or a turn by three degrees.
 LEAST_CHANGE, LEAST_PATH = 0.05, 0.1
+# A keypoint that lies so many times further off than usual, while most do not, is an outlier.
+ASTRAY_ALONE, MOST_ALONE = 4.0, 0.5
+USUAL = 2 / 3  # of the most: frames that show less, and keypoints shown less, say little of motion
 SLACK = 1.3  # of the largest variance of white noise, which is known from a median alone
 
 ABSENCES = frozenset({"keypoint_never_seen", "view_never_seen", "too_few_frames", "one_view"})
@@ -224,23 +227,36 @@ def _motionless(capture: _Capture) -> Iterator[Finding]:
     """Yield that the subject neither changes nor moves in any view, but for the noise."""
     most_change = most_path = -1.0
     for view in np.flatnonzero(capture.there.usable.sum(0) >= LEAST_PAIRED).tolist():
-        frames = np.flatnonzero(capture.there.usable[:, view])
+        seen = capture.seen[:, view]
+        usual = seen.sum(0) >= USUAL * seen.sum(0).max()
+        shows = seen[:, usual].sum(1)
+        frames = np.flatnonzero(shows >= USUAL * shows.max())
         frames = frames[:: -(-len(frames) // MOTION_FRAMES)]
-        seen = capture.seen[frames, view]
-        shown = np.where(seen[..., None], capture.pixels[frames, view], np.nan).astype(np.float64)
-        middles = np.nanmean(shown, 1, keepdims=True)  # which noise moves less than medians
-        radii = np.sqrt(np.nanmean((shown - middles) ** 2, (1, 2), keepdims=True))
-        most_change = max(most_change, _change((shown - middles) / radii))
-        path = float(np.sqrt(middles.var(0).sum()) / np.median(radii))
-        most_path = max(most_path, path)
+        chosen = np.ix_(frames, usual)
+        shown = np.where(seen[chosen][..., None], capture.pixels[:, view][chosen], np.nan)
+        shown = shown[:, np.isfinite(shown).any((0, 2))].astype(np.float64)
+        places = np.nanmedian(shown, 0)  # (P, 2)
+        offsets = shown - places
+        shifts = np.nanmedian(offsets, 1)  # (F, 2) of most keypoints together
+        radius = max(float(np.sqrt(places.var(0).sum())), np.finfo(np.float64).tiny)
+        most_change = max(most_change, _change(_kept(offsets - shifts[:, None]) / radius))
+        most_path = max(most_path, float(np.sqrt(shifts.var(0).sum()) / radius))
         if most_change > LEAST_CHANGE or most_path > LEAST_PATH:
             return
     if most_change >= 0:
         yield Finding.of("no_motion", change=most_change, path=most_path)
 
 
+def _kept(offsets: Float64) -> Float64:
+    """Return offsets (F, P, 2) without those of keypoints that go astray alone."""
+    distances = np.linalg.norm(offsets, axis=-1)
+    far = distances > ASTRAY_ALONE * np.nanmedian(distances, 0)
+    alone = far & (far.sum(1, keepdims=True) < MOST_ALONE * np.isfinite(distances).sum(1)[:, None])
+    return np.where(alone[..., None], np.nan, offsets)
+
+
 def _change(shape: Float64) -> float:
-    """Return by how much shapes (F, P, 2) of radius 1 differ from their mean, less the noise.
+    """Return by how much shapes (F, P, 2), in radii, differ from their mean, less the noise.
 
     The root mean square over keypoints of what principal components tell, as far as their variance
     is above that of white noise (Marchenko & Pastur); NaN, not observed, is the keypoint's mean.

@@ -6,11 +6,13 @@ frames well before and well after, the frames just before the move suit the firs
 frames just after it the others, although the subject is still at the same place.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from models.epipolar.fundamental import Fundamental
 from models.epipolar.view_pairs import (
     DEPENDENCE,
     TINY,
@@ -34,7 +36,7 @@ LEAST_SHARE = 0.04  # of the frames must lie beyond the window
 SURE = 11.0  # standard errors of the jump
 LEAST_JUMP = 0.3  # log likelihood ratio of a frame and pair of views
 LEFT = 0.35  # of what the move costs may be left with the matrices that were fitted after it
-AS_SURE = 0.6  # of the best view's gain: another view may as well have moved
+AS_SURE = 0.6  # of the best view's jump: another view may as well have moved
 PUSHED = 3.0  # times the usual motion of a view between frames: then it is seen to jump
 
 
@@ -50,61 +52,59 @@ class MovedCamera(NamedTuple):
 
 def find_moved_camera(seen: Seen, matrices: Matrices) -> MovedCamera | None:
     """Find the view that was moved, and the first frame after that; None if none surely was."""
-    frames, views = seen.there.shape[:2]
+    frames = len(seen.there)
     kept = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLE)).astype(np.intp))
-    sample = seen.part(kept)
-    if len(kept) < 4 * LEAST_SIDE:
+    if len(kept) < 4 * LEAST_SIDE or not matrices:
         return None
-    usual = {pair: frame_costs(sample, found, *pair).sum() for pair, found in matrices.items()}
-    tried: dict[int, tuple[float, int]] = {}
-    for start in STARTS:
-        split = int(start * len(kept))
-        halves = {pair: _split_costs(sample, pair, split, matrices) for pair in matrices}
-        for view in range(views):
+    at = _likely_frame(seen.part(kept), matrices)
+    return None if at is None else _judge(seen, matrices, int(kept[at]))
+
+
+def _likely_frame(seen: Seen, matrices: Matrices) -> int | None:
+    """Return the frame from which on other matrices gain most for the pairs of some view."""
+    usual = {pair: float(frame_costs(seen, found, *pair).sum()) for pair, found in matrices.items()}
+    best, most = None, 0.0
+    for start in (*STARTS, *[None] * ROUNDS):
+        split = best if start is None else int(start * len(seen.there))
+        if split is None:
+            return None
+        sides = {pair: _split_costs(seen, pair, split, matrices) for pair in matrices}
+        before = best
+        for view in _paired(matrices):
             mine = [pair for pair in matrices if view in pair]
-            if mine:
-                cost, at = _best_split(np.sum([halves[pair] for pair in mine], 0))
-                gain = float(sum(usual[pair] for pair in mine)) - cost
-                tried[view] = max(tried.get(view, (0.0, at)), (gain, at))
-    if not tried:
-        return None
-    view = max(tried, key=tried.__getitem__)
-    gain, at = tried[view]
-    mine = [pair for pair in matrices if view in pair]
-    for _ in range(ROUNDS):
-        before = at
-        _, at = _best_split(np.sum([_split_costs(sample, p, at, matrices) for p in mine], 0))
-        if at == before:
+            at, cost = _best_split(np.sum([sides[pair] for pair in mine], 0))
+            gain = sum(usual[pair] for pair in mine) - cost
+            if gain > most:
+                best, most = at, gain
+        if start is None and best == before:
             break
-    alike = [other for other in tried if tried[other][0] > AS_SURE * gain]
-    if gain <= 0 or (len(alike) > 1 and views > 2):
-        return None
-    found = _judge(seen, mine, matrices, view, int(kept[at]))
-    if found is None or len(alike) == 1:
-        return found
-    return found._replace(views=_who_jumped(seen, alike, found.first))
+    return best
 
 
 def _split_costs(seen: Seen, pair: tuple[int, int], at: int, matrices: Matrices) -> Float64:
     """Costs (2, N) of all frames under matrices fitted before and after a frame."""
     at = int(np.clip(at, LEAST_SIDE, len(seen.there) - LEAST_SIDE))
-    sides = (seen.part(slice(None, at)), seen.part(slice(at, None)))
-    fitted = (fit_pair(side, *pair) or matrices[pair] for side in sides)
+    return _costs_of_sides(seen, pair, (slice(None, at), slice(at, None)), matrices[pair])
+
+
+def _costs_of_sides(
+    seen: Seen, pair: tuple[int, int], sides: tuple[slice, slice], usual: Fundamental
+) -> Float64:
+    """Costs (2, N) of all frames under matrices fitted to some frames and to others."""
+    fitted = (fit_pair(seen.part(side), *pair) or usual for side in sides)
     return np.stack([frame_costs(seen, found, *pair) for found in fitted])
 
 
-def _best_split(costs: Float64) -> tuple[float, int]:
-    """Return what frames cost, and the first one for which the second matrix is to be used."""
+def _best_split(costs: Float64) -> tuple[int, float]:
+    """Return the first frame for the second matrix, and what all frames cost then."""
     before = np.concatenate(([0.0], np.cumsum(costs[0])))
     after = np.concatenate(([0.0], np.cumsum(costs[1])))
     totals = before + after[-1] - after  # (N + 1,) of the first n frames with the first matrix
     at = int(totals[LEAST_SIDE:-LEAST_SIDE].argmin()) + LEAST_SIDE
-    return float(totals[at]), at
+    return at, float(totals[at])
 
 
-def _judge(
-    seen: Seen, mine: list[tuple[int, int]], matrices: Matrices, view: int, first: int
-) -> MovedCamera | None:
+def _judge(seen: Seen, matrices: Matrices, first: int) -> MovedCamera | None:
     """Look for the jump in frames near the move that no matrix was fitted to."""
     frames = len(seen.there)
     width = max(LEAST_WINDOW, int(WINDOW * frames))
@@ -113,20 +113,26 @@ def _judge(
         early, late = first - width, first + width
         if min(early, frames - late) < least:
             return None
-        costs = np.zeros((2, frames))
-        for pair in mine:
-            for number, side in enumerate((slice(None, early), slice(late, None))):
-                found = fit_pair(seen.part(side), *pair) or matrices[pair]
-                costs[number] += frame_costs(seen, found, *pair) / len(mine)
+        sides = (slice(None, early), slice(late, None))
+        costs = {
+            pair: _costs_of_sides(seen, pair, sides, usual) for pair, usual in matrices.items()
+        }
+        window = slice(early, late)
+        jumps = {pair: _jump(both[:, window], first - early) for pair, both in costs.items()}
+        alike = _most_likely(jumps)
+        mine = [pair for pair in matrices if alike[0] in pair]
+        mean = np.mean([costs[pair] for pair in mine], 0)
         near = slice(max(first - 2 * width, 0), first + 2 * width)
-        first = near.start + _best_split(costs[:, near])[1]
+        first = near.start + _best_split(mean[:, near])[0]
+    if len(alike) > 1 and len(_paired(matrices)) > 2:
+        return None
     early, late = max(first - width, 0), first + width
-    ratios = DEPENDENCE * (costs[0] - costs[1])
+    ratios = DEPENDENCE * (mean[0] - mean[1])
     before, after = ratios[early:first], ratios[first:late]
     jump = float(after.mean() - before.mean())
     error = max(float(np.hypot(_error(before), _error(after))), TINY)
-    usual = float(np.median(costs[0, early:first]))
-    excess, left = (float(np.median(side[first:late])) - usual for side in costs)
+    unmoved = float(np.median(mean[0, early:first]))
+    excess, left = (float(np.median(side[first:late])) - unmoved for side in mean)
     abrupt = jump > max(LEAST_JUMP, SURE * error) and before.mean() < 0 < after.mean()
     if not abrupt or left > LEFT * excess:
         return None
@@ -134,8 +140,38 @@ def _judge(
     if not all(at_rest(part, fit_pairs(part, tuple(mine))) for part in parts):
         return None
     plain = sum(float(frame_costs(seen, matrices[pair], *pair).sum()) for pair in mine)
-    gain = plain - len(mine) * float(costs[0, :first].sum() + costs[1, first:].sum())
-    return MovedCamera((view,), first, jump, jump / error, gain)
+    gain = plain - len(mine) * float(mean[0, :first].sum() + mean[1, first:].sum())
+    views = (alike[0],) if len(alike) == 1 else _who_jumped(seen, alike, first)
+    return MovedCamera(views, first, jump, jump / error, gain)
+
+
+def _jump(costs: Float64, at: int) -> float:
+    ratios = DEPENDENCE * (costs[0] - costs[1])
+    return float(ratios[at:].mean() - ratios[:at].mean())
+
+
+def _most_likely(jumps: dict[tuple[int, int], float]) -> list[int]:
+    """Return the view whose pairs jump most, and those that may as well have been moved.
+
+    What a pair shows may come from either of its views, so views are compared by their others.
+    """
+
+    def mean_jump(view: int, but: int | None = None) -> float:
+        own = [jump for pair, jump in jumps.items() if view in pair and but not in pair]
+        return float(np.mean(own)) if own else 0.0
+
+    views = _paired(jumps)
+    best = max(views, key=mean_jump)
+    rivals = [
+        view
+        for view in views
+        if view != best and mean_jump(view, best) >= AS_SURE * mean_jump(best, view)
+    ]
+    return [best, *rivals]
+
+
+def _paired(pairs: Iterable[tuple[int, int]]) -> list[int]:
+    return sorted({view for pair in pairs for view in pair})
 
 
 def _error(values: Float64) -> float:

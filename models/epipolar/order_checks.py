@@ -20,6 +20,8 @@ from models.findings.finding import Finding
 LEAST_FRAMES = 20
 MOST_HARMS = 3  # that one capture may have
 
+Harm = Reordered | LeftRightSwapped | MovedCamera
+
 
 def order_findings(
     keypoints: NDArray[np.floating],
@@ -37,22 +39,55 @@ def order_findings(
     late
         Views that are known to be out of step: whether they were moved is not asked.
     """
+    harms = _harms(seen_keypoints(keypoints, weights), late)
+    return tuple(finding for harm in harms for finding in _said(harm, len(keypoints)))
+
+
+def put_in_order(
+    keypoints: NDArray[np.floating], weights: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Put back what changed places, and leave out the lesser part of a camera that was moved.
+
+    Parameters
+    ----------
+    keypoints, weights
+        As for `order_findings`.
+
+    Returns
+    -------
+    tuple or None
+        (N, K, P', 2) and (N, K, P'), 0 and 1, of the keypoints that are seen most; None if there
+        is nothing to put right.
+    """
     seen = seen_keypoints(keypoints, weights)
+    harms = _harms(seen, ())
+    for harm in harms:
+        seen = _without(harm, seen) if isinstance(harm, MovedCamera) else harm.seen
+    return (seen.pixels, seen.there.astype(np.float64)) if harms else None
+
+
+def _without(moved: MovedCamera, seen: Seen) -> Seen:
+    there = seen.there.copy()
+    before = np.arange(len(there)) < moved.first
+    lesser = before if before.mean() < 0.5 else ~before
+    there[np.ix_(lesser, np.array(moved.views))] = False
+    return seen._replace(there=there)
+
+
+def _harms(seen: Seen, late: Sequence[int]) -> list[Harm]:
+    """Find one harm after the other, the one that explains most first."""
+    harms: list[Harm] = []
     if len(seen.there) < LEAST_FRAMES or seen.there.shape[1] < 2:
-        return ()
-    findings: list[Finding] = []
-    for _ in range(MOST_HARMS):
-        harm = _worst(seen, late)
-        if harm is None:
-            break
-        findings += _said(harm, len(seen.there))
+        return harms
+    while len(harms) < MOST_HARMS and (harm := _worst(seen, late)) is not None:
+        harms.append(harm)
         if isinstance(harm, MovedCamera):
             break  # what lies before and after has no geometry in common to try the others with
         seen = harm.seen
-    return tuple(findings)
+    return harms
 
 
-def _worst(seen: Seen, late: Sequence[int]) -> Reordered | LeftRightSwapped | MovedCamera | None:
+def _worst(seen: Seen, late: Sequence[int]) -> Harm | None:
     """Return the harm that explains the frames best, if any does."""
     pairs = chosen_pairs(seen)
     plain = fit_pairs(seen, pairs)
@@ -67,7 +102,7 @@ def _worst(seen: Seen, late: Sequence[int]) -> Reordered | LeftRightSwapped | Mo
     return max(harms, key=lambda harm: harm.gain, default=None)
 
 
-def _said(harm: Reordered | LeftRightSwapped | MovedCamera, frames: int) -> list[Finding]:
+def _said(harm: Harm, frames: int) -> list[Finding]:
     if isinstance(harm, Reordered):
         return [
             Finding.of(

@@ -67,10 +67,11 @@ def observe(read: InStep, image_sizes: ImageSizes | None, known: Bool | None) ->
         if not finding.evidence["applied"]
         for view in finding.views
     ]
-    capture = capture._replace(
-        known=shown if known is None else _suited(known, shown),
-        findings=(*capture.findings, *order_findings(detected, observations.weights, late=late)),
-    )
+    still = any(finding.code == "no_motion" and not finding.views for finding in findings)
+    if not still:  # one pose, however often it is shown, suits many geometries
+        order = order_findings(detected, observations.weights, late=late)
+        capture = capture._replace(findings=(*capture.findings, *order))
+    capture = capture._replace(known=shown if known is None else _suited(known, shown))
     return Observed(_among(observations, capture.known), capture)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.capture.clocks import Clocks, in_step
+from models.epipolar.order_checks import put_in_order
 from models.epipolar.synchronisation import Timing, find_timing, is_film, reach_at
 from models.findings.catalogue import Severity
 from models.findings.finding import Finding
@@ -47,9 +48,7 @@ def put_in_step(
     step = None if first is None or len(first) < 2 else float(np.median(np.diff(first)))
     reach = reach_at(None if step is None else 1 / step)
     slots = np.arange(len(read)) if first is None or step is None else _slots(first, step)
-    timing = find_timing(
-        *_spread(read.astype(np.float64), _weights(read, trust), slots), reach=reach
-    )
+    timing = _timing(read.astype(np.float64), _weights(read, trust), slots, reach)
     if timing is None:
         return nothing
     frames = np.arange(len(slots), dtype=np.float64)
@@ -62,6 +61,24 @@ def put_in_step(
     knots = np.interp(timing.frames, frames, first)
     clocks = Clocks(knots, np.where(timing.late, timing.offsets, 0.0) * step)
     return InStep(*in_step(keypoints, confidence, times, clocks), clocks, findings)
+
+
+def _timing(pixels: Float64, weights: Float64, slots: Int, reach: int) -> Timing | None:
+    """Find by how many frames views are late.
+
+    Views or keypoints that changed places look late as well, and so does a camera that was moved.
+    If fewer views do once these are put right, then that was all.
+    """
+    timing = find_timing(*_spread(pixels, weights, slots), reach=reach)
+    if timing is None or not _out_of_step(timing):
+        return timing
+    ordered = put_in_order(pixels, weights)
+    again = ordered and find_timing(*_spread(*ordered, slots), reach=reach)
+    return again if again and _out_of_step(again) < _out_of_step(timing) else timing
+
+
+def _out_of_step(timing: Timing) -> int:
+    return int((timing.late | timing.doubtful).sum())
 
 
 def _slots(times: Float64, step: float) -> Int:

@@ -137,6 +137,11 @@ def test_a_subject_that_stands_still(unharmed: Float32) -> None:
     noise = 4 * np.random.default_rng(0).standard_normal(unharmed.shape)
     still = np.repeat(unharmed[3:4], FRAMES, axis=0) + noise
     assert only(capture_findings(still), "no_motion").evidence["change"] < 0.05
+    rng = np.random.default_rng(2)
+    astray = rng.random(still.shape[:3]) < 0.1
+    still[astray] = rng.uniform(0, 1000, (int(astray.sum()), 2))
+    still[rng.random(still.shape[:3]) < 0.3] = np.nan
+    assert only(capture_findings(still), "no_motion").evidence["change"] < 0.05
 
 
 def test_nothing_depends_on_the_order_of_frames(unharmed: Float32) -> None:

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from models.epipolar.synchronisation import find_timing
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import FitConfig
 from models.training.synchronising import put_in_step
 from models.training.trainer import Trainer, fit
+from tests.models.epipolar.test_order_checks import partners
 from tests.models.walk import film
 
 Float32 = NDArray[np.float32]
@@ -70,6 +72,18 @@ def test_nothing_is_found_or_changed_without_reason() -> None:
         np.testing.assert_array_equal(read.keypoints, keypoints)
         assert read.findings == ()
         assert read.clocks is None
+
+
+def test_what_only_looks_late_is_not_called_so() -> None:
+    moved = filmed(0, 0, 0)
+    moved[80:, 1] += 60
+    other_side = filmed(0, 0, 0, noise=10)
+    other_side[:, 1] = other_side[:, 1][:, partners()]
+    for keypoints in (moved, other_side):
+        timing = find_timing(keypoints.astype(np.float64), np.ones(keypoints.shape[:3]))
+        assert timing is not None
+        assert (timing.late | timing.doubtful)[1]  # at first sight
+        assert not put_in_step(keypoints, None, None, "auto").findings
 
 
 def test_times_of_the_views_are_honoured_even_where_nothing_is_looked_for() -> None:
