@@ -6,12 +6,13 @@ RUN python -m venv /opt/fewview
 ENV PATH=/opt/fewview/bin:$PATH PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 WORKDIR /src
 COPY pyproject.toml README.md LICENSE ./
+COPY client client
 COPY models models
 COPY store store
 COPY worker worker
 COPY service service
 RUN if [ -n "$TORCH_INDEX_URL" ]; then pip install --index-url "$TORCH_INDEX_URL" torch==2.13.0; fi \
-    && pip install .
+    && pip install ./client .
 
 FROM python:3.12-slim
 RUN useradd --create-home --uid 1000 fewview && install -d -o fewview -g fewview /data

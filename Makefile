@@ -62,11 +62,11 @@ openapi: .venv/ready
 	$(BIN)/python -P -m service.openapi > docs/openapi.json
 
 # Finished only once everything is installed: an interrupted set-up starts over.
-.venv/ready: pyproject.toml
+.venv/ready: pyproject.toml client/pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Fewview needs Python 3.11 or newer")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --editable ./client --editable '.[dev]'
 	touch $@
 
 # The inner loops as machine code, before several processes want it at a time.

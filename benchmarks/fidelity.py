@@ -115,7 +115,7 @@ def prepare(arguments: argparse.Namespace) -> Bench:
 
 def about(arguments: argparse.Namespace, bench: Bench) -> dict[str, Any]:
     """Return what was measured, and with what."""
-    packages = ("fewview", "numpy", "torch")
+    packages = ("fewview-server", "numpy", "torch")
     frames, views, points, _ = bench.keypoints.shape
     return {
         "capture": arguments.capture.stem,

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-PACKAGES = ("fewview", "numpy", "torch")
+PACKAGES = ("fewview-server", "numpy", "torch")
 DPI = 150
 FEWEST_TURNS = 4
 

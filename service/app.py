@@ -65,7 +65,7 @@ def create_app(settings: Settings) -> FastAPI:
 
     app = FastAPI(
         title="Fewview",
-        version=version("fewview"),
+        version=version("fewview-server"),
         description=DESCRIPTION,
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
         lifespan=lifespan,

@@ -1,9 +1,8 @@
-"""The ``fewview`` command."""
+"""``fewview serve`` and ``fewview worker``; the other commands are the client's."""
 
 import logging
 import os
 import sys
-from importlib.metadata import version
 
 from pydantic import ValidationError
 from pydantic_settings import CliApp, SettingsConfigDict
@@ -14,15 +13,6 @@ from worker.settings import WorkerSettings
 ENVIRONMENT_HELP = """
 Every option can also be set by an environment variable, FEWVIEW_ and its name: --redis-url is
 FEWVIEW_REDIS_URL. Options win over variables."""
-
-USAGE = """usage: fewview [--version] COMMAND [OPTION ...]
-
-commands:
-  serve    run the API; with no settings at all also a queue and a worker
-  worker   run a worker that fits what is on the queue
-
-`fewview COMMAND --help` lists a command's options.
-"""
 
 
 class Serve(Settings):  # noqa: D101
@@ -47,21 +37,11 @@ objects as the API.
     model_config = SettingsConfigDict(cli_prog_name="fewview worker", cli_kebab_case=True)
 
 
-def main() -> None:
-    """Run the command line and exit with its status: 0, or 2 with the reason on stderr."""
-    command, arguments = (sys.argv[1] if len(sys.argv) > 1 else "--help"), sys.argv[2:]
+def run(command: str, arguments: list[str]) -> None:
+    """Run a command of the server; exit with status 2 and the reason on stderr if it cannot."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
     try:
-        if command == "serve":
-            serve(arguments)
-        elif command == "worker":
-            work(arguments)
-        elif command == "--version":
-            print(f"fewview {version('fewview')}")
-        elif command in ("--help", "-h"):
-            print(USAGE, end="")
-        else:
-            sys.exit(f"fewview: there is no command {command!r}\n{USAGE}")
+        COMMANDS[command](arguments)
     except ValidationError as error:
         for item in error.errors():
             option = "--" + "-".join(str(part) for part in item["loc"]).replace("_", "-")
@@ -95,5 +75,7 @@ def work(arguments: list[str]) -> None:
         sys.exit(2)
 
 
-if __name__ == "__main__":
-    main()
+COMMANDS = {"serve": serve, "worker": work}
+
+if __name__ == "__main__":  # as the parts of a service are started
+    run(sys.argv[1], sys.argv[2:])

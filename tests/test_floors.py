@@ -136,6 +136,17 @@ def test_what_forks_and_what_is_told_to_a_fit_load_neither_torch_nor_numba(part:
     assert ran.stdout == "set()\n"
 
 
+def test_the_client_and_the_floors_know_nothing_of_each_other() -> None:
+    """They are two distributions: the client talks HTTP, and needs none of what a floor needs."""
+    for file in python_files("client/fewview"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            named = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            named += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not {parts(name)[0] for name in named} & {*FLOORS, "torch", "numba"}, file
+    for module in modules():
+        assert "fewview" not in {parts(name)[0] for name in imports(module)}, module
+
+
 @pytest.mark.parametrize("floor", FLOORS)
 def test_every_folder_says_what_lives_there(floor: str) -> None:
     for folder in {file.parent for file in (ROOT / floor).rglob("*.py")}:
@@ -153,14 +164,14 @@ def length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return (function.end_lineno or 0) - first[0].lineno + 1
 
 
-@pytest.mark.parametrize("folder", [*FLOORS, "examples", "benchmarks", "tests"])
+@pytest.mark.parametrize("folder", [*FLOORS, "client", "examples", "benchmarks", "tests"])
 def test_no_file_is_too_long(folder: str) -> None:
     lengths = {file: len(file.read_text().splitlines()) for file in python_files(folder)}
     assert lengths
     assert not {str(file): n for file, n in lengths.items() if n > FILE_LINES}
 
 
-@pytest.mark.parametrize("folder", [*FLOORS, "examples", "benchmarks"])
+@pytest.mark.parametrize("folder", [*FLOORS, "client", "examples", "benchmarks"])
 def test_no_function_is_too_long(folder: str) -> None:
     long = []
     for file in python_files(folder):

@@ -254,7 +254,7 @@ def _check_starting(child: Child, deadline: float, signals: _Signals) -> None:
 def _announce(settings: Settings, address: str, workers: int, *, embedded: bool) -> None:
     kind = "embedded Valkey" if embedded else "yours"
     print(
-        f"Fewview {version('fewview')}\n"
+        f"Fewview {version('fewview-server')}\n"
         f"  API      {address}  (documentation: {address}/docs)\n"
         f"  queue    {settings.redis_url}  ({kind})\n"
         f"  records  {settings.resolved_database_url}\n"

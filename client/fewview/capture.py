@@ -1,0 +1,74 @@
+"""What the cameras saw: 2D keypoints of a few views, and what is known of them."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Capture:
+    """N frames of K views of P keypoints, as `POST /datasets` takes them.
+
+    Attributes
+    ----------
+    keypoints
+        (N, K, P, 2) pixels, x right, y down; NaN where not observed.
+    confidence
+        (N, K, P) in [0, 1]; 0 is not observed.
+    points3d
+        (N, P, 3): the truth, where there is one; it serves evaluation only.
+    times
+        (N,) or (N, K) seconds, rising.
+    keypoint_names, edges
+        The skeleton: P names, and (first, second) keypoints that are joined.
+    view_names
+        K names, such as those of files; they stay with the client.
+    image_sizes
+        (width, height) in pixels of each view, None where unknown.
+    notes
+        What a reader understood and changed, in sentences for people.
+    """
+
+    keypoints: Float32
+    confidence: Float32 | None = None
+    points3d: Float32 | None = None
+    times: Float64 | None = None
+    keypoint_names: tuple[str, ...] | None = None
+    edges: tuple[tuple[int, int], ...] | None = None
+    view_names: tuple[str, ...] | None = None
+    image_sizes: tuple[tuple[int, int] | None, ...] | None = None
+    notes: tuple[str, ...] = field(default=(), compare=False)
+
+    @property
+    def frames(self) -> int:
+        """Number of frames N."""
+        return len(self.keypoints)
+
+    @property
+    def views(self) -> int:
+        """Number of views K."""
+        return int(self.keypoints.shape[1])
+
+    def observed(self) -> NDArray[np.bool_]:
+        """Return which keypoints (N, K, P) were observed."""
+        seen: NDArray[np.bool_] = np.all(np.isfinite(self.keypoints), axis=-1)
+        return seen if self.confidence is None else seen & (self.confidence > 0)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return what `POST /datasets` takes as npz: arrays without pickled objects."""
+        known: dict[str, Any] = {
+            "keypoints": self.keypoints,
+            "confidence": self.confidence,
+            "points3d": self.points3d,
+            "times": self.times,
+            "keypoint_names": self.keypoint_names,
+            "edges": self.edges,
+        }
+        if self.image_sizes is not None and None not in self.image_sizes:
+            known["image_sizes"] = self.image_sizes
+        return {name: np.asarray(value) for name, value in known.items() if value is not None}

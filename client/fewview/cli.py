@@ -1,0 +1,54 @@
+"""The ``fewview`` command."""
+
+import sys
+from importlib.metadata import entry_points, version
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    help="3D from the 2D keypoints of a few cameras that nobody calibrated.",
+)
+# Commands of the server, which has its own distribution: they read their options themselves.
+ELSEWHERE = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
+
+
+def main() -> None:
+    """Run the command line: exit status 0, 1 for what failed, 2 for what was asked wrongly."""
+    app()
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    *, show_version: Annotated[bool, typer.Option("--version", help="Show the version.")] = False
+) -> None:
+    if show_version:
+        typer.echo(f"fewview {version('fewview')}")
+        raise typer.Exit
+
+
+@app.command(context_settings=ELSEWHERE)
+def serve(context: typer.Context) -> None:
+    """Run the API; with no settings at all also a queue and a worker."""
+    _run_of_server("serve", context.args)
+
+
+@app.command(context_settings=ELSEWHERE)
+def worker(context: typer.Context) -> None:
+    """Run a worker that fits what is on the queue."""
+    _run_of_server("worker", context.args)
+
+
+def _run_of_server(command: str, arguments: list[str]) -> None:
+    found = entry_points(group="fewview.commands", name=command)
+    if not found:
+        sys.exit(f"fewview {command}: the server is not installed: pip install fewview-server")
+    (entry,) = found
+    entry.load()(command, arguments)
+
+
+if __name__ == "__main__":
+    main()
