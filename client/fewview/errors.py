@@ -1,0 +1,149 @@
+"""Everything that the client raises.
+
+::
+
+    FewviewError
+    ├── ApiError             the service answered that it would not: status, code, detail, errors
+    │   ├── InvalidRequest   400, 406, 413, 415, 416, 422: what was sent is wrong, and where
+    │   ├── NotFound         404: there is no such dataset, fit, model or lift
+    │   ├── Conflict         409: not in the state that it is in
+    │   ├── TooManyRequests  429: too many jobs wait
+    │   └── Unavailable      503: the service or a part of it is away for the moment
+    ├── ConnectionFailed     the service cannot be reached, or does not answer as one
+    ├── JobFailed            a fit or a lift failed or was cancelled: code, message
+    └── FormatError          a file cannot be read or written (a ValueError, too)
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+
+class FewviewError(Exception):
+    """Any error of the client; its message says what to do."""
+
+
+@dataclass(frozen=True)
+class FieldError:
+    """What is wrong with one field.
+
+    Attributes
+    ----------
+    pointer
+        JSON pointer (RFC 6901) to the field, such as ``/config/steps``.
+    detail
+        What was expected, what came, and how to mend it.
+    """
+
+    pointer: str
+    detail: str
+
+
+class ApiError(FewviewError):
+    """The service refused a request, and said why (RFC 9457).
+
+    Attributes
+    ----------
+    status
+        Of HTTP.
+    code
+        Stable name of the problem, such as ``invalid_input``.
+    title, detail
+        The problem, and what is wrong this time.
+    errors
+        Each field at fault.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        *,
+        code: str,
+        title: str,
+        detail: str,
+        errors: tuple[FieldError, ...] = (),
+    ) -> None:
+        super().__init__(detail or title)
+        self.status, self.code, self.title, self.detail = status, code, title, detail
+        self.errors = errors
+
+
+class InvalidRequest(ApiError):  # noqa: N818
+    """What was sent is wrong; ``errors`` say where."""
+
+
+class NotFound(ApiError):  # noqa: N818
+    """There is no such resource; it may have been deleted."""
+
+
+class Conflict(ApiError):  # noqa: N818
+    """The resource's state does not allow this."""
+
+
+class TooManyRequests(ApiError):  # noqa: N818
+    """Too many jobs wait; try again later."""
+
+
+class Unavailable(ApiError):  # noqa: N818
+    """The service is overloaded, or a part of it cannot be reached; try again later."""
+
+
+class ConnectionFailed(FewviewError):  # noqa: N818
+    """The service cannot be reached at the client's URL, or did not answer in time."""
+
+
+class JobFailed(FewviewError):  # noqa: N818
+    """A fit or a lift ended without a result.
+
+    Attributes
+    ----------
+    job
+        The fit or lift as the service last told it.
+    code
+        Why, such as ``unusable_capture``; ``cancelled`` if somebody cancelled it.
+    message
+        The same in words.
+    """
+
+    def __init__(self, job: dict[str, Any], code: str, message: str) -> None:
+        super().__init__(f"{job['id']} {job['status']} ({code}): {message}")
+        self.job, self.code, self.message = job, code, message
+
+
+class FormatError(FewviewError, ValueError):
+    """A file is not what its reader expects, or cannot be written; the message says what to do."""
+
+
+_BY_STATUS: dict[int, type[ApiError]] = {
+    400: InvalidRequest,
+    404: NotFound,
+    406: InvalidRequest,
+    409: Conflict,
+    413: InvalidRequest,
+    415: InvalidRequest,
+    416: InvalidRequest,
+    422: InvalidRequest,
+    429: TooManyRequests,
+    503: Unavailable,
+}
+
+
+def api_error(status: int, problem: dict[str, Any]) -> ApiError:
+    """Return the error of a response that is not a success.
+
+    Parameters
+    ----------
+    problem
+        The problem details; what is missing of them is made up from the status.
+    """
+    kind = _BY_STATUS.get(status, ApiError)
+    title = str(problem.get("title") or f"HTTP status {status}")
+    return kind(
+        status,
+        code=str(problem.get("code") or "unknown"),
+        title=title,
+        detail=str(problem.get("detail") or title),
+        errors=tuple(
+            FieldError(str(item.get("pointer", "")), str(item.get("detail", "")))
+            for item in problem.get("errors") or ()
+        ),
+    )
