@@ -11,11 +11,12 @@ from importlib.metadata import version
 from typing import Any
 
 import uvicorn
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
 from service.http import errors
+from service.http.dependencies import refuse_unknown_query
 from service.http.limits import BodyLimit
 from service.http.operations import registered_schemas
 from service.http.uploads import LARGE_AT_A_TIME
@@ -71,6 +72,7 @@ def create_app(settings: Settings) -> FastAPI:
         lifespan=lifespan,
         generate_unique_id_function=_operation_id,
         redoc_url=None,
+        dependencies=[Depends(refuse_unknown_query)],
     )
     app.state.settings = settings
     for module in RESOURCES:

@@ -17,6 +17,7 @@ from rq.job import Job
 from models.settings.config import FitConfig, Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from store.lifts import waiting_job
+from store.mistakes import unknown
 from store.records import FitJob, LiftJob
 
 logger = logging.getLogger(__name__)
@@ -166,6 +167,6 @@ def arguments_of(job: KnownJob) -> dict[str, Any]:
     if len(job.args) > len(known):
         raise ValueError(f"expected {', '.join(known)}, got {len(job.args)} arguments")
     arguments = dict(zip(known, job.args, strict=False)) | job.kwargs
-    if unknown := sorted(set(arguments) - set(known)):
-        raise ValueError(f"{unknown[0]}: expected some of {', '.join(known)}")
+    if extra := sorted(set(arguments) - set(known)):
+        raise ValueError(f"{extra[0]}: {unknown('field', extra[0], known)}")
     return arguments

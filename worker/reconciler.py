@@ -4,6 +4,7 @@ import logging
 import time
 from functools import partial
 
+from pydantic import ValidationError
 from redis import Redis
 from rq import Queue
 from rq.exceptions import DeserializationError
@@ -12,6 +13,7 @@ from models.settings.config import FitConfig
 from store import fits, jobs, lifts
 from store.database import Store
 from store.errors import InputError, NotFoundError
+from store.mistakes import mistakes, summary
 from store.records import FitJob, LiftJob
 from worker.queue import (
     HELP_JOB,
@@ -120,7 +122,7 @@ def _refuse(store: Store, job: KnownJob, arguments: dict[str, object], error: Ex
         jobs.refuse,
         store,
         job_id=job.id,
-        error={"code": code, "message": str(error.__cause__ or error)},
+        error={"code": code, "message": _in_words(error)},
         dataset_id=said("dataset_id"),
     )
     if calls(job, LIFT_JOB):
@@ -128,6 +130,13 @@ def _refuse(store: Store, job: KnownJob, arguments: dict[str, object], error: Ex
     return refusal(
         FitJob, name=said("name", "fit"), config={}, from_model=said("from_model") or None
     )
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        kinds = {kind.__name__: kind for kind in (FitArguments, LiftArguments)}
+        return summary(mistakes(error.errors(), kinds.get(error.title)))
+    return str(error.__cause__ or error)
 
 
 def _create_fit(store: Store, job: KnownJob, arguments: dict[str, object]) -> str:

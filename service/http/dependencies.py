@@ -6,10 +6,15 @@ They are asynchronous because FastAPI runs all others in threads, which takes lo
 from typing import Annotated
 
 from fastapi import Depends, Header, Path, Request
+from fastapi.dependencies.utils import get_flat_params
+from fastapi.params import Query
 from rq import Queue
+from starlette.requests import HTTPConnection
 
+from service.http.errors import of_mistakes
 from service.settings import Settings
 from store.database import Store
+from store.mistakes import MOST, Mistake, pointer, unknown
 
 
 async def get_settings(request: Request) -> Settings:
@@ -28,6 +33,31 @@ async def get_queue(request: Request) -> Queue:
     """Return the queue that carries fits."""
     queue: Queue = request.app.state.queue
     return queue
+
+
+async def refuse_unknown_query(connection: HTTPConnection) -> None:
+    """Refuse query parameters that the route does not know, before anything else is done.
+
+    Raises
+    ------
+    ApiError
+        422 that names them.
+    """
+    if not connection.scope["query_string"]:
+        return
+    known = [
+        field.alias
+        for field in get_flat_params(connection.scope["route"].dependant)
+        if isinstance(field.field_info, Query)
+    ]
+    others = [name for name in connection.query_params if name not in known]
+    if others:
+        raise of_mistakes(
+            [
+                Mistake(pointer(name), unknown("query parameter", name, known))
+                for name in others[:MOST]
+            ]
+        )
 
 
 SettingsDep = Annotated[Settings, Depends(get_settings)]

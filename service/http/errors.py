@@ -25,6 +25,7 @@ from store.errors import (
     QueueFullError,
     SourceError,
 )
+from store.mistakes import Mistake, mistakes, summary
 
 logger = logging.getLogger(__name__)
 
@@ -141,17 +142,19 @@ def invalid(pointer: str, detail: str) -> ApiError:
     )
 
 
-def from_validation(error: ValidationError | RequestValidationError) -> ApiError:
-    """Return the errors that pydantic found, each with a pointer to its field."""
-    found = []
-    for item in error.errors():
-        place = [str(part).replace("~", "~0").replace("/", "~1") for part in item["loc"]]
-        if isinstance(error, RequestValidationError):  # query, path or header comes first
-            place = place[1:]
-        message = item["msg"].removeprefix("Value error, ")
-        found.append(("/" + "/".join(place) if place else "", message))
-    summary = "; ".join(f"{pointer.lstrip('/') or 'body'}: {text}" for pointer, text in found[:5])
-    return ApiError("invalid_input", summary, errors=found[:50])
+def from_validation(error: ValidationError, kind: type[BaseModel]) -> ApiError:
+    """Return the errors that pydantic found as it was to make a ``kind`` of what came."""
+    return of_mistakes(mistakes(error.errors(), kind))
+
+
+def _of_parameters(error: RequestValidationError) -> ApiError:
+    # Where a parameter was, in the query, the path or a header, comes first in its place.
+    return of_mistakes(mistakes([{**item, "loc": item["loc"][1:]} for item in error.errors()]))
+
+
+def of_mistakes(found: list[Mistake]) -> ApiError:
+    """Return the error of what is wrong with a request, field by field."""
+    return ApiError("invalid_input", summary(found), errors=found)
 
 
 def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
@@ -240,7 +243,7 @@ def _of_input(error: InputError) -> ApiError:
 # What leaves the endpoints, and the problem that it becomes.
 TRANSLATIONS: dict[type[Exception], Callable[[Any], ApiError]] = {
     ApiError: lambda error: error,
-    RequestValidationError: from_validation,
+    RequestValidationError: _of_parameters,
     NotFoundError: lambda error: ApiError("not_found", str(error)),
     ConflictError: lambda error: ApiError("conflict", str(error)),
     CaptureError: _of_input,

@@ -66,7 +66,7 @@ class Upload:
                 "for what was not observed.",
             ) from error
         except ValidationError as error:
-            raise from_validation(error) from error
+            raise from_validation(error, model) from error
 
     def form(self, model: type[Body], extra: dict[str, Any]) -> Body:
         """Return the form's text fields as ``model``, with ``extra`` where they are silent.
@@ -83,7 +83,7 @@ class Upload:
         try:
             return model.model_validate(values)
         except ValidationError as error:
-            raise from_validation(error) from error
+            raise from_validation(error, model) from error
 
 
 async def read_upload(request: Request) -> AsyncIterator[Upload]:

@@ -269,7 +269,7 @@ def _read_start(message: str | bytes) -> StreamStart:
     try:
         return StreamStart.model_validate(json_object(message))
     except ValidationError as error:
-        raise from_validation(error) from error
+        raise from_validation(error, StreamStart) from error
 
 
 def _error_text(error: ApiError, sequence: int | None) -> str:

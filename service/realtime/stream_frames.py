@@ -106,7 +106,7 @@ def _from_json(
     try:
         sent = StreamFrame.model_validate(found)
     except ValidationError as error:
-        raise from_validation(error) from error
+        raise from_validation(error, StreamFrame) from error
     keypoints = from_nested(
         sent.keypoints,
         "/keypoints",

@@ -54,7 +54,7 @@ class Readiness(BaseModel):
     workers: int = Field(description="Workers on the queue, here or elsewhere.")
 
 
-@router.get("/live")
+@router.get("/live", responses=problems())
 def check_live() -> Liveness:
     """Tell that the process is up."""
     return Liveness()

@@ -342,7 +342,7 @@ def test_a_plain_producer_gets_a_lift(
         ({"refine": "some"}, "invalid_arguments", "refine"),
         ({"views": [0, 1]}, "invalid_arguments", "one index per view of the dataset"),
         ({"views": [0, 1, 7]}, "invalid_arguments", "views must name 3 different views"),
-        ({"config": {}}, "invalid_arguments", "config: expected some of model_id, dataset_id"),
+        ({"config": {}}, "invalid_arguments", "config: unknown field: expected some of model_id"),
     ],
 )
 def test_a_job_that_can_never_run_says_why(
