@@ -9,6 +9,8 @@ from store.database import Store
 from store.errors import NotFoundError
 from store.records import Dataset, FitJob, LiftJob, Model
 
+HALF_A_MICROSECOND = 0.5e-6
+
 Resource = TypeVar("Resource", Dataset, Model, FitJob, LiftJob)
 
 
@@ -24,18 +26,31 @@ def lock(session: Session, kind: type[Resource], identifier: str) -> Resource:
 
 
 def page(
-    store: Store, kind: type[Resource], *, limit: int, after: str | None, **equal: str | None
+    store: Store,
+    kind: type[Resource],
+    *,
+    limit: int,
+    after: str | None,
+    created_before: float | None = None,
+    created_after: float | None = None,
+    **equal: str | None,
 ) -> list[Resource]:
     """Return up to ``limit`` records, newest first, older than ``after`` if it is given.
 
     Parameters
     ----------
+    created_before, created_after
+        Seconds since the epoch, compared as they travel, in microseconds.
     equal
         What columns must hold; None allows anything.
     """
     query = select(kind).order_by(kind.id.desc()).limit(limit)
     if after is not None:
         query = query.where(kind.id < after)
+    if created_before is not None:
+        query = query.where(kind.created_at < created_before - HALF_A_MICROSECOND)
+    if created_after is not None:
+        query = query.where(kind.created_at > created_after + HALF_A_MICROSECOND)
     query = query.filter_by(**{name: value for name, value in equal.items() if value is not None})
     with store.reading() as session:
         return list(session.scalars(query))

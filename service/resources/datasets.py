@@ -6,7 +6,7 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 import orjson
-from fastapi import APIRouter, Request, Response, status
+from fastapi import APIRouter, Depends, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from models.findings.finding import Finding, log_findings
@@ -21,7 +21,7 @@ from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
 from service.http.uploads import Upload, UploadBody
-from service.resources.pages import Limit, Page, cursor_of, page_of
+from service.resources.pages import Asked, Page, asked_of, page_of
 from service.settings import Settings
 from service.wire.arrays import Arrays
 from service.wire.captures import read_arrays, to_capture
@@ -345,16 +345,14 @@ def append_frames(
 @router.get("", responses=problems())
 def list_datasets(
     store: StoreDep,
-    limit: Limit = 50,
-    cursor: Annotated[str | None, cursor_of("ds")] = None,
+    asked: Annotated[Asked, Depends(asked_of("ds"))],
 ) -> DatasetPage:
     """List datasets, newest first."""
     return DatasetPage.read(
         store,
         records.Dataset,
         Dataset.of,
-        limit=limit,
-        cursor=cursor,
+        asked,
     )
 
 

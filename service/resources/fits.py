@@ -21,7 +21,7 @@ from service.http.idempotency import idempotency
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
 from service.resources.jobs import JobStatus, Words, add_job_routes, announce, finder
-from service.resources.pages import Limit, Page, cursor_of, page_of
+from service.resources.pages import Asked, Page, asked_of, page_of
 from service.wire.findings import Findings
 from service.wire.schemas import Name
 from store import fits, records
@@ -222,8 +222,7 @@ def create_fit(
 @router.get("", responses=problems())
 def list_fits(
     store: StoreDep,
-    limit: Limit = 50,
-    cursor: Annotated[str | None, cursor_of("fit")] = None,
+    asked: Annotated[Asked, Depends(asked_of("fit"))],
     status: Annotated[JobStatus | None, Query()] = None,
     dataset_id: Annotated[str | None, Query(max_length=200)] = None,
     job_id: Annotated[str | None, Query(max_length=200)] = None,
@@ -233,8 +232,7 @@ def list_fits(
         store,
         records.FitJob,
         Fit.of,
-        limit=limit,
-        cursor=cursor,
+        asked,
         status=status,
         dataset_id=dataset_id,
         job_id=job_id,

@@ -26,7 +26,7 @@ from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
 from service.realtime.frames import check_views
 from service.resources.jobs import JobStatus, Words, add_job_routes, announce, finder
-from service.resources.pages import Limit, Page, cursor_of, page_of
+from service.resources.pages import Asked, Page, asked_of, page_of
 from service.wire.findings import Findings
 from service.wire.schemas import REFINE, VIEWS, Name
 from store import lifts, lookup, records
@@ -192,8 +192,7 @@ def create_lift(
 @router.get("", responses=problems())
 def list_lifts(
     store: StoreDep,
-    limit: Limit = 50,
-    cursor: Annotated[str | None, cursor_of("lift")] = None,
+    asked: Annotated[Asked, Depends(asked_of("lift"))],
     status: Annotated[JobStatus | None, Query()] = None,
     model_id: Annotated[str | None, Query(max_length=200)] = None,
     dataset_id: Annotated[str | None, Query(max_length=200)] = None,
@@ -204,8 +203,7 @@ def list_lifts(
         store,
         records.LiftJob,
         LiftJob.of,
-        limit=limit,
-        cursor=cursor,
+        asked,
         status=status,
         model_id=model_id,
         dataset_id=dataset_id,

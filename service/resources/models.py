@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Annotated, Any, Self
 
-from fastapi import APIRouter, Request, Response, status
+from fastapi import APIRouter, Depends, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import dumped
@@ -21,7 +21,7 @@ from service.http.idempotency import idempotency
 from service.http.operations import binary_responses, request_body
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
-from service.resources.pages import Limit, Page, cursor_of, page_of
+from service.resources.pages import Asked, Page, asked_of, page_of
 from service.wire.cameras import ModelCameras
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import Name
@@ -39,34 +39,32 @@ class CurvePoint(BaseModel):
     reprojection_error: float | None = Field(description="Pixels.")
 
 
-class Model(BaseModel):
-    """A fitted prior."""
+_EXAMPLE: dict[str, Any] = {
+    "id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
+    "name": "macaque",
+    "created_at": "2026-03-01T09:32:00Z",
+    "fit_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
+    "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
+    "frames": 3309,
+    "views": 3,
+    "keypoints": 13,
+    "config": FitConfig().model_dump(mode="json"),
+    "skeleton": None,
+    "reprojection_error": 3.1,
+    "frames_lifted": 3300,
+    "pa_mpjpe": 0.061,
+    "pck": 0.86,
+    "pck_threshold": 0.1,
+    "weights_bytes": 91234,
+    "weights_checksum": f"sha256:{'5e88' * 16}",
+    "findings": EXAMPLE_FINDINGS,
+}
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "example": {
-                "id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
-                "name": "macaque",
-                "created_at": "2026-03-01T09:32:00Z",
-                "fit_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
-                "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
-                "frames": 3309,
-                "views": 3,
-                "keypoints": 13,
-                "config": FitConfig().model_dump(mode="json"),
-                "skeleton": None,
-                "reprojection_error": 3.1,
-                "frames_lifted": 3300,
-                "pa_mpjpe": 0.061,
-                "pck": 0.86,
-                "pck_threshold": 0.1,
-                "weights_bytes": 91234,
-                "weights_checksum": f"sha256:{'5e88' * 16}",
-                "training_curve": [{"step": 20, "loss": 0.4, "reprojection_error": 60.1}],
-                "findings": EXAMPLE_FINDINGS,
-            }
-        }
-    )
+
+class ModelSummary(BaseModel):
+    """A fitted prior, as lists show it."""
+
+    model_config = ConfigDict(json_schema_extra={"example": _EXAMPLE})
 
     id: str
     name: str
@@ -95,7 +93,6 @@ class Model(BaseModel):
     pck_threshold: float | None = None
     weights_bytes: int
     weights_checksum: str
-    training_curve: list[CurvePoint]
     findings: Findings
 
     @classmethod
@@ -122,10 +119,23 @@ class Model(BaseModel):
         )
 
 
-class ModelPage(Page[Model]):
-    """Models, newest first."""
+class Model(ModelSummary):
+    """A fitted prior."""
 
-    model_config = page_of(Model)
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": _EXAMPLE
+            | {"training_curve": [{"step": 20, "loss": 0.4, "reprojection_error": 60.1}]}
+        }
+    )
+
+    training_curve: list[CurvePoint]
+
+
+class ModelPage(Page[ModelSummary]):
+    """Models, newest first, without their training curves."""
+
+    model_config = page_of(ModelSummary)
 
 
 class ModelImport(BaseModel):
@@ -140,16 +150,14 @@ class ModelImport(BaseModel):
 @router.get("", responses=problems())
 def list_models(
     store: StoreDep,
-    limit: Limit = 50,
-    cursor: Annotated[str | None, cursor_of("mdl")] = None,
+    asked: Annotated[Asked, Depends(asked_of("mdl"))],
 ) -> ModelPage:
-    """List models, newest first."""
+    """List models, newest first, without their training curves."""
     return ModelPage.read(
         store,
         records.Model,
-        Model.of,
-        limit=limit,
-        cursor=cursor,
+        ModelSummary.of,
+        asked,
     )
 
 
