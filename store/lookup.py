@@ -1,13 +1,14 @@
-"""Reading what has an identifier: datasets, models, fits and lifts alike."""
+"""What has an identifier, datasets, models, fits and lifts alike: reading and renaming it."""
 
-from typing import TypeVar
+from collections.abc import Mapping
+from typing import Any, TypeVar
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from store.database import Store
 from store.errors import NotFoundError
-from store.records import Dataset, FitJob, LiftJob, Model
+from store.records import Dataset, FitJob, Job, LiftJob, Model
 
 HALF_A_MICROSECOND = 0.5e-6
 
@@ -23,6 +24,19 @@ def get(store: Store, kind: type[Resource], identifier: str) -> Resource:
 def lock(session: Session, kind: type[Resource], identifier: str) -> Resource:
     """Do the same in a transaction that writes; nobody else changes the record until its end."""
     return _found(session.get(kind, identifier, with_for_update=True), kind, identifier)
+
+
+def change(
+    store: Store, kind: type[Resource], identifier: str, columns: Mapping[str, Any]
+) -> Resource:
+    """Have columns of a record hold something else, and return it; ``NotFoundError`` as above."""
+    with store.writing() as session:
+        record = lock(session, kind, identifier)
+        for name, value in columns.items():
+            setattr(record, name, value)
+        if isinstance(record, Job) and columns:
+            record.revision += 1
+    return record
 
 
 def page(

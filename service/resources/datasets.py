@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 import orjson
 from fastapi import APIRouter, Depends, Request, Response, status
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from models.findings.finding import Finding, log_findings
 from models.settings.times import MAX_FPS, check_rate
@@ -21,6 +21,7 @@ from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
 from service.http.uploads import Upload, UploadBody
+from service.resources.changes import NameChange, add_change_route
 from service.resources.pages import Asked, Page, asked_of, page_of
 from service.settings import Settings
 from service.wire.arrays import Arrays
@@ -41,6 +42,19 @@ MAX_LISTED = 10_000  # values of an array that describes
 
 MAX_METADATA = 64 * 1024
 
+
+def _bounded(value: dict[str, Any]) -> dict[str, Any]:
+    try:
+        size = len(orjson.dumps(value))
+    except orjson.JSONEncodeError as error:  # nested too deeply, integers beyond 64 bits
+        raise ValueError(f"expected JSON that can be given back: {error}") from error
+    if size > MAX_METADATA:
+        raise ValueError(f"expected {MAX_METADATA} bytes of JSON at most, got {size}")
+    return value
+
+
+Metadata = Annotated[dict[str, Any], AfterValidator(_bounded)]
+METADATA = "Anything of yours, kept and given back; 64 KiB of JSON at most."
 ImageSize = Annotated[
     list[Annotated[int, Field(ge=1, le=100_000)]], Field(min_length=2, max_length=2)
 ]
@@ -63,20 +77,7 @@ class DatasetDescription(BaseModel):
         description="Frames per second, if the frames follow each other in time: views that are "
         "out of step are then found and shifted (`synchronise` of a fit).",
     )
-    metadata: dict[str, Any] = Field(
-        {}, description="Anything of yours, kept and given back; 64 KiB of JSON at most."
-    )
-
-    @field_validator("metadata")
-    @classmethod
-    def _bounded(cls, value: dict[str, Any]) -> dict[str, Any]:
-        try:
-            size = len(orjson.dumps(value))
-        except orjson.JSONEncodeError as error:  # nested too deeply, integers beyond 64 bits
-            raise ValueError(f"expected JSON that can be given back: {error}") from error
-        if size > MAX_METADATA:
-            raise ValueError(f"expected {MAX_METADATA} bytes of JSON at most, got {size}")
-        return value
+    metadata: Metadata = Field({}, description=METADATA)
 
     def describe(self, capture: Capture) -> Description:
         """Return the description, checked against the capture it describes."""
@@ -214,6 +215,22 @@ class Dataset(BaseModel):
             has_times=record.last_times is not None,
             metadata=record.user_metadata,
             findings=[Finding.model_validate(finding) for finding in record.findings or []],
+        )
+
+
+class DatasetChange(NameChange):
+    """What to change of a dataset; what is left out, or null, stays as it is."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"example": {"name": "macaque, evening", "metadata": {"subject": "M8"}}}
+    )
+
+    metadata: Metadata | None = Field(None, description=f"In place of what it was. {METADATA}")
+
+    def columns(self) -> dict[str, Any]:
+        """Return the record's columns that change, with what they are to hold."""
+        return super().columns() | (
+            {} if self.metadata is None else {"user_metadata": self.metadata}
         )
 
 
@@ -360,6 +377,9 @@ def list_datasets(
 def get_dataset(dataset_id: Identifier, store: StoreDep) -> Dataset:
     """Describe a dataset."""
     return Dataset.of(lookup.get(store, records.Dataset, dataset_id))
+
+
+add_change_route(router, records.Dataset, Dataset, Dataset.of, DatasetChange)
 
 
 @router.delete(

@@ -13,6 +13,7 @@ from rq import Queue
 
 from service.http.dependencies import QueueDep, StoreDep
 from service.http.errors import problems
+from service.resources.changes import add_change_route
 from store import jobs, lookup
 from store.database import Store
 from store.errors import NotFoundError
@@ -63,7 +64,7 @@ def add_job_routes(
     delete: Callable[[Store, str], None],
     words: Words,
 ) -> None:
-    """Add the operations on one job: describe, delete, cancel, follow.
+    """Add the operations on one job: describe, change, delete, cancel, follow.
 
     Parameters
     ----------
@@ -85,6 +86,8 @@ def add_job_routes(
     )
     def get_job(job: Annotated[Job, found]) -> Any:
         return to_wire(job)
+
+    add_change_route(router, kind, form, to_wire)
 
     @router.delete(
         path,

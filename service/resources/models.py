@@ -21,6 +21,7 @@ from service.http.idempotency import idempotency
 from service.http.operations import binary_responses, request_body
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
+from service.resources.changes import add_change_route
 from service.resources.pages import Asked, Page, asked_of, page_of
 from service.wire.cameras import ModelCameras
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
@@ -243,6 +244,9 @@ def import_model(
     )
     response.headers["Location"] = f"/models/{record.id}"
     return Model.of(record)
+
+
+add_change_route(router, records.Model, Model, Model.of)
 
 
 @router.delete(
