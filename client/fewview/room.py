@@ -1,0 +1,270 @@
+"""All frames of a lift in one room: that of cameras at rest, in which a walking subject walks.
+
+A lift's structures are canonical: centred, and turning with the subject from frame to frame. Only
+the cameras' poses, `x_cam = R X + t`, say where a frame's structure is; cameras that rest keep
+their poses relative to each other, and so all of them agree on one room.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fewview.calibration.camera import Camera
+from fewview.upright import Up, feet_of, find_up, floor_height, upright_axes
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+AT_REST = np.radians(0.1)  # median scatter of a relative pose; lifts with a rig have 1e-5 of it
+AGREE = np.cos(np.radians(2))  # poses of two views of a frame that contradict each other
+
+
+@dataclass(frozen=True)
+class Room:
+    """Points and cameras in one frame of reference.
+
+    Attributes
+    ----------
+    points
+        (N, P, 3) in the unit of the lift; NaN in frames that have no perspective pose.
+    rotations, translations
+        (K, 3, 3) and (K, 3): `x_cam = R X_room + t` of the views at rest, NaN for the others.
+    missing
+        How many frames have no place in the room.
+    notes
+        What was done and found, in sentences for people.
+    """
+
+    points: Float64
+    rotations: Float64
+    translations: Float64
+    missing: int
+    notes: tuple[str, ...]
+
+
+def to_room(
+    points3d: ArrayLike,
+    rotations: ArrayLike,
+    translations: ArrayLike,
+    camera_models: ArrayLike | None = None,
+    cameras: Sequence[Camera] | None = None,
+    reference: int | None = 0,
+    up: Up = None,
+    floor: bool | None = None,
+    keypoint_names: Sequence[str] | None = None,
+) -> Room:
+    """Place the frames of a lift or a reconstruction in one room.
+
+    Every view at rest says where the structure of a frame is; those of a frame that agree are
+    averaged, and of two that contradict each other the reference is believed. A frame whose unit
+    is another than that of the rig (where a moving camera gives it) is scaled by its baselines.
+
+    Parameters
+    ----------
+    points3d, rotations, translations, camera_models
+        (N, P, 3), (N, K, 3, 3), (N, K, 3), (N, K), as lifts give them. Views of
+        `camera_models` 0 or -1 and those whose pose is not finite are left out.
+    cameras
+        The K views as a fit found them or as they were calibrated; a view without a pose moves.
+        Without them the relative poses that the frames have in common are taken.
+    reference
+        The view whose axes the room has: x right, y down, z forward, its origin at the camera.
+        None takes the frame of reference in which `cameras` are said.
+    up
+        A vector in the axes of the reference, 'auto' or None. If it is known the room is turned:
+        y up, x level and to the right of the reference, z = x cross y.
+    floor
+        Whether y = 0 is to be the floor; None does so where up is known and feet are named.
+    keypoint_names
+        P names, which tell feet.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, no frame has a perspective pose of the reference or of `cameras`, or
+        up or the floor was asked for and cannot be found.
+    """
+    points, turns, shifts = (
+        np.asarray(array, dtype=np.float64) for array in (points3d, rotations, translations)
+    )
+    frames, views = turns.shape[:2]
+    if points.shape[::2] != (frames, 3) or shifts.shape != (frames, views, 3):
+        raise ValueError(
+            f"expected (N, P, 3), (N, K, 3, 3) and (N, K, 3), got {points.shape}, {turns.shape} "
+            f"and {shifts.shape}"
+        )
+    known: Bool = np.asarray(np.isfinite(turns).all((2, 3)) & np.isfinite(shifts).all(2))
+    if camera_models is not None:
+        known = known & (np.asarray(camera_models) > 0)
+    rig_turns, rig_shifts, notes = _rig(turns, shifts, known, cameras, reference)
+    order = np.argsort(np.arange(views) != (reference or 0), kind="stable")
+    order = order[np.isfinite(rig_turns[order]).all((1, 2))]
+    scales, pose_turns, pose_shifts, contradicted = _frame_poses(
+        turns[:, order], shifts[:, order], known[:, order], rig_turns[order], rig_shifts[order]
+    )
+    placed = (scales[:, None, None] * points) @ pose_turns.transpose(0, 2, 1) + pose_shifts[:, None]
+    missing = int(np.isnan(placed).all((1, 2)).sum())
+    if missing:
+        notes.append(f"{missing} of {frames} frames have no perspective pose: they are empty")
+    if contradicted:
+        notes.append(f"in {contradicted} frames views contradict each other: the fewer were left")
+    axes, drop, said = _upright(placed, up, floor, feet_of(keypoint_names))
+    return Room(
+        points=placed @ axes.T - drop,
+        rotations=rig_turns @ axes.T,
+        translations=rig_shifts + rig_turns @ (axes.T @ drop),
+        missing=missing,
+        notes=(*notes, *said),
+    )
+
+
+def _rig(
+    turns: Float64,
+    shifts: Float64,
+    known: Bool,
+    cameras: Sequence[Camera] | None,
+    reference: int | None,
+) -> tuple[Float64, Float64, list[str]]:
+    """Return the poses (K, 3, 3), (K, 3) of views at rest, room to camera, NaN if they move."""
+    views = turns.shape[1]
+    if cameras is None:
+        rig_turns, rig_shifts = _common_rig(turns, shifts, known, reference)
+    else:
+        if len(cameras) != views:
+            raise ValueError(f"{len(cameras)} cameras were given for {views} views")
+        rig_turns, rig_shifts = _given_rig(cameras, reference)
+    at_rest = np.isfinite(rig_shifts).all(1)
+    if not known[:, at_rest].any():
+        raise ValueError("no frame has a perspective pose of a camera at rest")
+    notes = []
+    if at_rest.sum() == 1 and views > 1:
+        notes = [f"no view rests with view {at_rest.argmax()}: the room is its own"]
+    return rig_turns, rig_shifts, notes
+
+
+def _given_rig(cameras: Sequence[Camera], reference: int | None) -> tuple[Float64, Float64]:
+    """Return the poses of given cameras towards the reference, or as they are without one."""
+    turns, shifts = np.full((len(cameras), 3, 3), np.nan), np.full((len(cameras), 3), np.nan)
+    for view, camera in enumerate(cameras):
+        if camera.rotation is not None and camera.translation is not None:
+            turns[view], shifts[view] = camera.rotation, camera.translation
+    if reference is None:
+        return turns, shifts
+    if np.isnan(turns[reference]).any():
+        raise ValueError(f"camera {reference} has no pose: take another reference")
+    relative = turns @ turns[reference].T
+    return relative, shifts - relative @ shifts[reference]
+
+
+def _common_rig(
+    turns: Float64, shifts: Float64, known: Bool, reference: int | None
+) -> tuple[Float64, Float64]:
+    """Return the poses towards the reference that the frames have in common."""
+    if reference is None:
+        raise ValueError("without cameras a view must be the reference")
+    if not known[:, reference].any():
+        raise ValueError(f"view {reference} has no perspective pose: take another reference")
+    views = turns.shape[1]
+    rig_turns, rig_shifts = np.full((views, 3, 3), np.nan), np.full((views, 3), np.nan)
+    for view in range(views):
+        found = _relative_pose(turns, shifts, known, view, reference)
+        if found is not None:
+            rig_turns[view], rig_shifts[view] = found
+    return rig_turns, rig_shifts
+
+
+def _relative_pose(
+    turns: Float64, shifts: Float64, known: Bool, view: int, reference: int
+) -> tuple[Float64, Float64] | None:
+    """Return the pose R (3, 3), t (3,) that a view keeps towards another, None if it keeps none."""
+    shared = known[:, view] & known[:, reference]
+    if not shared.any():
+        return None
+    relative = turns[shared, view] @ turns[shared, reference].transpose(0, 2, 1)
+    middle = nearest_rotation(np.median(relative, axis=0))
+    steps = shifts[shared, view] - np.einsum("ij,nj->ni", middle, shifts[shared, reference])
+    step = np.median(steps, axis=0)
+    # Angles by their chord, which is exact for small ones where an arc cosine is not.
+    scatter = np.linalg.norm(relative - middle, axis=(1, 2)) / np.sqrt(2)
+    sideways = np.linalg.norm(np.cross(steps, step), axis=1) / max(step @ step, 1e-300)
+    still = np.median(scatter) < AT_REST and (
+        view == reference or np.median(sideways) < AT_REST or np.ptp(steps, axis=0).max() < 1e-9
+    )
+    return (middle, step) if still else None
+
+
+def _frame_poses(
+    turns: Float64, shifts: Float64, known: Bool, rig_turns: Float64, rig_shifts: Float64
+) -> tuple[Float64, Float64, Float64, int]:
+    """Return scale (N,), R (N, 3, 3) and t (N, 3) from canonical to room, and contradicted frames.
+
+    With V views at rest, `X_room = C_v^T (s (R_v X + t_v) - d_v)` for each of them; the rotations
+    agree, and so do the baselines between the cameras, in direction: their lengths give s.
+    """
+    seen = np.where(known[..., None, None], rig_turns.transpose(0, 2, 1) @ turns, np.nan)
+    there = np.einsum("vji,nvj->nvi", rig_turns, np.where(known[..., None], shifts, np.nan))
+    here = np.einsum("vji,vj->vi", rig_turns, rig_shifts)
+    found, true = there[:, :, None] - there[:, None], here[:, None] - here[None]
+    lengths, true_lengths = np.linalg.norm(found, axis=-1), np.linalg.norm(true, axis=-1)
+    apart = true_lengths > 1e-9 * max(float(np.abs(here).max()), 1e-300)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        alike: Bool = (np.einsum("nuij,nvij->nuv", seen, seen) - 1) / 2 > AGREE
+        alike &= (np.sum(found * true, -1) / (lengths * true_lengths) > AGREE) | ~apart
+        ratios = np.where(alike & apart, true_lengths / lengths, np.nan)
+    chosen = alike.sum(2).argmax(1)  # the first of equals: the reference
+    each = np.arange(len(known))
+    trusted = alike[each, chosen]
+    scales = _nanmedian(ratios[each, chosen])
+    usual = float(_nanmedian(scales[None])[0])
+    scales = np.where(np.isnan(scales), usual if np.isfinite(usual) else 1.0, scales)
+    count = trusted.sum(1).astype(np.float64)
+    count[count == 0] = np.nan
+    mean_turn = np.where(trusted[..., None, None], seen, 0).sum(1) / count[:, None, None]
+    shift = np.where(trusted[..., None], scales[:, None, None] * there - here, 0).sum(1)
+    return (
+        scales,
+        nearest_rotation(mean_turn),
+        shift / count[:, None],
+        int((trusted.sum(1) < known.sum(1)).sum()),
+    )
+
+
+def _upright(
+    placed: Float64, up: Up, floor: bool | None, feet: list[int]
+) -> tuple[Float64, Float64, list[str]]:
+    """Return the rotation (3, 3) of the room to its final axes, what is taken off, and notes."""
+    if up is None:
+        if floor:
+            raise ValueError("the floor needs `up`")
+        return np.eye(3), np.zeros(3), []
+    notes = []
+    if isinstance(up, str):
+        if up != "auto":
+            raise ValueError(f"up must be 'auto' or a vector (x, y, z), not {up!r}")
+        up, said = find_up(placed, feet)
+        notes.append(said)
+    axes = upright_axes(up)
+    if floor and not feet:
+        raise ValueError("the floor needs names of keypoints, feet among them")
+    height = floor_height(placed @ axes.T, feet) if feet and floor is not False else np.nan
+    if not np.isfinite(height):
+        return axes, np.zeros(3), notes
+    return axes, np.array([0.0, height, 0.0]), [*notes, "y = 0 is the floor under the feet"]
+
+
+def nearest_rotation(matrices: Float64) -> Float64:
+    """Return the rotations (..., 3, 3) nearest to matrices in the Frobenius norm; NaN of NaN."""
+    finite = np.asarray(np.isfinite(matrices).all((-2, -1)))[..., None, None]
+    u, _, vt = np.linalg.svd(np.where(finite, matrices, np.eye(3)))
+    u[..., -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
+    return np.where(finite, u @ vt, np.nan)
+
+
+def _nanmedian(values: Float64) -> Float64:
+    """Return the medians (N,) of the finite numbers of rows (N, M), NaN where there are none."""
+    medians = np.full(len(values), np.nan)
+    some = np.isfinite(values).any(1)
+    medians[some] = np.nanmedian(values[some], axis=1)
+    return medians
