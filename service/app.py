@@ -14,9 +14,11 @@ import uvicorn
 from fastapi import Depends, FastAPI
 from fastapi.routing import APIRoute
 from pydantic import BaseModel
+from starlette.middleware.cors import CORSMiddleware
 
 from service.http import errors
 from service.http.dependencies import refuse_unknown_query
+from service.http.head import Head
 from service.http.limits import BodyLimit
 from service.http.operations import registered_schemas
 from service.http.uploads import LARGE_AT_A_TIME
@@ -32,6 +34,16 @@ from worker.queue import connect, open_queue
 RESOURCES = (lift, stream, datasets, fits, reconstructions, models, lifts, health)
 
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
+
+# What scripts of web pages may read, besides what they always may.
+EXPOSED_HEADERS = (
+    "Accept-Ranges",
+    "Content-Disposition",
+    "Content-Range",
+    "ETag",
+    "Location",
+    "Retry-After",
+)
 
 DESCRIPTION = """
 3D structure and camera rotations from the 2D keypoints of a few uncalibrated, possibly moving
@@ -83,6 +95,15 @@ def create_app(settings: Settings) -> FastAPI:
         max_bytes=settings.max_body_bytes,
         max_pending_bytes=settings.max_pending_bytes,
     )
+    app.add_middleware(Head)
+    if settings.allowed_origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=settings.allowed_origins,
+            allow_methods=["*"],
+            allow_headers=["*"],
+            expose_headers=EXPOSED_HEADERS,
+        )
     _describe(app)
     return app
 

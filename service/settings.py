@@ -1,9 +1,10 @@
 """How the service listens and what it accepts."""
 
 import os
+import re
 from typing import Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from models.settings.keypoints import MAX_KEYPOINTS, MAX_VIEWS
 from worker.settings import WorkerSettings
@@ -16,6 +17,11 @@ class Settings(WorkerSettings):
 
     host: str = Field("127.0.0.1", description="Address to listen on.")
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
+    cors_origins: str = Field(
+        "",
+        description="Origins of web pages whose scripts may call the API, separated by commas: "
+        "https://lab.example,http://localhost:3000; * for any. Default: none.",
+    )
     workers: int | None = Field(
         None,
         ge=0,
@@ -71,6 +77,22 @@ class Settings(WorkerSettings):
         512 * MEBIBYTE, ge=0, description="Weights to keep in memory for lifting."
     )
 
+    @field_validator("cors_origins")
+    @classmethod
+    def _are_origins(cls, origins: str) -> str:
+        for origin in _listed(origins):
+            if not re.fullmatch(r"\*|[a-z][a-z0-9+.-]*://[^/?#\s]+", origin):
+                raise ValueError(
+                    "expected origins such as https://lab.example or http://localhost:3000, "
+                    f"without a path and separated by commas, or *; got {origin!r}"
+                )
+        return origins
+
+    @property
+    def allowed_origins(self) -> list[str]:
+        """The origins of web pages that may call the API, one by one."""
+        return _listed(self.cors_origins)
+
     @model_validator(mode="after")
     def _has_room(self) -> Self:
         if 3 * self.max_pending_bytes < 4 * self.max_body_bytes:
@@ -79,3 +101,7 @@ class Settings(WorkerSettings):
                 f"{self.max_body_bytes * 4 // 3}, got {self.max_pending_bytes}"
             )
         return self
+
+
+def _listed(text: str) -> list[str]:
+    return [item.strip() for item in text.split(",") if item.strip()]

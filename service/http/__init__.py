@@ -6,6 +6,8 @@
     What endpoints ask for: the settings, the store, the queue, the parameters of pages.
 ``limits``, ``uploads``
     Bodies on their way in, held to their limits.
+``head``
+    HEAD wherever there is a GET.
 ``negotiation``, ``downloads``
     Which representation a client gets, and responses of bytes with ranges and entity tags.
 ``idempotency``

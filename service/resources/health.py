@@ -1,7 +1,8 @@
-"""Health: is the process up, and can it reach its parts."""
+"""Health: which version is this, is the process up, and can it reach its parts."""
 
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 from typing import Literal
 
 import redis.exceptions
@@ -14,7 +15,9 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.http.dependencies import QueueDep, StoreDep
 from service.http.errors import ApiError, problems
 
-router = APIRouter(prefix="/health", tags=["health"])
+router = APIRouter(tags=["health"])
+
+API_VERSION = 1  # grows when clients must change; what is only added leaves it
 
 
 class Liveness(BaseModel):
@@ -54,13 +57,30 @@ class Readiness(BaseModel):
     workers: int = Field(description="Workers on the queue, here or elsewhere.")
 
 
-@router.get("/live", responses=problems())
+class Version(BaseModel):
+    """What runs here."""
+
+    model_config = ConfigDict(json_schema_extra={"example": {"service": "0.1.0", "api": 1}})
+
+    service: str = Field(description="Of the package `fewview`.")
+    api: int = Field(
+        description="Grows when clients must change; what is only added leaves it as it is."
+    )
+
+
+@router.get("/version", responses=problems())
+def get_version() -> Version:
+    """Tell the versions of the service and of its API."""
+    return Version(service=version("fewview"), api=API_VERSION)
+
+
+@router.get("/health/live", responses=problems())
 def check_live() -> Liveness:
     """Tell that the process is up."""
     return Liveness()
 
 
-@router.get("/ready", responses=problems("unavailable"))
+@router.get("/health/ready", responses=problems("unavailable"))
 def check_ready(store: StoreDep, queue: QueueDep) -> Readiness:
     """Reach queue, records and objects; 503 names those that cannot be reached."""
     parts: dict[str, Callable[[], object]] = {

@@ -262,6 +262,9 @@ def assert_can_be_resumed(live: Live, url: str) -> None:
     size, etag = len(whole.content), whole.headers["etag"]
     assert whole.headers["accept-ranges"] == "bytes"
     assert get(url).headers["etag"] == etag
+    head = live.http.head(url)
+    assert (head.status_code, head.content, head.headers["etag"]) == (200, b"", etag)
+    assert int(head.headers["content-length"]) == size
 
     for header in (etag, f'"other", W/{etag}', "*"):
         unchanged = get(url, headers={"If-None-Match": header})

@@ -77,6 +77,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "get_model",
         "get_model_cameras",
         "get_reconstruction",
+        "get_version",
         "import_model",
         "lift",
         "list_datasets",

@@ -1,5 +1,6 @@
 """Health names what cannot be reached, and notices when it is back."""
 
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -60,3 +61,7 @@ def test_lost_objects_and_records_are_named(tmp_path: Path, valkey: ValkeyServer
         folder.unlink()
         (tmp_path / "elsewhere").rename(folder)
         assert client.get("/health/ready").status_code == 200
+
+
+def test_versions(api: TestClient) -> None:
+    assert api.get("/version").json() == {"service": version("fewview"), "api": 1}

@@ -1,0 +1,55 @@
+"""Scripts of web pages: none may call the API, unless their origin is told."""
+
+import pytest
+from pydantic import ValidationError
+from starlette.testclient import TestClient
+
+from service.app import create_app
+from service.settings import Settings
+from tests.service.conftest import problem
+
+PAGE = "https://lab.example"
+ALLOW = "access-control-allow-origin"
+ASKING = {
+    "Origin": PAGE,
+    "Access-Control-Request-Method": "PATCH",
+    "Access-Control-Request-Headers": "Idempotency-Key, Content-Type",
+}
+
+
+def test_closed_by_default(api: TestClient) -> None:
+    assert ALLOW not in api.get("/datasets", headers={"Origin": PAGE}).headers
+    problem(api.options("/datasets", headers=ASKING), 405, "method_not_allowed")
+
+
+@pytest.mark.parametrize(
+    ("told", "open_to_all"), [(f"http://localhost:3000, {PAGE}", False), ("*", True)]
+)
+def test_origins_that_are_told_may_call(settings: Settings, told: str, open_to_all: bool) -> None:
+    with TestClient(create_app(settings.model_copy(update={"cors_origins": told}))) as client:
+        asked = client.options("/datasets", headers=ASKING)
+        assert asked.status_code == 200
+        assert "PATCH" in asked.headers["access-control-allow-methods"]
+        assert "idempotency-key" in asked.headers["access-control-allow-headers"].lower()
+        answer = client.get("/datasets", headers={"Origin": PAGE})
+        assert answer.headers[ALLOW] == ("*" if open_to_all else PAGE)
+        assert "Location" in answer.headers["access-control-expose-headers"]
+        large = {"Origin": PAGE, "Content-Type": "application/json"}
+        refused = client.post("/lift", content=b"x" * (5 * 2**20), headers=large)
+        problem(refused, 413, "body_too_large")
+        assert ALLOW in refused.headers
+        other = client.get("/datasets", headers={"Origin": "https://evil.example"})
+        assert (ALLOW in other.headers) == open_to_all
+
+
+def test_what_is_no_origin_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    for text in ("lab.example", "https://lab.example/", "https://lab.example/page", "https://"):
+        with pytest.raises(ValidationError, match="expected origins such as"):
+            Settings(cors_origins=text)
+    monkeypatch.setenv("FEWVIEW_CORS_ORIGINS", f"{PAGE},http://localhost:3000")
+    settings = Settings()
+    assert settings.allowed_origins == [PAGE, "http://localhost:3000"]
+    monkeypatch.setenv("FEWVIEW_CORS_ORIGINS", settings.to_environment()["FEWVIEW_CORS_ORIGINS"])
+    assert Settings() == settings
+    monkeypatch.delenv("FEWVIEW_CORS_ORIGINS")
+    assert Settings().allowed_origins == []
