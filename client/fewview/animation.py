@@ -1,0 +1,118 @@
+"""What is written to files: points in time, with their names and what joins them."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+
+Unit = Literal["m", "mm"]
+UNITS: tuple[Unit, ...] = ("m", "mm")
+USUAL_RATE = 30.0  # frames per second where nobody said and a format must
+UNEVEN = 0.5  # of a frame: as far as a time may be from the regular one next to it
+
+
+@dataclass(frozen=True)
+class Animation:
+    """N frames of P points in one frame of reference, right-handed.
+
+    Tools for animation and biomechanics expect y up, as `fewview.room.to_room` gives it where up is
+    known; writers turn nothing.
+
+    Attributes
+    ----------
+    points
+        (N, P, 3); a point with a coordinate that is not finite is missing, and NaN altogether.
+    unit
+        Of the points; None is unknown, as after a fit that was told no length.
+    fps
+        Frames per second, where times are evenly spaced.
+    times
+        (N,) seconds, rising.
+    keypoint_names
+        P names, each but once.
+    edges
+        (first, second) keypoints that are joined, counted from 0.
+
+    Raises
+    ------
+    ValueError
+        If these do not fit together.
+    """
+
+    points: Float64
+    unit: Unit | None = None
+    fps: float | None = None
+    times: Float64 | None = None
+    keypoint_names: tuple[str, ...] | None = None
+    edges: tuple[tuple[int, int], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Take any sequences, and check them."""
+        points = np.array(self.points, dtype=np.float64)
+        if points.ndim != 3 or points.shape[2] != 3:
+            raise ValueError(f"points must be (frames, keypoints, 3), they are {points.shape}")
+        points[~np.isfinite(points).all(-1)] = np.nan
+        frames, count = points.shape[:2]
+        self._set("points", points)
+        if self.unit not in {None, *UNITS}:
+            raise ValueError(f"unit must be 'm', 'mm' or None, not {self.unit!r}")
+        if self.fps is not None and not (np.isfinite(self.fps) and self.fps > 0):
+            raise ValueError(f"fps must be above 0, not {self.fps!r}")
+        if self.times is not None:
+            times = np.array(self.times, dtype=np.float64)
+            if times.shape != (frames,) or not np.isfinite(times).all():
+                raise ValueError(f"times must be {frames} seconds, one a frame")
+            if (np.diff(times) <= 0).any():
+                raise ValueError("times must rise from frame to frame")
+            self._set("times", times)
+        if self.keypoint_names is not None:
+            names = tuple(str(name) for name in self.keypoint_names)
+            if len(names) != count or len(set(names)) != count:
+                raise ValueError(f"expected {count} keypoint names that all differ, got {names}")
+            self._set("keypoint_names", names)
+        edges = tuple((int(first), int(second)) for first, second in self.edges)
+        for edge in edges:
+            if not (min(edge) >= 0 and max(edge) < count and edge[0] != edge[1]):
+                raise ValueError(f"edge {edge} does not join two of {count} keypoints")
+        self._set("edges", edges)
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """P names: those of the keypoints, or `point1`, `point2`, ..."""
+        count = self.points.shape[1]
+        return self.keypoint_names or tuple(f"point{place + 1}" for place in range(count))
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Which points (N, P) are there."""
+        return np.isfinite(self.points[..., 0])
+
+    @property
+    def rate(self) -> float:
+        """Frames per second: as told, by the median step of the times, or else 30."""
+        if self.fps is not None:
+            return float(self.fps)
+        if self.times is not None and len(self.times) > 1:
+            return float(1 / np.median(np.diff(self.times)))
+        return USUAL_RATE
+
+    @property
+    def seconds(self) -> Float64:
+        """The time (N,) of each frame, seconds: as told, or from 0 by `rate`."""
+        if self.times is not None:
+            return self.times
+        return np.arange(len(self.points)) / self.rate
+
+    @property
+    def even(self) -> bool:
+        """Whether times are those of a constant rate, to half a frame."""
+        if self.times is None:
+            return True
+        regular = np.arange(len(self.times)) / self.rate
+        return bool(np.all(np.abs(self.times - self.times[:1] - regular) * self.rate <= UNEVEN))

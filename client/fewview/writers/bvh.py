@@ -1,0 +1,150 @@
+"""BVH, a skeleton in motion, where the edges join all keypoints as one tree.
+
+Joints move by position channels, not by rotations, so bones may change their length and forward
+kinematics gives every point back. A joint's three channels are its place relative to its parent;
+they stand in place of its OFFSET, which is the median over the frames (as Blender reads them; a
+tool that adds both is wrong here, and one that reads only rotations sees a still figure).
+
+BVH has no missing points: gaps are bridged in a straight line and held at both ends, and a keypoint
+that is never seen lies on its parent. The unit is that of the points; the rate is constant.
+
+Source: M. Meredith and S. Maddock, "Motion Capture File Formats Explained", Sheffield, 2001.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fewview.animation import Animation
+from fewview.errors import FormatError
+from fewview.writers.numbers import demand_even
+
+Float64 = NDArray[np.float64]
+
+ROOT = re.compile(r"pelvis|mid_?hip|hips|root|hip", re.IGNORECASE)
+CHANNELS = "CHANNELS 3 Xposition Yposition Zposition"
+
+
+def write(path: Path, animation: Animation) -> None:
+    """Write an animation as a skeleton in motion.
+
+    Raises
+    ------
+    FormatError
+        If its edges form no tree over all keypoints, its times are uneven, no keypoint is ever
+        seen, or names are the same without their blanks.
+    """
+    demand_even(animation, "BVH")
+    names = [re.sub(r"\s+", "_", name.strip()) or "_" for name in animation.names]
+    if len(set(names)) < len(names):
+        raise FormatError("BVH has no blanks in names, and without them some are the same")
+    if not animation.seen.any():
+        raise FormatError("no point of the animation was ever seen")
+    parents = _parents(animation)
+    places = filled(animation.points, parents)
+    local = places.copy()
+    for joint, parent in parents.items():
+        if parent is not None:
+            local[:, joint] -= places[:, parent]
+    lines = ["HIERARCHY"]
+    order: list[int] = []
+    _write_joint(lines, order, next(iter(parents)), parents, names, np.median(local, axis=0))
+    lines += ["MOTION", f"Frames: {len(local)}", f"Frame Time: {1 / animation.rate:.9g}"]
+    lines += [
+        " ".join(f"{number:.9g}" for number in frame)
+        for frame in local[:, order].reshape(len(local), -1).tolist()
+    ]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
+def filled(points: Float64, parents: dict[int, int | None]) -> Float64:
+    """Return points (N, P, 3) with gaps bridged, and the never seen on their parents."""
+    places = points.copy()
+    frames = np.arange(len(points))
+    waiting = []
+    for joint, parent in parents.items():
+        there = np.isfinite(points[:, joint, 0])
+        if there.any():
+            for axis in range(3):
+                places[:, joint, axis] = np.interp(
+                    frames, frames[there], points[there, joint, axis]
+                )
+        elif parent is not None and np.isfinite(places[0, parent, 0]):
+            places[:, joint] = places[:, parent]
+        else:
+            waiting.append(joint)
+    if waiting:  # the root itself was never seen
+        places[:, waiting] = np.nanmean(places, axis=1, keepdims=True)
+    return places
+
+
+def _parents(animation: Animation) -> dict[int, int | None]:
+    """Return the parent of every keypoint, each after its parent, the root first.
+
+    The root is a hip by its name, or else the middle of the tree.
+    """
+    names, count = animation.names, animation.points.shape[1]
+    near: dict[int, list[int]] = {joint: [] for joint in range(count)}
+    pieces = list(range(count))  # which keypoints hang together so far
+    for first, second in dict.fromkeys((min(edge), max(edge)) for edge in animation.edges):
+        if pieces[first] == pieces[second]:
+            raise FormatError(
+                f"BVH needs edges that form a tree: {names[first]} and {names[second]} close a "
+                "circle; leave that edge out"
+            )
+        joined, taken = pieces[first], pieces[second]
+        pieces = [joined if piece == taken else piece for piece in pieces]
+        near[first].append(second)
+        near[second].append(first)
+    if len(set(pieces)) > 1:
+        apart = ", ".join(names[joint] for joint in range(count) if pieces[joint] != pieces[0])
+        raise FormatError(
+            f"BVH needs edges that join all keypoints, {apart} are apart from {names[0]}"
+        )
+    walks = [_walk(near, joint) for joint in range(count)]
+    depths = [depth for _, depth in walks]
+    root = next(
+        (joint for joint, name in enumerate(names) if ROOT.fullmatch(name)),
+        int(np.argmin(depths)),
+    )
+    return walks[root][0]
+
+
+def _walk(near: dict[int, list[int]], root: int) -> tuple[dict[int, int | None], int]:
+    """Return the parents of all joints that are reached from a root, and how deep it goes."""
+    parents: dict[int, int | None] = {root: None}
+    front, depth = [root], 0
+    while front:
+        reached = []
+        for joint in front:
+            for other in near[joint]:
+                if other not in parents:
+                    parents[other] = joint
+                    reached.append(other)
+        front, depth = reached, depth + bool(reached)
+    return parents, depth
+
+
+def _write_joint(
+    lines: list[str],
+    order: list[int],
+    joint: int,
+    parents: dict[int, int | None],
+    names: list[str],
+    offsets: Float64,
+    depth: int = 0,
+) -> None:
+    """Add a joint and what hangs on it to the lines, and to the order of the channels."""
+    order.append(joint)
+    pad = "  " * depth
+    offset = " ".join(f"{number:.9g}" for number in (offsets[joint] if depth else np.zeros(3)))
+    lines += [f"{pad}{'JOINT' if depth else 'ROOT'} {names[joint]}", f"{pad}{{"]
+    lines += [f"{pad}  OFFSET {offset}", f"{pad}  {CHANNELS}"]
+    children = [child for child, parent in parents.items() if parent == joint]
+    for child in children:
+        _write_joint(lines, order, child, parents, names, offsets, depth + 1)
+    if not children:
+        lines += [f"{pad}  End Site", f"{pad}  {{", f"{pad}    OFFSET 0 0 0", f"{pad}  }}"]
+    lines.append(f"{pad}}}")

@@ -1,0 +1,41 @@
+"""Parquet: the tidy table (frame, time, keypoint, x, y, z), null where a point is missing.
+
+Unit and edges stand in the metadata of the schema, as JSON under `fewview`.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from fewview.animation import Animation
+from fewview.errors import FormatError
+
+
+def write(path: Path, animation: Animation) -> None:
+    """Write an animation as a table.
+
+    Raises
+    ------
+    FormatError
+        If pyarrow is not installed.
+    """
+    try:
+        import pyarrow  # noqa: PLC0415  # an extra
+        from pyarrow import parquet  # noqa: PLC0415
+    except ImportError as error:
+        raise FormatError(
+            "Parquet needs pyarrow, which is not installed: pip install 'fewview[parquet]'"
+        ) from error
+    frames, count = animation.points.shape[:2]
+    columns = {"frame": pyarrow.array(np.repeat(np.arange(frames), count))}
+    if animation.times is not None or animation.fps is not None:
+        columns["time"] = pyarrow.array(np.repeat(animation.seconds, count))
+    places = pyarrow.array(np.tile(np.arange(count, dtype=np.int32), frames))
+    columns["keypoint"] = pyarrow.DictionaryArray.from_arrays(places, list(animation.names))
+    for axis, name in enumerate("xyz"):
+        values = animation.points[..., axis].ravel()
+        columns[name] = pyarrow.array(values, mask=~animation.seen.ravel())
+    said = json.dumps({"unit": animation.unit, "fps": animation.fps, "edges": animation.edges})
+    table = pyarrow.table(columns).replace_schema_metadata({"fewview": said})
+    parquet.write_table(table, path)

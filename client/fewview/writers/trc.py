@@ -1,0 +1,46 @@
+"""TRC, the markers that OpenSim reads.
+
+Five lines of header, an empty one, then a line for each frame, all between tabs; frames count from
+1. A missing point is three empty fields. The header names the unit, so it must be known.
+
+Source: OpenSim documentation, "Marker (.trc) Files".
+"""
+
+from pathlib import Path
+
+from fewview.animation import Animation
+from fewview.errors import FormatError
+from fewview.writers.numbers import text, texts, time_text
+
+
+def write(path: Path, animation: Animation) -> None:
+    """Write an animation as markers.
+
+    Raises
+    ------
+    FormatError
+        If the unit is unknown, or a name has a tab or a line break.
+    """
+    if animation.unit is None:
+        raise FormatError(
+            "TRC names the unit of its points and this animation has none: give unit='m' or 'mm'"
+        )
+    if any(character in name for name in animation.names for character in "\t\r\n"):
+        raise FormatError("names in TRC stand between tabs: they can have no tab or line break")
+    frames, count = animation.points.shape[:2]
+    rate = text(animation.rate)
+    header = ("DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate")
+    said = (rate, rate, frames, count, animation.unit, rate, 1, frames)
+    axes = [f"{axis}{place + 1}" for place in range(count) for axis in "XYZ"]
+    lines = [
+        ["PathFileType", "4", "(X/Y/Z)", path.name],
+        [*header, "OrigDataStartFrame", "OrigNumFrames"],
+        [str(value) for value in said],
+        ["Frame#", "Time", *(part for name in animation.names for part in (name, "", ""))],
+        ["", "", *axes],
+        [],
+    ]
+    for frame, (time, points) in enumerate(zip(animation.seconds, animation.points, strict=True)):
+        lines.append([str(frame + 1), time_text(time), *texts(points)])
+    written = "".join("\t".join(line) + "\n" for line in lines)
+    path.write_text(written, encoding="utf-8", newline="\n")

@@ -1,0 +1,110 @@
+"""Animations as tables and arrays, read back by other means."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fewview import Animation, write
+from fewview.errors import FormatError
+from fewview.writers import FORMATS
+
+
+def test_a_wide_table(tmp_path: Path, animation: Animation) -> None:
+    path = write(tmp_path / "a.csv", animation)
+    with path.open(newline="", encoding="utf-8") as file:
+        head, *rows = csv.reader(file)
+    assert head[:3] == ["frame", "time", "nose_x"]
+    assert rows[3][:2] == ["3", "0.12"]
+    assert rows[3][2 + 6 : 2 + 9] == ["", "", ""]
+    numbers = np.array([[float(x or "nan") for x in row[2:]] for row in rows]).reshape(12, 5, 3)
+    np.testing.assert_allclose(numbers, animation.points, rtol=1e-8)
+
+
+def test_a_tidy_table(tmp_path: Path, animation: Animation) -> None:
+    path = write(tmp_path / "a.tidy.csv", replace(animation, fps=None))
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["frame", "keypoint", "x", "y", "z"]
+    assert [row["keypoint"] for row in rows[:5]] == list(animation.names)
+    numbers = np.array([[float(row[axis] or "nan") for axis in "xyz"] for row in rows])
+    np.testing.assert_allclose(numbers.reshape(12, 5, 3), animation.points, rtol=1e-8)
+
+
+def test_json_lines(tmp_path: Path, animation: Animation) -> None:
+    path = write(tmp_path / "a.jsonl", animation)
+    head, *frames = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    assert head == {
+        "unit": "m",
+        "fps": 25,
+        "keypoint_names": list(animation.names),
+        "edges": [list(edge) for edge in animation.edges],
+    }
+    assert [frame["frame"] for frame in frames] == list(range(12))
+    assert frames[2]["time"] == pytest.approx(0.08)
+    assert frames[0]["points"][2] is frames[4]["points"][4] is None
+    points = [[point or [np.nan] * 3 for point in frame["points"]] for frame in frames]
+    np.testing.assert_array_equal(points, animation.points)
+
+
+def test_arrays(tmp_path: Path, animation: Animation) -> None:
+    path = write(tmp_path / "a.npz", animation)
+    with np.load(path, allow_pickle=False) as arrays:
+        np.testing.assert_array_equal(arrays["points"], animation.points)
+        assert set(arrays) == {"points", "unit", "fps", "keypoint_names", "edges"}
+        again = Animation(**{name: arrays[name][()] for name in arrays if name != "unit"})
+        assert str(arrays["unit"]) == "m"
+    assert (again.names, again.edges) == (animation.names, animation.edges)
+
+
+def test_parquet(tmp_path: Path, animation: Animation) -> None:
+    reader = pytest.importorskip("pyarrow.parquet", reason="pyarrow is large, and an extra")
+    table = reader.read_table(write(tmp_path / "a.parquet", animation))
+    assert table.column_names == ["frame", "time", "keypoint", "x", "y", "z"]
+    assert table["keypoint"].to_pylist()[:5] == list(animation.names)
+    assert table["x"].null_count == (~animation.seen).sum()
+    numbers = np.array([table[axis].to_pylist() for axis in "xyz"], dtype=float).T
+    np.testing.assert_array_equal(numbers.reshape(12, 5, 3), animation.points)
+    assert json.loads(table.schema.metadata[b"fewview"])["unit"] == "m"
+
+
+@pytest.mark.parametrize("known", FORMATS, ids=lambda known: known.name)
+def test_a_format_can_be_named_whatever_the_file_is_called(
+    known: object, tmp_path: Path, animation: Animation
+) -> None:
+    name = getattr(known, "name", "")
+    if name == "parquet":
+        pytest.importorskip("pyarrow", reason="pyarrow is large, and an extra")
+    path = write(tmp_path / "motion", animation, format=name)
+    assert path.stat().st_size > 100
+    assert [file.name for file in tmp_path.iterdir()] == ["motion"]
+
+
+def test_other_formats_are_refused_with_a_list(tmp_path: Path, animation: Animation) -> None:
+    with pytest.raises(FormatError, match=r"'a\.fbx'.*glb"):
+        write(tmp_path / "a.fbx", animation)
+    with pytest.raises(FormatError, match="no format 'fbx'"):
+        write(tmp_path / "a.csv", animation, format="fbx")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_animation_checks_itself(animation: Animation) -> None:
+    assert np.isnan(animation.points[0, 2]).all()
+    for wrong in (
+        {"points": np.zeros((3, 2))},
+        {"unit": "cm"},
+        {"fps": 0},
+        {"times": np.zeros(12)},
+        {"times": np.arange(3)},
+        {"keypoint_names": ("a", "a", "b", "c", "d")},
+        {"edges": ((0, 5),)},
+    ):
+        with pytest.raises(ValueError, match=next(iter(wrong)).split("_")[0].rstrip("s")):
+            replace(animation, **wrong)
+    assert replace(animation, keypoint_names=None).names[4] == "point5"
+    assert replace(animation, fps=None).rate == 30
+    uneven = replace(animation, fps=None, times=np.arange(12.0) ** 2)
+    assert not uneven.even
+    assert replace(animation, times=np.arange(12) / 25 + 3).even
