@@ -5,7 +5,9 @@ from pathlib import Path
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # NumPy's and SciPy's, before they are imported
 
 # The processes that tests start are of this copy of the code, too, whichever is installed.
-os.environ["PYTHONPATH"] = str(Path(__file__).parent.parent)
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    str(Path(__file__).parents[1] / at) for at in (".", "client")
+)
 
 from models.numerics.threads import use_threads
 

@@ -8,14 +8,17 @@
     │   ├── NotFound         404: there is no such dataset, fit, model or lift
     │   ├── Conflict         409: not in the state that it is in
     │   ├── TooManyRequests  429: too many jobs wait
-    │   └── Unavailable      503: the service or a part of it is away for the moment
+    │   └── Unavailable      502, 503, 504: the service or a part of it is away for the moment
     ├── ConnectionFailed     the service cannot be reached, or does not answer as one
     ├── JobFailed            a fit or a lift failed or was cancelled: code, message
     └── FormatError          a file cannot be read or written (a ValueError, too)
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fewview.api.forms import Job
 
 
 class FewviewError(Exception):
@@ -104,8 +107,8 @@ class JobFailed(FewviewError):  # noqa: N818
         The same in words.
     """
 
-    def __init__(self, job: dict[str, Any], code: str, message: str) -> None:
-        super().__init__(f"{job['id']} {job['status']} ({code}): {message}")
+    def __init__(self, job: "Job", code: str, message: str) -> None:
+        super().__init__(f"{job.id} {job.status} ({code}): {message}")
         self.job, self.code, self.message = job, code, message
 
 
@@ -123,7 +126,9 @@ _BY_STATUS: dict[int, type[ApiError]] = {
     416: InvalidRequest,
     422: InvalidRequest,
     429: TooManyRequests,
+    502: Unavailable,  # of a proxy before the service, as 504
     503: Unavailable,
+    504: Unavailable,
 }
 
 

@@ -1,0 +1,149 @@
+"""Datasets: captures, stored."""
+
+import json
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from os import PathLike, fspath
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fewview.api.arrays import to_npz
+from fewview.api.forms import Dataset, form_in, page_of
+from fewview.api.lifting import identifier
+from fewview.api.operations import Driver, Page, Resource, listing, operation
+from fewview.api.steps import Request, Steps, nothing, once, path
+from fewview.capture import Capture
+from fewview.errors import FewviewError
+
+Source = Capture | ArrayLike | str | PathLike[str]
+OF_FRAMES = ("keypoints", "confidence", "points3d", "times")
+PART_BYTES = 32 * 1024 * 1024  # of a long capture, sent in one request
+PART_FRAMES = 50_000
+
+
+class Datasets(Resource[Driver]):
+    """``/datasets``."""
+
+    @operation
+    def create(
+        self,
+        capture: Source,
+        *,
+        name: str | None = None,
+        fps: float | None = None,
+        metadata: Mapping[str, Any] | None = None,
+    ) -> Steps[Dataset]:
+        """Store a capture, in several requests if it is long.
+
+        Parameters
+        ----------
+        capture
+            A :class:`~fewview.Capture`, a file that :func:`fewview.read` reads, or keypoints
+            (N, K, P, 2) in pixels, NaN where not observed.
+        fps
+            Frames per second, if frames follow each other and the capture has no times: views
+            that are out of step are then found.
+        metadata
+            Anything that is JSON, given back with the dataset.
+
+        Raises
+        ------
+        FormatError
+            The file cannot be read.
+        InvalidRequest
+            The capture cannot be used; ``errors`` say why.
+        """
+        capture = to_capture(capture)
+        said = {"fps": fps, "metadata": metadata, "image_sizes": capture.image_sizes}
+        form = {key: json.dumps(value) for key, value in said.items() if value is not None}
+        if name is not None:
+            form["name"] = name
+        first, *others = parts(capture)
+        request = Request(
+            "POST",
+            "/datasets",
+            form_in(Dataset),
+            headers=once(),
+            body={"data": form, "files": {"file": ("capture.npz", to_npz(first))}},
+        )
+        dataset = yield from self._call(request)
+        try:
+            for part in others:
+                dataset = yield from self._call(_append(dataset.id, part))
+        except FewviewError:
+            yield from self._call(_delete(dataset.id))
+            raise
+        return dataset
+
+    @operation
+    def append(self, dataset: Dataset | str, capture: Source) -> Steps[Dataset]:
+        """Add frames to the end of a dataset; fits made earlier do not see them.
+
+        Raises
+        ------
+        InvalidRequest
+            They have other views or keypoints.
+        """
+        for part in parts(to_capture(capture)):
+            described = yield from self._call(_append(identifier(dataset), part))
+        return described
+
+    @operation
+    def get(self, dataset_id: str) -> Steps[Dataset]:
+        """Describe a dataset."""
+        return self._call(Request("GET", path("datasets", dataset_id), form_in(Dataset)))
+
+    @listing
+    def list(self, /, **filters: Any) -> Request[Page[Dataset]]:
+        """Iterate over all datasets, newest first.
+
+        Parameters
+        ----------
+        filters
+            Those of the API's query, such as ``name="macaque"``.
+        """
+        return Request("GET", "/datasets", page_of(Dataset), params=filters)
+
+    @operation
+    def delete(self, dataset: Dataset | str) -> Steps[None]:
+        """Delete a dataset; models fitted to it stay."""
+        return self._call(_delete(identifier(dataset)))
+
+
+def to_capture(source: Source) -> Capture:
+    """Return the capture that is given, in a file, or of these keypoints."""
+    if isinstance(source, Capture):
+        return source
+    if isinstance(source, str | PathLike):
+        readers = import_module("fewview.readers")  # not needed for the rest
+        capture: Capture = readers.read(fspath(source))
+        return capture
+    return Capture(np.asarray(source, np.float32))
+
+
+def parts(capture: Capture) -> Iterator[dict[str, NDArray[Any]]]:
+    """Cut a capture's arrays into parts of a size to send; the first also describes it."""
+    arrays = capture.arrays()
+    arrays.pop("image_sizes", None)  # which the form tells, unknown ones too
+    framed = {name: arrays.pop(name) for name in OF_FRAMES if name in arrays}
+    bytes_each = sum(array.nbytes for array in framed.values()) // max(1, capture.frames)
+    length = min(PART_FRAMES, max(1, PART_BYTES // max(1, bytes_each)))
+    for start in range(0, max(1, capture.frames), length):
+        yield arrays | {name: array[start : start + length] for name, array in framed.items()}
+        arrays = {}
+
+
+def _append(dataset_id: str, part: dict[str, NDArray[Any]]) -> Request[Dataset]:
+    return Request(
+        "POST",
+        path("datasets", dataset_id, "frames"),
+        form_in(Dataset),
+        headers={**once(), "Content-Type": "application/octet-stream"},
+        body={"content": to_npz({key: part[key] for key in OF_FRAMES if key in part})},
+    )
+
+
+def _delete(dataset_id: str) -> Request[None]:
+    return Request("DELETE", path("datasets", dataset_id), nothing)

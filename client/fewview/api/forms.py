@@ -1,0 +1,289 @@
+"""What the service tells, as frozen dataclasses; ``raw`` has the whole of it as it came."""
+
+import types
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, is_dataclass
+from datetime import datetime
+from functools import cache
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+import httpx2
+import numpy as np
+
+from fewview.api.operations import Page
+from fewview.capture import Float64
+
+Form = TypeVar("Form")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that was noticed, and what to do about it.
+
+    No views, frames or keypoints mean all of them. ``frames`` are ranges: the first and the last.
+    """
+
+    code: str
+    severity: str
+    effect: str
+    remedy: str
+    views: tuple[int, ...] = ()
+    frames: tuple[tuple[int, int], ...] = ()
+    keypoints: tuple[int, ...] = ()
+    evidence: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Described:
+    """Something stored.
+
+    Attributes
+    ----------
+    id
+        What the service calls it.
+    raw
+        All that the service told of it, which may be more than the fields here.
+    """
+
+    id: str
+    name: str
+    created_at: datetime
+    raw: dict[str, Any] = field(repr=False, compare=False)
+
+
+@dataclass(frozen=True)
+class Dataset(Described):
+    """A stored capture; ``keypoints`` and ``missing_fraction`` are per view."""
+
+    frames: int
+    views: int
+    keypoints: int
+    missing_fraction: tuple[float, ...]
+    checksum: str
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True)
+class JobError:
+    """Why a fit or a lift failed."""
+
+    code: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Job(Described):
+    """What fits and lifts have in common.
+
+    Attributes
+    ----------
+    status
+        ``queued``, ``running``, ``succeeded``, ``failed`` or ``cancelled``.
+    frames
+        Those that the dataset had when the job was made.
+    """
+
+    status: str
+    dataset_id: str
+    frames: int
+    started_at: datetime | None
+    finished_at: datetime | None
+    error: JobError | None
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has succeeded, failed or been cancelled."""
+        return self.status not in ("queued", "running")
+
+
+@dataclass(frozen=True)
+class FitProgress:
+    """How far a fit has come; ``reprojection_error`` is in pixels."""
+
+    stage: str
+    step: int
+    steps: int
+    loss: float | None
+    reprojection_error: float | None
+    seconds_left: float | None
+    stopped_by: str | None = None
+
+
+@dataclass(frozen=True)
+class Fit(Job):
+    """A job that turns a dataset into a model; ``model_id`` is there when it has succeeded."""
+
+    config: dict[str, Any] | None = None
+    from_model: str | None = None
+    progress: FitProgress | None = None
+    model_id: str | None = None
+
+
+@dataclass(frozen=True)
+class LiftProgress:
+    """How far the lift of a dataset has come."""
+
+    frames_done: int
+    chunks_done: int
+    chunks: int
+    seconds_left: float | None
+
+
+@dataclass(frozen=True)
+class LiftJob(Job):
+    """The lift of a stored dataset."""
+
+    model_id: str = ""
+    refine: str | None = None
+    views: tuple[int, ...] | None = None
+    progress: LiftProgress | None = None
+
+
+@dataclass(frozen=True)
+class Model(Described):
+    """A fitted prior.
+
+    Attributes
+    ----------
+    frames, views
+        It was fitted to; None if it was imported.
+    reprojection_error
+        Pixels, mean over the views of the fitted frames.
+    pa_mpjpe
+        Mean Procrustes-aligned error against the ground truth, in its unit; None without one.
+    """
+
+    keypoints: int
+    weights_bytes: int
+    weights_checksum: str
+    config: dict[str, Any]
+    fit_id: str | None = None
+    dataset_id: str | None = None
+    frames: int | None = None
+    views: int | None = None
+    skeleton: dict[str, Any] | None = None
+    reprojection_error: float | None = None
+    frames_lifted: int | None = None
+    pa_mpjpe: float | None = None
+    pck: float | None = None
+    pck_threshold: float | None = None
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class FoundCamera:
+    """The camera of one view, in OpenCV's terms; None where it was not found.
+
+    Attributes
+    ----------
+    index
+        Which view of the fit.
+    resting
+        Whether it rests relative to the other resting cameras.
+    focal, principal_point
+        (2,) pixels.
+    distortion
+        (8,) in OpenCV's order; of fisheyes k1 to k4, then zeros.
+    rotation, translation
+        (3, 3) and (3,) of ``x = R X + t``, t in units of the structures; None for a
+        camera that moves.
+    reprojection_error
+        Pixels.
+    raw
+        All that the service told, standard deviations (``..._sd``) too.
+    """
+
+    index: int
+    camera: str
+    resting: bool
+    focal: Float64 | None
+    principal_point: Float64 | None
+    distortion: Float64 | None
+    rotation: Float64 | None
+    translation: Float64 | None
+    reprojection_error: float | None
+    raw: dict[str, Any] = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Cameras:
+    """What a fit found out about its cameras.
+
+    Attributes
+    ----------
+    arrangement
+        ``static``, ``moving``, ``mixed`` or ``unknown``; ``reason`` says why.
+    noise
+        Pixels, the standard deviation of a keypoint's coordinate.
+    """
+
+    model: str
+    arrangement: str
+    reason: str
+    noise: float | None
+    handedness_certainty: float | None
+    views: tuple[FoundCamera, ...]
+    findings: tuple[Finding, ...]
+    raw: dict[str, Any] = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Health:
+    """Whether the service reaches its parts, and how many workers it has."""
+
+    status: str
+    workers: int
+    raw: dict[str, Any] = field(repr=False, compare=False)
+
+
+def form_in(form: type[Form]) -> Callable[[httpx2.Response], Form]:
+    """Return what reads this form in a response."""
+    return lambda response: read(form, response.json())
+
+
+def page_of(form: type[Form]) -> Callable[[httpx2.Response], Page[Form]]:
+    """Return what reads a page of items of this form in a response."""
+
+    def read_page(response: httpx2.Response) -> Page[Form]:
+        page = response.json()
+        return Page(tuple(read(form, item) for item in page["items"]), page["next_cursor"])
+
+    return read_page
+
+
+def read(form: type[Form], said: dict[str, Any]) -> Form:
+    """Return what the service said as a dataclass; what the form does not know stays in ``raw``.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        If a field is missing that has no default, or is of another kind.
+    """
+    hints = _hints(form)  # type: ignore[arg-type] # of Hashable
+    found: dict[str, Any] = {"raw": said} if "raw" in hints else {}
+    for name, hint in hints.items():
+        if name in said:
+            found[name] = _value(hint, said[name])
+    return form(**found)
+
+
+@cache
+def _hints(form: Any) -> dict[str, Any]:
+    hints = get_type_hints(form)
+    return {item.name: hints[item.name] for item in fields(form)}
+
+
+def _value(hint: Any, value: Any) -> Any:
+    if isinstance(hint, types.UnionType):  # X | None
+        return None if value is None else _value(get_args(hint)[0], value)
+    kind = get_origin(hint) or hint
+    if kind is tuple:
+        return tuple(_value(get_args(hint)[0], item) for item in value)
+    if kind is np.ndarray:
+        return np.asarray(value, np.float64)
+    if kind is datetime:
+        return datetime.fromisoformat(value)
+    if isinstance(kind, type) and is_dataclass(kind):
+        return read(kind, value)
+    return value

@@ -1,0 +1,144 @@
+"""What fits and lifts have in common: jobs that are followed, cancelled and deleted."""
+
+import json
+from collections.abc import Callable
+from typing import Any, ClassVar, Generic, TypeVar
+
+from fewview.api.forms import Job, form_in, page_of, read
+from fewview.api.lifting import identifier
+from fewview.api.operations import Driver, Page, Resource, listing, operation
+from fewview.api.retries import patiently, pause_before
+from fewview.api.steps import Open, Read, Request, Sleep, Steps, nothing, path
+from fewview.errors import ApiError, ConnectionFailed, JobFailed, NotFound
+
+J = TypeVar("J", bound=Job)
+MOST_TRIES = 3  # to get events, after which a job is only asked about now and then
+
+
+class Jobs(Resource[Driver], Generic[Driver, J]):
+    """``/fits`` or ``/lifts``."""
+
+    _form: type[J]
+    _plural: ClassVar[str]
+
+    @operation
+    def get(self, job_id: str) -> Steps[J]:
+        """Describe a job and its progress."""
+        return self._call(self._get(job_id))
+
+    @listing
+    def list(self, /, **filters: Any) -> Request[Page[J]]:
+        """Iterate over all jobs, newest first.
+
+        Parameters
+        ----------
+        filters
+            Those of the API's query, such as ``status="running"`` or ``dataset_id="ds_..."``.
+        """
+        return Request("GET", path(self._plural), page_of(self._form), params=filters)
+
+    @operation
+    def cancel(self, job: J | str) -> Steps[J]:
+        """Cancel a job; what it has done is lost.
+
+        Raises
+        ------
+        Conflict
+            It has ended.
+        """
+        where = path(self._plural, identifier(job), "cancel")
+        return self._call(Request("POST", where, form_in(self._form)))
+
+    @operation
+    def delete(self, job: J | str) -> Steps[None]:
+        """Delete a job that has ended, and its result.
+
+        Raises
+        ------
+        Conflict
+            It has not ended: cancel it first.
+        """
+        return self._call(Request("DELETE", path(self._plural, identifier(job)), nothing))
+
+    @operation
+    def wait(self, job: J | str, *, on_progress: Callable[[J], object] | None = None) -> Steps[J]:
+        """Wait until a job has succeeded, and return it as it is then.
+
+        The service sends events; where these do not get through, it is asked now and then.
+
+        Parameters
+        ----------
+        on_progress
+            Is called with the job whenever it has changed, a plain function for both clients.
+
+        Raises
+        ------
+        JobFailed
+            It failed or was cancelled.
+        NotFound
+            There is no such job, or it was deleted meanwhile.
+        ConnectionFailed
+            The service was away for longer than the client's ``patience``.
+        """
+        following = _Following(identifier(job), on_progress or nothing_said)
+        failures = 0
+        while True:
+            if failures < MOST_TRIES:
+                heard = yield from self._hear(following)
+                failures = 0 if heard else failures + 1
+            if following.job is None or not following.job.ended:
+                following.tell((yield from self._call(self._get(following.job_id))))
+            found: J = following.job
+            if found.ended:
+                return _succeeded(found)
+            yield Sleep(pause_before(failures + 2))
+
+    def _hear(self, following: "_Following") -> Steps[bool]:
+        """Follow a job's events; return whether any came."""
+        where = path(self._plural, following.job_id, "events")
+        last = following.last_event
+        headers = {"Accept": "text/event-stream", **({"Last-Event-ID": last} if last else {})}
+        request = Request("GET", where, nothing, headers=headers)
+        heard = False
+        try:
+            yield from patiently(Open(request, events=True), self._patience)
+            while (event := (yield Read())) is not None:
+                heard, following.last_event = True, event.id
+                following.tell(read(self._form, json.loads(event.data)))
+                if event.event == "end":
+                    break
+        except NotFound:
+            raise
+        except (ApiError, ConnectionFailed):  # then it is asked, which may fail likewise
+            pass
+        return heard
+
+    def _get(self, job_id: str) -> Request[J]:
+        return Request("GET", path(self._plural, job_id), form_in(self._form))
+
+
+class _Following:
+    """What is known of a job that is waited for."""
+
+    def __init__(self, job_id: str, on_progress: Callable[[Any], object]) -> None:
+        self.job_id, self._on_progress = job_id, on_progress
+        self.job: Any = None
+        self.last_event = ""
+
+    def tell(self, job: Job) -> None:
+        """Pass on a job that has changed."""
+        if self.job is None or job.raw != self.job.raw:
+            self.job = job
+            self._on_progress(job)
+
+
+def nothing_said(_job: object) -> None:
+    """Keep progress to oneself."""
+
+
+def _succeeded(job: J) -> J:
+    if job.status == "succeeded":
+        return job
+    if job.error is not None:
+        raise JobFailed(job, job.error.code, job.error.message)
+    raise JobFailed(job, job.status, f"it was {job.status}; create another to have its result")

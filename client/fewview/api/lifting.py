@@ -1,0 +1,140 @@
+"""Lifting: keypoints to 3D at once (``POST /lift``), and lifts as arrays."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import httpx2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fewview.api.arrays import SAFETENSORS, read_safetensors, to_safetensors
+from fewview.api.forms import Finding, Model, read
+from fewview.api.steps import Request
+from fewview.capture import Capture, Float32
+
+
+@dataclass(frozen=True, eq=False)
+class Lift:
+    """N frames of K views in 3D, P keypoints each; NaN where there is no answer.
+
+    Attributes
+    ----------
+    points3d
+        (N, P, 3) canonical structures, right-handed; the unit is the one that the fit was told.
+    rotations
+        (N, K, 3, 3) from the canonical frame to each camera's: x right, y down, z forward.
+    scales
+        (N, K) pixels per unit.
+    translations
+        (N, K, 3): in perspective, units; in weak perspective (x, y) in pixels, and NaN.
+    focals, principal_points
+        (N, K, 2) pixels.
+    distortions
+        (N, K, 8) in OpenCV's order.
+    reprojection_errors
+        (N, K) pixels.
+    keypoints_used
+        (N, K) how many keypoints the view had.
+    camera_models
+        (N, K): -1 no camera, 0 weak perspective, 1 perspective, 2 fisheye.
+    keypoints_seen
+        (N, P) how many views show each; 0 is inferred. None of old reconstructions.
+    frame_findings
+        (N,) sums of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``;
+        None of old reconstructions.
+    findings
+        The same and more in words.
+    model_id
+        Of the model that lifted; None if it was deleted since.
+    """
+
+    points3d: Float32
+    rotations: Float32
+    scales: Float32
+    translations: Float32
+    focals: Float32
+    principal_points: Float32
+    distortions: Float32
+    reprojection_errors: Float32
+    keypoints_used: NDArray[np.integer[Any]]
+    camera_models: NDArray[np.integer[Any]]
+    keypoints_seen: NDArray[np.integer[Any]] | None = None
+    frame_findings: NDArray[np.integer[Any]] | None = None
+    findings: tuple[Finding, ...] = ()
+    model_id: str | None = None
+
+    def __len__(self) -> int:
+        """Return the number of frames N."""
+        return len(self.points3d)
+
+    @property
+    def lifted(self) -> NDArray[np.bool_]:
+        """Which frames (N,) got a structure."""
+        return np.asarray(np.isfinite(self.points3d).any(axis=(1, 2)))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays by their names here, such as for ``np.savez``."""
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+
+    @classmethod
+    def of(cls, response: httpx2.Response) -> Self:
+        """Read a response of safetensors."""
+        arrays, about = read_safetensors(response.content)
+        if "findings" in arrays:
+            arrays["frame_findings"] = arrays.pop("findings")
+        known = {item.name for item in fields(cls)}
+        findings = json.loads(about.get("findings", "[]"))
+        return cls(
+            **{name: array for name, array in arrays.items() if name in known},
+            findings=tuple(read(Finding, finding) for finding in findings),
+            model_id=about.get("model") or about.get("model_id"),
+        )
+
+
+def lift_request(
+    model: Model | str,
+    keypoints: Capture | ArrayLike,
+    *,
+    confidence: ArrayLike | None = None,
+    refine: str | None = None,
+    views: Iterable[int] | None = None,
+) -> Request[Lift]:
+    """Return the request that lifts frames with a fitted model.
+
+    Parameters
+    ----------
+    keypoints
+        (N, K, P, 2) pixels, NaN where not observed; or a capture.
+    confidence
+        (N, K, P) in [0, 1]; 0 is not observed.
+    refine
+        ``auto``, ``full`` or ``off``: where frames are refined in perspective. None: as in the fit.
+    views
+        Which K views of the fit these are; None if they are all, or not said.
+    """
+    if isinstance(keypoints, Capture):
+        confidence = keypoints.confidence if confidence is None else confidence
+        keypoints = keypoints.keypoints
+    arrays = {"keypoints": np.asarray(keypoints, np.float32)}
+    if confidence is not None:
+        arrays["confidence"] = np.asarray(confidence, np.float32)
+    return Request(
+        "POST",
+        "/lift",
+        Lift.of,
+        params={
+            "model": identifier(model),
+            "refine": refine,
+            "views": None if views is None else tuple(views),
+        },
+        headers={"Content-Type": SAFETENSORS, "Accept": SAFETENSORS},
+        body={"content": to_safetensors(arrays)},
+    )
+
+
+def identifier(resource: Any) -> str:
+    """Return the identifier of a resource, or the one that was given."""
+    return resource if isinstance(resource, str) else str(resource.id)

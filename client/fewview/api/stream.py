@@ -1,0 +1,260 @@
+"""Streams: frames over a WebSocket, lifted as they come; for both clients."""
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import AsyncExitStack, ExitStack, contextmanager
+from itertools import count
+from types import TracebackType
+from typing import Any, Self, TypedDict
+
+from numpy.typing import ArrayLike
+from websockets.asyncio.client import ClientConnection as AsyncConnection
+from websockets.asyncio.client import connect as connect_async
+from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
+from websockets.sync.client import ClientConnection, connect
+
+from fewview.api.drivers import Awaiting, Blocking
+from fewview.api.forms import Model
+from fewview.api.lifting import identifier
+from fewview.api.retries import pause_before
+from fewview.api.stream_messages import (
+    Answer,
+    Dropped,
+    Ready,
+    read_message,
+    read_ready,
+    write_frame,
+)
+from fewview.errors import ApiError, ConnectionFailed, FewviewError, Unavailable, api_error
+
+
+class Start(TypedDict, total=False):
+    """What is said of a stream before its first frame; all of it may be left out.
+
+    Attributes
+    ----------
+    views
+        Which views of the fit every frame has; None if any.
+    refine
+        ``auto``, ``full`` or ``off``; None as in the fit.
+    on_overload
+        ``all``: no frame is lost, and sending blocks. ``latest``: a new frame takes the place of
+        one that waits.
+    continuity
+        Whether frames follow each other, and refinement may start from the answer before.
+    """
+
+    views: Sequence[int] | None
+    refine: str | None
+    on_overload: str
+    continuity: bool
+
+
+class Line:
+    """Where streams are opened, and how patiently."""
+
+    def __init__(self, driver: Blocking | Awaiting) -> None:
+        http = driver.http
+        self.url = f"ws{str(http.base_url).removeprefix('http').rstrip('/')}/lift/stream"
+        self.timeout, self.patience = http.timeout.read, driver.patience
+        self.options: dict[str, Any] = {
+            "compression": None,
+            "open_timeout": http.timeout.connect,
+            "additional_headers": {
+                name: value
+                for name, value in http.headers.items()
+                if name not in ("accept", "accept-encoding", "connection", "user-agent")
+            },
+        }
+
+    def pauses(self) -> Iterator[float]:
+        """Give the seconds to wait before each further try to open, until patience is at an end."""
+        begun = time.monotonic()
+        for attempt in count(1):
+            pause = pause_before(attempt)
+            if time.monotonic() + pause > begun + self.patience:
+                return
+            yield pause
+
+
+class Stream:
+    """Frames in, answers out, in order; to be used in a ``with``.
+
+    One thread may send while another receives. ``ready`` has what the service understood.
+    """
+
+    def __init__(self, line: Line, model: Model | str, start: Start) -> None:
+        self._line, self._start = line, json.dumps({"model": identifier(model), **start})
+        self._sequences = count()
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        pauses = self._line.pauses()
+        while True:
+            try:
+                with _opening(self._line.url):
+                    connection = connect(self._line.url, **self._line.options)
+                    self._socket: ClientConnection = self._stack.enter_context(connection)
+                break
+            except (ConnectionFailed, Unavailable):
+                if (pause := next(pauses, None)) is None:
+                    raise
+                time.sleep(pause)
+        try:
+            with _talking():
+                self._socket.send(self._start)
+                self.ready: Ready = read_ready(self._socket.recv(self._line.timeout))
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def __exit__(
+        self, _k: type[BaseException] | None, _e: BaseException | None, _t: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def send(self, keypoints: ArrayLike, *, confidence: ArrayLike | None = None) -> int:
+        """Send a frame (K, P, 2), pixels, NaN where not observed; return its sequence number.
+
+        Raises
+        ------
+        ConnectionFailed
+            The stream was closed.
+        """
+        sequence = next(self._sequences)
+        with _talking():
+            self._socket.send(write_frame(sequence, keypoints, confidence))
+        return sequence
+
+    def receive(self) -> Answer | Dropped:
+        """Return the next answer.
+
+        Raises
+        ------
+        ApiError
+            A frame is wrong, and the stream goes on; or the stream ends.
+        ConnectionFailed
+            The stream was closed.
+        """
+        with _talking():
+            return read_message(self._socket.recv(), self.ready.keypoints)
+
+    def lift(self, keypoints: ArrayLike, *, confidence: ArrayLike | None = None) -> Answer:
+        """Send a frame and wait for its answer; for when no other is under way."""
+        sequence = self.send(keypoints, confidence=confidence)
+        while True:
+            answer = self.receive()
+            if isinstance(answer, Answer) and answer.sequence == sequence:
+                return answer
+
+    def __iter__(self) -> Iterator[Answer | Dropped]:
+        """Receive answers for ever."""
+        while True:
+            yield self.receive()
+
+
+class AsyncStream:
+    """The same to be awaited, in an ``async with``; one task may send while another receives."""
+
+    def __init__(self, line: Line, model: Model | str, start: Start) -> None:
+        self._line, self._start = line, json.dumps({"model": identifier(model), **start})
+        self._sequences = count()
+        self._stack = AsyncExitStack()
+
+    async def __aenter__(self) -> Self:
+        pauses = self._line.pauses()
+        while True:
+            try:
+                with _opening(self._line.url):
+                    connection = connect_async(self._line.url, **self._line.options)
+                    self._socket: AsyncConnection = await self._stack.enter_async_context(
+                        connection
+                    )
+                break
+            except (ConnectionFailed, Unavailable):
+                if (pause := next(pauses, None)) is None:
+                    raise
+                await asyncio.sleep(pause)
+        try:
+            with _talking():
+                await self._socket.send(self._start)
+                async with asyncio.timeout(self._line.timeout):
+                    self.ready: Ready = read_ready(await self._socket.recv())
+        except BaseException:
+            await self._stack.aclose()
+            raise
+        return self
+
+    async def __aexit__(
+        self, _k: type[BaseException] | None, _e: BaseException | None, _t: TracebackType | None
+    ) -> None:
+        await self._stack.aclose()
+
+    async def send(self, keypoints: ArrayLike, *, confidence: ArrayLike | None = None) -> int:
+        """Send a frame, as :meth:`Stream.send` does."""
+        sequence = next(self._sequences)
+        with _talking():
+            await self._socket.send(write_frame(sequence, keypoints, confidence))
+        return sequence
+
+    async def receive(self) -> Answer | Dropped:
+        """Return the next answer, as :meth:`Stream.receive` does."""
+        with _talking():
+            return read_message(await self._socket.recv(), self.ready.keypoints)
+
+    async def lift(self, keypoints: ArrayLike, *, confidence: ArrayLike | None = None) -> Answer:
+        """Send a frame and wait for its answer; for when no other is under way."""
+        sequence = await self.send(keypoints, confidence=confidence)
+        while True:
+            answer = await self.receive()
+            if isinstance(answer, Answer) and answer.sequence == sequence:
+                return answer
+
+    async def __aiter__(self) -> AsyncIterator[Answer | Dropped]:
+        """Receive answers for ever."""
+        while True:
+            yield await self.receive()
+
+
+@contextmanager
+def _opening(url: str) -> Iterator[None]:
+    try:
+        yield
+    except InvalidStatus as error:
+        try:
+            problem = json.loads(error.response.body or b"")
+        except ValueError:
+            problem = {}
+        raise api_error(error.response.status_code, problem) from error
+    except (OSError, WebSocketException) as error:  # TimeoutError is an OSError
+        raise ConnectionFailed(
+            f"{url} cannot be reached ({error}): start the service with `fewview serve`, or say "
+            "where it is: Client(url) or FEWVIEW_URL"
+        ) from error
+
+
+@contextmanager
+def _talking() -> Iterator[None]:
+    try:
+        yield
+    except ConnectionClosed as error:
+        raise _closed(error) from error
+    except TimeoutError as error:
+        raise ConnectionFailed("the service did not answer in time: open another stream") from error
+
+
+def _closed(error: ConnectionClosed) -> FewviewError:
+    if error.rcvd is None:
+        return ConnectionFailed("the connection was lost: open another stream")
+    reason = error.rcvd.reason or f"code {error.rcvd.code}"
+    if error.rcvd.code >= 4000:
+        return ApiError(
+            error.rcvd.code - 4000,
+            code="stream_closed",
+            title="The service closed the stream",
+            detail=reason,
+        )
+    return ConnectionFailed(f"the stream is closed ({reason}): open another")

@@ -1,0 +1,168 @@
+"""What is said in a stream of frames: bytes of a fixed little-endian layout, and JSON.
+
+``docs/streaming.md`` describes both.
+"""
+
+import json
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fewview.capture import Float32
+from fewview.errors import ApiError, ConnectionFailed, api_error
+
+FRAME, ANSWER = 1, 2
+WITH_CONFIDENCE = 1
+LIFTED, CONTINUED = 1, 2
+HEADER = struct.Struct("<BBHI")
+VIEW = np.dtype(
+    [
+        ("camera_models", "<i4"),
+        ("rotations", "<f4", (3, 3)),
+        ("scales", "<f4"),
+        ("translations", "<f4", (3,)),
+        ("focals", "<f4", (2,)),
+        ("principal_points", "<f4", (2,)),
+        ("distortions", "<f4", (8,)),
+        ("reprojection_errors", "<f4"),
+    ]
+)
+STATUSES = {
+    "malformed_body": 400,
+    "not_found": 404,
+    "idle": 408,
+    "conflict": 409,
+    "invalid_input": 422,
+    "overloaded": 503,
+    "unavailable": 503,
+}
+
+
+@dataclass(frozen=True)
+class Ready:
+    """What the service understood; ``raw`` has the rest, limits too."""
+
+    model: str
+    keypoints: int
+    views: tuple[int, ...] | None
+    refine: str
+    raw: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """One frame of K views in 3D, P keypoints; NaN where there is no answer.
+
+    Attributes
+    ----------
+    sequence
+        Of the frame that it answers.
+    lifted, continued
+        Whether there is a structure; whether its refinement started from the answer before.
+    points3d
+        (P, 3).
+    views
+        (K,) with the fields ``camera_models``, ``rotations`` (3, 3), ``scales``, ``translations``,
+        ``focals``, ``principal_points``, ``distortions`` and ``reprojection_errors``, which mean
+        what they mean in :class:`~fewview.Lift`.
+    keypoints_seen
+        (P,) how many views show each; 0 is inferred.
+    findings
+        Sum of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``.
+    """
+
+    sequence: int
+    lifted: bool
+    continued: bool
+    points3d: Float32
+    views: NDArray[np.void]
+    keypoints_seen: NDArray[np.uint8]
+    findings: int
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Frames that get no answer because newer ones took their places (``on_overload="latest"``)."""
+
+    sequences: tuple[int, ...]
+
+
+def write_frame(sequence: int, keypoints: ArrayLike, confidence: ArrayLike | None) -> bytes:
+    """Return a frame's message: ``keypoints`` (K, P, 2) pixels, ``confidence`` (K, P).
+
+    Raises
+    ------
+    ValueError
+        If they have not these shapes.
+    """
+    points = np.asarray(keypoints, "<f4")
+    if points.ndim != 3 or points.shape[2] != 2:
+        raise ValueError(f"expected keypoints of one frame, (views, keypoints, 2): {points.shape}")
+    flags, trailer = 0, b""
+    if confidence is not None:
+        weights = np.asarray(confidence, "<f4")
+        if weights.shape != points.shape[:2]:
+            raise ValueError(f"expected confidence {points.shape[:2]}, got {weights.shape}")
+        flags, trailer = WITH_CONFIDENCE, weights.tobytes()
+    return HEADER.pack(FRAME, flags, len(points), sequence) + points.tobytes() + trailer
+
+
+def read_message(message: str | bytes, keypoints: int) -> Answer | Dropped:
+    """Return what the service said after it was ready, of P ``keypoints`` a view.
+
+    Raises
+    ------
+    ApiError
+        It said that something is wrong; ``errors`` say what.
+    """
+    if isinstance(message, str):
+        said = json.loads(message)
+        if said["type"] == "dropped":
+            return Dropped(tuple(said["sequences"]))
+        raise refusal(said)
+    _kind, flags, count, sequence = HEADER.unpack_from(message)
+    points3d = np.frombuffer(message, "<f4", 3 * keypoints, HEADER.size).reshape(-1, 3)
+    views = np.frombuffer(message, VIEW, count, HEADER.size + points3d.nbytes)
+    place = HEADER.size + points3d.nbytes + views.nbytes
+    return Answer(
+        sequence=sequence,
+        lifted=bool(flags & LIFTED),
+        continued=bool(flags & CONTINUED),
+        points3d=points3d,
+        views=views,
+        keypoints_seen=np.frombuffer(message, np.uint8, keypoints, place),
+        findings=flags >> 2,
+    )
+
+
+def read_ready(message: str | bytes) -> Ready:
+    """Return the service's first message.
+
+    Raises
+    ------
+    ApiError
+        It refused the stream.
+    ConnectionFailed
+        What answers is no Fewview.
+    """
+    said = json.loads(message) if isinstance(message, str) else {}
+    if said.get("type") == "error":
+        raise refusal(said)
+    if said.get("type") != "ready":
+        raise ConnectionFailed("expected a stream of Fewview, got something else: look at the URL")
+    views = said["views"]
+    return Ready(
+        said["model"],
+        said["keypoints"],
+        None if views is None else tuple(views),
+        said["refine"],
+        said,
+    )
+
+
+def refusal(said: dict[str, Any]) -> ApiError:
+    """Return the error that a message tells."""
+    return api_error(STATUSES.get(said["code"], 500), {"title": said["code"], **said})

@@ -1,0 +1,192 @@
+"""The clients: one that blocks, one that is awaited; what they can do is in ``fewview.api``."""
+
+import os
+from collections.abc import Iterable, Mapping
+from types import TracebackType
+from typing import Any, Self, Unpack
+
+import httpx2
+from numpy.typing import ArrayLike
+
+from fewview.api.datasets import Datasets
+from fewview.api.drivers import Awaiting, Blocking
+from fewview.api.fits import Fits
+from fewview.api.forms import Model
+from fewview.api.health import HealthChecks
+from fewview.api.lifting import Lift, lift_request
+from fewview.api.lifts import Lifts
+from fewview.api.models import Models
+from fewview.api.operations import Driver, Resource, operation
+from fewview.api.steps import Steps
+from fewview.api.stream import AsyncStream, Line, Start, Stream
+from fewview.capture import Capture
+
+DEFAULT_URL = "http://127.0.0.1:8000"
+CONNECT_SECONDS = 10.0
+
+
+class Api(Resource[Driver]):
+    """What both clients can do.
+
+    Attributes
+    ----------
+    url
+        Where the service is.
+    datasets, fits, models, lifts, health
+        What it has.
+    """
+
+    def __init__(self, driver: Driver) -> None:
+        super().__init__(driver)
+        self.url = str(driver.http.base_url).rstrip("/")
+        self.datasets = Datasets(driver)
+        self.fits = Fits(driver)
+        self.models = Models(driver)
+        self.lifts = Lifts(driver)
+        self.health = HealthChecks(driver)
+
+    @operation
+    def lift(
+        self,
+        model: Model | str,
+        keypoints: Capture | ArrayLike,
+        *,
+        confidence: ArrayLike | None = None,
+        refine: str | None = None,
+        views: Iterable[int] | None = None,
+    ) -> Steps[Lift]:
+        """Lift frames with a fitted model.
+
+        Parameters
+        ----------
+        keypoints
+            (N, K, P, 2) pixels, NaN where not observed; or a capture.
+        confidence
+            (N, K, P) in [0, 1]; 0 is not observed.
+        refine
+            ``auto``, ``full`` or ``off``: where frames are refined in perspective. None: as in
+            the fit.
+        views
+            Which K views of the fit these are; None if they are all, or not said.
+
+        Raises
+        ------
+        NotFound
+            There is no such model.
+        InvalidRequest
+            The keypoints are not those of the model; ``errors`` say what is expected.
+        """
+        return self._call(
+            lift_request(model, keypoints, confidence=confidence, refine=refine, views=views)
+        )
+
+    def _line(self) -> Line:
+        return Line(self._driver)
+
+
+class Client(Api[Blocking]):
+    """Talks to a Fewview service; threads may share it. Used in a ``with``, or closed at the end.
+
+    Parameters
+    ----------
+    url
+        Where the service is; else what ``FEWVIEW_URL`` says, else http://127.0.0.1:8000.
+    timeout
+        Seconds that the service may stay silent.
+    patience
+        Seconds for which requests are tried again while it is away or busy; 0: once only.
+    headers
+        Sent with every request, such as ``Authorization`` for a proxy.
+
+    Raises
+    ------
+    ValueError
+        The URL is none.
+    """
+
+    def __init__(
+        self,
+        url: str | None = None,
+        *,
+        timeout: float = 60.0,
+        patience: float = 20.0,
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
+        http = httpx2.Client(**_options(url, timeout, headers))
+        super().__init__(Blocking(http, patience))
+
+    def stream(self, model: Model | str, **start: Unpack[Start]) -> Stream:
+        """Return a stream of single frames, to be used in a ``with``.
+
+        Parameters
+        ----------
+        start
+            What :class:`~fewview.api.stream.Start` names.
+
+        Raises
+        ------
+        ApiError
+            On entering it: the model or the options are wrong, or too many streams are open.
+        ConnectionFailed
+            On entering it: the service cannot be reached.
+        """
+        return Stream(self._line(), model, start)
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._driver.http.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _k: type[BaseException] | None, _e: BaseException | None, _t: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class AsyncClient(Api[Awaiting]):
+    """The same to be awaited, in asyncio: used in an ``async with``, or closed at the end.
+
+    Its parameters are those of :class:`Client`. Arrays are written and read in the event loop's
+    thread, which takes a millisecond per megabyte or so.
+    """
+
+    def __init__(
+        self,
+        url: str | None = None,
+        *,
+        timeout: float = 60.0,
+        patience: float = 20.0,
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
+        http = httpx2.AsyncClient(**_options(url, timeout, headers))
+        super().__init__(Awaiting(http, patience))
+
+    def stream(self, model: Model | str, **start: Unpack[Start]) -> AsyncStream:
+        """Return a stream of single frames, to be used in an ``async with``."""
+        return AsyncStream(self._line(), model, start)
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self._driver.http.aclose()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, _k: type[BaseException] | None, _e: BaseException | None, _t: TracebackType | None
+    ) -> None:
+        await self.close()
+
+
+def _options(url: str | None, timeout: float, headers: Mapping[str, str] | None) -> dict[str, Any]:
+    """Return the options of httpx2's clients."""
+    where = (url or os.environ.get("FEWVIEW_URL") or DEFAULT_URL).rstrip("/")
+    if not where.startswith(("http://", "https://")):
+        raise ValueError(f"expected a URL such as {DEFAULT_URL}, got {where!r}")
+    return {
+        "base_url": where,
+        "timeout": httpx2.Timeout(timeout, connect=min(CONNECT_SECONDS, timeout)),
+        "headers": dict(headers or {}),
+    }

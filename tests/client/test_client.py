@@ -1,0 +1,230 @@
+"""The whole job by ``fewview.Client`` and by ``fewview.AsyncClient``, on a served process."""
+
+import asyncio
+import subprocess
+import sys
+from collections.abc import Coroutine
+from pathlib import Path
+from typing import Any, TypeVar
+
+import fewview
+import numpy as np
+import pytest
+from fewview import AsyncClient, Client
+from fewview.api import datasets
+from fewview.api.forms import Fit
+from fewview.api.stream_messages import Answer, Dropped
+
+from tests.client.conftest import Served, a_capture
+from tests.service.conftest import CONFIG
+
+T = TypeVar("T")
+
+
+def awaited(coroutine: Coroutine[Any, Any, T]) -> T:
+    return asyncio.run(coroutine)
+
+
+def test_what_fewview_offers_is_loaded_when_it_is_used() -> None:
+    for name in fewview.__all__:
+        assert getattr(fewview, name).__name__ == name
+    assert set(fewview.__all__) <= set(dir(fewview))
+    with pytest.raises(AttributeError, match="no attribute 'Clients'"):
+        fewview.Clients  # noqa: B018
+    code = "import sys, fewview; print({'numpy', 'httpx2', 'websockets'} & sys.modules.keys())"
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert ran.stdout == "set()\n"
+
+
+def test_the_url_is_told_or_in_the_environment_or_the_usual(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("FEWVIEW_URL", raising=False)
+    assert Client().url == "http://127.0.0.1:8000"
+    monkeypatch.setenv("FEWVIEW_URL", "https://lab.example/fewview/")
+    assert Client().url == "https://lab.example/fewview"
+    assert Client("http://here:1").url == "http://here:1"
+    with pytest.raises(ValueError, match="expected a URL"):
+        Client("here:1")
+
+
+def test_a_dataset_is_stored_described_listed_extended_and_deleted(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client, capture = served.client, served.capture
+    assert served.dataset.frames == len(capture.keypoints)
+    assert served.dataset.raw["metadata"] == {"subject": "M7"}
+    assert served.dataset.raw["image_sizes"] == [[1280, 1024], None, [1280, 1024]]
+    assert served.dataset.raw["skeleton"]["keypoint_names"][1] == "k1"
+
+    monkeypatch.setattr(datasets, "PART_FRAMES", 25)  # in three requests
+    other = client.datasets.create(capture, name="other")
+    assert other.checksum == served.dataset.checksum
+    longer = client.datasets.append(other, capture.keypoints[:10])
+    assert longer.frames == other.frames + 10
+    assert client.datasets.get(other.id) == longer
+    assert [found.name for found in client.datasets.list(name="other", limit=1)] == ["other"]
+    found = [dataset.id for dataset in client.datasets.list(limit=1)]  # a page each
+    assert found == [other.id, served.dataset.id]
+    client.datasets.delete(other)
+    with pytest.raises(fewview.NotFound) as error:
+        client.datasets.get(other.id)
+    assert error.value.status == 404
+    assert error.value.code == "not_found"
+
+
+def test_a_long_capture_that_is_refused_midway_leaves_nothing(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(datasets, "PART_FRAMES", 25)
+    before = [dataset.id for dataset in served.client.datasets.list()]
+    broken = served.capture.keypoints.copy()
+    broken[30] = np.inf
+    with pytest.raises(fewview.InvalidRequest) as error:
+        served.client.datasets.create(broken)
+    assert error.value.errors[0].pointer.startswith("/keypoints")
+    assert [dataset.id for dataset in served.client.datasets.list()] == before
+
+
+def test_a_fit_is_followed_and_its_reconstruction_is_arrays(served: Served) -> None:
+    client, heard = served.client, list[Fit]()
+    fit = client.fits.create(served.dataset, name="again", **CONFIG)
+    done = client.fits.wait(fit, on_progress=heard.append)
+    assert done.status == "succeeded"
+    assert heard[-1] == done
+    assert heard[-1].progress is not None
+    assert len({job.raw["progress"] and job.raw["progress"]["step"] for job in heard}) > 1
+    assert client.fits.wait(fit) == done
+    assert next(client.fits.list(status="succeeded")) == done
+
+    lift = client.fits.reconstruction(done)
+    frames, views, keypoints = served.capture.keypoints.shape[:3]
+    assert len(lift) == frames
+    assert lift.points3d.shape == (frames, keypoints, 3)
+    assert lift.rotations.shape == (frames, views, 3, 3)
+    assert lift.frame_findings is not None
+    assert lift.frame_findings.shape == (frames,)
+    assert lift.lifted.all()
+    assert lift.model_id == done.model_id
+
+
+def test_a_fit_that_fails_is_an_exception(served: Served) -> None:
+    unseen = np.full((40, 2, 16, 2), np.nan)
+    dataset = served.client.datasets.create(unseen)
+    fit = served.client.fits.create(dataset, **CONFIG)
+    with pytest.raises(fewview.JobFailed) as error:
+        served.client.fits.wait(fit)
+    assert error.value.code == "unusable_capture"
+    assert error.value.message in str(error.value)
+    assert error.value.job.id == fit.id
+
+    fit = served.client.fits.create(served.dataset, **CONFIG | {"steps": 100_000})
+    assert served.client.fits.cancel(fit).raw["cancel_requested"]
+    with pytest.raises(fewview.JobFailed, match="cancelled"):
+        served.client.fits.wait(fit)
+    served.client.fits.delete(fit)
+
+
+def test_what_is_asked_wrongly_is_told_by_its_place(served: Served) -> None:
+    with pytest.raises(fewview.InvalidRequest) as error:
+        served.client.fits.create(served.dataset, steps=-1)
+    assert [item.pointer for item in error.value.errors] == ["/config/steps"]
+    with pytest.raises(fewview.InvalidRequest, match="keypoints"):
+        served.client.lift(served.model, served.capture.keypoints[:, :, :5])
+    with pytest.raises(fewview.Conflict):
+        served.client.fits.cancel(served.fit)
+
+
+def test_models_have_cameras_and_frames_are_lifted(served: Served) -> None:
+    client, capture = served.client, served.capture
+    model = client.models.get(served.model)
+    assert next(client.models.list()).id
+    assert model.views == 3
+    cameras = client.models.cameras(model)
+    assert cameras.arrangement in ("moving", "unknown")
+    for view in cameras.views:
+        assert view.focal is None or view.focal.shape == (2,)
+
+    lift = client.lift(model, capture, refine="off")
+    assert lift.points3d.shape == (60, capture.keypoints.shape[2], 3)
+    two = client.lift(model, capture.keypoints[:4, [2, 0]], views=[2, 0], refine="off")
+    assert two.rotations.shape == (4, 2, 3, 3)
+    assert {"points3d", "camera_models"} <= two.arrays().keys()
+
+
+def test_a_dataset_is_lifted_as_a_job(served: Served, tmp_path: Path) -> None:
+    client = served.client
+    job = client.lifts.wait(client.lifts.create(served.model, served.dataset, refine="off"))
+    assert job.progress is not None
+    assert job.progress.frames_done == job.frames == 60
+    lift = client.lifts.result(job)
+    file = client.lifts.download(job, tmp_path / "result.npz")
+    with np.load(file) as arrays:
+        np.testing.assert_array_equal(arrays["points3d"], lift.points3d)
+    assert client.lifts.download(job, tmp_path / "r.jsonl").read_text().count("\n") == 60
+    with pytest.raises(ValueError, match="expected a file ending"):
+        client.lifts.download(job, tmp_path / "result.txt")
+    assert [found.id for found in client.lifts.list(model_id=served.model)] == [job.id]
+
+
+def test_frames_are_streamed(served: Served) -> None:
+    capture = served.capture
+    assert capture.confidence is not None
+    with served.client.stream(served.model, refine="off") as stream:
+        assert stream.ready.keypoints == capture.keypoints.shape[2]
+        answer = stream.lift(capture.keypoints[0], confidence=capture.confidence[0])
+        assert answer.lifted
+        whole = served.client.lift(served.model, capture, refine="off")
+        np.testing.assert_allclose(answer.points3d, whole.points3d[0], atol=1e-5)
+        np.testing.assert_allclose(answer.views["rotations"], whole.rotations[0], atol=1e-5)
+        with pytest.raises(fewview.InvalidRequest, match="keypoints"):
+            stream.lift(capture.keypoints[0, :, :3])
+        sent = [stream.send(frame) for frame in capture.keypoints[:5]]
+        answers = [stream.receive() for _ in sent]
+        assert [found.sequence for found in answers if isinstance(found, Answer)] == sent
+    with pytest.raises(fewview.NotFound), served.client.stream("mdl_none"):
+        pass
+
+
+def test_the_same_can_be_awaited(served: Served, tmp_path: Path) -> None:
+    async def job() -> None:
+        async with AsyncClient(served.live.url) as client:
+            assert (await client.health.ready()).workers == 1
+            dataset = await client.datasets.create(a_capture(20), name="awaited")
+            heard: list[Fit] = []
+            fit = await client.fits.create(dataset, **CONFIG)
+            fit = await client.fits.wait(fit, on_progress=heard.append)
+            assert heard[-1] == fit
+            assert fit.model_id is not None
+            assert len(await client.fits.reconstruction(fit)) == 20
+            assert dataset.id in [found.id async for found in client.datasets.list(limit=2)]
+            frames = served.capture.keypoints[:8]
+            lifts = await asyncio.gather(*(client.lift(fit.model_id, frames) for _ in range(4)))
+            np.testing.assert_array_equal(lifts[0].points3d, lifts[3].points3d)
+            weights = await client.models.download(fit.model_id, tmp_path / "weights")
+            copy = await client.models.upload(weights, name="copy")
+            await client.models.delete(copy)
+            with pytest.raises(fewview.NotFound):
+                await client.models.get(copy.id)
+            async with client.stream(fit.model_id, on_overload="latest") as stream:
+                answer = await stream.lift(frames[0])
+                assert answer.lifted
+                last = [await stream.send(frame) for frame in frames][-1]
+                async for found in stream:
+                    assert isinstance(found, Answer | Dropped)
+                    if isinstance(found, Answer) and found.sequence == last:
+                        break
+
+    awaited(job())
+
+
+def test_a_wait_that_is_given_up_leaves_no_connection(served: Served) -> None:
+    async def give_up() -> None:
+        async with AsyncClient(served.live.url) as client:
+            fit = await client.fits.create(served.dataset, **CONFIG | {"steps": 100_000})
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(1):
+                    await client.fits.wait(fit)
+            await client.fits.cancel(fit)
+
+    awaited(give_up())
