@@ -91,7 +91,9 @@ def parse_arguments() -> argparse.Namespace:
     parser = command("Time lifts in this process and through the service.")
     add_options(parser)
     parser.add_argument("--batches", type=int, nargs="+", default=[1, 32, 1000], help="frames")
-    parser.add_argument("--refine", nargs="+", choices=get_args(Refine), default=list(REFINES))
+    parser.add_argument(
+        "--refine", nargs="+", choices=get_args(Refine.__value__), default=list(REFINES)
+    )
     parser.add_argument("--seconds", type=float, default=15, help="for each batch size: 15")
     return parser.parse_args()
 

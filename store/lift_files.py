@@ -19,11 +19,12 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import TypeAliasType
 
 from store.crc import combine
 from store.records import LiftChunk, LiftJob
 
-Format = Literal["jsonl", "npz", "safetensors"]
+ResultFormat = TypeAliasType("ResultFormat", Literal["jsonl", "npz", "safetensors"])
 
 PIECE_BYTES = 1024 * 1024  # read at a time
 
@@ -107,7 +108,7 @@ class ResultFile:
 
 
 def result_file(
-    lift: LiftJob, chunks: Sequence[LiftChunk], wanted: Format, metadata: dict[str, str]
+    lift: LiftJob, chunks: Sequence[LiftChunk], wanted: ResultFormat, metadata: dict[str, str]
 ) -> ResultFile:
     """Return the result of a lift that succeeded, laid out in a format.
 

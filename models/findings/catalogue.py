@@ -2,39 +2,50 @@
 
 from typing import Literal, NamedTuple, get_args
 
-Severity = Literal["info", "warning"]
+from typing_extensions import TypeAliasType
 
-CaptureCode = Literal[  # of the keypoints alone, before any fit
-    "keypoint_never_seen",
-    "view_never_seen",
-    "keypoint_frozen",
-    "views_identical",
-    "coordinates_normalised",
-    "outside_image",
-    "too_few_frames",
-    "one_view",
-    "no_motion",
-    "views_out_of_step",
-    "views_swapped",
-    "left_right_swapped",
-]
-CameraCode = Literal[  # of what a fit finds of its cameras
-    "cameras_not_found",
-    "rig_declared_but_moving",
-    "calibration_disagrees",
-    "known_length_disagrees",
-    "camera_moved",
-    "focal_not_observable",
-    "handedness_not_observable",
-    "views_opposite",
-    "noise_high",
-    "lenses_extreme",
-]
-LiftCode = Literal[  # of new frames
-    "rig_not_used",
-    "frame_unlike_fit",
-    "coordinates_of_another_scale",
-]
+Severity = TypeAliasType("Severity", Literal["info", "warning"])
+
+CaptureCode = TypeAliasType(
+    "CaptureCode",
+    Literal[  # of the keypoints alone, before any fit
+        "keypoint_never_seen",
+        "view_never_seen",
+        "keypoint_frozen",
+        "views_identical",
+        "coordinates_normalised",
+        "outside_image",
+        "too_few_frames",
+        "one_view",
+        "no_motion",
+        "views_out_of_step",
+        "views_swapped",
+        "left_right_swapped",
+    ],
+)
+CameraCode = TypeAliasType(
+    "CameraCode",
+    Literal[  # of what a fit finds of its cameras
+        "cameras_not_found",
+        "rig_declared_but_moving",
+        "calibration_disagrees",
+        "known_length_disagrees",
+        "camera_moved",
+        "focal_not_observable",
+        "handedness_not_observable",
+        "views_opposite",
+        "noise_high",
+        "lenses_extreme",
+    ],
+)
+LiftCode = TypeAliasType(
+    "LiftCode",
+    Literal[  # of new frames
+        "rig_not_used",
+        "frame_unlike_fit",
+        "coordinates_of_another_scale",
+    ],
+)
 FindingCode = CaptureCode | CameraCode | LiftCode
 
 
@@ -189,5 +200,5 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
 }
 CODES: tuple[FindingCode, ...] = tuple(
-    code for group in get_args(FindingCode) for code in get_args(group)
+    code for group in get_args(FindingCode) for code in get_args(group.__value__)
 )

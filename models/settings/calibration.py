@@ -5,9 +5,11 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from typing_extensions import TypeAliasType
 
-LensName = Literal["pinhole", "fisheye"]  # a file each in `models.optics.lenses`
-LiftedLensName = Literal["perspective", "fisheye"]  # the same lenses, as lifts and models call them
+# A file each in `models.optics.lenses`; and the same lenses, as lifts and models call them.
+LensName = TypeAliasType("LensName", Literal["pinhole", "fisheye"])
+LiftedLensName = TypeAliasType("LiftedLensName", Literal["perspective", "fisheye"])
 Alike = bool | Literal["auto"]  # whether lenses are alike; "auto": as the keypoints say
 NUMBERS_OF_COEFFICIENTS: dict[LensName, tuple[int, ...]] = {
     "pinhole": (0, 1, 2, 4, 5, 8),

@@ -11,6 +11,7 @@ from pydantic import (
     field_validator,
     model_validator,
 )
+from typing_extensions import TypeAliasType
 
 from models.settings.calibration import Alike, Camera, KnownLength, keypoints_by_index
 from models.settings.priors import (
@@ -22,9 +23,9 @@ from models.settings.priors import (
     check_dictionary_sizes,
 )
 
-Refine = Literal["auto", "off", "full"]
-Arrangement = Literal["auto", "moving", "static"]
-Synchronise = Literal["auto", "off"]
+Refine = TypeAliasType("Refine", Literal["auto", "off", "full"])
+Arrangement = TypeAliasType("Arrangement", Literal["auto", "moving", "static"])
+Synchronise = TypeAliasType("Synchronise", Literal["auto", "off"])
 Index = Annotated[int, Field(ge=0)]
 
 LEARNING_RATES = ", ".join(

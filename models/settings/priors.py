@@ -7,8 +7,10 @@ from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
+from typing_extensions import TypeAliasType
 
-PriorName = Literal["hierarchical", "mlp"]
+PriorName = TypeAliasType("PriorName", Literal["hierarchical", "mlp"])
+Decoder = TypeAliasType("Decoder", Literal["linear", "mlp"])
 DictionarySizes = tuple[Annotated[int, Field(ge=1, le=4096)], ...]
 
 MAX_DICTIONARY_ENTRIES = 16_000_000  # the paper's {4096, 2048, ..., 8} needs 11 million
@@ -43,7 +45,7 @@ class MlpSizes(BaseModel):
     code: int = Field(
         default=32, ge=1, le=1024, description="Length of the code that describes a structure."
     )
-    decoder: Literal["linear", "mlp"] = Field(
+    decoder: Decoder = Field(
         default="mlp",
         description=(
             "How a code becomes a structure: `linear`, a weighted sum of basis structures; `mlp`,"

@@ -60,16 +60,10 @@ def _form_fields(form: type[BaseModel] | None) -> dict[str, Any]:
     }
 
 
-def binary_responses(description: str) -> dict[int | str, dict[str, Any]]:
-    """Return the OpenAPI response of an operation that also answers with an array file."""
-    return {
-        200: {
-            "description": description,
-            "content": {
-                "application/octet-stream": {"schema": {"type": "string", "format": "binary"}}
-            },
-        }
-    }
+def binary_responses(description: str, *media_types: str) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI response of an operation that also answers with bytes of these types."""
+    file = {"schema": {"type": "string", "format": "binary"}}
+    return {200: {"description": description, "content": dict.fromkeys(media_types, file)}}
 
 
 def register(*models: type[BaseModel]) -> None:

@@ -15,6 +15,7 @@ from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift_findings import lift_findings
 from models.settings.config import Index, Refine
 from service.http.errors import BODY_PROBLEMS, invalid, problems
+from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses, request_body
 from service.http.uploads import LARGE_BYTES, Upload, read_body
 from service.realtime.engine import Engine
@@ -153,7 +154,7 @@ router = APIRouter(tags=["lift"], route_class=DirectRoute)
     operation_id="lift",
     response_model=Lift,
     responses=problems(*BODY_PROBLEMS, "not_found", "not_acceptable")
-    | binary_responses("The lifted frames."),
+    | binary_responses("The lifted frames.", OCTETS, NPZ),
     openapi_extra=request_body(
         LiftRequest,
         binary="A safetensors or .npz file with `frames` (or `keypoints`: frames, views, "

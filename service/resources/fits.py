@@ -8,6 +8,7 @@ import redis.exceptions
 from fastapi import APIRouter, Depends, Query, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 from rq import Queue
+from typing_extensions import TypeAliasType
 
 from models.settings.config import FitConfig
 from service.http.dependencies import (
@@ -28,6 +29,9 @@ from store import fits, records
 from store.database import Store
 
 router = APIRouter(prefix="/fits", tags=["fits"])
+
+FitStage = TypeAliasType("FitStage", Literal["training", "refining"])
+StoppedBy = TypeAliasType("StoppedBy", Literal["steps", "budget", "early"])
 
 
 class FitCreate(BaseModel):
@@ -63,7 +67,7 @@ class FitCreate(BaseModel):
 class FitProgress(BaseModel):
     """How far a fit has come."""
 
-    stage: Literal["training", "refining"] = Field(
+    stage: FitStage = Field(
         "training",
         description="`training` while steps of the network are taken. `refining` while the cameras "
         "are sought and frames are refined for the network to learn from; then training goes on.",
@@ -77,7 +81,7 @@ class FitProgress(BaseModel):
     seconds_left: float | None = Field(
         description="An estimate from the steps taken; it can rise when the stage changes."
     )
-    stopped_by: Literal["steps", "budget", "early"] | None = Field(
+    stopped_by: StoppedBy | None = Field(
         None,
         description="What ended the training: all its steps were taken, `budget_s` ran out, or "
         "`early_stopping` saw nothing more to learn. Null while it goes on.",

@@ -10,6 +10,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel
 from rq import Queue
+from typing_extensions import TypeAliasType
 
 from service.http.dependencies import QueueDep, StoreDep
 from service.http.errors import problems
@@ -22,7 +23,9 @@ from worker.queue import offer
 
 POLL_SECONDS = 0.25
 
-JobStatus = Literal["queued", "running", "succeeded", "failed", "cancelled"]
+JobStatus = TypeAliasType(
+    "JobStatus", Literal["queued", "running", "succeeded", "failed", "cancelled"]
+)
 LastEventId = Annotated[
     int | None, Header(description="The last event you have; only newer ones are sent.")
 ]

@@ -32,19 +32,19 @@ from service.wire.schemas import REFINE, VIEWS, Name
 from store import lifts, lookup, records
 from store.database import Store
 from store.errors import ConflictError
-from store.lift_files import Format, result_file
+from store.lift_files import ResultFormat, result_file
 
 router = APIRouter(prefix="/lifts", tags=["lifts"])
 
 JSON_LINES = "application/x-ndjson"
-FORMATS: dict[str, Format] = {
+FORMATS: dict[str, ResultFormat] = {
     "*/*": "jsonl",
     "application/*": "jsonl",
     JSON_LINES: "jsonl",
     "application/jsonl": "jsonl",
     **BINARY_FORMATS,
 }
-MEDIA_TYPES: dict[Format, str] = {"jsonl": JSON_LINES, "npz": NPZ, "safetensors": OCTETS}
+MEDIA_TYPES: dict[ResultFormat, str] = {"jsonl": JSON_LINES, "npz": NPZ, "safetensors": OCTETS}
 
 
 class LiftCreate(BaseModel):
@@ -237,7 +237,8 @@ add_job_routes(
     responses=problems("not_found", "conflict", "not_acceptable", "range_not_satisfiable")
     | binary_responses(
         "Every frame of the dataset, lifted: JSON lines (`application/x-ndjson`) unless another "
-        "form is asked for, safetensors (`application/octet-stream`) or npz (`application/x-npz`)."
+        "form is asked for, safetensors (`application/octet-stream`) or npz (`application/x-npz`).",
+        *MEDIA_TYPES.values(),
     ),
 )
 def get_lift_result(
@@ -245,7 +246,7 @@ def get_lift_result(
     store: StoreDep,
     request: Request,
     format: Annotated[
-        Format | None,
+        ResultFormat | None,
         Query(description="Representation; without it the `Accept` header decides."),
     ] = None,
 ) -> Response:

@@ -18,6 +18,7 @@ from service.http.dependencies import (
 from service.http.downloads import bytes_response
 from service.http.errors import BODY_PROBLEMS, ApiError, problems
 from service.http.idempotency import idempotency
+from service.http.negotiation import OCTETS
 from service.http.operations import binary_responses, request_body
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
@@ -181,7 +182,7 @@ def get_model_cameras(model_id: Identifier, engine: EngineDep) -> ModelCameras:
     "/{model_id}/weights",
     response_class=Response,
     responses=problems("not_found", "range_not_satisfiable")
-    | binary_responses("The weights as safetensors, to be imported elsewhere."),
+    | binary_responses("The weights as safetensors, to be imported elsewhere.", OCTETS),
 )
 def download_weights(model_id: Identifier, store: StoreDep, request: Request) -> Response:
     """Download a model's weights (safetensors), whole or a range of their bytes."""
@@ -189,7 +190,7 @@ def download_weights(model_id: Identifier, store: StoreDep, request: Request) ->
     return bytes_response(
         request,
         models.load_weights(store, record),
-        media_type="application/octet-stream",
+        media_type=OCTETS,
         filename=f"{record.id}.safetensors",
         checksum=record.weights_checksum,
     )

@@ -13,6 +13,7 @@ from models.findings.finding import Finding
 from models.settings.config import Refine
 from service.http.dependencies import SettingsDep, StoreDep
 from service.http.errors import invalid, problems
+from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses
 from service.realtime.dependencies import EngineDep
 from service.realtime.lift import RefineQuery
@@ -63,7 +64,7 @@ async def take_turn(request: Request, refine: RefineQuery = None) -> AsyncIterat
     response_model=Reconstruction,
     dependencies=[Depends(take_turn, scope="function")],
     responses=problems("not_found", "conflict", "not_acceptable")
-    | binary_responses("Every frame of the fitted dataset, lifted."),
+    | binary_responses("Every frame of the fitted dataset, lifted.", OCTETS, NPZ),
 )
 def get_reconstruction(
     fit: FitDep,

@@ -4,12 +4,17 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
+from typing_extensions import TypeAliasType
 
 from models.calibrating.result import CameraReport
 from models.findings.finding import Finding
 from models.settings.calibration import LiftedLensName
 from service.wire.findings import Findings
 from service.wire.schemas import Distortion, Rotation, Vector2, Vector3
+
+FoundArrangement = TypeAliasType(
+    "FoundArrangement", Literal["static", "moving", "mixed", "unknown"]
+)
 
 EXAMPLE_FINDING = Finding.of(
     "calibration_disagrees", views=[0], noise=1.9, noise_as_told=7.3, focal_ratio=1.21
@@ -105,7 +110,7 @@ class ModelCameras(BaseModel):
     )
 
     model: str
-    arrangement: Literal["static", "moving", "mixed", "unknown"] = Field(
+    arrangement: FoundArrangement = Field(
         description="`mixed`: some rest and some move; `unknown`: cameras were not sought."
     )
     reason: str = Field(description="Why, in words.")

@@ -7,6 +7,7 @@ import orjson
 from fastapi import Query, Request
 from numpy.typing import NDArray
 from starlette.responses import Response
+from typing_extensions import TypeAliasType
 
 from models.findings.finding import Finding, dumped
 from service.http.downloads import bytes_response
@@ -14,7 +15,7 @@ from service.http.negotiation import BINARY_FORMATS, NPZ, OCTETS, accepted_forma
 from service.wire import arrays
 from service.wire.schemas import frames_json
 
-Format = Literal["json", "safetensors", "npz"]
+Format = TypeAliasType("Format", Literal["json", "safetensors", "npz"])
 FormatQuery = Annotated[
     Format | None,
     Query(description="Representation; without it the `Accept` header decides."),

@@ -4,10 +4,10 @@ from typing import Annotated, Any, Literal
 
 import orjson
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
+from typing_extensions import TypeAliasType
 
 from models.findings.catalogue import LiftCode
 from models.lifting.frames_json import frames_to_json
-from models.settings.calibration import LiftedLensName
 from service.wire.arrays import Arrays
 
 _NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
@@ -81,7 +81,8 @@ Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Rotation = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 
 
-CameraModel = Literal["weak_perspective", LiftedLensName]
+CameraModel = TypeAliasType("CameraModel", Literal["weak_perspective", "perspective", "fisheye"])
+FrameStatus = TypeAliasType("FrameStatus", Literal["ok", "too_few_keypoints"])
 Distortion = Annotated[list[float], Field(min_length=8, max_length=8)]
 
 
@@ -147,7 +148,7 @@ class LiftedFrame(BaseModel):
 
     model_config = ConfigDict(json_schema_extra={"example": LIFTED_FRAME})
 
-    status: Literal["ok", "too_few_keypoints"]
+    status: FrameStatus
     reason: str | None = Field(description="Why there is no answer, if there is none.")
     points3d: list[Vector3 | None] | None = Field(
         description="The canonical structure, keypoints x (x, y, z): centred, right-handed. Null "

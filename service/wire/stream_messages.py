@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
+from typing_extensions import TypeAliasType
 
 from models.settings.config import Index, Refine
 from service.http.errors import FieldError
@@ -45,7 +46,7 @@ VIEW = np.dtype(
     ]
 )
 
-Overload = Literal["latest", "all"]
+Overload = TypeAliasType("Overload", Literal["latest", "all"])
 
 
 class StreamStart(BaseModel):

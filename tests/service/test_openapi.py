@@ -104,6 +104,31 @@ def test_every_error_is_a_problem(spec: dict[str, Any]) -> None:
         assert {"422", "500", "503"} <= operation["responses"].keys()
 
 
+def test_every_list_of_words_has_one_name() -> None:
+    spec = json.loads(document())
+    named = {
+        name: tuple(schema.pop("enum"))
+        for name, schema in spec["components"]["schemas"].items()
+        if "enum" in schema
+    }
+    assert {"Refine", "JobStatus", "Format", "ResultFormat", "LiftCode"} < named.keys()
+    assert len(set(named.values())) == len(named)
+    assert '"enum"' not in json.dumps(spec)
+
+
+def test_answers_have_the_media_types_that_are_sent(spec: dict[str, Any]) -> None:
+    types = {
+        operation["operationId"]: set(operation["responses"]["200"].get("content", ()))
+        for operation in operations(spec)
+        if "200" in operation["responses"]
+    }
+    arrays = {"application/octet-stream", "application/x-npz"}
+    assert types["lift"] == types["get_reconstruction"] == {"application/json"} | arrays
+    assert types["get_lift_result"] == {"application/x-ndjson"} | arrays
+    assert types["download_weights"] == {"application/octet-stream"}
+    assert types["stream_fit_events"] == {"text/event-stream"}
+
+
 def test_every_answer_has_an_example_that_fits_it(spec: dict[str, Any]) -> None:
     schemas = spec["components"]["schemas"]
     named = {"Problem"}
@@ -192,11 +217,11 @@ def test_a_generated_client_does_the_whole_job(
         config = wire.FitConfig.from_dict(SEEKING)
         fit = call("fits.create_fit", body=wire.FitCreate(dataset_id=dataset.id, config=config))
         deadline = time.monotonic() + 60
-        while fit.status in (wire.FitStatus.QUEUED, wire.FitStatus.RUNNING):
+        while fit.status in (wire.JobStatus.QUEUED, wire.JobStatus.RUNNING):
             assert time.monotonic() < deadline
             time.sleep(0.1)
             fit = call("fits.get_fit", fit.id)
-        assert fit.status == wire.FitStatus.SUCCEEDED
+        assert fit.status == wire.JobStatus.SUCCEEDED
         assert fit.progress.step == SEEKING["steps"]
         assert len(call("fits.get_reconstruction", fit.id).frames) == 60
 
@@ -216,14 +241,14 @@ def test_a_generated_client_does_the_whole_job(
         again = call("lift.lift", body=file, model=model.id)
         assert again.frames[0] == lifted.frames[0]
         file = types.File(payload=io.BytesIO(to_npz(frames=capture.keypoints[:2, 1:])))
-        off = wire.LiftRefineType0.OFF
+        off = wire.Refine.OFF
         plain = call("lift.lift", body=file, model=model.id, refine=off, views=[1, 2])
         assert plain.frames[0].views[0].camera == "weak_perspective"
         assert len(call("fits.get_reconstruction", fit.id, refine=off).frames) == 60
 
         asked = wire.LiftCreate(model_id=model.id, dataset_id=dataset.id, refine=off)
         job = call("lifts.create_lift", body=asked)
-        while job.status in (wire.LiftJobStatus.QUEUED, wire.LiftJobStatus.RUNNING):
+        while job.status in (wire.JobStatus.QUEUED, wire.JobStatus.RUNNING):
             assert time.monotonic() < deadline + 60
             time.sleep(0.1)
             job = call("lifts.get_lift", job.id)

@@ -83,7 +83,7 @@ def test_a_fit_that_is_told_another_prior_than_its_model_is_refused(
 @pytest.mark.parametrize(
     ("config", "pointer", "fix"),
     [
-        ({"prior": "transformer"}, "/config/prior", f"or {get_args(PriorName)[-1]!r}"),
+        ({"prior": "transformer"}, "/config/prior", f"or {get_args(PriorName.__value__)[-1]!r}"),
         ({"prior": "mlp", "mlp": {"width": 2}}, "/config/mlp/width", "greater than or equal to 4"),
         ({"prior": "mlp", "mlp": {"depth": 2}}, "/config/mlp/depth", ""),
         ({"mlp": SIZES}, "/config", "set prior to 'mlp'"),

@@ -18,7 +18,7 @@ from store.datasets import Description
 from store.errors import ConflictError, LeaseLostError, LiftError, NotFoundError, QueueFullError
 from store.jobs import MAX_CRASHES
 from store.lift_chunks import Helper
-from store.lift_files import Format, ResultFile, result_file
+from store.lift_files import ResultFile, ResultFormat, result_file
 from store.records import LiftChunk, LiftJob
 
 FRAMES, CHUNK = 12, 5
@@ -267,7 +267,7 @@ def test_frames_are_read_without_the_others(store: Store, start: int, stop: int)
         datasets.load_frames(store, dataset.id, start, 13)
 
 
-def result(store: Store, lift: LiftJob, wanted: Format) -> ResultFile:
+def result(store: Store, lift: LiftJob, wanted: ResultFormat) -> ResultFile:
     helper = join(lift)
     while (chunk := lift_chunks.claim(store, helper)) is not None:
         finish(store, helper, chunk)
@@ -277,7 +277,7 @@ def result(store: Store, lift: LiftJob, wanted: Format) -> ResultFile:
 
 @pytest.mark.parametrize("wanted", ["jsonl", "npz", "safetensors"])
 def test_a_result_is_one_file_whichever_parts_of_it_are_read(
-    store: Store, lift: LiftJob, wanted: Format
+    store: Store, lift: LiftJob, wanted: ResultFormat
 ) -> None:
     file = result(store, lift, wanted)
     get = store.objects.get_range
@@ -298,7 +298,7 @@ def test_a_result_is_one_file_whichever_parts_of_it_are_read(
 
 def test_each_format_of_each_lift_has_a_checksum_of_its_own(store: Store, lift: LiftJob) -> None:
     other = create(store, lift.dataset_id)
-    formats: tuple[Format, ...] = ("jsonl", "npz", "safetensors")
+    formats: tuple[ResultFormat, ...] = ("jsonl", "npz", "safetensors")
     found = {
         result(store, asked, wanted).checksum() for asked in (lift, other) for wanted in formats
     }

@@ -18,7 +18,7 @@ def catalogue() -> str:
     lines = []
     for title, group in GROUPS.items():
         lines += [title, "", "| code | | effect | remedy |", "|---|---|---|---|"]
-        for code in get_args(group):
+        for code in get_args(group.__value__):
             severity, effect, remedy = CATALOGUE[code]
             lines.append(f"| `{code}` | {severity} | {effect} | {remedy} |")
         lines.append("")
