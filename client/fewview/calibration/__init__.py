@@ -1,5 +1,14 @@
 """Cameras with their places, as calibration files say them and as a fit found them."""
 
-from fewview.calibration.camera import Camera, rotation_matrix, rotation_vector
+from fewview.calibration.camera import Camera, from_model, rotation_matrix, rotation_vector
+from fewview.calibration.files import FORMATS, read_cameras, write_cameras
 
-__all__ = ["Camera", "rotation_matrix", "rotation_vector"]
+__all__ = [
+    "FORMATS",
+    "Camera",
+    "from_model",
+    "read_cameras",
+    "rotation_matrix",
+    "rotation_vector",
+    "write_cameras",
+]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 Float64 = NDArray[np.float64]
 
 FISHEYE_COEFFICIENTS = 4
-PINHOLE_COEFFICIENTS = 8  # k1, k2, p1, p2, k3, k4, k5, k6
+PINHOLE_COEFFICIENTS = (5, 8)  # as many as OpenCV takes: k1, k2, p1, p2, k3; k4, k5, k6
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Camera:
     matrix
         (3, 3) K, pixels.
     distortion
-        OpenCV's coefficients, unitless: k1, k2, p1, p2, k3 to k6, as many as are known; of a
-        fisheye k1 to k4.
+        OpenCV's coefficients, unitless: k1, k2, p1, p2, k3 and, if any is not 0, k4 to k6; of a
+        fisheye k1 to k4. Fewer may be given.
     rotation
         (3, 3) R, a rotation; None where the pose is unknown, as of a camera that moves.
     translation
@@ -69,14 +69,16 @@ class Camera:
                     f"camera {self.name!r}: {part} must be {shape}, it is {array.shape}"
                 )
             object.__setattr__(self, part, array)
-        most = FISHEYE_COEFFICIENTS if self.fisheye else PINHOLE_COEFFICIENTS
-        while len(self.distortion) > most and self.distortion[-1] == 0:
-            object.__setattr__(self, "distortion", self.distortion[:-1])
-        if len(self.distortion) > most:
+        given = len(np.trim_zeros(self.distortion, "b"))
+        counts = (FISHEYE_COEFFICIENTS,) if self.fisheye else PINHOLE_COEFFICIENTS
+        if given > counts[-1]:
             raise ValueError(
-                f"camera {self.name!r}: {most} distortion coefficients at most, "
-                f"{len(self.distortion)} were given"
+                f"camera {self.name!r}: {counts[-1]} distortion coefficients at most, "
+                f"{given} were given"
             )
+        held = np.zeros(next(count for count in counts if count >= given))
+        held[:given] = self.distortion[:given]
+        object.__setattr__(self, "distortion", held)
 
     def __eq__(self, other: object) -> bool:
         """Whether two cameras are the same, number for number."""
@@ -92,22 +94,6 @@ class Camera:
     def vector(self) -> Float64 | None:
         """The rotation as a Rodrigues vector (3,): axis times angle in radians."""
         return None if self.rotation is None else rotation_vector(self.rotation)
-
-    def coefficients(self, count: int) -> list[float]:
-        """Return the distortion as `count` numbers, zeros where it has fewer.
-
-        Raises
-        ------
-        ValueError
-            If coefficients beyond them are not zero.
-        """
-        if np.any(self.distortion[count:]):
-            raise ValueError(
-                f"camera {self.name!r} has {len(self.distortion)} distortion coefficients, "
-                f"here {count} can be said"
-            )
-        found: list[float] = self.distortion[:count].tolist()
-        return found + [0.0] * (count - len(found))
 
     def project(self, points: ArrayLike) -> Float64:
         """Return the pixels (..., 2) of points (..., 3) in the room; NaN behind the camera.
@@ -126,7 +112,7 @@ class Camera:
         """Return the directions (..., 2) at depth 1 as the lens bends them."""
         if self.fisheye:
             return self._bend_fisheye(directions)
-        k1, k2, p1, p2, k3, k4, k5, k6 = self.coefficients(PINHOLE_COEFFICIENTS)
+        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, 0.0, 0.0, 0.0)[:8]
         x, y = directions[..., 0], directions[..., 1]
         r2 = x * x + y * y
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -141,7 +127,7 @@ class Camera:
         return bent
 
     def _bend_fisheye(self, directions: Float64) -> Float64:
-        k1, k2, k3, k4 = self.coefficients(FISHEYE_COEFFICIENTS)
+        k1, k2, k3, k4 = self.distortion
         r = np.linalg.norm(directions, axis=-1, keepdims=True)
         angle = np.arctan(r)
         a2 = angle * angle

@@ -1,0 +1,150 @@
+"""YAML and JSON of OpenCV's `cv::FileStorage`.
+
+OpenCV has matrices but no layout for several cameras. Written are `cameras`, a list of maps with
+`name`, `image_width`, `image_height`, `camera_matrix`, `distortion_coefficients` (as OpenCV's own
+calibration sample calls them), `rotation` (3x3), `translation` (3x1) and `fisheye` (0 or 1); what
+is unknown is left out. Read are such lists, a map of cameras by their names, and files of one
+camera; with `K`, `D`, `R`, `T` and the like for names, Rodrigues vectors for rotations, and plain
+lists for matrices.
+
+Source: OpenCV documentation, "File Input and Output using XML / YAML / JSON files".
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fewview.calibration.camera import Camera, rotation_matrix
+from fewview.errors import FormatError
+
+Float64 = NDArray[np.float64]
+
+NAMES = {
+    "matrix": ("camera_matrix", "cameraMatrix", "matrix", "K", "M", "intrinsic_matrix"),
+    "distortion": (
+        "distortion_coefficients",
+        "distCoeffs",
+        "dist_coeffs",
+        "distortions",
+        "distortion",
+        "D",
+    ),
+    "rotation": ("rotation", "rotation_matrix", "R", "rvec"),
+    "translation": ("translation", "tvec", "T", "t"),
+}
+
+
+def read(path: Path) -> list[Camera]:
+    """Return the cameras of a file."""
+    said = _parsed(path)
+    if not isinstance(said, dict):
+        raise FormatError(f"{path}: expected a map, as cv::FileStorage writes it")
+    if _get(said, "matrix") is not None:
+        return [_camera(str(said.get("name", path.stem)), said)]
+    cameras = said.get("cameras", said)
+    if isinstance(cameras, list):
+        return [
+            _camera(str(camera.get("name", place)), camera) for place, camera in enumerate(cameras)
+        ]
+    return [
+        _camera(str(name), camera)
+        for name, camera in cameras.items()
+        if isinstance(camera, dict) and _get(camera, "matrix") is not None
+    ]
+
+
+def _parsed(path: Path) -> Any:
+    """Return what a file says as maps, lists and matrices."""
+    text = path.read_text(encoding="utf-8-sig")
+    if text.lstrip().startswith("{"):
+        return json.loads(text)
+    import yaml  # noqa: PLC0415  # not for everyone
+
+    loader: Any = type("Loader", (yaml.SafeLoader,), {})  # with OpenCV's matrices
+    loader.add_constructor(
+        "tag:yaml.org,2002:opencv-matrix",
+        lambda reader, node: reader.construct_mapping(node, deep=True),
+    )
+    lines = text.splitlines()
+    if lines and lines[0].startswith("%YAML"):  # OpenCV writes %YAML:1.0, which is none
+        lines[0] = ""
+    try:
+        return yaml.load("\n".join(lines), loader)  # noqa: S506  # a safe loader
+    except yaml.YAMLError as error:
+        raise FormatError(f"{path}: {error}") from error
+
+
+def _get(said: dict[str, Any], part: str) -> Float64 | None:
+    """Return an array under any of its names, None if it has none of them."""
+    for name in NAMES[part]:
+        value = said.get(name)
+        if isinstance(value, dict):
+            shape = (int(value["rows"]), int(value["cols"]))
+            return np.array(value["data"], dtype=np.float64).reshape(shape)
+        if isinstance(value, list):
+            return np.array(value, dtype=np.float64)
+    return None
+
+
+def _camera(name: str, said: dict[str, Any]) -> Camera:
+    matrix, distortion = _get(said, "matrix"), _get(said, "distortion")
+    rotation, translation = _get(said, "rotation"), _get(said, "translation")
+    if matrix is None:
+        raise FormatError(f"camera {name!r} has no camera_matrix")
+    if rotation is not None and rotation.size == 3:
+        rotation = rotation_matrix(rotation)
+    width, height = said.get("image_width"), said.get("image_height")
+    return Camera(
+        name,
+        matrix,
+        np.empty(0) if distortion is None else distortion.ravel(),
+        rotation,
+        translation,
+        (int(width), int(height)) if width and height else None,
+        bool(said.get("fisheye", False)) or said.get("distortion_model") == "fisheye",
+    )
+
+
+def write(path: Path, cameras: Sequence[Camera]) -> None:
+    """Write cameras as JSON where the name ends so, otherwise as YAML."""
+    listed = [_said(camera) for camera in cameras]
+    if path.suffix.lower() == ".json":
+        text = json.dumps({"cameras": listed}, indent=4, ensure_ascii=False)
+    else:
+        text = "%YAML:1.0\n---\ncameras:\n" + "".join(_yaml(camera) for camera in listed)
+    path.write_text(text.rstrip("\n") + "\n", encoding="utf-8", newline="\n")
+
+
+def _said(camera: Camera) -> dict[str, Any]:
+    """Return a camera as JSON of cv::FileStorage says it."""
+    said: dict[str, Any] = {"name": camera.name}
+    if camera.size is not None:
+        said |= {"image_width": camera.size[0], "image_height": camera.size[1]}
+    said["camera_matrix"] = _matrix(camera.matrix)
+    said["distortion_coefficients"] = _matrix(camera.distortion[:, None])
+    if camera.rotation is not None and camera.translation is not None:
+        said["rotation"] = _matrix(camera.rotation)
+        said["translation"] = _matrix(camera.translation[:, None])
+    return said | {"fisheye": int(camera.fisheye)}
+
+
+def _matrix(values: Float64) -> dict[str, Any]:
+    rows, columns = values.shape
+    data = values.ravel().tolist()
+    return {"type_id": "opencv-matrix", "rows": rows, "cols": columns, "dt": "d", "data": data}
+
+
+def _yaml(said: dict[str, Any]) -> str:
+    """Return a camera as an entry of a list in YAML."""
+    lines = ["   -"]
+    for name, value in said.items():
+        if isinstance(value, dict):
+            lines.append(f"      {name}: !!opencv-matrix")
+            lines += [f"         {part}: {value[part]}" for part in ("rows", "cols", "dt", "data")]
+        else:
+            lines.append(f"      {name}: {json.dumps(value, ensure_ascii=False)}")
+    return "\n".join(lines) + "\n"
