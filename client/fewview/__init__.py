@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         TooManyRequests,
         Unavailable,
     )
+    from fewview.readers import read
     from fewview.writers import write
 
 # Where each name is; those of one module on a line.
@@ -43,6 +44,7 @@ _NAMES = {
         "TooManyRequests",
         "Unavailable",
     ),
+    "readers": ("read",),
     "writers": ("write",),
 }
 _PLACES = {name: f"fewview.{module}" for module, names in _NAMES.items() for name in names}
@@ -63,6 +65,7 @@ __all__ = [
     "NotFound",
     "TooManyRequests",
     "Unavailable",
+    "read",
     "write",
 ]
 

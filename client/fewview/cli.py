@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from fewview.commands.convert import convert
+
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
@@ -28,6 +30,9 @@ def _options(
     if show_version:
         typer.echo(f"fewview {version('fewview')}")
         raise typer.Exit
+
+
+app.command()(convert)
 
 
 @app.command(context_settings=ELSEWHERE)

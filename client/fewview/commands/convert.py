@@ -1,0 +1,146 @@
+"""``fewview convert``: files of any known format, as one npz of all cameras."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+
+import typer
+
+if TYPE_CHECKING:
+    from fewview.capture import Capture
+
+
+def convert(
+    files: Annotated[
+        list[Path], typer.Argument(help="A file or folder for each camera, or a folder of these.")
+    ],
+    *,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The npz to write; without it, only look.")
+    ] = None,
+    form: Annotated[
+        str | None, typer.Option("--format", help="Name of the format; found out if not given.")
+    ] = None,
+    person: Annotated[
+        str, typer.Option(help="Of several: `auto`, a number, or the name of a track.")
+    ] = "auto",
+    min_confidence: Annotated[
+        float, typer.Option(help="Detections that are less sure become gaps.")
+    ] = 0.0,
+    skeleton: Annotated[
+        str | None, typer.Option(help="Names the keypoints, such as `body-25b`.")
+    ] = None,
+    align: Annotated[
+        Literal["index", "time"], typer.Option(help="What belongs together: numbers or times.")
+    ] = "index",
+    fps: Annotated[float | None, typer.Option(help="Frames per second.")] = None,
+    image_size: Annotated[
+        str | None, typer.Option(help="Of all cameras, such as `1920x1080`.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Say it for machines.")] = False,
+) -> None:
+    """Read 2D keypoints of any known format, say what was understood, and write one npz."""
+    from fewview.errors import FormatError  # noqa: PLC0415 (commands load what they need)
+    from fewview.readers import read  # noqa: PLC0415
+
+    if output is not None and output.suffix != ".npz":
+        _refuse(f"{output}: an npz is written; name it {output.with_suffix('.npz').name}")
+    try:
+        capture = read(
+            files,
+            format=form,
+            person=person,
+            min_confidence=min_confidence,
+            skeleton=skeleton,
+            align=align,
+            fps=fps,
+            image_size=None if image_size is None else _size(image_size),
+        )
+    except (FormatError, OSError) as error:
+        _refuse(str(error))
+    understood = summary(capture)
+    typer.echo(json.dumps(understood) if as_json else in_words(understood))
+    if output is not None:
+        try:
+            _write(capture, output)
+        except OSError as error:
+            _refuse(f"{output}: {error.strerror or error}")
+        if not as_json:
+            typer.echo(f"wrote {output}")
+
+
+def summary(capture: "Capture") -> dict[str, Any]:
+    """Return what was understood of files, as it goes into JSON.
+
+    Returns
+    -------
+    dict
+        ``frames``, ``keypoints`` (a count), ``keypoint_names``, ``edges``, ``times`` (seconds from
+        first to last, None without), ``cameras`` with ``name``, ``image_size`` and ``gaps`` (the
+        share of keypoints that it does not show), and ``notes``.
+    """
+    seen = capture.observed().mean(axis=(0, 2)) if capture.frames else [0.0] * capture.views
+    names = capture.view_names or tuple(f"view {v + 1}" for v in range(capture.views))
+    sizes = capture.image_sizes or (None,) * capture.views
+    times = capture.times
+    return {
+        "frames": capture.frames,
+        "keypoints": int(capture.keypoints.shape[2]),
+        "keypoint_names": capture.keypoint_names and list(capture.keypoint_names),
+        "edges": capture.edges and [list(edge) for edge in capture.edges],
+        "times": None if times is None else [float(times.min()), float(times.max())],
+        "cameras": [
+            {"name": name, "image_size": size and list(size), "gaps": round(1 - float(share), 4)}
+            for name, size, share in zip(names, sizes, seen, strict=True)
+        ],
+        "notes": list(capture.notes),
+    }
+
+
+def in_words(understood: dict[str, Any]) -> str:
+    """Return the summary as lines for people."""
+    cameras, names = understood["cameras"], understood["keypoint_names"]
+    listed = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "") if names else "no names"
+    lines = [
+        f"cameras    {len(cameras)}",
+        f"frames     {understood['frames']}",
+        f"keypoints  {understood['keypoints']} ({listed}), {len(understood['edges'] or ())} edges",
+    ]
+    if understood["times"]:
+        first, last = understood["times"]
+        lines.append(f"times      {first:.3f} to {last:.3f} s")
+    width = max(len(camera["name"]) for camera in cameras)
+    for camera in cameras:
+        size = camera["image_size"]
+        shown = f"  {size[0]} x {size[1]}" if size else ""
+        lines.append(f"  {camera['name']:<{width}}  {camera['gaps']:6.1%} gaps{shown}")
+    if len(cameras) < 2:
+        lines.append("one camera alone has no 3D: give a file or folder for each")
+    return "\n".join([*lines, *(f"- {note}" for note in understood["notes"])])
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        _refuse(f"--image-size {text}: expected WIDTHxHEIGHT, such as 1920x1080")
+    return int(width), int(height)
+
+
+def _write(capture: "Capture", path: Path) -> None:
+    """Write the npz beside its place, then put it there: it is whole or not there."""
+    import numpy as np  # noqa: PLC0415
+
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **capture.arrays())
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _refuse(message: str) -> NoReturn:
+    line = " ".join(message.split())
+    typer.echo(f"fewview convert: {line}", err=True)
+    sys.exit(2)

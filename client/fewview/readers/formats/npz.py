@@ -1,0 +1,144 @@
+"""Fewview's own npz: `keypoints` of all views, and what else is known of them."""
+
+import math
+import zipfile
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fewview.errors import FormatError
+from fewview.readers.sources import ZIP, Source
+from fewview.readers.views import View, bounded
+
+KNOWN = (
+    "keypoints",
+    "confidence",
+    "points3d",
+    "times",
+    "fps",
+    "keypoint_names",
+    "edges",
+    "image_sizes",
+    "view_names",
+)
+Arrays = dict[str, NDArray[Any]]
+
+
+def fits(source: Source) -> bool:
+    """Whether this is a zip file with `keypoints.npy` in it."""
+    if not source.begins(ZIP):
+        return False
+    try:
+        with zipfile.ZipFile(source.path) as file:
+            return "keypoints.npy" in file.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
+def read(source: Source) -> list[View]:
+    """Return the views of a file.
+
+    Raises
+    ------
+    FormatError
+        If an array cannot be read, or does not fit the others.
+    """
+    arrays = _arrays(source)
+    keypoints = arrays["keypoints"]
+    if keypoints.dtype.kind not in "fiu" or keypoints.ndim != 4 or keypoints.shape[-1] != 2:
+        raise FormatError(
+            f"{source}: `keypoints` is {keypoints.dtype} of shape {keypoints.shape}, not numbers "
+            "(frames, views, keypoints, 2)"
+        )
+    n, k, p, _ = keypoints.shape
+    _check(source, arrays, n, k, p)
+    times = _times(source, arrays, n)
+    sizes, names = arrays.get("image_sizes"), arrays.get("keypoint_names")
+    views, confidence, truth = (
+        arrays.get("view_names"),
+        arrays.get("confidence"),
+        arrays.get("points3d"),
+    )
+    return [
+        View(
+            source.name
+            if views is None and k == 1
+            else f"view {v + 1}"
+            if views is None
+            else str(views[v]),
+            keypoints[:, v, None].astype(np.float32),
+            np.arange(n),
+            None if confidence is None else confidence[:, v, None].astype(np.float32),
+            people=("",),
+            keypoint_names=None if names is None else tuple(map(str, names)),
+            edges=_edges(arrays),
+            image_size=None if sizes is None else (int(sizes[v, 0]), int(sizes[v, 1])),
+            times=None if times is None else times if times.ndim == 1 else times[:, v],
+            points3d=None if truth is None else truth.astype(np.float32),
+            pixels_from_zero=True,
+        )
+        for v in range(k)
+    ]
+
+
+def _arrays(source: Source) -> Arrays:
+    """Read what is known; sizes are looked at first, and nothing is ever unpickled."""
+    found: Arrays = {}
+    try:
+        with zipfile.ZipFile(source.path) as file:
+            for name in (name for name in KNOWN if f"{name}.npy" in file.namelist()):
+                with file.open(f"{name}.npy") as member:
+                    version = np.lib.format.read_magic(member)
+                    header = (
+                        np.lib.format.read_array_header_1_0
+                        if version == (1, 0)
+                        else np.lib.format.read_array_header_2_0
+                    )
+                    shape, _, _ = header(member)
+                    bounded([math.prod(shape)], f"{source}: `{name}`")
+                with file.open(f"{name}.npy") as member:
+                    found[name] = np.lib.format.read_array(member, allow_pickle=False)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(f"{source}: an npz file that cannot be read ({error})") from error
+    return found
+
+
+def _check(source: Source, arrays: Arrays, n: int, k: int, p: int) -> None:
+    for name, kinds, shapes in (
+        ("confidence", "fiub", [(n, k, p)]),
+        ("points3d", "fiu", [(n, p, 3)]),
+        ("times", "fiu", [(n,), (n, k)]),
+        ("fps", "fiu", [(), (1,)]),
+        ("keypoint_names", "U", [(p,)]),
+        ("view_names", "U", [(k,)]),
+        ("image_sizes", "fiu", [(k, 2)]),
+    ):
+        if name in arrays:
+            array = arrays[name]
+            if array.dtype.kind not in kinds or array.shape not in shapes:
+                raise FormatError(
+                    f"{source}: `{name}` is {array.dtype} of shape {array.shape}; {n} frames, {k} "
+                    f"views and {p} keypoints ask for {' or '.join(map(str, shapes))}"
+                )
+
+
+def _edges(arrays: Arrays) -> tuple[tuple[int, int], ...] | None:
+    edges = arrays.get("edges")
+    if edges is None or edges.dtype.kind not in "iu" or edges.ndim != 2 or edges.shape[1] != 2:
+        return None
+    return tuple((int(a), int(b)) for a, b in edges)
+
+
+def _times(source: Source, arrays: Arrays, n: int) -> NDArray[np.float64] | None:
+    if "times" in arrays:
+        return arrays["times"].astype(np.float64)
+    if "fps" not in arrays:
+        return None
+    fps = float(arrays["fps"].reshape(-1)[0])
+    if not fps > 0:
+        raise FormatError(f"{source}: `fps` is {fps}, not above 0")
+    return np.arange(n) / fps

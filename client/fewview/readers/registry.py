@@ -1,0 +1,56 @@
+"""The formats that are known, in the order in which they are tried."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from fewview.errors import FormatError
+from fewview.readers.formats import coco, deeplabcut, npz, openpose, sleap
+from fewview.readers.hints import looks_like
+from fewview.readers.sources import Source
+from fewview.readers.views import View
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format: its name, for people its title, whether a source is of it, and its reader."""
+
+    name: str
+    title: str
+    fits: Callable[[Source], bool]
+    read: Callable[[Source], list[View]]
+
+
+FORMATS = (
+    Format("npz", "npz", npz.fits, npz.read),
+    Format("deeplabcut-h5", "DeepLabCut or Anipose H5", deeplabcut.fits_h5, deeplabcut.read_h5),
+    Format("deeplabcut-csv", "DeepLabCut CSV", deeplabcut.fits_csv, deeplabcut.read_csv),
+    Format("openpose", "OpenPose JSON", openpose.fits, openpose.read),
+    Format("sleap", "SLEAP .slp", sleap.fits_slp, sleap.read_slp),
+    Format("sleap-analysis", "SLEAP analysis H5", sleap.fits_analysis, sleap.read_analysis),
+    Format("coco", "COCO keypoints JSON", coco.fits, coco.read),
+)
+NAMES = tuple(each.name for each in FORMATS)
+
+
+def detect(source: Source) -> Format | None:
+    """Return the format that a source is of, by what is in it; None for none of them."""
+    return next((each for each in FORMATS if each.fits(source)), None)
+
+
+def find(source: Source, name: str | None) -> Format:
+    """Return the format that was asked for, or that the source is of.
+
+    Raises
+    ------
+    FormatError
+        If there is no such format, or the source is of none; the message says what it looks like.
+    """
+    if name is None:
+        found = detect(source)
+        if found is None:
+            raise FormatError(f"{source}: {looks_like(source)}")
+        return found
+    for each in FORMATS:
+        if each.name == name:
+            return each
+    raise FormatError(f"there is no format {name!r}; there are {', '.join(NAMES)}")

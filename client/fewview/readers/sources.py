@@ -1,0 +1,161 @@
+"""What is at a path: a file, or the files of one camera's frames; looked into once, with bounds."""
+
+import json
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from fewview.errors import FormatError
+from fewview.readers.names import frame_number, natural
+
+MAX_JSON = 2**29  # bytes: parsed it takes several times as much
+MAX_TEXT = 2**31
+MAX_FRAME = 2**24  # of the file of one frame
+MAX_FRAMES = 2**20
+HDF5, NUMPY, ZIP = b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"PK\x03\x04"
+
+
+class Source:
+    """A file, or the JSON files of one camera's frames.
+
+    Parameters
+    ----------
+    path
+        The file, or the folder of the frames.
+    frames
+        The files of a camera that has one for each frame, in order.
+    name
+        Of the camera; from the path if not given.
+    """
+
+    def __init__(self, path: Path, frames: tuple[Path, ...] = (), name: str = "") -> None:
+        self.path, self.frames = path, frames
+        self.name = name or (path.name if frames else path.name.partition(".")[0] or path.name)
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    @cached_property
+    def head(self) -> bytes:
+        """Its first bytes; of the first frame if it has many."""
+        try:
+            with (self.frames[0] if self.frames else self.path).open("rb") as file:
+                return file.read(2**16)
+        except OSError as error:
+            raise FormatError(f"{self}: {error.strerror or error}") from error
+
+    def begins(self, magic: bytes) -> bool:
+        """Whether a file (no frames) begins with these bytes."""
+        return not self.frames and self.head.startswith(magic)
+
+    @cached_property
+    def json(self) -> Any:
+        """The JSON of the file, or of its first frame; None if it is none.
+
+        Raises
+        ------
+        FormatError
+            If it looks like JSON, and is too large or broken.
+        """
+        start = self.head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
+        if start not in (b"{", b"["):
+            return None
+        if self.frames:
+            return load_json(self.frames[0], MAX_FRAME)
+        return load_json(self.path, MAX_JSON)
+
+    def frames_json(self) -> Iterator[Any]:
+        """Yield the JSON of each frame."""
+        for path in self.frames:
+            yield load_json(path, MAX_FRAME)
+
+    @cached_property
+    def hdf5(self) -> dict[str, bool]:
+        """Names of the top level of an HDF5 file, and whether pandas wrote what is there."""
+        if not self.begins(HDF5):
+            return {}
+        import h5py  # noqa: PLC0415 (heavy)
+
+        try:
+            with h5py.File(self.path, "r") as file:
+                return {name: "pandas_type" in file[name].attrs for name in file}
+        except (OSError, KeyError, RuntimeError) as error:
+            raise FormatError(f"{self}: a broken HDF5 file ({error})") from error
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """The first lines of a text file; none if it is not text."""
+        try:
+            text = self.head.decode(
+                "utf-8-sig", errors="strict" if len(self.head) < 2**16 else "ignore"
+            )
+        except UnicodeDecodeError:
+            return []
+        return [] if "\0" in text else text.splitlines()[:12]
+
+    def text(self) -> str:
+        """Return the whole text.
+
+        Raises
+        ------
+        FormatError
+            If the file is too large or no UTF-8.
+        """
+        check_size(self.path, MAX_TEXT)
+        try:
+            return self.path.read_text(encoding="utf-8-sig")
+        except (OSError, UnicodeDecodeError) as error:
+            raise FormatError(f"{self}: cannot be read as text ({error})") from error
+
+
+def load_json(path: Path, limit: int) -> Any:
+    """Parse a JSON file of bounded size; NaN and Infinity are understood."""
+    check_size(path, limit)
+    try:
+        return json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: broken JSON ({error})") from error
+    except OSError as error:
+        raise FormatError(f"{path}: {error.strerror or error}") from error
+
+
+def check_size(path: Path, limit: int) -> None:
+    """Refuse a file that is larger than this."""
+    size = path.stat().st_size
+    if size > limit:
+        raise FormatError(
+            f"{path}: {size / 2**20:,.0f} MiB are more than the {limit / 2**20:,.0f} MiB that are "
+            "read of such a file; write it in parts, or as npz"
+        )
+
+
+def frames_in(folder: Path) -> list[Source]:
+    """Return the cameras whose frames are JSON files of this folder, one file each."""
+    files = [path for path in folder.iterdir() if path.suffix.lower() == ".json"]
+    if not files or len(files) > MAX_FRAMES:
+        if files:
+            raise FormatError(f"{folder}: {len(files):,} files are too many")
+        return []
+    files.sort(key=lambda path: natural(path.name))
+    if files[0].stat().st_size > MAX_FRAME or not _is_frame(load_json(files[0], MAX_FRAME)):
+        return []
+    cameras: dict[str, list[Path]] = {}
+    for path in files:
+        cameras.setdefault((frame_number(path.name) or ("", 0))[0], []).append(path)
+    if len(cameras) > max(1, len(files) // 2):
+        cameras = {"": files}
+    several = len(cameras) > 1
+    return [
+        Source(folder, tuple(paths), name if several else folder.name)
+        for name, paths in cameras.items()
+    ]
+
+
+def _is_frame(content: Any) -> bool:
+    """Whether this is one frame's people: of OpenPose, or of one image by MMPose."""
+    if isinstance(content, dict):
+        return isinstance(content.get("people"), list)
+    if not isinstance(content, list) or not content or not isinstance(content[0], dict):
+        return False
+    return "keypoints" in content[0] and "keypoint_scores" in content[0]

@@ -1,0 +1,106 @@
+"""What a reader hands on: one camera's detections, of all people, as the file has them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fewview.capture import Float32, Float64
+from fewview.errors import FormatError
+
+Edges = tuple[tuple[int, int], ...]
+Int64 = NDArray[np.int64]
+MAX_NUMBERS = 2**29  # in one view's keypoints: 2 GiB
+
+
+@dataclass(frozen=True)
+class View:
+    """N frames of one camera, with M people or animals of P keypoints.
+
+    Attributes
+    ----------
+    name
+        Of the camera, as far as file names tell.
+    keypoints
+        (N, M, P, 2) pixels, NaN where not detected.
+    numbers
+        (N,) number of each frame in its video.
+    confidence
+        (N, M, P), NaN where not known.
+    people
+        M names of those who keep their place in all frames; None where a frame lists its people
+        in any order.
+    keypoint_names, edges, image_size, times, points3d
+        As in `Capture`, of this view; `points3d` (N, P, 3).
+    skeletons
+        Names of skeletons that this format means by their counts of keypoints.
+    shares
+        Whether coordinates are shares of the image's width and height.
+    pixels_from_zero
+        Whether (0, 0) may be a detection; elsewhere it stands for none.
+    notes
+        What was understood or left out, in sentences.
+    """
+
+    name: str
+    keypoints: Float32
+    numbers: Int64
+    confidence: Float32 | None = None
+    people: tuple[str, ...] | None = None
+    keypoint_names: tuple[str, ...] | None = None
+    edges: Edges | None = None
+    image_size: tuple[int, int] | None = None
+    times: Float64 | None = None
+    points3d: Float32 | None = None
+    skeletons: tuple[str, ...] = ()
+    shares: bool = False
+    pixels_from_zero: bool = False
+    notes: tuple[str, ...] = ()
+
+
+Detections = Sequence[Sequence[Float32 | None]]
+
+
+def packed(frames: Detections, what: str) -> tuple[Float32, Float32]:
+    """Lay out lists of people, frame by frame, as arrays.
+
+    Parameters
+    ----------
+    frames
+        Of each frame its people, each (P, 3) of x, y, confidence; None holds a place.
+    what
+        Names the file in errors.
+
+    Returns
+    -------
+    tuple
+        Keypoints (N, M, P, 2) and confidence (N, M, P), NaN where there is nobody.
+
+    Raises
+    ------
+    FormatError
+        If there is nobody at all, people have unlike numbers of keypoints, or there is too much.
+    """
+    counts = {len(person) for people in frames for person in people if person is not None}
+    if not counts:
+        raise FormatError(f"{what}: nobody was detected in any of its {len(frames)} frames")
+    if len(counts) > 1:
+        raise FormatError(
+            f"{what}: people have {' or '.join(map(str, sorted(counts)))} keypoints; write one kind"
+        )
+    shape = (len(frames), max(len(people) for people in frames), counts.pop(), 3)
+    bounded(shape, what)
+    values = np.full(shape, np.nan, np.float32)
+    for frame, people in enumerate(frames):
+        for place, person in enumerate(people):
+            if person is not None:
+                values[frame, place] = person
+    return values[..., :2], values[..., 2]
+
+
+def bounded(shape: Sequence[int], what: str) -> None:
+    """Refuse arrays that are too large to be keypoints."""
+    size = int(np.prod(np.array(shape, float)))
+    if size > MAX_NUMBERS:
+        raise FormatError(f"{what}: {size:,} numbers {tuple(shape)} are too many; cut it in parts")
