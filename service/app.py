@@ -11,10 +11,13 @@ from importlib.metadata import version
 from typing import Any
 
 import uvicorn
-from fastapi import Depends, FastAPI
+from fastapi import Depends, FastAPI, Request
+from fastapi.openapi.docs import get_swagger_ui_html
 from fastapi.routing import APIRoute
+from fastapi.staticfiles import StaticFiles
 from pydantic import BaseModel
 from starlette.middleware.cors import CORSMiddleware
+from starlette.responses import Response
 
 from service.http import errors
 from service.http.dependencies import refuse_unknown_query
@@ -83,12 +86,14 @@ def create_app(settings: Settings) -> FastAPI:
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
         lifespan=lifespan,
         generate_unique_id_function=_operation_id,
+        docs_url=None,
         redoc_url=None,
         dependencies=[Depends(refuse_unknown_query)],
     )
     app.state.settings = settings
     for module in RESOURCES:
         app.include_router(module.router)
+    _show_documentation(app)
     errors.install(app)
     app.add_middleware(
         BodyLimit,
@@ -110,6 +115,27 @@ def create_app(settings: Settings) -> FastAPI:
 
 def _operation_id(route: APIRoute) -> str:
     return route.name
+
+
+def _show_documentation(app: FastAPI) -> None:
+    """Serve `/docs` with its scripts beside it, so that it works without the internet."""
+    app.mount(
+        "/docs/assets", StaticFiles(packages=[("fastapi_offline", "static")]), name="docs_assets"
+    )
+
+    async def show(request: Request) -> Response:
+        def asset(name: str) -> str:
+            return request.url_for("docs_assets", path=name).path
+
+        return get_swagger_ui_html(
+            openapi_url=f"{request.scope.get('root_path', '')}{app.openapi_url}",
+            title=app.title,
+            swagger_js_url=asset("swagger-ui-bundle.js"),
+            swagger_css_url=asset("swagger-ui.css"),
+            swagger_favicon_url=asset("favicon.png"),
+        )
+
+    app.add_route("/docs", show, include_in_schema=False)
 
 
 def _describe(app: FastAPI) -> None:

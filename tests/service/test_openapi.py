@@ -4,6 +4,7 @@ import importlib
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -48,7 +49,17 @@ def test_it_is_the_committed_one() -> None:
 
 def test_it_is_the_served_one(spec: dict[str, Any], api: TestClient) -> None:
     assert api.get("/openapi.json").json() == spec
-    assert api.get("/docs").status_code == 200
+
+
+def test_its_page_works_offline(api: TestClient) -> None:
+    page = api.get("/docs")
+    assert page.headers["content-type"].startswith("text/html")
+    assert "'/openapi.json'" in page.text
+    assert "http" not in page.text
+    assets = re.findall(r'(?:src|href)="([^"]+)"', page.text)
+    types = [api.get(asset).headers["content-type"].partition(";")[0] for asset in assets]
+    assert sorted(types) == ["image/png", "text/css", "text/javascript"]
+    assert api.get("/docs/assets/nothing.js").status_code == 404
 
 
 def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
