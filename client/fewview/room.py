@@ -7,6 +7,7 @@ their poses relative to each other, and so all of them agree on one room.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,9 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from fewview.calibration.camera import Camera
 from fewview.upright import Up, feet_of, find_up, floor_height, upright_axes
 
+if TYPE_CHECKING:
+    from fewview.api.lifting import Lift
+
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
+FISHEYE = 2  # among `camera_models`
 AT_REST = np.radians(0.1)  # median scatter of a relative pose; lifts with a rig have 1e-5 of it
 AGREE = np.cos(np.radians(2))  # poses of two views of a frame that contradict each other
 
@@ -42,6 +47,50 @@ class Room:
     translations: Float64
     missing: int
     notes: tuple[str, ...]
+
+    def cameras(
+        self,
+        lift: "Lift",
+        names: Sequence[str] | None = None,
+        sizes: Sequence[tuple[int, int] | None] | None = None,
+    ) -> list[Camera]:
+        """Return the K views of the lift as cameras of this room; those that move have no pose.
+
+        A view's lens is the median over the frames that it is perspective in; names and image
+        sizes (width, height) go into files.
+
+        Raises
+        ------
+        ValueError
+            If a view is perspective in no frame.
+        """
+        found = []
+        for view in range(len(self.rotations)):
+            name = names[view] if names else f"view{view}"
+            models = np.asarray(lift.camera_models)[:, view]
+            if not (models > 0).any():
+                raise ValueError(
+                    f"{name} is nowhere perspective: no calibration can say its camera"
+                )
+            fx, fy, cx, cy, *distortion = np.median(
+                np.concatenate((lift.focals, lift.principal_points, lift.distortions), axis=-1)[
+                    models > 0, view
+                ].astype(np.float64),
+                axis=0,
+            )
+            rests = bool(np.isfinite(self.translations[view]).all())
+            found.append(
+                Camera(
+                    name,
+                    np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+                    np.array(distortion),
+                    self.rotations[view] if rests else None,
+                    self.translations[view] if rests else None,
+                    sizes[view] if sizes else None,
+                    bool(models.max() == FISHEYE),
+                )
+            )
+        return found
 
 
 def to_room(
