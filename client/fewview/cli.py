@@ -6,7 +6,12 @@ from typing import Annotated
 
 import typer
 
+from fewview.commands.cameras import cameras
 from fewview.commands.convert import convert
+from fewview.commands.fit import fit
+from fewview.commands.lift import lift
+from fewview.commands.stored import COLUMNS, commands_of
+from fewview.commands.upload import upload
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -45,6 +50,12 @@ def serve(context: typer.Context) -> None:
 def worker(context: typer.Context) -> None:
     """Run a worker that fits what is on the queue."""
     _run_of_server("worker", context.args)
+
+
+for command in (upload, fit, cameras, lift):
+    app.command()(command)
+for kind in COLUMNS:
+    app.add_typer(commands_of(kind), name=kind)
 
 
 def _run_of_server(command: str, arguments: list[str]) -> None:

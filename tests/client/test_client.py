@@ -63,6 +63,9 @@ def test_a_dataset_is_stored_described_listed_extended_and_deleted(
     longer = client.datasets.append(other, capture.keypoints[:10])
     assert longer.frames == other.frames + 10
     assert client.datasets.get(other.id) == longer
+    longer = client.datasets.update(other, name="longer", metadata={"subject": "M8"})
+    assert longer.raw["metadata"] == {"subject": "M8"}
+    client.datasets.update(other, name="other")
     assert [found.name for found in client.datasets.list(name="other", limit=1)] == ["other"]
     found = [dataset.id for dataset in client.datasets.list(limit=1)]  # a page each
     assert found == [other.id, served.dataset.id]
@@ -190,6 +193,7 @@ def test_the_same_can_be_awaited(served: Served, tmp_path: Path) -> None:
     async def job() -> None:
         async with AsyncClient(served.live.url) as client:
             assert (await client.health.ready()).workers == 1
+            assert (await client.health.version()).api == 1
             dataset = await client.datasets.create(a_capture(20), name="awaited")
             heard: list[Fit] = []
             fit = await client.fits.create(dataset, **CONFIG)

@@ -2,18 +2,18 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from importlib import import_module
-from os import PathLike, fspath
+from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fewview.api.arrays import to_npz
-from fewview.api.forms import Dataset, form_in, page_of
+from fewview.api.forms import Dataset, form_in
 from fewview.api.lifting import identifier
-from fewview.api.operations import Driver, Page, Resource, listing, operation
-from fewview.api.steps import Request, Steps, nothing, once, path
+from fewview.api.operations import Driver, operation
+from fewview.api.steps import Request, Steps, once, path
+from fewview.api.stored import Stored
 from fewview.capture import Capture
 from fewview.errors import FewviewError
 
@@ -23,8 +23,11 @@ PART_BYTES = 32 * 1024 * 1024  # of a long capture, sent in one request
 PART_FRAMES = 50_000
 
 
-class Datasets(Resource[Driver]):
-    """``/datasets``."""
+class Datasets(Stored[Driver, Dataset]):
+    """``/datasets``; models fitted to a dataset outlive it."""
+
+    _form = Dataset
+    _plural = "datasets"
 
     @operation
     def create(
@@ -73,7 +76,7 @@ class Datasets(Resource[Driver]):
             for part in others:
                 dataset = yield from self._call(_append(dataset.id, part))
         except FewviewError:
-            yield from self._call(_delete(dataset.id))
+            yield from self._call(self._delete(dataset.id))
             raise
         return dataset
 
@@ -90,36 +93,15 @@ class Datasets(Resource[Driver]):
             described = yield from self._call(_append(identifier(dataset), part))
         return described
 
-    @operation
-    def get(self, dataset_id: str) -> Steps[Dataset]:
-        """Describe a dataset."""
-        return self._call(Request("GET", path("datasets", dataset_id), form_in(Dataset)))
-
-    @listing
-    def list(self, /, **filters: Any) -> Request[Page[Dataset]]:
-        """Iterate over all datasets, newest first.
-
-        Parameters
-        ----------
-        filters
-            Those of the API's query, such as ``name="macaque"``.
-        """
-        return Request("GET", "/datasets", page_of(Dataset), params=filters)
-
-    @operation
-    def delete(self, dataset: Dataset | str) -> Steps[None]:
-        """Delete a dataset; models fitted to it stay."""
-        return self._call(_delete(identifier(dataset)))
-
 
 def to_capture(source: Source) -> Capture:
     """Return the capture that is given, in a file, or of these keypoints."""
     if isinstance(source, Capture):
         return source
     if isinstance(source, str | PathLike):
-        readers = import_module("fewview.readers")  # not needed for the rest
-        capture: Capture = readers.read(fspath(source))
-        return capture
+        from fewview.readers import read  # noqa: PLC0415 (not needed for the rest)
+
+        return read(source)
     return Capture(np.asarray(source, np.float32))
 
 
@@ -143,7 +125,3 @@ def _append(dataset_id: str, part: dict[str, NDArray[Any]]) -> Request[Dataset]:
         headers={**once(), "Content-Type": "application/octet-stream"},
         body={"content": to_npz({key: part[key] for key in OF_FRAMES if key in part})},
     )
-
-
-def _delete(dataset_id: str) -> Request[None]:
-    return Request("DELETE", path("datasets", dataset_id), nothing)

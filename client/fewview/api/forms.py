@@ -237,6 +237,14 @@ class Health:
     raw: dict[str, Any] = field(repr=False, compare=False)
 
 
+@dataclass(frozen=True)
+class Version:
+    """What runs: the version of the service, and the number of its API."""
+
+    service: str
+    api: int
+
+
 def form_in(form: type[Form]) -> Callable[[httpx2.Response], Form]:
     """Return what reads this form in a response."""
     return lambda response: read(form, response.json())

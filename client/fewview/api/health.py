@@ -1,12 +1,12 @@
-"""Health: is the service up, and does it reach its parts."""
+"""Health: is the service up, does it reach its parts, and which one is it."""
 
-from fewview.api.forms import Health, form_in
+from fewview.api.forms import Health, Version, form_in
 from fewview.api.operations import Driver, Resource, operation
 from fewview.api.steps import Request, Steps
 
 
 class HealthChecks(Resource[Driver]):
-    """``GET /health``."""
+    """``GET /health`` and ``GET /version``."""
 
     @operation
     def ready(self) -> Steps[Health]:
@@ -18,3 +18,8 @@ class HealthChecks(Resource[Driver]):
             Some cannot be reached; ``errors`` name them.
         """
         return self._call(Request("GET", "/health/ready", form_in(Health)))
+
+    @operation
+    def version(self) -> Steps[Version]:
+        """Tell what runs."""
+        return self._call(Request("GET", "/version", form_in(Version)))

@@ -2,40 +2,22 @@
 
 import json
 from collections.abc import Callable
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, TypeVar
 
-from fewview.api.forms import Job, form_in, page_of, read
+from fewview.api.forms import Job, form_in, read
 from fewview.api.lifting import identifier
-from fewview.api.operations import Driver, Page, Resource, listing, operation
+from fewview.api.operations import Driver, operation
 from fewview.api.retries import patiently, pause_before
 from fewview.api.steps import Open, Read, Request, Sleep, Steps, nothing, path
+from fewview.api.stored import Stored
 from fewview.errors import ApiError, ConnectionFailed, JobFailed, NotFound
 
 J = TypeVar("J", bound=Job)
 MOST_TRIES = 3  # to get events, after which a job is only asked about now and then
 
 
-class Jobs(Resource[Driver], Generic[Driver, J]):
-    """``/fits`` or ``/lifts``."""
-
-    _form: type[J]
-    _plural: ClassVar[str]
-
-    @operation
-    def get(self, job_id: str) -> Steps[J]:
-        """Describe a job and its progress."""
-        return self._call(self._get(job_id))
-
-    @listing
-    def list(self, /, **filters: Any) -> Request[Page[J]]:
-        """Iterate over all jobs, newest first.
-
-        Parameters
-        ----------
-        filters
-            Those of the API's query, such as ``status="running"`` or ``dataset_id="ds_..."``.
-        """
-        return Request("GET", path(self._plural), page_of(self._form), params=filters)
+class Jobs(Stored[Driver, J]):
+    """``/fits`` or ``/lifts``; what a job made outlives it, its result does not."""
 
     @operation
     def cancel(self, job: J | str) -> Steps[J]:
@@ -48,17 +30,6 @@ class Jobs(Resource[Driver], Generic[Driver, J]):
         """
         where = path(self._plural, identifier(job), "cancel")
         return self._call(Request("POST", where, form_in(self._form)))
-
-    @operation
-    def delete(self, job: J | str) -> Steps[None]:
-        """Delete a job that has ended, and its result.
-
-        Raises
-        ------
-        Conflict
-            It has not ended: cancel it first.
-        """
-        return self._call(Request("DELETE", path(self._plural, identifier(job)), nothing))
 
     @operation
     def wait(self, job: J | str, *, on_progress: Callable[[J], object] | None = None) -> Steps[J]:
@@ -112,9 +83,6 @@ class Jobs(Resource[Driver], Generic[Driver, J]):
         except (ApiError, ConnectionFailed):  # then it is asked, which may fail likewise
             pass
         return heard
-
-    def _get(self, job_id: str) -> Request[J]:
-        return Request("GET", path(self._plural, job_id), form_in(self._form))
 
 
 class _Following:

@@ -2,33 +2,20 @@
 
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 from fewview.api.downloads import download
-from fewview.api.forms import Cameras, Model, form_in, page_of
+from fewview.api.forms import Cameras, Model, form_in
 from fewview.api.lifting import identifier
-from fewview.api.operations import Driver, Page, Resource, listing, operation
-from fewview.api.steps import Request, Steps, nothing, once, path
+from fewview.api.operations import Driver, operation
+from fewview.api.steps import Request, Steps, once, path
+from fewview.api.stored import Stored
 
 
-class Models(Resource[Driver]):
-    """``/models``."""
+class Models(Stored[Driver, Model]):
+    """``/models``; a fit outlives its model."""
 
-    @operation
-    def get(self, model_id: str) -> Steps[Model]:
-        """Describe a model: configuration, errors, findings."""
-        return self._call(Request("GET", path("models", model_id), form_in(Model)))
-
-    @listing
-    def list(self, /, **filters: Any) -> Request[Page[Model]]:
-        """Iterate over all models, newest first.
-
-        Parameters
-        ----------
-        filters
-            Those of the API's query, such as ``name="macaque"``.
-        """
-        return Request("GET", "/models", page_of(Model), params=filters)
+    _form = Model
+    _plural = "models"
 
     @operation
     def cameras(self, model: Model | str) -> Steps[Cameras]:
@@ -59,14 +46,3 @@ class Models(Resource[Driver]):
             body={"content": Path(file).read_bytes()},
         )
         return self._call(request)
-
-    @operation
-    def delete(self, model: Model | str) -> Steps[None]:
-        """Delete a model and its weights.
-
-        Raises
-        ------
-        Conflict
-            A lift that has not ended needs it.
-        """
-        return self._call(Request("DELETE", path("models", identifier(model)), nothing))

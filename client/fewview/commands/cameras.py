@@ -1,0 +1,57 @@
+"""``fewview cameras``: what a fit found out about its cameras."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fewview.commands.talking import AsJson, Url, findings_in, say, table, talking
+
+if TYPE_CHECKING:
+    from fewview.api.forms import Cameras, FoundCamera
+    from fewview.capture import Float64
+
+HEADING: tuple[str, ...] = (
+    "view",
+    "camera",
+    "place",
+    "focal",
+    "centre",
+    "distortion",
+    "error",
+)
+
+
+def cameras(
+    model: Annotated[str, typer.Argument(help="Its id: mdl_...")],
+    *,
+    url: Url = None,
+    as_json: AsJson = False,
+) -> None:
+    """Tell which cameras a fit found, and how sure that is."""
+    with talking(url) as client:
+        found = client.models.cameras(model)
+        say(found.raw, in_words(found), as_json=as_json)
+
+
+def in_words(found: "Cameras") -> str:
+    """Return the cameras as lines for people: lengths in pixels, then what was noticed."""
+    rows = [HEADING, *(_row(view) for view in found.views)]
+    shown = [table(rows)] if found.views else []
+    return "\n".join([f"{found.arrangement}: {found.reason}", *shown, *findings_in(found.raw)])
+
+
+def _row(view: "FoundCamera") -> tuple[str, ...]:
+    error = view.reprojection_error
+    return (
+        str(view.index),
+        view.camera,
+        "rests" if view.resting else "moves",
+        _numbers(view.focal, 1),
+        _numbers(view.principal_point, 1),
+        _numbers(None if view.distortion is None else view.distortion[:2], 3),
+        "-" if error is None else f"{error:.2f}",
+    )
+
+
+def _numbers(values: "Float64 | None", digits: int) -> str:
+    return "-" if values is None else " ".join(f"{value:.{digits}f}" for value in values)

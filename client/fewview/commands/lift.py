@@ -1,0 +1,58 @@
+"""``fewview lift``: files of keypoints become 3D."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fewview.commands.talking import AsJson, Files, Url, capture_in, say, talking
+
+
+def lift(
+    model: Annotated[str, typer.Argument(help="Its id: mdl_...")],
+    files: Files,
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The npz to write.")],
+    refine: Annotated[
+        str | None, typer.Option(help="`auto`, `full` or `off`; else as in the fit.")
+    ] = None,
+    views: Annotated[
+        str | None, typer.Option(help="Which views of the fit the cameras are, such as `0,2`.")
+    ] = None,
+    url: Url = None,
+    as_json: AsJson = False,
+) -> None:
+    """Lift the keypoints of all cameras with a model; writes arrays."""
+    import numpy as np  # noqa: PLC0415 (commands load what they need)
+
+    with talking(url) as client:
+        if output.suffix != ".npz":
+            raise ValueError(f"--output: expected a file that ends in .npz, got {output.name!r}")
+        found = client.lift(
+            model,
+            capture_in(files),
+            refine=refine,
+            views=None if views is None else _indices(views),
+        )
+        part = output.with_name(f"{output.name}.part")
+        with part.open("wb") as file:
+            np.savez(file, allow_pickle=False, **found.arrays())
+        part.replace(output)
+        frames, lifted = len(found), int(found.lifted.sum())
+        for finding in found.findings:
+            line = f"{finding.severity}: {finding.code}. {finding.effect} {finding.remedy}"
+            typer.echo(line, err=True)
+        told = {
+            "file": str(output),
+            "frames": frames,
+            "frames_lifted": lifted,
+            "findings": [finding.code for finding in found.findings],
+        }
+        say(told, f"{lifted} of {frames} frames lifted: {output}", as_json=as_json)
+
+
+def _indices(text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError as error:
+        raise ValueError(f"--views: expected numbers such as 0,2, got {text!r}") from error

@@ -1,0 +1,54 @@
+"""The progress of a fit on a terminal, on stderr."""
+
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:
+    from fewview.api.forms import Fit
+
+
+class FitProgressBar:
+    """Shows how far a fit has come, in a ``with``; ``quiet`` shows nothing."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[figures]}"),
+            console=Console(stderr=True),
+            disable=quiet,
+        )
+        self._task = self._bar.add_task("queued", total=None, figures="")
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, _k: type[BaseException] | None, _e: BaseException | None, _t: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+    def show(self, fit: "Fit") -> None:
+        """Show a fit as it is now."""
+        progress = fit.progress
+        if progress is None:
+            self._bar.update(self._task, description=fit.status)
+            return
+        figures = []
+        if progress.reprojection_error is not None:
+            figures.append(f"{progress.reprojection_error:.1f} px")
+        if progress.seconds_left and not fit.ended:
+            figures.append(f"{progress.seconds_left:.0f} s left")
+        self._bar.update(
+            self._task,
+            description=fit.status if fit.ended else progress.stage,
+            completed=progress.step,
+            total=progress.steps,
+            figures=", ".join(figures),
+        )

@@ -1,0 +1,84 @@
+"""What all commands that talk to the service have in common: options, errors, output."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fewview.errors import FewviewError, FormatError, InvalidRequest, NotFound
+
+if TYPE_CHECKING:
+    from fewview.capture import Capture
+    from fewview.client import Client
+
+PATIENCE = 5.0  # seconds for a service that is away, which at a keyboard is long
+FAILED, WRONGLY_ASKED, INTERRUPTED = 1, 2, 130  # exit statuses
+ASKED_WRONGLY = (InvalidRequest, NotFound, FormatError, ValueError, FileNotFoundError)
+
+Url = Annotated[
+    str | None,
+    typer.Option(
+        "--url", envvar="FEWVIEW_URL", help="Where the service is; usually http://127.0.0.1:8000."
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Say it for machines.")]
+Files = Annotated[
+    list[Path],
+    typer.Argument(help="A file or folder of 2D keypoints for each camera, or all in one."),
+]
+
+
+@contextmanager
+def talking(url: str | None) -> Iterator["Client"]:
+    """Give a client; an error ends the command with a line on stderr and its exit status."""
+    from fewview.client import Client  # noqa: PLC0415 (commands load what they need)
+
+    try:
+        with Client(url, patience=PATIENCE) as client:
+            yield client
+    except (FewviewError, ValueError, OSError) as error:
+        status = WRONGLY_ASKED if isinstance(error, ASKED_WRONGLY) else FAILED
+        typer.echo(f"fewview: {' '.join(str(error).split())}", err=True)
+        raise typer.Exit(status) from None
+    except KeyboardInterrupt:
+        typer.echo("fewview: interrupted; what the service was asked for goes on", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def capture_in(files: Sequence[Path]) -> "Capture":
+    """Read files of keypoints, and say on stderr what was changed.
+
+    Raises
+    ------
+    FormatError
+        They cannot be read.
+    """
+    from fewview.readers import read  # noqa: PLC0415
+
+    capture = read(files)
+    for note in capture.notes:
+        typer.echo(note, err=True)
+    return capture
+
+
+def say(result: Mapping[str, Any], words: str, *, as_json: bool) -> None:
+    """Print a result: for people, or all of it for machines."""
+    typer.echo(json.dumps(result) if as_json else words)
+
+
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of text as lines with columns."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+
+
+def findings_in(told: Mapping[str, Any]) -> Iterator[str]:
+    """Give a line for each thing that was noticed."""
+    for finding in told.get("findings", ()):
+        yield f"{finding['severity']}: {finding['code']}. {finding['effect']} {finding['remedy']}"

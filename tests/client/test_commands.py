@@ -1,0 +1,95 @@
+"""Commands that talk to a service, as processes, from files to 3D."""
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fewview.commands.fit import read_config
+
+from tests.client.conftest import Served
+from tests.client.test_cli import run as fewview
+from tests.processes import free_port
+
+Ran = subprocess.CompletedProcess[str]
+
+
+def said(ran: Ran) -> Any:
+    assert ran.returncode == 0, ran.stderr
+    return json.loads(ran.stdout)
+
+
+def refused(ran: Ran, status: int) -> str:
+    assert ran.returncode == status, ran.stderr
+    assert ran.stdout == ""
+    assert ran.stderr.startswith("fewview: ")
+    assert ran.stderr.count("\n") == 1
+    return ran.stderr
+
+
+def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
+    file, url = tmp_path / "figure.npz", f"--url={served.live.url}"
+    np.savez(file, allow_pickle=False, **served.capture.arrays())
+    dataset = fewview("upload", str(file), url).stdout.strip()
+    assert served.client.datasets.get(dataset).name == "figure"
+
+    small = ["-c", '{"dictionary_sizes": [16, 8], "batch_size": 16}', "-c", "cameras=moving"]
+    followed = fewview("fit", dataset, "--follow", *small, "-c", "steps=60", "--name=walk", url)
+    assert followed.returncode == 0, followed.stderr
+    assert "60/60" in followed.stderr
+    model = followed.stdout.strip()
+    assert served.client.models.get(model).name == "walk"
+
+    assert "moving" in fewview("cameras", model, url).stdout
+    assert said(fewview("cameras", model, "--json", url))["model"] == model
+    lifted = fewview("lift", model, str(file), "-o", str(tmp_path / "out.npz"), url)
+    assert "60 of 60 frames lifted" in lifted.stdout, lifted.stderr
+    with np.load(tmp_path / "out.npz") as arrays:
+        assert arrays["points3d"].shape == (60, served.capture.keypoints.shape[2], 3)
+    (tmp_path / "out.npz").unlink()
+    command = ("lift", model, str(file), "-o", str(tmp_path / "out.npz"), "--json", url)
+    assert said(fewview(*command, "--views=0,1,2"))["frames_lifted"] == 60
+
+    for kind, identifier in (("datasets", dataset), ("models", model)):
+        listed = fewview(kind, "list", url).stdout
+        assert identifier in listed
+        assert listed.startswith("id ")
+        assert said(fewview(kind, "get", identifier, url))["id"] == identifier
+        assert said(fewview(kind, "delete", identifier, "--json", url)) == {"deleted": identifier}
+        assert identifier not in [i["id"] for i in said(fewview(kind, "list", "--json", url))]
+
+
+def test_jobs_are_queued_and_cancelled(served: Served) -> None:
+    url = f"--url={served.live.url}"
+    made = said(fewview("fit", served.dataset.id, "-c", "steps=100000", "--json", url))
+    assert made["config"]["steps"] == 100_000
+    assert fewview("fits", "cancel", made["id"], url).returncode == 0
+    listed = said(fewview("fits", "list", "--most=1", "--json", url))
+    assert [fit["id"] for fit in listed] == [made["id"]]
+    assert fewview("lifts", "list", url).stdout == "no lifts\n"
+
+
+def test_what_is_wrong_is_a_line_on_stderr_and_a_status(served: Served, tmp_path: Path) -> None:
+    url, nobody = f"--url={served.live.url}", f"--url=http://127.0.0.1:{free_port()}"
+    assert "fewview serve" in refused(fewview("datasets", "list", nobody), 1)
+    assert "expected a URL" in refused(fewview("datasets", "list", "--url=here"), 2)
+    assert "mdl_none" in refused(fewview("models", "get", "mdl_none", url), 2)
+    assert "steps" in refused(fewview("fit", served.dataset.id, "-c", "steps=-1", url), 2)
+    assert "key=value" in refused(fewview("fit", served.dataset.id, "-c", "steps", url), 2)
+    assert refused(fewview("upload", str(tmp_path / "none.npz"), url), 2)
+    (tmp_path / "text.npz").write_text("no arrays")
+    assert refused(fewview("upload", str(tmp_path / "text.npz"), url), 2)
+    assert refused(fewview("lift", served.model, "a.npz", "-o", "b.txt", url), 2)
+    empty = served.client.datasets.create(np.full((40, 2, 16, 2), np.nan))
+    command = ("fit", empty.id, "--follow", "--json", url)
+    assert "unusable_capture" in refused(fewview(*command), 1)
+
+
+def test_configuration_is_json_or_words() -> None:
+    found = read_config(['{"steps": 5, "seed": 1}', "steps=7", "cameras=static", "calibration=[1]"])
+    assert found == {"steps": 7, "seed": 1, "cameras": "static", "calibration": [1]}
+    for wrong in ("steps", "[1]", "{", "=3"):
+        with pytest.raises(ValueError, match="key=value"):
+            read_config([wrong])
