@@ -37,9 +37,6 @@ def _options(
         raise typer.Exit
 
 
-app.command()(convert)
-
-
 @app.command(context_settings=ELSEWHERE)
 def serve(context: typer.Context) -> None:
     """Run the API; with no settings at all also a queue and a worker."""
@@ -52,7 +49,7 @@ def worker(context: typer.Context) -> None:
     _run_of_server("worker", context.args)
 
 
-for command in (upload, fit, cameras, lift):
+for command in (convert, upload, fit, cameras, lift):
     app.command()(command)
 for kind in COLUMNS:
     app.add_typer(commands_of(kind), name=kind)
