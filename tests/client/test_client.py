@@ -20,10 +20,25 @@ from tests.service.conftest import CONFIG
 
 T = TypeVar("T")
 # What is promised to users: changed on purpose, or not at all.
-SURFACE = """
-    Animation ApiError AsyncClient Capture Client Conflict ConnectionFailed FewviewError FormatError
-    InvalidRequest JobFailed Lift NotFound TooManyRequests Unavailable read write
-""".split()
+SURFACE = [
+    "Animation",
+    "ApiError",
+    "AsyncClient",
+    "Capture",
+    "Client",
+    "Conflict",
+    "ConnectionFailed",
+    "FewviewError",
+    "FormatError",
+    "InvalidRequest",
+    "JobFailed",
+    "Lift",
+    "NotFound",
+    "TooManyRequests",
+    "Unavailable",
+    "read",
+    "write",
+]
 
 
 def awaited(coroutine: Coroutine[Any, Any, T]) -> T:
