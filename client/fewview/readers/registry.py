@@ -4,7 +4,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from fewview.errors import FormatError
-from fewview.readers.formats import coco, deeplabcut, npz, openpose, sleap
+from fewview.readers.formats import (
+    c3d,
+    coco,
+    deeplabcut,
+    lightning_pose,
+    mediapipe,
+    mmpose,
+    mvnrsfm,
+    npy,
+    npz,
+    openpose,
+    sleap,
+    table,
+)
 from fewview.readers.hints import looks_like
 from fewview.readers.sources import Source
 from fewview.readers.views import View
@@ -23,11 +36,18 @@ class Format:
 FORMATS = (
     Format("npz", "npz", npz.fits, npz.read),
     Format("deeplabcut-h5", "DeepLabCut or Anipose H5", deeplabcut.fits_h5, deeplabcut.read_h5),
+    Format("lightning-pose", "Lightning Pose CSV", lightning_pose.fits, lightning_pose.read),
     Format("deeplabcut-csv", "DeepLabCut CSV", deeplabcut.fits_csv, deeplabcut.read_csv),
     Format("openpose", "OpenPose JSON", openpose.fits, openpose.read),
     Format("sleap", "SLEAP .slp", sleap.fits_slp, sleap.read_slp),
     Format("sleap-analysis", "SLEAP analysis H5", sleap.fits_analysis, sleap.read_analysis),
     Format("coco", "COCO keypoints JSON", coco.fits, coco.read),
+    Format("mmpose", "MMPose JSON", mmpose.fits, mmpose.read),
+    Format("mediapipe", "MediaPipe JSON", mediapipe.fits, mediapipe.read),
+    Format("npy", "FreeMoCap npy", npy.fits, npy.read),
+    Format("mvnrsfm", "CAM_*.pkl of MV-NRSfM", mvnrsfm.fits, mvnrsfm.read),
+    Format("c3d", "C3D", c3d.fits, c3d.read),
+    Format("csv", "plain CSV", table.fits, table.read),
 )
 NAMES = tuple(each.name for each in FORMATS)
 
