@@ -46,7 +46,15 @@ def test_everything_shown_runs_in_its_order(
         for block in [block for heading in HEADINGS for block in blocks(heading)]:
             exec(block, shown)  # noqa: S102  # it is ours
     written = {file.name for file in tmp_path.iterdir()}
-    assert {"walk.glb", "walk.trc", "walk.data", "rig.toml", "rig.yml", "sparse"} <= written
+    assert written == {
+        "walk.glb",
+        "walk.trc",
+        "walk.data",
+        "walk.gif",
+        "rig.toml",
+        "rig.yml",
+        "sparse",
+    }
     for file in ("rig.toml", "rig.yml", "sparse"):
         for one, two in zip(read_cameras(file), shown["cameras"], strict=True):
             np.testing.assert_allclose(
