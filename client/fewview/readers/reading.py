@@ -13,7 +13,7 @@ from fewview.errors import FormatError
 from fewview.readers.combining import Align, cleaned, combined
 from fewview.readers.names import natural, told_apart
 from fewview.readers.people import Person, pick
-from fewview.readers.registry import FORMATS, Format, detect, find
+from fewview.readers.registry import FORMATS, Format, detect, find, views_of
 from fewview.readers.sources import Source, frames_in
 from fewview.readers.views import View
 
@@ -77,7 +77,7 @@ def read(
     views: list[View] = []
     kinds: Counter[str] = Counter()
     for source, kind in _sources(paths, format, notes):
-        found = kind.read(source)
+        found = views_of(source, kind)
         views += found
         kinds[kind.title] += len(found)
     titles = ", ".join(f"{title} ({count} cameras)" for title, count in kinds.items())

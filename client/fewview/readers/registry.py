@@ -1,7 +1,10 @@
 """The formats that are known, in the order in which they are tried."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+
+import numpy as np
 
 from fewview.errors import FormatError
 from fewview.readers.formats import (
@@ -53,8 +56,42 @@ NAMES = tuple(each.name for each in FORMATS)
 
 
 def detect(source: Source) -> Format | None:
-    """Return the format that a source is of, by what is in it; None for none of them."""
-    return next((each for each in FORMATS if each.fits(source)), None)
+    """Return the format that a source is of, by what is in it; None for none of them.
+
+    Raises
+    ------
+    FormatError
+        If it is broken.
+    """
+    with _broken(source, "a broken file"):
+        return next((each for each in FORMATS if each.fits(source)), None)
+
+
+def views_of(source: Source, known: Format) -> list[View]:
+    """Read a source's views.
+
+    Raises
+    ------
+    FormatError
+        If it is broken, or not as the format has it.
+    """
+    with _broken(source, f"not as {known.title} should be"):
+        views = known.read(source)
+    if not all(len(view.numbers) for view in views):
+        raise FormatError(f"{source}: {known.title} without a single frame")
+    return views
+
+
+@contextmanager
+def _broken(source: Source, said: str) -> Iterator[None]:
+    """Turn whatever a broken file makes its reader raise into a `FormatError`."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is no keypoint
+            yield
+    except FormatError:
+        raise
+    except Exception as error:
+        raise FormatError(f"{source}: {said} ({type(error).__name__}: {error})") from error
 
 
 def find(source: Source, name: str | None) -> Format:
@@ -68,7 +105,8 @@ def find(source: Source, name: str | None) -> Format:
     if name is None:
         found = detect(source)
         if found is None:
-            raise FormatError(f"{source}: {looks_like(source)}")
+            with _broken(source, "a broken file"):
+                raise FormatError(f"{source}: {looks_like(source)}")
         return found
     for each in FORMATS:
         if each.name == name:

@@ -1,5 +1,6 @@
 """What each format's reader makes of a small file, number by number."""
 
+import contextlib
 import json
 import pickle
 from pathlib import Path
@@ -204,6 +205,31 @@ def test_coco_results(tmp_path: Path) -> None:
     assert_shows(capture, body)
     assert capture.keypoint_names is not None
     assert capture.keypoint_names[5] == "left_shoulder"
+
+
+@pytest.mark.parametrize("name", ["a.slp", "a.analysis.h5", "a.h5", "a.csv", "a.npz"])
+def test_broken_files_say_so(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    labels, values = files.columns(files.NAMES), flat(XYZ)
+    if name == "a.slp":
+        files.slp(path, XYZ[None])
+    elif name == "a.analysis.h5":
+        files.sleap_analysis(path, XYZ[None], ["t0"])
+    elif name == "a.h5":
+        files.dlc_h5_fixed(path, labels, values)
+    elif name == "a.csv":
+        files.dlc_csv(path, labels, values)
+    else:
+        np.savez(path, keypoints=XYZ[:, None, :, :2])
+    whole = path.read_bytes()
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        broken = bytearray(whole[: rng.integers(len(whole) // 2, len(whole))])
+        for place in rng.integers(0, len(broken), 8):
+            broken[place] = rng.integers(256)
+        path.write_bytes(broken)
+        with contextlib.suppress(FormatError):  # and nothing else
+            fewview.read(path)
 
 
 class Harm:

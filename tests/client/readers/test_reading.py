@@ -22,7 +22,7 @@ def said(capture: fewview.Capture) -> str:
 
 
 def csv(path: Path, names: Any = files.NAMES, values: Any = XYZ) -> Path:
-    return files.dlc_csv(path, files.columns(names), values.reshape(len(values), -1))
+    return files.dlc_csv(path, files.columns(names), values.reshape(len(values), 3 * len(names)))
 
 
 def test_somebody_is_followed_through_lists_in_any_order(tmp_path: Path) -> None:
@@ -142,6 +142,11 @@ def test_what_is_no_known_format_is_refused(tmp_path: Path, content: bytes, expe
         fewview.read(path)
     with pytest.raises(FormatError, match="no file of a known format"):
         fewview.read(tmp_path)
+
+
+def test_a_table_without_frames_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="without a single frame"):
+        fewview.read(csv(tmp_path / "a.csv", values=XYZ[:0]))
 
 
 def test_what_is_asked_wrongly_is_refused(tmp_path: Path) -> None:
