@@ -79,7 +79,8 @@ def test_a_dataset_is_stored_described_listed_extended_and_deleted(
     assert served.dataset.raw["skeleton"]["keypoint_names"][1] == "k1"
 
     monkeypatch.setattr(datasets, "PART_FRAMES", 25)  # in three requests
-    other = client.datasets.create(capture, name="other")
+    other = client.datasets.create(capture, name="other", fps=50)
+    assert other.raw["fps"] == 50
     assert other.checksum == served.dataset.checksum
     longer = client.datasets.append(other, capture.keypoints[:10])
     assert longer.frames == other.frames + 10
@@ -141,12 +142,12 @@ def test_a_fit_that_fails_is_an_exception(served: Served) -> None:
     assert error.value.code == "unusable_capture"
     assert error.value.message in str(error.value)
     assert error.value.job.id == fit.id
+    served.client.fits.delete(fit)
 
     fit = served.client.fits.create(served.dataset, **CONFIG | {"steps": 100_000})
     assert served.client.fits.cancel(fit).raw["cancel_requested"]
     with pytest.raises(fewview.JobFailed, match="cancelled"):
         served.client.fits.wait(fit)
-    served.client.fits.delete(fit)
 
 
 def test_what_is_asked_wrongly_is_told_by_its_place(served: Served) -> None:
