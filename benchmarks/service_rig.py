@@ -18,7 +18,7 @@ from benchmarks.captures import Capture, Float32
 from models.lifting.fitted_prior import FittedPrior
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))  # where `embedded` lies
-from embedded import running_service
+from fewview.embedded import running_service
 
 BYTES = "application/octet-stream"
 POLL_SECONDS = 0.02

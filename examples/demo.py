@@ -26,7 +26,7 @@ from typing import Any, NamedTuple, NoReturn
 import httpx2
 import numpy as np
 from capture import Capture, CaptureError, Float32, hold_out, read_capture
-from embedded import running_service
+from fewview.embedded import ServiceError, running_service
 from numpy.typing import NDArray
 from picture import Array, Scene, draw
 from safetensors.numpy import load
@@ -67,7 +67,7 @@ def main() -> None:
             figures = run(address, capture, arguments)
     except CaptureError as error:
         fail(2, f"{arguments.capture}: {error}")
-    except (DemoError, RuntimeError, OSError, httpx2.HTTPError) as error:
+    except (DemoError, ServiceError, OSError, httpx2.HTTPError) as error:
         fail(1, str(error))
     except KeyboardInterrupt:
         fail(130, "interrupted; the service is stopped")

@@ -10,6 +10,7 @@ from fewview.commands.cameras import cameras
 from fewview.commands.convert import convert
 from fewview.commands.fit import fit
 from fewview.commands.lift import lift
+from fewview.commands.run import run
 from fewview.commands.stored import COLUMNS, commands_of
 from fewview.commands.upload import upload
 
@@ -49,7 +50,7 @@ def worker(context: typer.Context) -> None:
     _run_of_server("worker", context.args)
 
 
-for command in (convert, upload, fit, cameras, lift):
+for command in (run, convert, upload, fit, cameras, lift):
     app.command()(command)
 for kind in COLUMNS:
     app.add_typer(commands_of(kind), name=kind)

@@ -7,38 +7,38 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
+from fewview.commands.reading import (
+    Files,
+    Form,
+    Fps,
+    ImageSize,
+    MinConfidence,
+    Person,
+    Skeleton,
+    size_of,
+)
+from fewview.commands.talking import AsJson
+
 if TYPE_CHECKING:
     from fewview.capture import Capture
 
 
 def convert(
-    files: Annotated[
-        list[Path], typer.Argument(help="A file or folder for each camera, or a folder of these.")
-    ],
+    files: Files,
     *,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="The npz to write; without it, only look.")
     ] = None,
-    form: Annotated[
-        str | None, typer.Option("--format", help="Name of the format; found out if not given.")
-    ] = None,
-    person: Annotated[
-        str, typer.Option(help="Of several: `auto`, a number, or the name of a track.")
-    ] = "auto",
-    min_confidence: Annotated[
-        float, typer.Option(help="Detections that are less sure become gaps.")
-    ] = 0.0,
-    skeleton: Annotated[
-        str | None, typer.Option(help="Names the keypoints, such as `body-25b`.")
-    ] = None,
+    form: Form = None,
+    person: Person = "auto",
+    min_confidence: MinConfidence = 0.0,
+    skeleton: Skeleton = None,
     align: Annotated[
         Literal["index", "time"], typer.Option(help="What belongs together: numbers or times.")
     ] = "index",
-    fps: Annotated[float | None, typer.Option(help="Frames per second.")] = None,
-    image_size: Annotated[
-        str | None, typer.Option(help="Of all cameras, such as `1920x1080`.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Say it for machines.")] = False,
+    fps: Fps = None,
+    image_size: ImageSize = None,
+    as_json: AsJson = False,
 ) -> None:
     """Read 2D keypoints of any known format, say what was understood, and write one npz."""
     from fewview.errors import FormatError  # noqa: PLC0415 (commands load what they need)
@@ -55,7 +55,7 @@ def convert(
             skeleton=skeleton,
             align=align,
             fps=fps,
-            image_size=None if image_size is None else _size(image_size),
+            image_size=size_of(image_size),
         )
     except (FormatError, OSError) as error:
         _refuse(str(error))
@@ -118,13 +118,6 @@ def in_words(understood: dict[str, Any]) -> str:
     if len(cameras) < 2:
         lines.append("one camera alone has no 3D: give a file or folder for each")
     return "\n".join([*lines, *(f"- {note}" for note in understood["notes"])])
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        _refuse(f"--image-size {text}: expected WIDTHxHEIGHT, such as 1920x1080")
-    return int(width), int(height)
 
 
 def _write(capture: "Capture", path: Path) -> None:

@@ -25,10 +25,6 @@ Url = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Say it for machines.")]
-Files = Annotated[
-    list[Path],
-    typer.Argument(help="A file or folder of 2D keypoints for each camera, or all in one."),
-]
 
 
 @contextmanager

@@ -4,7 +4,8 @@ from typing import Annotated
 
 import typer
 
-from fewview.commands.talking import AsJson, Files, Url, capture_in, findings_in, say, talking
+from fewview.commands.reading import Files
+from fewview.commands.talking import AsJson, Url, capture_in, findings_in, say, talking
 
 
 def upload(

@@ -6,36 +6,48 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+from fewview.errors import FewviewError
 
 START_SECONDS = 120.0
 STOP_SECONDS = 60.0
 
 
+class ServiceError(FewviewError):
+    """The service of one's own does not start."""
+
+
 @contextmanager
-def running_service(*options: str) -> Iterator[str]:
-    """Run ``fewview serve`` on a free port, its data in a temporary folder; yield its address.
+def running_service(*options: str, data: Path | None = None) -> Iterator[str]:
+    """Run ``fewview serve`` on a free port; yield its address, and stop it in the end.
 
-    `options` are further ones of ``fewview serve``.
-
-    However the block is left, the service is stopped and its data are gone.
+    Parameters
+    ----------
+    options
+        Further ones of ``fewview serve``.
+    data
+        The folder with what it stores, which is kept, and found again the next time. None: a
+        temporary one.
 
     Raises
     ------
-    RuntimeError
-        If the service does not start; the message holds what it printed.
+    ServiceError
+        If the server is not installed or does not start; the message holds what it printed.
     """
-    with TemporaryDirectory(prefix="fewview-", ignore_cleanup_errors=True) as folder:
-        log = Path(folder, "serve.log")
+    with ExitStack() as stack:
+        if data is None:
+            folder = TemporaryDirectory(prefix="fewview-", ignore_cleanup_errors=True)
+            data = Path(stack.enter_context(folder), "data")
+        data.mkdir(parents=True, exist_ok=True)
+        log = data.with_name(f"{data.name}.log")
         with log.open("w") as output:
-            process = subprocess.Popen(  # noqa: S603 (our own console script)
+            process = subprocess.Popen(  # noqa: S603 (our own command)
                 [
-                    str(Path(sys.executable).with_name("fewview")),
-                    "serve",
-                    *("--port", "0"),
-                    *("--data-dir", str(Path(folder, "data"))),
+                    *(sys.executable, "-P", "-m", "fewview.cli", "serve"),
+                    *("--port", "0", "--data-dir", str(data)),
                     *options,
                 ],
                 # Settings of another Fewview must not lead this one to that one's data.
@@ -44,10 +56,8 @@ def running_service(*options: str) -> Iterator[str]:
                 stdout=output,
                 stderr=output,
             )
-        try:
-            yield _wait_for_address(process, log)
-        finally:
-            _stop(process)
+        stack.callback(_stop, process)
+        yield _wait_for_address(process, log)
 
 
 def _wait_for_address(process: subprocess.Popen[bytes], log: Path) -> str:
@@ -59,9 +69,9 @@ def _wait_for_address(process: subprocess.Popen[bytes], log: Path) -> str:
         if found := re.search(r"^ *API +(http://\S+)", text, re.MULTILINE):
             return found[1]
         if ended:
-            raise RuntimeError(f"`fewview serve` ended as it started:\n{text[-2000:]}")
+            raise ServiceError(f"`fewview serve` ended as it started:\n{text[-2000:]}")
         time.sleep(0.05)
-    raise RuntimeError(
+    raise ServiceError(
         f"`fewview serve` did not start within {START_SECONDS:.0f} s:\n{text[-2000:]}"
     )
 

@@ -1,0 +1,187 @@
+"""``fewview run``: from detectors' files to an animation and a calibration, with one command."""
+
+import json
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from fewview.commands.fit import read_config
+from fewview.commands.reading import (
+    Files,
+    Form,
+    Fps,
+    ImageSize,
+    MinConfidence,
+    Person,
+    Skeleton,
+    size_of,
+)
+from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson
+
+if TYPE_CHECKING:
+    from fewview.animation import Unit
+    from fewview.api.forms import Fit
+    from fewview.capture import Capture
+
+USUAL = "trc,csv,glb,npz"
+
+
+def run(
+    files: Files,
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for what comes of it.")],
+    url: Annotated[
+        str | None,
+        typer.Option(
+            envvar="FEWVIEW_URL", help="A running service; without it one is started for this."
+        ),
+    ] = None,
+    formats: Annotated[str, typer.Option(help="Formats of the animation, by commas.")] = USUAL,
+    fps: Fps = None,
+    form: Form = None,
+    person: Person = "auto",
+    min_confidence: MinConfidence = 0.0,
+    skeleton: Skeleton = None,
+    image_size: ImageSize = None,
+    known_length: Annotated[
+        str | None,
+        typer.Option(help="`FIRST,SECOND,METRES`: two keypoints and how far they are apart."),
+    ] = None,
+    config: Annotated[
+        list[str] | None,
+        typer.Option("--config", "-c", help="Of the fit, as `fewview fit` takes it; may repeat."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Read, upload, fit, and write animation, cameras and model; again, it goes on where it was."""
+    from fewview.commands.convert import in_words, summary  # noqa: PLC0415 (what it needs)
+    from fewview.errors import FewviewError  # noqa: PLC0415
+    from fewview.readers import read  # noqa: PLC0415
+
+    try:
+        capture = read(
+            files,
+            format=form,
+            person=person,
+            min_confidence=min_confidence,
+            skeleton=skeleton,
+            fps=fps,
+            image_size=size_of(image_size),
+        )
+        told = _config(config or [], known_length, capture)
+        chosen = _formats(formats)
+        output.mkdir(parents=True, exist_ok=True)
+    except (FewviewError, ValueError, OSError) as error:
+        _end(str(error), WRONGLY_ASKED)
+    if not as_json:
+        typer.echo(in_words(summary(capture)))
+    try:
+        done = _run(capture, output, url, told, chosen, fps, known_length, quiet=as_json)
+    except FewviewError as error:
+        _end(str(error), FAILED)
+    except KeyboardInterrupt:
+        _end("stopped; the same command goes on where it was", INTERRUPTED)
+    typer.echo(json.dumps(done) if as_json else _told(done))
+
+
+def _run(
+    capture: "Capture",
+    folder: Path,
+    url: str | None,
+    config: dict[str, Any],
+    formats: list[str],
+    fps: float | None,
+    known_length: str | None,
+    *,
+    quiet: bool,
+) -> dict[str, Any]:
+    from fewview.client import Client  # noqa: PLC0415
+    from fewview.commands.progress import FitProgressBar  # noqa: PLC0415
+    from fewview.commands.running import Notes, digest_of, export, fitted  # noqa: PLC0415
+    from fewview.embedded import running_service  # noqa: PLC0415
+
+    notes = Notes.of(folder, digest_of(capture, config, fps, url))
+    data = folder / "fewview-data"
+    service = running_service(data=data) if url is None else nullcontext(url)
+    with service as address, Client(address) as client:
+        with FitProgressBar(quiet=quiet) as bar:
+            fit: Fit = fitted(
+                client,
+                capture,
+                folder,
+                notes,
+                name=folder.absolute().name,
+                fps=fps,
+                config=config,
+                on_progress=bar.show,
+            )
+        unit: Unit | None = None if known_length is None else "m"
+        return export(client, fit, capture, folder, formats=formats, fps=fps, unit=unit)
+
+
+def _config(texts: list[str], known_length: str | None, capture: "Capture") -> dict[str, Any]:
+    """Return the fit's configuration, with the known length in it.
+
+    Raises
+    ------
+    ValueError
+        If one of them cannot be read; the message says which and how.
+    """
+    config = read_config(texts)
+    if known_length is not None:
+        parts = known_length.rsplit(",", 2)
+        try:
+            first, second, metres = parts
+            length = float(metres)
+        except ValueError as error:
+            raise ValueError(
+                f"--known-length {known_length}: expected FIRST,SECOND,METRES, such as "
+                "left_hip,left_knee,0.41"
+            ) from error
+        pair = [_keypoint(part, capture) for part in (first, second)]
+        config["known_length"] = {"keypoints": pair, "length": length}
+    return config
+
+
+def _keypoint(said: str, capture: "Capture") -> int:
+    names = capture.keypoint_names or ()
+    if said in names:
+        return names.index(said)
+    if said.isdigit() and int(said) < capture.keypoints.shape[2]:
+        return int(said)
+    listed = ", ".join(names) or f"numbers 0 to {capture.keypoints.shape[2] - 1}"
+    raise ValueError(f"--known-length: there is no keypoint {said!r}; there are: {listed}")
+
+
+def _formats(said: str) -> list[str]:
+    from fewview.writers.registry import FORMATS  # noqa: PLC0415
+
+    known = [known.name for known in FORMATS]
+    chosen = [name.strip() for name in said.split(",") if name.strip()]
+    wrong = [name for name in chosen if name not in known]
+    if wrong:
+        raise ValueError(f"--formats: there is no format {wrong[0]!r}; there are: {known}")
+    return chosen
+
+
+def _told(done: dict[str, Any]) -> str:
+    """Return what was done as lines for people."""
+    lines = [
+        f"model      {done['model']}",
+        f"cameras    {done['arrangement']}",
+        f"frames     {done['frames']}, {done['in_room']} of them in one room",
+        f"error      {done['reprojection_error']:.2f} px from the keypoints, mean",
+    ]
+    for finding in done["findings"]:
+        lines.append(f"{finding['severity']:<10} {finding['code']}: {finding['effect']}")
+        lines.append(f"           {finding['remedy']}")
+    lines += [f"- {note}" for note in done["notes"]]
+    return "\n".join([*lines, *(f"wrote      {file}" for file in done["files"])])
+
+
+def _end(message: str, status: int) -> NoReturn:
+    typer.echo(f"fewview run: {' '.join(message.split())}", err=True)
+    sys.exit(status)

@@ -1,0 +1,153 @@
+"""The steps of ``fewview run``, each done once: what is done is noted in the output folder."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from fewview.animation import Unit
+from fewview.api.forms import Fit
+from fewview.calibration import write_cameras
+from fewview.capture import Capture
+from fewview.client import Client
+from fewview.errors import FewviewError, NotFound
+from fewview.products import animation_of, room_of
+from fewview.writers import write
+from fewview.writers.registry import FORMATS
+
+NOTES = "run.json"
+CALIBRATIONS = ("cameras.toml", "cameras.yml")  # of Anipose, of OpenCV
+WEIGHTS = "model.safetensors"
+
+
+@dataclass
+class Notes:
+    """What of a run is done, by the identifiers of the service."""
+
+    digest: str  # of the keypoints and of what the fit was told
+    dataset_id: str | None = None
+    fit_id: str | None = None
+
+    @classmethod
+    def of(cls, folder: Path, digest: str) -> Self:
+        """Read the notes of an earlier run of the very same; else begin new ones."""
+        try:
+            said = json.loads((folder / NOTES).read_text())
+            notes = cls(str(said["digest"]), said["dataset_id"], said["fit_id"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return cls(digest)
+        return notes if notes.digest == digest else cls(digest)
+
+    def keep(self, folder: Path) -> None:
+        """Write the notes; the file is whole or the one before."""
+        part = folder / f".{NOTES}.part"
+        part.write_text(json.dumps(asdict(self)))
+        part.replace(folder / NOTES)
+
+
+def digest_of(capture: Capture, *told: object) -> str:
+    """Return a digest of all arrays of a capture and of what else decides the result."""
+    digest = hashlib.sha256(json.dumps(told, default=str, sort_keys=True).encode())
+    for name, array in sorted(capture.arrays().items()):
+        digest.update(f"{name}{array.dtype}{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def fitted(
+    client: Client,
+    capture: Capture,
+    folder: Path,
+    notes: Notes,
+    *,
+    name: str,
+    fps: float | None,
+    config: Mapping[str, Any],
+    on_progress: Callable[[Fit], object],
+) -> Fit:
+    """Upload, fit and wait, as far as that is not done yet.
+
+    Raises
+    ------
+    FewviewError
+        The service cannot be reached or refuses, or the fit fails.
+    """
+    if notes.fit_id is not None and not _is_there(lambda: client.fits.get(str(notes.fit_id))):
+        notes.fit_id = None
+    if notes.fit_id is None:
+        if notes.dataset_id is None or not _is_there(
+            lambda: client.datasets.get(str(notes.dataset_id))
+        ):
+            notes.dataset_id = client.datasets.create(capture, name=name, fps=fps).id
+            notes.keep(folder)
+        notes.fit_id = client.fits.create(notes.dataset_id, name=name, **config).id
+        notes.keep(folder)
+    try:
+        return client.fits.wait(notes.fit_id, on_progress=on_progress)
+    except FewviewError:
+        if client.fits.get(notes.fit_id).ended:  # the same command tries anew
+            notes.fit_id = None
+            notes.keep(folder)
+        raise
+
+
+def export(
+    client: Client,
+    fit: Fit,
+    capture: Capture,
+    folder: Path,
+    *,
+    formats: Sequence[str],
+    fps: float | None,
+    unit: Unit | None,
+) -> dict[str, Any]:
+    """Write all that came of a fit into a folder.
+
+    Returns
+    -------
+    dict
+        What goes into JSON: ``model``, ``files``, ``arrangement``, ``frames``, ``in_room``,
+        ``reprojection_error`` (pixels, mean), ``findings`` and ``notes``.
+    """
+    assert fit.model_id is not None  # noqa: S101 (of a fit that succeeded)
+    lift = client.fits.reconstruction(fit)
+    found = client.models.cameras(fit.model_id)
+    room, said = room_of(lift, found, capture)
+    animation = animation_of(lift, room, capture, fps=fps, unit=unit)
+    files = []
+    for known in FORMATS:
+        if known.name in formats:
+            try:
+                files.append(write(folder / f"animation{known.suffix}", animation, known.name))
+            except FewviewError as error:
+                said.append(f"no {known.name}: {error}")
+    if room is not None:
+        for name in CALIBRATIONS:
+            try:
+                cameras = room.cameras(lift, capture.view_names, capture.image_sizes)
+                files.append(write_cameras(folder / name, cameras))
+            except ValueError as error:
+                said.append(f"no {name}: {error}")
+    files.append(client.models.download(fit.model_id, folder / WEIGHTS))
+    return {
+        "model": fit.model_id,
+        "files": [str(file) for file in files],
+        "arrangement": found.arrangement,
+        "frames": len(lift),
+        "in_room": 0 if room is None else len(lift) - room.missing,
+        "reprojection_error": float(np.nanmean(lift.reprojection_errors)),
+        "findings": [asdict(finding) for finding in fit.findings],
+        "notes": said,
+    }
+
+
+def _is_there(ask: Callable[[], object]) -> bool:
+    try:
+        ask()
+    except NotFound:
+        return False
+    return True

@@ -1,0 +1,55 @@
+"""What comes of a fit, as files: the animation in one room, the cameras, the weights, figures."""
+
+import numpy as np
+
+from fewview.animation import Animation, Unit
+from fewview.api.forms import Cameras
+from fewview.api.lifting import Lift
+from fewview.capture import Capture
+from fewview.room import Room, to_room
+
+
+def room_of(lift: Lift, cameras: Cameras, capture: Capture) -> tuple[Room | None, list[str]]:
+    """Place all frames in one room: y up where up can be found, else the first view's axes.
+
+    Returns
+    -------
+    tuple
+        The room, None where no frame has a perspective pose; and what is to be said of it.
+    """
+    resting = [view.index for view in cameras.views if view.resting]
+    reference = resting[0] if resting else 0
+    reasons: list[str] = []
+    for up in ("auto", None):
+        try:
+            room = to_room(
+                lift.points3d,
+                lift.rotations,
+                lift.translations,
+                lift.camera_models,
+                reference=reference,
+                up=up,
+                keypoint_names=capture.keypoint_names,
+            )
+        except ValueError as error:
+            reasons.append(str(error))
+        else:
+            return room, [*reasons, *room.notes]
+    return None, [*reasons[-1:], "structures stay canonical: every frame in axes of its own"]
+
+
+def animation_of(
+    lift: Lift, room: Room | None, capture: Capture, *, fps: float | None, unit: Unit | None
+) -> Animation:
+    """Return the frames as an animation, in the room if there is one."""
+    times = capture.times
+    if times is not None and times.ndim == 2:
+        times = np.nanmedian(times, axis=1)
+    return Animation(
+        points=np.asarray(lift.points3d if room is None else room.points, np.float64),
+        unit=unit,
+        fps=fps,
+        times=times,
+        keypoint_names=capture.keypoint_names,
+        edges=capture.edges or (),
+    )

@@ -1,0 +1,112 @@
+"""``fewview run``: files of keypoints in, an animation, cameras and a model out."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fewview.calibration import read_cameras
+
+from tests.models.rigs import IMAGE_SIZE, RigCapture, make_rig_capture
+
+NAMES = [f"k{p}" for p in range(16)]
+QUICK = ("-c", "steps=40", "-c", "dictionary_sizes=[16,8]", "-c", "batch_size=16")
+
+
+@pytest.fixture(scope="module")
+def capture() -> RigCapture:
+    return make_rig_capture([0.0, 80.0, -120.0], frames=60, seed=3)
+
+
+@pytest.fixture(scope="module")
+def files(capture: RigCapture, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Write what DeepLabCut would, a file for each camera."""
+    folder = tmp_path_factory.mktemp("files")
+    for view in range(3):
+        with (folder / f"cam{view}.csv").open("w", newline="") as file:
+            rows = csv.writer(file)
+            rows.writerow(["scorer", *["net"] * 48])
+            rows.writerow(["bodyparts", *np.repeat(NAMES, 3)])
+            rows.writerow(["coords", *["x", "y", "likelihood"] * 16])
+            for n, shown in enumerate(capture.keypoints[:, view]):
+                cells = [("", "", 0.0) if np.isnan(x) else (x, y, 1.0) for x, y in shown]
+                rows.writerow([n, *[value for cell in cells for value in cell]])
+    return [str(folder / f"cam{view}.csv") for view in range(3)]
+
+
+def command(*words: str) -> list[str]:
+    return [sys.executable, "-m", "fewview.cli", "run", *words]
+
+
+def run(*words: str) -> "subprocess.CompletedProcess[str]":
+    env = {name: value for name, value in os.environ.items() if not name.startswith("FEWVIEW_")}
+    return subprocess.run(command(*words), capture_output=True, text=True, env=env, check=False)
+
+
+def test_files_become_an_animation_cameras_and_a_model(
+    files: list[str], capture: RigCapture, tmp_path: Path
+) -> None:
+    size = "x".join(map(str, IMAGE_SIZE))
+    words = [*files, "-o", str(tmp_path / "out"), "--json", "--image-size", size, *QUICK]
+    words += ["--fps", "50", "--formats", "trc,npz,csv", "--known-length", "k2,k9,0.5"]
+    first = run(*words)
+    assert first.returncode == 0, first.stderr
+    told = json.loads(first.stdout)
+    assert told["arrangement"] == "static"
+    assert told["frames"] == told["in_room"] == 60
+    written = {Path(file).name for file in told["files"]}
+    assert {"animation.trc", "animation.npz", "animation.csv", "cameras.toml"} <= written
+    assert {"cameras.yml", "model.safetensors"} <= written
+
+    # The capture is the calibration: these cameras project these points to where they were seen.
+    with np.load(tmp_path / "out" / "animation.npz") as arrays:
+        points = arrays["points"]
+    cameras = read_cameras(tmp_path / "out" / "cameras.toml")
+    assert [camera.name for camera in cameras] == ["cam0", "cam1", "cam2"]
+    for view, camera in enumerate(cameras):
+        apart = np.linalg.norm(camera.project(points) - capture.keypoints[:, view], axis=-1)
+        assert np.nanmedian(apart) < 2
+
+    again = run(*words)
+    assert json.loads(again.stdout)["model"] == told["model"]
+    assert run(*words, "-c", "seed=5", "--formats", "obj").returncode == 2
+
+
+def test_it_goes_on_where_it_was_stopped(files: list[str], tmp_path: Path) -> None:
+    words = [*files, "-o", str(tmp_path), *QUICK, "-c", "refine=off", "-c", "cameras=moving"]
+    words += ["-c", "steps=1500", "--formats", "csv"]
+    with subprocess.Popen(command(*words), stderr=subprocess.PIPE, text=True) as process:
+        notes = tmp_path / "run.json"
+        deadline = time.monotonic() + 120
+        while not (notes.exists() and json.loads(notes.read_text())["fit_id"]):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert "goes on" in said
+    before = json.loads(notes.read_text())
+    ended = run(*words)
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(notes.read_text()) == before
+    assert (tmp_path / "animation.csv").exists()
+
+
+def test_what_is_asked_wrongly_is_said_in_one_line(files: list[str], tmp_path: Path) -> None:
+    out = ["-o", str(tmp_path)]
+    for words in (
+        [*files, *out, "--known-length", "k0,nose,0.4"],
+        [*files, *out, "--known-length", "k0,k1"],
+        [*files, *out, "--formats", "obj"],
+        [str(tmp_path / "none.csv"), *out],
+    ):
+        refused = run(*words)
+        assert refused.returncode == 2
+        assert len(refused.stderr.splitlines()) == 1
+        assert refused.stderr.startswith("fewview run: ")
