@@ -130,7 +130,8 @@ def as_teachers(
     x, y = rotations[..., 0, :], rotations[..., 1, :]  # (T, K, 3)
     level = torch.einsum("tk,tki,tkj->tij", observed, x, x)
     upright = torch.einsum("tk,tki,tkj->tij", observed, y, y)
-    up_axes = torch.linalg.eigh(UPRIGHT_WEIGHT * upright - level).eigenvectors[..., -1]
+    axes = torch.linalg.eigh(UPRIGHT_WEIGHT * upright - level).eigenvectors
+    up_axes = axes[..., -1].contiguous()  # as a checkpoint gives it back: compiled for once
     taught = torch.zeros(count, dtype=torch.bool)
     indices = torch.zeros(count, dtype=torch.long)
     taught[frames] = True

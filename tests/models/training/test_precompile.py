@@ -28,7 +28,7 @@ def signatures():
 compile_all()
 before = signatures()
 assert before
-capture = synthetic_capture(frames=200, views=3, noise=2, hidden_views=0.1, seed=2)
+capture = synthetic_capture(frames=60, views=3, noise=2, hidden_views=0.1, seed=2)
 more = {"early_stopping": True, "known_length": KnownLength(keypoints=(0, 1), length=0.3)}
 for refine, cameras in (("auto", "auto"), ("full", "moving"), ("off", "auto")):
     config = FitConfig(steps=40, batch_size=32, refine=refine, cameras=cameras, **more)
