@@ -15,7 +15,7 @@ from store.jobs import Job
 from store.records import FitJob, LiftJob
 from worker.heartbeat import Heartbeat
 from worker.queue import KnownJob, open_queue
-from worker.reconciler import adopt
+from worker.reconciler import adopt, recorded_as
 from worker.settings import WorkerSettings
 from worker.time_slice import TimeSlice
 
@@ -44,7 +44,8 @@ def fit(
     Returns
     -------
     dict
-        ``fit_id``, ``status`` and ``model_id``, as ``GET /fits/{id}`` gives them.
+        ``fit_id``, ``status`` and ``model_id``, as ``GET /fits/{id}`` gives them; the last two are
+        None where the fit was deleted before it began.
 
     Raises
     ------
@@ -53,6 +54,8 @@ def fit(
     """
     with _opened() as (job, store, settings):
         fit_id = _recorded(store, FitJob, job, settings)
+        if fit_id is None:
+            return {"fit_id": recorded_as(job), "status": None, "model_id": None}
         attempt = attempts.claim(store, fit_id, lease_seconds=settings.lease_seconds)
         if attempt is not None:
             logger.info("Fit %s: attempt %d starts", fit_id, attempt.number)
@@ -96,6 +99,8 @@ def lift(
     """
     with _opened() as (job, store, settings):
         lift_id = _recorded(store, LiftJob, job, settings)
+        if lift_id is None:
+            return {"lift_id": recorded_as(job), "status": None}
         return _help(job, store, settings, lift_id)
 
 
@@ -129,10 +134,12 @@ def _help(
     return {"lift_id": lift_id, "status": record.status}
 
 
-def _recorded(store: Store, kind: type[Job], job: KnownJob, settings: WorkerSettings) -> str:
-    """Return the identifier of what a job asks for; it may be on no record yet."""
+def _recorded(store: Store, kind: type[Job], job: KnownJob, settings: WorkerSettings) -> str | None:
+    """Return the identifier of what a job asks for, recorded now if need be; None if deleted."""
     known = jobs.by_job(store, kind, job.id)
-    return adopt(store, job, settings) if known is None else known.id
+    if known is not None:
+        return known.id
+    return adopt(store, job, settings) if recorded_as(job) is None else None
 
 
 def _report(record: FitJob | LiftJob) -> None:

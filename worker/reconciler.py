@@ -72,7 +72,7 @@ class Reconciler:
             and lifts.helped(self._store, job_id) is None
         ):
             job = self._queue.fetch_job(job_id)
-            if isinstance(job, KnownJob) and not calls(job, HELP_JOB):
+            if isinstance(job, KnownJob) and not calls(job, HELP_JOB) and recorded_as(job) is None:
                 adopt(self._store, job, self._settings)
 
 
@@ -82,6 +82,14 @@ def calls(job: KnownJob, function: str) -> bool:
         return bool(job.func_name == function)
     except DeserializationError:
         return False
+
+
+def recorded_as(job: KnownJob) -> str | None:
+    """Return the identifier of the fit or the lift that a job was recorded as, if it ever was.
+
+    A job that was, and has no record any more, is of a fit or a lift that was deleted.
+    """
+    return job.meta.get("fit_id") or job.meta.get("lift_id")
 
 
 def adopt(store: Store, job: KnownJob, settings: WorkerSettings) -> str:

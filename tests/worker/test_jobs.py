@@ -104,6 +104,21 @@ def test_a_waiting_job_has_a_record_that_can_be_cancelled(
     assert lookup.page(store, Model, limit=1, after=None) == []
 
 
+def test_a_fit_that_was_deleted_is_not_made_again(
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
+) -> None:
+    gone = fits.create(store, dataset_id=dataset_id, name="gone", config=LONG)
+    enqueue(open_queue(redis), gone)
+    fits.cancel(store, gone.id)
+    fits.delete(store, gone.id)
+    next_one = Queue("fits", connection=redis).enqueue(
+        "worker.jobs.fit", dataset_id=dataset_id, config=CONFIG | {"steps": 2, "refine": "off"}
+    )
+    start_worker()
+    wait_for(lambda: bool(next_one.is_finished), "the other fit")
+    assert [fit.name for fit in lookup.page(store, FitJob, limit=9, after=None)] == ["fit"]
+
+
 def test_a_job_may_start_from_a_model_and_be_short_of_time(
     store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
 ) -> None:
