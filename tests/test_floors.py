@@ -136,7 +136,7 @@ def test_what_forks_and_what_is_told_to_a_fit_load_neither_torch_nor_numba(part:
     assert ran.stdout == "set()\n"
 
 
-def test_the_client_and_the_floors_know_nothing_of_each_other() -> None:
+def test_the_client_knows_no_floor_and_is_known_for_its_file_formats_alone() -> None:
     """They are two distributions: the client talks HTTP, and needs none of what a floor needs."""
     for file in python_files("client/fewview"):
         for node in ast.walk(ast.parse(file.read_text())):
@@ -144,7 +144,9 @@ def test_the_client_and_the_floors_know_nothing_of_each_other() -> None:
             named += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             assert not {parts(name)[0] for name in named} & {*FLOORS, "torch", "numba"}, file
     for module in modules():
-        assert "fewview" not in {parts(name)[0] for name in imports(module)}, module
+        used = {parts(name) for name in imports(module) if parts(name)[0] == "fewview"}
+        allowed = {("fewview", "calibration")} if module.startswith("service.wire.") else set()
+        assert used <= allowed, module
 
 
 @pytest.mark.parametrize("floor", FLOORS)

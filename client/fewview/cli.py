@@ -8,6 +8,8 @@ import typer
 
 from fewview.commands.cameras import cameras
 from fewview.commands.convert import convert
+from fewview.commands.evaluate import evaluate
+from fewview.commands.export import export
 from fewview.commands.fit import fit
 from fewview.commands.lift import lift
 from fewview.commands.run import run
@@ -50,7 +52,7 @@ def worker(context: typer.Context) -> None:
     _run_of_server("worker", context.args)
 
 
-for command in (run, convert, upload, fit, cameras, lift):
+for command in (run, convert, upload, fit, cameras, lift, export, evaluate):
     app.command()(command)
 for kind in COLUMNS:
     app.add_typer(commands_of(kind), name=kind)

@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Annotated, Any, Self
 
-from fastapi import APIRouter, Depends, Request, Response, status
+from fastapi import APIRouter, Depends, Query, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import dumped
@@ -24,11 +24,14 @@ from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
 from service.resources.changes import add_change_route
 from service.resources.pages import Asked, Page, asked_of, page_of
+from service.wire.calibrations import MEDIA_TYPES, CalibrationFormat, calibration_file
 from service.wire.cameras import ModelCameras
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
 from store import lookup, models, records
+from store.database import Store
+from store.errors import NotFoundError
 
 router = APIRouter(prefix="/models", tags=["models"])
 
@@ -169,13 +172,50 @@ def get_model(model_id: Identifier, store: StoreDep) -> Model:
     return Model.of(lookup.get(store, records.Model, model_id))
 
 
-@router.get("/{model_id}/cameras", responses=problems("not_found"))
-def get_model_cameras(model_id: Identifier, engine: EngineDep) -> ModelCameras:
+@router.get(
+    "/{model_id}/cameras",
+    response_model=ModelCameras,
+    responses=problems("not_found", "conflict")
+    | binary_responses("The cameras, as JSON or as a calibration file.", *MEDIA_TYPES),
+)
+def get_model_cameras(
+    model_id: Identifier,
+    request: Request,
+    engine: EngineDep,
+    store: StoreDep,
+    format: Annotated[
+        CalibrationFormat,
+        Query(
+            description="`json`, or the calibration file of another tool: `anipose` (TOML), "
+            "`opencv` (YAML) or `colmap` (its text files in a zip). Cameras that move have no "
+            "pose there. Anipose and COLMAP need the dataset's image sizes."
+        ),
+    ] = "json",
+) -> Response | ModelCameras:
     """Tell what the fit found out about its cameras: what they are, how surely, and why.
 
     A model that was fitted without refinement answers too, with the arrangement `unknown`.
     """
-    return ModelCameras.of(model_id, engine.prior(model_id).cameras)
+    cameras = ModelCameras.of(model_id, engine.prior(model_id).cameras)
+    if format == "json":
+        return cameras
+    try:
+        file = calibration_file(cameras, format, _image_sizes(store, model_id))
+    except ValueError as error:
+        raise ApiError("conflict", f"{error}; format=json says all that is known") from error
+    return bytes_response(
+        request, file.content, media_type=file.media_type, filename=f"{model_id}-{file.filename}"
+    )
+
+
+def _image_sizes(store: Store, model_id: str) -> list[tuple[int, int] | None] | None:
+    """Return (width, height) of the views, None where the dataset does not say or is gone."""
+    dataset_id = lookup.get(store, records.Model, model_id).dataset_id
+    try:
+        sizes = dataset_id and lookup.get(store, records.Dataset, dataset_id).image_sizes
+    except NotFoundError:
+        return None
+    return [None if size is None else (size[0], size[1]) for size in sizes] if sizes else None
 
 
 @router.get(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fewview.calibration import read_cameras
 from fewview.commands.fit import read_config
 
 from tests.client.conftest import Served
@@ -51,6 +52,18 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
     (tmp_path / "out.npz").unlink()
     command = ("lift", model, str(file), "-o", str(tmp_path / "out.npz"), "--json", url)
     assert said(fewview(*command, "--views=0,1,2"))["frames_lifted"] == 60
+
+    fit = str(served.client.models.get(model).fit_id)
+    out = tmp_path / "out"
+    exported = said(fewview("export", fit, "-o", str(out), "--formats=csv,npz", "--json", url))
+    written = {Path(file).name for file in exported["files"]}
+    assert {"animation.csv", "animation.npz", "model.safetensors"} <= written
+    with np.load(out / "animation.npz") as arrays:
+        assert arrays["points"].shape == (60, served.capture.keypoints.shape[2], 3)
+    calibration = out / "cameras.yml"
+    assert fewview("cameras", model, "-o", str(calibration), url).returncode == 0
+    assert len(read_cameras(calibration)) == 3
+    assert "anipose" in refused(fewview("cameras", model, "-o", str(out / "a.obj"), url), 2)
 
     for kind, identifier in (("datasets", dataset), ("models", model)):
         listed = fewview(kind, "list", url).stdout

@@ -24,6 +24,19 @@ class Models(Stored[Driver, Model]):
         return self._call(Request("GET", where, form_in(Cameras)))
 
     @operation
+    def calibration(self, model: Model | str, format: str) -> Steps[bytes]:
+        """Return its cameras as a calibration file: ``anipose``, ``opencv``, ``colmap`` (a zip).
+
+        Raises
+        ------
+        Conflict
+            The format cannot say these cameras.
+        """
+        where = path("models", identifier(model), "cameras")
+        request = Request("GET", where, lambda found: found.content, params={"format": format})
+        return self._call(request)
+
+    @operation
     def download(self, model: Model | str, file: str | PathLike[str]) -> Steps[Path]:
         """Download a model's weights into a file; what broke off goes on where it was."""
         return download(path("models", identifier(model), "weights"), Path(file), self._patience)

@@ -1,5 +1,6 @@
 """``fewview cameras``: what a fit found out about its cameras."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -10,6 +11,7 @@ if TYPE_CHECKING:
     from fewview.api.forms import Cameras, FoundCamera
     from fewview.capture import Float64
 
+FORMS = {".toml": "anipose", ".yml": "opencv", ".yaml": "opencv", ".zip": "colmap"}
 HEADING: tuple[str, ...] = (
     "view",
     "camera",
@@ -24,13 +26,34 @@ HEADING: tuple[str, ...] = (
 def cameras(
     model: Annotated[str, typer.Argument(help="Its id: mdl_...")],
     *,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Also write a calibration: .toml, .yml or .zip."),
+    ] = None,
+    form: Annotated[
+        str | None,
+        typer.Option("--format", help="Of the file: anipose, opencv or colmap; else by its name."),
+    ] = None,
     url: Url = None,
     as_json: AsJson = False,
 ) -> None:
     """Tell which cameras a fit found, and how sure that is."""
     with talking(url) as client:
+        if output is not None:
+            content = client.models.calibration(model, form or _form_of(output))
+            part = output.with_name(f"{output.name}.part")
+            part.write_bytes(content)
+            part.replace(output)
         found = client.models.cameras(model)
         say(found.raw, in_words(found), as_json=as_json)
+
+
+def _form_of(file: Path) -> str:
+    try:
+        return FORMS[file.suffix]
+    except KeyError:
+        known = ", ".join(f"{form} ({suffix})" for suffix, form in FORMS.items())
+        raise ValueError(f"--output: {file.name!r} names no format; there are: {known}") from None
 
 
 def in_words(found: "Cameras") -> str:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from fewview.commands.export import USUAL, Formats, formats_in
+from fewview.commands.export import in_words as told_in_words
 from fewview.commands.fit import read_config
 from fewview.commands.reading import (
     Files,
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
     from fewview.api.forms import Fit
     from fewview.capture import Capture
 
-USUAL = "trc,csv,glb,npz"
-
 
 def run(
     files: Files,
@@ -39,7 +39,7 @@ def run(
             envvar="FEWVIEW_URL", help="A running service; without it one is started for this."
         ),
     ] = None,
-    formats: Annotated[str, typer.Option(help="Formats of the animation, by commas.")] = USUAL,
+    formats: Formats = USUAL,
     fps: Fps = None,
     form: Form = None,
     person: Person = "auto",
@@ -72,7 +72,7 @@ def run(
             image_size=size_of(image_size),
         )
         told = _config(config or [], known_length, capture)
-        chosen = _formats(formats)
+        chosen = formats_in(formats)
         output.mkdir(parents=True, exist_ok=True)
     except (FewviewError, ValueError, OSError) as error:
         _end(str(error), WRONGLY_ASKED)
@@ -84,7 +84,7 @@ def run(
         _end(str(error), FAILED)
     except KeyboardInterrupt:
         _end("stopped; the same command goes on where it was", INTERRUPTED)
-    typer.echo(json.dumps(done) if as_json else _told(done))
+    typer.echo(json.dumps(done) if as_json else told_in_words(done))
 
 
 def _run(
@@ -154,32 +154,6 @@ def _keypoint(said: str, capture: "Capture") -> int:
         return int(said)
     listed = ", ".join(names) or f"numbers 0 to {capture.keypoints.shape[2] - 1}"
     raise ValueError(f"--known-length: there is no keypoint {said!r}; there are: {listed}")
-
-
-def _formats(said: str) -> list[str]:
-    from fewview.writers.registry import FORMATS  # noqa: PLC0415
-
-    known = [known.name for known in FORMATS]
-    chosen = [name.strip() for name in said.split(",") if name.strip()]
-    wrong = [name for name in chosen if name not in known]
-    if wrong:
-        raise ValueError(f"--formats: there is no format {wrong[0]!r}; there are: {known}")
-    return chosen
-
-
-def _told(done: dict[str, Any]) -> str:
-    """Return what was done as lines for people."""
-    lines = [
-        f"model      {done['model']}",
-        f"cameras    {done['arrangement']}",
-        f"frames     {done['frames']}, {done['in_room']} of them in one room",
-        f"error      {done['reprojection_error']:.2f} px from the keypoints, mean",
-    ]
-    for finding in done["findings"]:
-        lines.append(f"{finding['severity']:<10} {finding['code']}: {finding['effect']}")
-        lines.append(f"           {finding['remedy']}")
-    lines += [f"- {note}" for note in done["notes"]]
-    return "\n".join([*lines, *(f"wrote      {file}" for file in done["files"])])
 
 
 def _end(message: str, status: int) -> NoReturn:

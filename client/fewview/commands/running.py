@@ -95,6 +95,28 @@ def fitted(
         raise
 
 
+def described_by(client: Client, fit: Fit) -> Capture:
+    """Return a capture without frames that says what the service knows of a fit's capture."""
+    model = client.models.get(str(fit.model_id))
+    skeleton, views = model.skeleton or {}, model.views or 0
+    names, sizes = skeleton.get("keypoint_names"), _sizes(client, fit)
+    return Capture(
+        keypoints=np.empty((0, views, model.keypoints, 2), np.float32),
+        keypoint_names=names and tuple(names),
+        edges=tuple((first, second) for first, second in skeleton.get("edges") or ()),
+        view_names=tuple(f"view{view}" for view in range(views)),
+        image_sizes=sizes,
+    )
+
+
+def _sizes(client: Client, fit: Fit) -> tuple[tuple[int, int] | None, ...] | None:
+    try:
+        said = client.datasets.get(fit.dataset_id).raw.get("image_sizes")
+    except NotFound:
+        return None
+    return said and tuple(size and (size[0], size[1]) for size in said)
+
+
 def export(
     client: Client,
     fit: Fit,
@@ -113,7 +135,7 @@ def export(
         What goes into JSON: ``model``, ``files``, ``arrangement``, ``frames``, ``in_room``,
         ``reprojection_error`` (pixels, mean), ``findings`` and ``notes``.
     """
-    assert fit.model_id is not None  # noqa: S101 (of a fit that succeeded)
+    assert fit.model_id is not None  # noqa: S101 (it has succeeded)
     lift = client.fits.reconstruction(fit)
     found = client.models.cameras(fit.model_id)
     room, said = room_of(lift, found, capture)

@@ -1,0 +1,85 @@
+"""``fewview evaluate``: structures against a ground truth."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fewview.commands.talking import WRONGLY_ASKED, AsJson, say, table
+
+if TYPE_CHECKING:
+    from fewview.evaluation import Evaluation
+
+NAMES = ("points", "points3d")  # of the array in an npz
+WORST = 5  # keypoints that are listed
+
+
+def evaluate(
+    points: Annotated[Path, typer.Argument(help="npz with `points` or `points3d` (N, P, 3).")],
+    truth: Annotated[Path, typer.Argument(help="npz with the same of the truth.")],
+    *,
+    reach: Annotated[
+        float | None, typer.Option(help="Largest threshold of PCK, in the truth's unit.")
+    ] = None,
+    mirrored_too: Annotated[
+        bool, typer.Option("--mirrored-too", help="Forgive a mirror image of all frames.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure structures: PA-MPJPE, MPJPE, PCK with its area, per keypoint and per frame."""
+    from fewview.evaluation import evaluate  # noqa: PLC0415 (commands load what they need)
+
+    try:
+        found, names = _read(points)
+        expected, others = _read(truth)
+        figures = evaluate(found, expected, reach=reach, mirrored_too=mirrored_too)
+    except (OSError, ValueError) as error:
+        typer.echo(f"fewview evaluate: {' '.join(str(error).split())}", err=True)
+        raise typer.Exit(WRONGLY_ASKED) from None
+    named = names or others or [str(p) for p in range(len(figures.per_keypoint))]
+    told: dict[str, Any] = figures.plain() | {"keypoint_names": named}
+    say(told, in_words(figures, named), as_json=as_json)
+
+
+def in_words(figures: "Evaluation", names: list[str]) -> str:
+    """Return the figures as lines for people."""
+    import numpy as np  # noqa: PLC0415
+
+    order = np.argsort(-np.nan_to_num(figures.per_keypoint))[:WORST]
+    rows = [(names[p], f"{figures.per_keypoint[p]:.4g}") for p in order]
+    mirrored = ", of the mirror image" if figures.mirrored else ""
+    return "\n".join(
+        (
+            f"frames     {figures.frames}",
+            f"PA-MPJPE   {figures.pa_mpjpe:.4g}, every frame aligned alone{mirrored}",
+            f"MPJPE      {figures.mpjpe:.4g}, all frames aligned together",
+            f"PCK        {figures.pck[-1]:.1%} within {figures.thresholds[-1]:.4g}, "
+            f"area under the curve {figures.auc:.3f}",
+            "worst keypoints",
+            table(rows),
+        )
+    )
+
+
+def _read(path: Path) -> tuple[Any, list[str] | None]:
+    """Return the structures in an npz, and the names of their keypoints, if it has them.
+
+    Raises
+    ------
+    ValueError
+        If it is no npz with structures.
+    """
+    import zipfile  # noqa: PLC0415
+
+    import numpy as np  # noqa: PLC0415
+
+    if not zipfile.is_zipfile(path):
+        path.stat()  # a file that is not there says so
+        raise ValueError(f"{path}: expected an .npz file")
+    with np.load(path, allow_pickle=False) as arrays:
+        for name in NAMES:
+            if name in arrays:
+                known = "keypoint_names" in arrays
+                return arrays[name], arrays["keypoint_names"].tolist() if known else None
+        listed = ", ".join(arrays.files)
+    raise ValueError(f"{path}: expected an array `points` or `points3d`, it has {listed}")

@@ -1,0 +1,70 @@
+"""``fewview export``: what came of a fit, as files of other tools."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from fewview.commands.reading import Fps
+from fewview.commands.talking import AsJson, Url, say, talking
+
+USUAL = "trc,csv,glb,npz"
+Formats = Annotated[str, typer.Option(help="Formats of the animation, by commas.")]
+
+
+def export(
+    fit: Annotated[str, typer.Argument(help="Its id: fit_...")],
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write into.")],
+    formats: Formats = USUAL,
+    fps: Fps = None,
+    unit: Annotated[
+        Literal["m", "mm"] | None, typer.Option(help="Of the lengths that the fit was told.")
+    ] = None,
+    url: Url = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a fit's animation in one room, its cameras and its model into a folder."""
+    with talking(url) as client:
+        from fewview.commands.running import described_by, export  # noqa: PLC0415
+
+        chosen = formats_in(formats)
+        output.mkdir(parents=True, exist_ok=True)
+        done = client.fits.wait(fit)
+        capture = described_by(client, done)
+        told = export(client, done, capture, output, formats=chosen, fps=fps, unit=unit)
+        say(told, in_words(told), as_json=as_json)
+
+
+def formats_in(said: str) -> list[str]:
+    """Return the names of formats in a text.
+
+    Raises
+    ------
+    ValueError
+        If there is no such format.
+    """
+    from fewview.writers.registry import FORMATS  # noqa: PLC0415 (commands load what they need)
+
+    known = [known.name for known in FORMATS]
+    chosen = [name.strip() for name in said.split(",") if name.strip()]
+    wrong = [name for name in chosen if name not in known]
+    if wrong:
+        listed = ", ".join(known)
+        raise ValueError(f"--formats: there is no format {wrong[0]!r}; there are: {listed}")
+    return chosen
+
+
+def in_words(told: dict[str, Any]) -> str:
+    """Return what was written, and what was noticed, as lines for people."""
+    lines = [
+        f"model      {told['model']}",
+        f"cameras    {told['arrangement']}",
+        f"frames     {told['frames']}, {told['in_room']} of them in one room",
+        f"error      {told['reprojection_error']:.2f} px from the keypoints, mean",
+    ]
+    for finding in told["findings"]:
+        lines.append(f"{finding['severity']:<10} {finding['code']}: {finding['effect']}")
+        lines.append(f"           {finding['remedy']}")
+    lines += [f"- {note}" for note in told["notes"]]
+    return "\n".join([*lines, *(f"wrote      {file}" for file in told["files"])])

@@ -1,0 +1,83 @@
+"""Errors against a ground truth: those of the service, and such as are known beforehand."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fewview.evaluation import evaluate
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from models.capture.metrics import pa_mpjpe
+from tests.client.test_cli import run
+
+Float64 = NDArray[np.float64]
+
+
+@pytest.fixture
+def truth() -> Float64:
+    rng = np.random.default_rng(0)
+    return rng.standard_normal((30, 9, 3)) + np.linspace(0, 5, 30)[:, None, None]
+
+
+def moved(points: Float64) -> Float64:
+    turn = Rotation.from_rotvec([0.3, -0.7, 1.1]).as_matrix()
+    return np.asarray(2.5 * points @ turn.T + [3.0, -1, 2], np.float64)
+
+
+def test_a_similarity_is_no_error_and_a_mirror_image_is(truth: Float64) -> None:
+    same = evaluate(moved(truth), truth)
+    assert same.pa_mpjpe == pytest.approx(0, abs=1e-9)
+    assert same.mpjpe == pytest.approx(0, abs=1e-9)
+    assert same.pck[1:].min() == 1
+    assert same.auc > 0.98
+    mirrored = evaluate(-moved(truth), truth)
+    assert mirrored.pa_mpjpe > 0.1
+    forgiven = evaluate(-moved(truth), truth, mirrored_too=True)
+    assert forgiven.mirrored
+    assert forgiven.pa_mpjpe == pytest.approx(0, abs=1e-9)
+
+
+def test_frames_in_axes_of_their_own_have_no_room(truth: Float64) -> None:
+    turns = Rotation.random(len(truth), random_state=1).as_matrix()
+    canonical = (truth - truth.mean(1, keepdims=True)) @ turns.mT
+    found = evaluate(canonical, truth)
+    assert found.pa_mpjpe == pytest.approx(0, abs=1e-9)
+    assert found.mpjpe > 0.5
+
+
+def test_errors_are_those_of_the_service(truth: Float64) -> None:
+    rng = np.random.default_rng(1)
+    points = moved(truth + 0.1 * rng.standard_normal(truth.shape))
+    points[rng.random(points.shape[:2]) < 0.2] = np.nan
+    truth[4] = np.nan
+    for forgive in (False, True):
+        found = evaluate(points, truth, mirrored_too=forgive)
+        expected = pa_mpjpe(points, truth, reflection="either" if forgive else "never")
+        assert found.pa_mpjpe == pytest.approx(expected.mean, rel=1e-9)
+        np.testing.assert_allclose(found.per_frame, expected.per_frame, rtol=1e-9)
+    assert found.frames == 29
+
+
+def test_what_cannot_be_compared_is_refused(truth: Float64) -> None:
+    with pytest.raises(ValueError, match="one shape"):
+        evaluate(truth[:5], truth)
+    with pytest.raises(ValueError, match="three keypoints"):
+        evaluate(truth * np.nan, truth)
+
+
+def test_the_command(truth: Float64, tmp_path: Path) -> None:
+    np.savez(
+        tmp_path / "found.npz", points=moved(truth), keypoint_names=[f"k{p}" for p in range(9)]
+    )
+    np.savez(tmp_path / "truth.npz", points3d=truth)
+    files = (str(tmp_path / "found.npz"), str(tmp_path / "truth.npz"))
+    told = json.loads(run("evaluate", *files, "--json", "--reach", "0.5").stdout)
+    assert told["pa_mpjpe"] == pytest.approx(0, abs=1e-9)
+    assert told["keypoint_names"][8] == "k8"
+    assert told["thresholds"][-1] == 0.5
+    assert "PA-MPJPE" in run("evaluate", *files).stdout
+    refused = run("evaluate", files[0], str(tmp_path / "none.npz"))
+    assert refused.returncode == 2
+    assert refused.stderr.count("\n") == 1
