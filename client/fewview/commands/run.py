@@ -1,6 +1,7 @@
 """``fewview run``: from detectors' files to an animation and a calibration, with one command."""
 
 import json
+import signal
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -78,6 +79,7 @@ def run(
         _end(str(error), WRONGLY_ASKED)
     if not as_json:
         typer.echo(in_words(summary(capture)))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # the service is stopped then, too
     try:
         done = _run(capture, output, url, told, chosen, fps, known_length, quiet=as_json)
     except FewviewError as error:
