@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
 
 LEAST_KEYPOINTS = 3  # that a frame must share with the truth
 THRESHOLDS = 41  # of the curve, from 0 to `reach`
@@ -79,7 +80,7 @@ def evaluate(
             "points and truth must have one shape (frames, keypoints, 3), got "
             f"{x.shape} and {y.shape}"
         )
-    known = np.isfinite(x + y).all(-1)
+    known: Bool = np.all(np.isfinite(x + y), axis=-1)
     known[known.sum(1) < LEAST_KEYPOINTS] = False
     if not known.any():
         raise ValueError("no frame has three keypoints that both the points and the truth know")
@@ -101,7 +102,7 @@ def evaluate(
     )
 
 
-def _measure(x: Float64, y: Float64, known: NDArray[np.bool_]) -> tuple[Float64, Float64]:
+def _measure(x: Float64, y: Float64, known: Bool) -> tuple[Float64, Float64]:
     """Return errors (N, P) with each frame aligned alone, and with all aligned together."""
     alone = np.full(known.shape, np.nan)
     for n in np.flatnonzero(known.any(1)):
@@ -127,19 +128,19 @@ def _aligned(x: Float64, y: Float64, *, by_size: bool) -> Float64:
     return np.asarray(scale * x @ (u * signs @ vt).T + mean_y, np.float64)
 
 
-def _mean(errors: Float64, known: NDArray[np.bool_]) -> float:
+def _mean(errors: Float64, known: Bool) -> float:
     """Return the mean over frames of each frame's mean."""
     per_frame = _means(errors, known, 1)
     return float(per_frame[np.isfinite(per_frame)].mean())
 
 
-def _means(errors: Float64, known: NDArray[np.bool_], axis: int) -> Float64:
+def _means(errors: Float64, known: Bool, axis: int) -> Float64:
     counts = known.sum(axis)
     sums = np.where(known, errors, 0).sum(axis)
     return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
 
-def _radius(y: Float64, known: NDArray[np.bool_]) -> float:
+def _radius(y: Float64, known: Bool) -> float:
     """Return the median over frames of the root-mean-square distance from a frame's middle."""
     radii = [
         np.sqrt(np.square(y[n, known[n]] - y[n, known[n]].mean(0)).sum(-1).mean())
