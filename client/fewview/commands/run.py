@@ -82,7 +82,7 @@ def run(
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the service is stopped then, too
     try:
         done = _run(capture, output, url, told, chosen, fps, known_length, quiet=as_json)
-    except FewviewError as error:
+    except (FewviewError, OSError, ValueError) as error:
         _end(str(error), FAILED)
     except KeyboardInterrupt:
         _end("stopped; the same command goes on where it was", INTERRUPTED)

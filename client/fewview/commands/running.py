@@ -11,11 +11,13 @@ import numpy as np
 
 from fewview.animation import Unit
 from fewview.api.forms import Fit
+from fewview.api.lifting import Lift
 from fewview.calibration import write_cameras
 from fewview.capture import Capture
 from fewview.client import Client
-from fewview.errors import FewviewError, NotFound
+from fewview.errors import FewviewError, JobFailed, NotFound
 from fewview.products import animation_of, room_of
+from fewview.room import Room
 from fewview.writers import write
 from fewview.writers.registry import FORMATS
 
@@ -88,10 +90,9 @@ def fitted(
         notes.keep(folder)
     try:
         return client.fits.wait(notes.fit_id, on_progress=on_progress)
-    except FewviewError:
-        if client.fits.get(notes.fit_id).ended:  # the same command tries anew
-            notes.fit_id = None
-            notes.keep(folder)
+    except JobFailed:
+        notes.fit_id = None  # the same command tries anew
+        notes.keep(folder)
         raise
 
 
@@ -148,12 +149,7 @@ def export(
             except FewviewError as error:
                 said.append(f"no {known.name}: {error}")
     if room is not None:
-        for name in CALIBRATIONS:
-            try:
-                cameras = room.cameras(lift, capture.view_names, capture.image_sizes)
-                files.append(write_cameras(folder / name, cameras))
-            except ValueError as error:
-                said.append(f"no {name}: {error}")
+        files += _calibrations(room, lift, capture, folder, said)
     files.append(client.models.download(fit.model_id, folder / WEIGHTS))
     return {
         "model": fit.model_id,
@@ -165,6 +161,24 @@ def export(
         "findings": [asdict(finding) for finding in fit.findings],
         "notes": said,
     }
+
+
+def _calibrations(
+    room: Room, lift: Lift, capture: Capture, folder: Path, said: list[str]
+) -> list[Path]:
+    """Write the cameras in every format that can say them; add to `said` which cannot, and why."""
+    files = []
+    try:
+        cameras = room.cameras(lift, capture.view_names, capture.image_sizes)
+    except ValueError as error:
+        said.append(f"no {' and no '.join(CALIBRATIONS)}: {error}")
+        return []
+    for name in CALIBRATIONS:
+        try:
+            files.append(write_cameras(folder / name, cameras))
+        except ValueError as error:
+            said.append(f"no {name}: {error}")
+    return files
 
 
 def _is_there(ask: Callable[[], object]) -> bool:
