@@ -7,6 +7,7 @@ ENV PATH=/opt/fewview/bin:$PATH PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK
 WORKDIR /src
 COPY pyproject.toml README.md LICENSE ./
 COPY client client
+COPY fewview_server fewview_server
 COPY models models
 COPY store store
 COPY worker worker
@@ -20,7 +21,7 @@ COPY --from=build /opt/fewview /opt/fewview
 ENV PATH=/opt/fewview/bin:$PATH FEWVIEW_DATA_DIR=/data FEWVIEW_HOST=0.0.0.0 PYTHONUNBUFFERED=1
 USER fewview
 WORKDIR /data
-RUN python -P -m models.training.precompile
+RUN fewview precompile
 VOLUME /data
 EXPOSE 8000
 HEALTHCHECK --interval=5s --timeout=5s --start-period=30s --retries=6 \

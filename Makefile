@@ -71,7 +71,7 @@ openapi: .venv/ready
 
 # The inner loops as machine code, before several processes want it at a time.
 .venv/compiled: .venv/ready $(shell find models -name '*.py')
-	$(BIN)/python -P -m models.training.precompile
+	$(BIN)/fewview precompile
 	touch $@
 
 clean:

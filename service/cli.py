@@ -1,8 +1,9 @@
-"""``fewview serve`` and ``fewview worker``; the other commands are the client's."""
+"""``fewview serve``, ``worker`` and ``precompile``; the other commands are the client's."""
 
 import logging
 import os
 import sys
+from argparse import ArgumentParser
 
 from pydantic import ValidationError
 from pydantic_settings import CliApp, SettingsConfigDict
@@ -13,6 +14,10 @@ from worker.settings import WorkerSettings
 ENVIRONMENT_HELP = """
 Every option can also be set by an environment variable, FEWVIEW_ and its name: --redis-url is
 FEWVIEW_REDIS_URL. Options win over variables."""
+
+PRECOMPILE_HELP = """Compile the inner loops of fits and lifts, about a minute, before anybody waits
+for it: when an image is built, for one. Later processes of this user read the machine code that it
+leaves in NUMBA_CACHE_DIR."""
 
 
 class Serve(Settings):  # noqa: D101
@@ -75,7 +80,16 @@ def work(arguments: list[str]) -> None:
         sys.exit(2)
 
 
-COMMANDS = {"serve": serve, "worker": work}
+def precompile(arguments: list[str]) -> None:
+    """Run ``fewview precompile``."""
+    words = ArgumentParser(prog="fewview precompile", description=PRECOMPILE_HELP)
+    words.parse_args(arguments)
+    from models.training.precompile import compile_all  # noqa: PLC0415 (takes torch and Numba)
+
+    compile_all()
+
+
+COMMANDS = {"serve": serve, "worker": work, "precompile": precompile}
 
 if __name__ == "__main__":  # as the parts of a service are started
     run(sys.argv[1], sys.argv[2:])

@@ -52,6 +52,12 @@ def worker(context: typer.Context) -> None:
     _run_of_server("worker", context.args)
 
 
+@app.command(context_settings=ELSEWHERE)
+def precompile(context: typer.Context) -> None:
+    """Compile the server's inner loops ahead, which the first fit else does."""
+    _run_of_server("precompile", context.args)
+
+
 for command in (run, convert, upload, fit, cameras, lift, export, evaluate):
     app.command()(command)
 for kind in COLUMNS:

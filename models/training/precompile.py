@@ -1,7 +1,5 @@
 """Compiling ahead: what fits and lifts need, before anybody waits for it.
 
-    python -m models.training.precompile
-
 Compiling takes about a minute. Later processes read the machine code that this one left (see
 `models.numerics.compiled`).
 """
@@ -26,7 +24,3 @@ def compile_all() -> None:
             prior = fit(capture.keypoints, config, confidence=capture.confidence)
             lift = prior.lift(capture.keypoints)
             prior.lift(capture.keypoints, previous=lift)
-
-
-if __name__ == "__main__":
-    compile_all()
