@@ -34,6 +34,7 @@ PROBLEM_JSON = "application/problem+json"
 # code: status, title. The codes are part of the API: they are added to, never changed.
 PROBLEMS = {
     "malformed_body": (400, "The body cannot be read"),
+    "origin_not_allowed": (403, "Web pages of this origin may not do this"),
     "not_found": (404, "There is no such resource"),
     "method_not_allowed": (405, "The method is not allowed here"),
     "not_acceptable": (406, "No such representation"),

@@ -4,6 +4,7 @@ import asyncio
 import logging
 from collections import deque
 from contextlib import suppress
+from urllib.parse import urlsplit
 
 import orjson
 from fastapi import APIRouter, WebSocket
@@ -49,7 +50,7 @@ def _messages(*names: str) -> dict[str, list[dict[str, str]]]:
     operation_id="stream_lifts",
     status_code=101,
     response_class=Response,
-    responses=problems("upgrade_required", "overloaded")
+    responses=problems("upgrade_required", "origin_not_allowed", "overloaded")
     | {101: {"description": "The protocol is now WebSocket."}},
     openapi_extra={
         "x-websocket": {
@@ -78,12 +79,8 @@ async def ask_for_upgrade() -> Response:
 async def stream(websocket: WebSocket) -> None:
     """Talk to one client until it leaves, or falls silent, or its model is gone."""
     places: asyncio.Semaphore = websocket.app.state.streams
-    if places.locked():
-        refusal = ApiError(
-            "overloaded",
-            "As many streams are open as may be; try again when some are closed.",
-            headers={"Retry-After": "10"},
-        )
+    refusal = _refusal(websocket, places)
+    if refusal is not None:
         await websocket.send_denial_response(refusal.response())
         return
     async with places:
@@ -102,6 +99,30 @@ async def stream(websocket: WebSocket) -> None:
         with suppress(WebSocketDisconnect):
             await websocket.send_text(_error_text(ending, None))
             await websocket.close(CLOSE_CODE + PROBLEMS[ending.code][0])
+
+
+def _refusal(websocket: WebSocket, places: asyncio.Semaphore) -> ApiError | None:
+    """Return why the handshake is refused, if it is.
+
+    Browsers ask nobody before a script of any web page opens a WebSocket, but name its origin;
+    other clients name none.
+    """
+    settings: Settings = websocket.app.state.settings
+    origin = websocket.headers.get("origin")
+    own = origin is None or urlsplit(origin).netloc == websocket.headers.get("host")
+    if not own and not {"*", origin} & {*settings.allowed_origins}:
+        return ApiError(
+            "origin_not_allowed",
+            f"Scripts of {origin!r:.200} may not open streams here; FEWVIEW_CORS_ORIGINS tells "
+            "the origins that may.",
+        )
+    if places.locked():
+        return ApiError(
+            "overloaded",
+            "As many streams are open as may be; try again when some are closed.",
+            headers={"Retry-After": "10"},
+        )
+    return None
 
 
 async def _converse(websocket: WebSocket) -> None:

@@ -45,15 +45,18 @@ def http(settings: Settings, model: str) -> Iterator[httpx2.Client]:
 
 
 @contextmanager
-def opened(http: httpx2.Client) -> Iterator[ClientConnection]:
+def opened(http: httpx2.Client, origin: str | None = None) -> Iterator[ClientConnection]:
     url = f"ws://{http.base_url.host}:{http.base_url.port}/lift/stream"
-    with connect(url, compression=None, proxy=None) as socket:
+    named = None if origin is None else {"Origin": origin}
+    with connect(url, compression=None, proxy=None, additional_headers=named) as socket:
         yield socket
 
 
 @contextmanager
-def started(http: httpx2.Client, model: str, **more: Any) -> Iterator[ClientConnection]:
-    with opened(http) as socket:
+def started(
+    http: httpx2.Client, model: str, *, origin: str | None = None, **more: Any
+) -> Iterator[ClientConnection]:
+    with opened(http, origin) as socket:
         socket.send(orjson.dumps({"model": model, **more}).decode())
         ready = StreamReady.model_validate_json(socket.recv(timeout=60))
         assert ready.model == model

@@ -130,6 +130,25 @@ def test_streams_are_bounded_in_number_and_silence(settings: Settings, model: st
         wait_for(opens, "the place of the one that was silent")
 
 
+def test_web_pages_open_streams_only_from_origins_that_are_told(
+    http: httpx2.Client, settings: Settings, model: str
+) -> None:
+    told = settings.model_copy(update={"cors_origins": "https://lab.example"})
+    own = f"http://{http.base_url.host}:{http.base_url.port}"
+    for origin in ("https://evil.example", "https://lab.example", f"{own}0", "null", ""):
+        with pytest.raises(InvalidStatus) as refused, opened(http, origin=origin):
+            pass
+        assert refused.value.response.status_code == 403
+        assert orjson.loads(refused.value.response.body)["code"] == "origin_not_allowed"
+    with started(http, model, origin=own):
+        pass
+    with served(told) as other:
+        with started(other, model, origin="https://lab.example"), started(other, model):
+            pass
+        with pytest.raises(InvalidStatus), opened(other, origin="https://evil.example"):
+            pass
+
+
 def test_the_service_closes_its_streams_as_it_stops(settings: Settings, model: str) -> None:
     with ExitStack() as stack:
         with served(settings) as http:
