@@ -10,11 +10,13 @@ work to workers and nothing more: what it says of a job is never asked.
 """
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
+from models.settings.calibration import Keypoint
 from models.settings.config import FitConfig, warm
 from models.settings.priors import ARCHITECTURE
 from store import jobs
@@ -22,6 +24,7 @@ from store.database import Store
 from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
 from store.idempotency import Idempotency
 from store.lookup import lock
+from store.mistakes import unknown
 from store.records import Dataset, FitJob, Model
 
 
@@ -39,7 +42,8 @@ def create(
     """Record a queued fit of the dataset as it is now.
 
     What ``config``, fields of :class:`models.settings.config.FitConfig`, leaves out is filled in:
-    with defaults, or with what suits a start from the model ``from_model``.
+    with defaults, or with what suits a start from the model ``from_model``. Keypoints that it tells
+    by name are kept by their indices in the dataset.
 
     A ``job_id`` that already has a fit gives that fit back; without one, the fit's own identifier
     is its job's.
@@ -49,8 +53,8 @@ def create(
     NotFoundError
         If there is no such dataset, or no such model.
     ConfigError
-        If the configuration speaks of views or keypoints that the dataset has not, or another prior
-        or other sizes of it than the model.
+        If the configuration speaks of views or keypoints that the dataset has not, or of another
+        prior or other sizes of it than the model.
     SourceError
         If the model has other keypoints than the dataset.
     QueueFullError
@@ -60,7 +64,7 @@ def create(
     def make(session: Session, fit_id: str) -> FitJob:
         # Locked against deletion, so that no fit is queued of a dataset that is gone.
         dataset = lock(session, Dataset, dataset_id)
-        complete = FitConfig.model_validate(config)
+        complete = _by_index(FitConfig.model_validate(config), dataset)
         if from_model is not None:
             complete = _suited(complete, session, from_model, dataset)
         filled_in = complete.model_dump(mode="json")
@@ -101,6 +105,35 @@ def _suited(config: FitConfig, session: Session, from_model: str, dataset: Datas
                 f"{has[field]}, got {told[field]}; leave it out",
             )
     return warm(config, source)
+
+
+def _by_index(config: FitConfig, dataset: Dataset) -> FitConfig:
+    """Return a configuration with keypoints by index; raise ``ConfigError`` for an unknown name."""
+    names = (dataset.skeleton or {}).get("keypoint_names") or []
+
+    def index(keypoint: Keypoint, field: str) -> int:
+        if isinstance(keypoint, int):
+            return keypoint
+        if not names:
+            raise ConfigError(
+                field,
+                "the keypoints of this dataset have no names: tell the index, from 0, or give "
+                "the dataset a skeleton with `keypoint_names`",
+            )
+        if keypoint not in names:
+            raise ConfigError(field, unknown("keypoint", keypoint, names))
+        return int(names.index(keypoint))
+
+    def indices(keypoints: Sequence[Keypoint], field: str) -> tuple[int, ...]:
+        return tuple(index(told, f"{field}/{place}") for place, told in enumerate(keypoints))
+
+    found: dict[str, Any] = {}
+    if config.known_length is not None:
+        ends = indices(config.known_length.keypoints, "known_length/keypoints")
+        found["known_length"] = config.known_length.model_copy(update={"keypoints": ends})
+    if config.handedness is not None:
+        found["handedness"] = indices(config.handedness, "handedness")
+    return config.model_copy(update=found)
 
 
 def _check(config: dict[str, Any], dataset: Dataset) -> None:

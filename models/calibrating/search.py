@@ -69,7 +69,7 @@ def search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) -
 
 def _search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) -> Steps[Arranged]:
     scene = starting_scene(answers, problem.reference)
-    handed = yield from choose_hand(problem, scene, config.handedness)
+    handed = yield from choose_hand(problem, scene, config.hand)
     moving = yield from learn(problem, handed.solution)
     findings: tuple[Finding, ...] = ()
     if len(problem.posed) > 1:
@@ -83,7 +83,7 @@ def _search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) 
         said = "the cameras were declared moving"
         rest = Rest(moving, said, [handed.log_odds], problem.lens_groups)
     else:
-        declared, hint = config.cameras == "static", config.handedness
+        declared, hint = config.cameras == "static", config.hand
         rest = yield from find_rest(problem, handed, moving, declared=declared, hint=hint)
         if declared and rest.solution.noise > DOUBTFUL_REST * moving.noise:
             freely = yield from find_rest(problem, handed, moving, declared=False, hint=hint)

@@ -176,7 +176,7 @@ def unit_by_length(
 
     A unit is what a unit of the structure is in the user's.
     """
-    a, b = known.keypoints
+    a, b = known.ends
     lengths = np.linalg.norm(scene.points[:, a] - scene.points[:, b], axis=-1)
     by_length = known.length / float(lower_median(np.exp(scene.sizes[:, 0]) * lengths))
     if unit is None or abs(math.log(by_length / unit)) <= MISFIT:

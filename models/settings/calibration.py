@@ -16,6 +16,7 @@ NUMBERS_OF_COEFFICIENTS: dict[LensName, tuple[int, ...]] = {
     "fisheye": (0, 4),
 }
 ORTHONORMAL = 1e-3  # largest deviation of R R^T from 1 that rounding explains
+LONGEST_NAME = 100  # characters, of a keypoint
 LARGEST_ANGLE = 2 * math.pi * (1 + 1e-6)  # radians: a turn; longer vectors are no rotation vectors
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -177,17 +178,29 @@ class Camera(BaseModel):
         return self
 
 
-def keypoints_by_index(told: Any) -> Any:
-    """Say what to do where keypoints are told by name; all else passes."""
-    names = (
-        [item for item in told if isinstance(item, str)] if isinstance(told, list | tuple) else []
-    )
-    if names:
-        raise ValueError(
-            f"keypoints are told by their indices, from 0, got the name {names[0]!r}: give its"
-            " place in the dataset's `skeleton.keypoint_names`"
-        )
+def _keypoint(told: Any) -> Any:
+    """Say what tells a keypoint, in one sentence where pydantic would have one for each type."""
+    by_index = isinstance(told, int) and not isinstance(told, bool) and told >= 0
+    by_name = isinstance(told, str) and 0 < len(told) <= LONGEST_NAME
+    if not (by_index or by_name):
+        raise ValueError(f"expected the index of a keypoint, from 0, or its name, got {told!r:.50}")
     return told
+
+
+Keypoint = Annotated[
+    Annotated[int, Field(ge=0)] | Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)],
+    BeforeValidator(_keypoint),
+]
+
+
+def as_index(keypoint: Keypoint) -> int:
+    """Return the index of a keypoint; raise ValueError for a name, whose place a dataset knows."""
+    if isinstance(keypoint, str):
+        raise ValueError(
+            f"keypoints are told by their indices, from 0, where no dataset gives them names, got"
+            f" the name {keypoint!r}"
+        )
+    return keypoint
 
 
 class KnownLength(BaseModel):
@@ -195,8 +208,13 @@ class KnownLength(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    keypoints: Annotated[
-        tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]],
-        BeforeValidator(keypoints_by_index),
-    ] = Field(description="Indices of its two ends.")
+    keypoints: tuple[Keypoint, Keypoint] = Field(
+        description="Its two ends: indices, or names of the dataset's skeleton. Kept as indices."
+    )
     length: float = Field(gt=0, le=1e6, description="In the unit that results shall have.")
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """Indices of its two ends."""
+        a, b = self.keypoints
+        return as_index(a), as_index(b)

@@ -4,7 +4,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
     ValidationInfo,
@@ -13,7 +12,7 @@ from pydantic import (
 )
 from typing_extensions import TypeAliasType
 
-from models.settings.calibration import Alike, Camera, KnownLength, keypoints_by_index
+from models.settings.calibration import Alike, Camera, Keypoint, KnownLength, as_index
 from models.settings.priors import (
     ARCHITECTURE,
     PRIOR_SETTINGS,
@@ -143,14 +142,13 @@ class FitConfig(BaseModel):
     known_length: KnownLength | None = Field(
         default=None, description="A measured distance in the subject: results get its unit."
     )
-    handedness: Annotated[
-        tuple[Index, Index, Index, Index] | None, BeforeValidator(keypoints_by_index)
-    ] = Field(
+    handedness: tuple[Keypoint, Keypoint, Keypoint, Keypoint] | None = Field(
         default=None,
         description=(
             "Four keypoints a, b, c, d with a positive volume (b-a) x (c-a) . (d-a) in most"
             " frames, seen in a right-handed frame: decides between a structure and its mirror"
-            " image. Without it perspective decides."
+            " image. Without it perspective decides. Indices, or names of the dataset's skeleton;"
+            " kept as indices."
         ),
     )
     seed: int = Field(
@@ -186,6 +184,14 @@ class FitConfig(BaseModel):
                     f" leave {settings.sizes} out, or set prior to {name!r}"
                 )
         return self
+
+    @property
+    def hand(self) -> tuple[int, int, int, int] | None:
+        """Indices of the four keypoints that decide the handedness."""
+        if self.handedness is None:
+            return None
+        a, b, c, d = self.handedness
+        return as_index(a), as_index(b), as_index(c), as_index(d)
 
     @property
     def sizes(self) -> Any:

@@ -81,8 +81,8 @@ def among_known(config: FitConfig, known: Bool) -> FitConfig:
     Raises ValueError if it names one that no view shows.
     """
     place = np.cumsum(known) - 1  # of a keypoint among the known
-    length, hand = config.known_length, config.handedness
-    for field, named in (("known_length", length and length.keypoints), ("handedness", hand)):
+    length, hand = config.known_length, config.hand
+    for field, named in (("known_length", length and length.ends), ("handedness", hand)):
         unseen = [keypoint for keypoint in named or () if not known[keypoint]]
         if unseen:
             raise ValueError(
@@ -90,7 +90,7 @@ def among_known(config: FitConfig, known: Bool) -> FitConfig:
                 " does; name others, or leave it out"
             )
     if length is not None:
-        a, b = length.keypoints
+        a, b = length.ends
         length = length.model_copy(update={"keypoints": (int(place[a]), int(place[b]))})
     if hand is not None:
         a, b, c, d = (int(place[keypoint]) for keypoint in hand)

@@ -201,6 +201,11 @@ def test_a_fit_whose_model_was_deleted_since_says_so(
         ),
         ({"config": {"calibration": [None]}}, "invalid_arguments", "expected 3, got 1"),
         ({"config": {"handedness": [0, 1, 2, 16]}}, "invalid_arguments", "keypoints below 16"),
+        (
+            {"config": {"handedness": ["nose", 0, 1, 2]}},
+            "invalid_arguments",
+            "keypoints of this dataset have no names",
+        ),
         ({"wrong": 1}, "invalid_arguments", "wrong: unknown field: expected some of dataset_id"),
         ({"name": datetime(2026, 1, 1, tzinfo=UTC)}, "invalid_arguments", "datetime"),
     ],

@@ -59,7 +59,7 @@ def run(
 ) -> None:
     """Read, upload, fit, and write animation, cameras and model; again, it goes on where it was."""
     from fewview.commands.convert import in_words, summary  # noqa: PLC0415 (what it needs)
-    from fewview.errors import FewviewError  # noqa: PLC0415
+    from fewview.errors import FewviewError, InvalidRequest  # noqa: PLC0415
     from fewview.readers import read  # noqa: PLC0415
 
     try:
@@ -72,7 +72,7 @@ def run(
             fps=fps,
             image_size=size_of(image_size),
         )
-        told = _config(config or [], known_length, capture)
+        told = _config(config or [], known_length)
         chosen = formats_in(formats)
         output.mkdir(parents=True, exist_ok=True)
     except (FewviewError, ValueError, OSError) as error:
@@ -83,7 +83,7 @@ def run(
     try:
         done = _run(capture, output, url, told, chosen, fps, known_length, quiet=as_json)
     except (FewviewError, OSError, ValueError) as error:
-        _end(str(error), FAILED)
+        _end(str(error), WRONGLY_ASKED if isinstance(error, InvalidRequest) else FAILED)
     except KeyboardInterrupt:
         _end("stopped; the same command goes on where it was", INTERRUPTED)
     typer.echo(json.dumps(done) if as_json else told_in_words(done))
@@ -124,7 +124,7 @@ def _run(
         return export(client, fit, capture, folder, formats=formats, fps=fps, unit=unit)
 
 
-def _config(texts: list[str], known_length: str | None, capture: "Capture") -> dict[str, Any]:
+def _config(texts: list[str], known_length: str | None) -> dict[str, Any]:
     """Return the fit's configuration, with the known length in it.
 
     Raises
@@ -143,19 +143,9 @@ def _config(texts: list[str], known_length: str | None, capture: "Capture") -> d
                 f"--known-length {known_length}: expected FIRST,SECOND,METRES, such as "
                 "left_hip,left_knee,0.41"
             ) from error
-        pair = [_keypoint(part, capture) for part in (first, second)]
+        pair = [int(part) if part.isdecimal() else part for part in (first, second)]
         config["known_length"] = {"keypoints": pair, "length": length}
     return config
-
-
-def _keypoint(said: str, capture: "Capture") -> int:
-    names = capture.keypoint_names or ()
-    if said in names:
-        return names.index(said)
-    if said.isdigit() and int(said) < capture.keypoints.shape[2]:
-        return int(said)
-    listed = ", ".join(names) or f"numbers 0 to {capture.keypoints.shape[2] - 1}"
-    raise ValueError(f"--known-length: there is no keypoint {said!r}; there are: {listed}")
 
 
 def _end(message: str, status: int) -> NoReturn:

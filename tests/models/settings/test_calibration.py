@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from models.settings.calibration import Camera, Intrinsics
+from models.settings.calibration import Camera, Intrinsics, KnownLength
 from models.settings.config import FitConfig
 
 POSE = {"rotation": np.eye(3).tolist(), "translation": [0, 0, 4]}
@@ -82,13 +82,11 @@ def test_what_does_not_belong_together_is_refused(camera: dict[str, Any], says: 
         Camera.model_validate(camera)
 
 
-@pytest.mark.parametrize(
-    "told",
-    [
-        {"known_length": {"keypoints": ["left_knee", "left_ankle"], "length": 0.4}},
-        {"handedness": [0, 1, 2, "neck"]},
-    ],
-)
-def test_names_of_keypoints_are_refused_with_the_fix(told: dict[str, Any]) -> None:
-    with pytest.raises(ValidationError, match=r"by their indices.*skeleton\.keypoint_names"):
-        FitConfig.model_validate(told)
+def test_a_name_is_no_index_before_a_dataset_says_which() -> None:
+    length = KnownLength.model_validate({"keypoints": ["left_knee", 4], "length": 0.4})
+    with pytest.raises(ValueError, match="got the name 'left_knee'"):
+        _ = length.ends
+    assert length.model_copy(update={"keypoints": (3, 4)}).ends == (3, 4)
+    with pytest.raises(ValueError, match="got the name 'neck'"):
+        _ = FitConfig.model_validate({"handedness": [0, 1, 2, "neck"]}).hand
+    assert FitConfig(handedness=(0, 1, 2, 3)).hand == (0, 1, 2, 3)

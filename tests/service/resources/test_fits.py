@@ -169,6 +169,39 @@ def test_what_is_said_of_the_cameras_is_kept(api: TestClient) -> None:
     api.post(f"/fits/{response.json()['id']}/cancel")
 
 
+def test_keypoints_are_told_by_the_names_of_the_dataset(api: TestClient) -> None:
+    names = [f"joint {p}" for p in range(16)]
+    named = make_dataset(api, skeleton={"keypoint_names": names})["id"]
+    said = {
+        "known_length": {"keypoints": ["joint 4", 2], "length": 0.4},
+        "handedness": ["joint 0", "joint 1", "joint 15", "joint 3"],
+    }
+    fit = api.post("/fits", json={"dataset_id": named, "config": said}).json()
+    assert fit["config"]["known_length"] == {"keypoints": [4, 2], "length": 0.4}
+    assert fit["config"]["handedness"] == [0, 1, 15, 3]
+    again = api.post("/fits", json={"dataset_id": named, "config": fit["config"]})
+    assert again.json()["config"] == fit["config"]
+    for made in (fit, again.json()):
+        api.post(f"/fits/{made['id']}/cancel")
+
+    nameless = make_dataset(api)["id"]
+    for dataset, config, pointer, words in (
+        (named, {"handedness": [0, 1, "joint5", 3]}, "/handedness/2", "mean 'joint 5'"),
+        (
+            named,
+            {"known_length": {"keypoints": ["joint 1", "???"], "length": 1}},
+            "/known_length/keypoints/1",
+            "expected some of joint 0, joint 1",
+        ),
+        (named, {"handedness": ["joint 1", 1, 2, 3]}, "/handedness", "different"),
+        (named, {"handedness": [0, 1, 2, ""]}, "/handedness/3", "or its name"),
+        (nameless, {"handedness": ["joint 1", 0, 2, 3]}, "/handedness/0", "have no names"),
+    ):
+        refused = api.post("/fits", json={"dataset_id": dataset, "config": config})
+        problem(refused, 422, "invalid_input", f"/config{pointer}")
+        assert words in refused.json()["detail"]
+
+
 def test_too_many_waiting_fits_are_refused(api: TestClient) -> None:
     dataset = make_dataset(api)["id"]
     waiting = []
