@@ -27,7 +27,7 @@ class Capture:
     keypoint_names, edges
         The skeleton: P names, and (first, second) keypoints that are joined.
     view_names
-        K names, such as those of files; they stay with the client.
+        K names, such as those of files.
     image_sizes
         (width, height) in pixels of each view, None where unknown.
     notes
@@ -68,6 +68,7 @@ class Capture:
             "times": self.times,
             "keypoint_names": self.keypoint_names,
             "edges": self.edges,
+            "view_names": self.view_names,
         }
         if self.image_sizes is not None and None not in self.image_sizes:
             known["image_sizes"] = self.image_sizes

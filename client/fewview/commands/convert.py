@@ -3,60 +3,35 @@
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from fewview.commands.reading import (
-    Files,
-    Form,
-    Fps,
-    ImageSize,
-    MinConfidence,
-    Person,
-    Skeleton,
-    size_of,
-)
+from fewview.commands.reading import Files, Options, reading_files
 from fewview.commands.talking import AsJson
 
 if TYPE_CHECKING:
     from fewview.capture import Capture
 
 
+@reading_files
 def convert(
+    options: Options,
     files: Files,
     *,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="The npz to write; without it, only look.")
     ] = None,
-    form: Form = None,
-    person: Person = "auto",
-    min_confidence: MinConfidence = 0.0,
-    skeleton: Skeleton = None,
-    align: Annotated[
-        Literal["index", "time"], typer.Option(help="What belongs together: numbers or times.")
-    ] = "index",
-    fps: Fps = None,
-    image_size: ImageSize = None,
     as_json: AsJson = False,
 ) -> None:
     """Read 2D keypoints of any known format, say what was understood, and write one npz."""
     from fewview.errors import FormatError  # noqa: PLC0415 (commands load what they need)
-    from fewview.readers import read  # noqa: PLC0415
+    from fewview.readers import read_with  # noqa: PLC0415
 
     if output is not None and output.suffix != ".npz":
         _refuse(f"{output}: an npz is written; name it {output.with_suffix('.npz').name}")
     try:
-        capture = read(
-            files,
-            format=form,
-            person=person,
-            min_confidence=min_confidence,
-            skeleton=skeleton,
-            align=align,
-            fps=fps,
-            image_size=size_of(image_size),
-        )
+        capture = read_with(files, options())
     except (FormatError, OSError) as error:
         _refuse(str(error))
     understood = summary(capture)

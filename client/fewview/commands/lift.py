@@ -5,11 +5,13 @@ from typing import Annotated
 
 import typer
 
-from fewview.commands.reading import Files
+from fewview.commands.reading import Files, Options, reading_files
 from fewview.commands.talking import AsJson, Url, capture_in, say, talking
 
 
+@reading_files
 def lift(
+    options: Options,
     model: Annotated[str, typer.Argument(help="Its id: mdl_...")],
     files: Files,
     *,
@@ -31,7 +33,7 @@ def lift(
             raise ValueError(f"--output: expected a file that ends in .npz, got {output.name!r}")
         found = client.lift(
             model,
-            capture_in(files),
+            capture_in(files, options()),
             refine=refine,
             views=None if views is None else _indices(views),
         )

@@ -1,37 +1,71 @@
-"""What the commands that read files of keypoints have in common: options."""
+"""What the commands that read files of keypoints have in common: their options."""
 
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Concatenate, ParamSpec, get_type_hints
 
 import typer
 
-from fewview.errors import FormatError
+from fewview.reading_options import Align, ReadingOptions
+
+P = ParamSpec("P")
+Options = Callable[[], ReadingOptions]
 
 Files = Annotated[
     list[Path],
     typer.Argument(help="A file or folder of 2D keypoints for each camera, or all in one."),
 ]
-Form = Annotated[
-    str | None, typer.Option("--format", help="Name of the format; found out if not given.")
-]
-Person = Annotated[str, typer.Option(help="Of several: `auto`, a number, or the name of a track.")]
-MinConfidence = Annotated[float, typer.Option(help="Detections that are less sure become gaps.")]
-Skeleton = Annotated[str | None, typer.Option(help="Names the keypoints, such as `body-25b`.")]
-Fps = Annotated[float | None, typer.Option(help="Frames per second.")]
-ImageSize = Annotated[str | None, typer.Option(help="Of all cameras, such as `1920x1080`.")]
+Fps = Annotated[float | None, typer.Option(help="Frames per second, if they are even.")]
+OPTIONS: dict[str, Any] = {
+    "format": Annotated[
+        str | None, typer.Option(help="Name of the format; found out if not given.")
+    ],
+    "person": Annotated[
+        str,
+        typer.Option(
+            help="Of several: `auto`, a number (0 is seen most), the name of a track, or one for "
+            "each camera, such as `0,1,0`."
+        ),
+    ],
+    "min_confidence": Annotated[
+        float, typer.Option(help="Detections that are less sure become gaps.")
+    ],
+    "skeleton": Annotated[
+        str | None, typer.Option(help="Names the keypoints, such as `body-25b`.")
+    ],
+    "align": Annotated[Align, typer.Option(help="What belongs together: numbers or times.")],
+    "fps": Fps,
+    "image_size": Annotated[str | None, typer.Option(help="Of all cameras, such as `1920x1080`.")],
+}
 
 
-def size_of(text: str | None) -> tuple[int, int] | None:
-    """Return the width and the height in ``1920x1080``, None for None.
+def reading_files(
+    command: Callable[Concatenate[Options, P], None],
+) -> Callable[P, None]:
+    """Give a command the options of reading.
 
-    Raises
-    ------
-    FormatError
-        If it is no such text.
+    It gets them as its first argument, a function that returns them, or raises ``FormatError``
+    where the command can say so.
     """
-    if text is None:
-        return None
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        raise FormatError(f"--image-size {text}: expected WIDTHxHEIGHT, such as 1920x1080")
-    return int(width), int(height)
+    defaults = {each.name: each.default for each in fields(ReadingOptions)}
+    own = inspect.signature(command)
+    hints = get_type_hints(command, include_extras=True)
+    others = list(own.parameters.values())[1:]
+    parameters = [each.replace(annotation=hints[each.name]) for each in others] + [
+        inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=defaults[name], annotation=kind
+        )
+        for name, kind in OPTIONS.items()
+    ]
+
+    @functools.wraps(command)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        told: dict[str, Any] = {name: kwargs.pop(name) for name in OPTIONS}
+        command(lambda: ReadingOptions(**told), *args, **kwargs)
+
+    run.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    return run

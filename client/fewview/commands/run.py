@@ -12,16 +12,7 @@ import typer
 from fewview.commands.export import USUAL, Formats, formats_in
 from fewview.commands.export import in_words as told_in_words
 from fewview.commands.fit import read_config
-from fewview.commands.reading import (
-    Files,
-    Form,
-    Fps,
-    ImageSize,
-    MinConfidence,
-    Person,
-    Skeleton,
-    size_of,
-)
+from fewview.commands.reading import Files, Options, reading_files
 from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson
 
 if TYPE_CHECKING:
@@ -30,7 +21,9 @@ if TYPE_CHECKING:
     from fewview.capture import Capture
 
 
+@reading_files
 def run(
+    options: Options,
     files: Files,
     *,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for what comes of it.")],
@@ -41,12 +34,6 @@ def run(
         ),
     ] = None,
     formats: Formats = USUAL,
-    fps: Fps = None,
-    form: Form = None,
-    person: Person = "auto",
-    min_confidence: MinConfidence = 0.0,
-    skeleton: Skeleton = None,
-    image_size: ImageSize = None,
     known_length: Annotated[
         str | None,
         typer.Option(help="`FIRST,SECOND,METRES`: two keypoints and how far they are apart."),
@@ -60,18 +47,11 @@ def run(
     """Read, upload, fit, and write animation, cameras and model; again, it goes on where it was."""
     from fewview.commands.convert import in_words, summary  # noqa: PLC0415 (what it needs)
     from fewview.errors import FewviewError, InvalidRequest  # noqa: PLC0415
-    from fewview.readers import read  # noqa: PLC0415
+    from fewview.readers import read_with  # noqa: PLC0415
 
     try:
-        capture = read(
-            files,
-            format=form,
-            person=person,
-            min_confidence=min_confidence,
-            skeleton=skeleton,
-            fps=fps,
-            image_size=size_of(image_size),
-        )
+        reading = options()
+        capture = read_with(files, reading)
         told = _config(config or [], known_length)
         chosen = formats_in(formats)
         output.mkdir(parents=True, exist_ok=True)
@@ -81,7 +61,7 @@ def run(
         typer.echo(in_words(summary(capture)))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the service is stopped then, too
     try:
-        done = _run(capture, output, url, told, chosen, fps, known_length, quiet=as_json)
+        done = _run(capture, output, url, told, chosen, reading.fps, known_length, quiet=as_json)
     except (FewviewError, OSError, ValueError) as error:
         _end(str(error), WRONGLY_ASKED if isinstance(error, InvalidRequest) else FAILED)
     except KeyboardInterrupt:

@@ -13,6 +13,7 @@ from fewview.errors import FewviewError, FormatError, InvalidRequest, NotFound
 if TYPE_CHECKING:
     from fewview.capture import Capture
     from fewview.client import Client
+    from fewview.reading_options import ReadingOptions
 
 PATIENCE = 5.0  # seconds for a service that is away, which at a keyboard is long
 FAILED, WRONGLY_ASKED, INTERRUPTED = 1, 2, 130  # exit statuses
@@ -44,7 +45,7 @@ def talking(url: str | None) -> Iterator["Client"]:
         raise typer.Exit(INTERRUPTED) from None
 
 
-def capture_in(files: Sequence[Path]) -> "Capture":
+def capture_in(files: Sequence[Path], reading: "ReadingOptions") -> "Capture":
     """Read files of keypoints, and say on stderr what was changed.
 
     Raises
@@ -52,9 +53,9 @@ def capture_in(files: Sequence[Path]) -> "Capture":
     FormatError
         They cannot be read.
     """
-    from fewview.readers import read  # noqa: PLC0415
+    from fewview.readers import read_with  # noqa: PLC0415
 
-    capture = read(files)
+    capture = read_with(files, reading)
     for note in capture.notes:
         typer.echo(note, err=True)
     return capture

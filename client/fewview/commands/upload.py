@@ -4,22 +4,25 @@ from typing import Annotated
 
 import typer
 
-from fewview.commands.reading import Files
+from fewview.commands.reading import Files, Options, reading_files
 from fewview.commands.talking import AsJson, Url, capture_in, findings_in, say, talking
 
 
+@reading_files
 def upload(
+    options: Options,
     files: Files,
     *,
     name: Annotated[str | None, typer.Option(help="Of the dataset; else that of a file.")] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames per second, if they are even.")] = None,
     url: Url = None,
     as_json: AsJson = False,
 ) -> None:
     """Store the keypoints of all cameras as a dataset; says its id."""
     with talking(url) as client:
-        capture = capture_in(files)
-        dataset = client.datasets.create(capture, name=name or files[0].stem[:200], fps=fps)
+        reading = options()
+        capture = capture_in(files, reading)
+        name = name or files[0].stem[:200]
+        dataset = client.datasets.create(capture, name=name, fps=reading.fps)
         for line in findings_in(dataset.raw):
             typer.echo(line, err=True)
         say(dataset.raw, dataset.id, as_json=as_json)

@@ -6,6 +6,6 @@ is picked (`people.py`), and the views are put side by side (`combining.py`). A 
 module in `formats/` and a line in `registry.py`.
 """
 
-from fewview.readers.reading import read
+from fewview.readers.reading import read, read_with
 
-__all__ = ["read"]
+__all__ = ["read", "read_with"]

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +10,8 @@ from fewview.capture import Capture, Float32, Float64
 from fewview.errors import FormatError
 from fewview.readers.skeletons import skeleton_of
 from fewview.readers.views import Edges, Int64, View, bounded
+from fewview.reading_options import Align
 
-Align = Literal["index", "time"]
 SLIGHTLY_ABOVE = 1.1  # peaks of heatmaps that are interpolated
 
 

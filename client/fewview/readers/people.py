@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from fewview.capture import Float32
 from fewview.errors import FormatError
 from fewview.readers.views import Int64, View
+from fewview.reading_options import Person
 
-Person = int | str  # "auto", a place in lists, or a name
 MEMORY = 300  # frames after which somebody who was lost is not looked for any more
 NEAR, WIDENING, FAR = 0.75, 0.05, 2.0  # of a body's size: a step, more for each frame lost, at most
 
@@ -32,7 +32,7 @@ class Track:
     places: list[int] = field(default_factory=list)
 
 
-def pick(views: Sequence[View], person: Person) -> tuple[list[View], list[str]]:
+def pick(views: Sequence[View], person: Person | Sequence[Person]) -> tuple[list[View], list[str]]:
     """Return each view with one person, M = 1, and what is to be said of the choice.
 
     Raises
@@ -40,6 +40,13 @@ def pick(views: Sequence[View], person: Person) -> tuple[list[View], list[str]]:
     FormatError
         If there is no such person.
     """
+    if isinstance(person, str) and "," in person and not _known(views, person):
+        person = [part.strip() for part in person.split(",")]
+    if not isinstance(person, str | int):
+        if len(person) != len(views):
+            raise FormatError(f"person: {len(person)} were named for {len(views)} cameras")
+        picked = [pick([view], one) for view, one in zip(views, person, strict=True)]
+        return [view for (view,), _ in picked], [note for _, notes in picked for note in notes]
     placed = any(view.people is not None and len(view.people) > 1 for view in views)
     # Where places are people in one camera's files, they are in those of the others.
     views = [
@@ -66,6 +73,10 @@ def pick(views: Sequence[View], person: Person) -> tuple[list[View], list[str]]:
             "choose with person="
         )
     return chosen, notes
+
+
+def _known(views: Sequence[View], name: str) -> bool:
+    return any(name in (view.people or ()) for view in views)
 
 
 def _counted(views: Sequence[View]) -> bool:

@@ -3,42 +3,40 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from os import PathLike
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from fewview.capture import Capture
 from fewview.errors import FormatError
-from fewview.readers.combining import Align, cleaned, combined
-from fewview.readers.names import natural, told_apart
-from fewview.readers.people import Person, pick
-from fewview.readers.registry import FORMATS, Format, detect, find, views_of
-from fewview.readers.sources import Source, frames_in
+from fewview.readers.combining import cleaned, combined
+from fewview.readers.finding import AnyPath, sources_at
+from fewview.readers.names import told_apart
+from fewview.readers.people import pick
+from fewview.readers.registry import views_of
 from fewview.readers.views import View
-
-AnyPath = str | PathLike[str]
-Size = tuple[int, int]
-DEPTH = 3  # of folders in folders
+from fewview.reading_options import Align, Person, ReadingOptions, Size
 
 
 def read(
     paths: AnyPath | Iterable[AnyPath],
     *,
     format: str | None = None,
-    person: Person = "auto",
+    person: Person | Sequence[Person] = "auto",
     min_confidence: float = 0.0,
     skeleton: str | None = None,
     align: Align = "index",
     fps: float | None = None,
-    image_size: Size | Sequence[Size] | None = None,
+    image_size: Size | Sequence[Size] | str | None = None,
+    untrusted: bool = False,
 ) -> Capture:
     """Read the 2D keypoints of all cameras.
 
     Parameters
     ----------
     paths
-        A file, a folder, or a file or folder for each camera.
+        A file, a folder, or a file or folder for each camera; a zip file stands for a folder.
     format
         Name of the format (`fewview.readers.registry.NAMES`); None to find out from the content.
     person
@@ -54,7 +52,10 @@ def read(
     fps
         Frames per second, where a file tells no times.
     image_size
-        (width, height) in pixels of all views, or of each.
+        (width, height) in pixels of all views, or of each; "1920x1080" for all.
+    untrusted
+        Whether the files come from somebody else: formats whose readers have to trust their files
+        (C3D, pickles) are then refused. Files may still ask for much memory and time.
 
     Returns
     -------
@@ -67,121 +68,35 @@ def read(
         If a file is of no known format, or the files do not fit together; the message says what
         it looks like and what to do.
     """
-    if not 0 <= min_confidence <= 1:
-        raise FormatError(f"min_confidence is {min_confidence}, not in [0, 1]")
-    if align not in ("index", "time"):
-        raise FormatError(f"align is {align!r}, neither 'index' nor 'time'")
-    if fps is not None and not 0 < fps < np.inf:
-        raise FormatError(f"fps is {fps}, not above 0")
+    return read_with(
+        paths,
+        ReadingOptions(format, person, min_confidence, skeleton, align, fps, image_size, untrusted),
+    )
+
+
+def read_with(paths: AnyPath | Iterable[AnyPath], options: ReadingOptions) -> Capture:
+    """Read the 2D keypoints of all cameras, as `read` does."""
     notes: list[str] = []
     views: list[View] = []
     kinds: Counter[str] = Counter()
-    for source, kind in _sources(paths, format, notes):
-        found = views_of(source, kind)
-        views += found
-        kinds[kind.title] += len(found)
+    with TemporaryDirectory(prefix="fewview-") as folder:
+        for source, kind in sources_at(paths, options.format, notes, Path(folder)):
+            found = views_of(source, kind, untrusted=options.untrusted)
+            views += found
+            kinds[kind.title] += len(found)
     titles = ", ".join(f"{title} ({count} cameras)" for title, count in kinds.items())
     notes.insert(0, f"read as {titles}" if len(kinds) > 1 else f"read as {next(iter(kinds))}")
     names = told_apart([view.name for view in views])
     views = [replace(view, name=name) for view, name in zip(views, names, strict=True)]
-    views = _sized(views, image_size)
+    views = _sized(views, options.sizes())
     clean: list[View] = []
     for view in views:
-        one, said = cleaned(view, min_confidence)
+        one, said = cleaned(view, options.min_confidence)
         clean.append(one)
         notes += said
-    picked, said = pick(clean, person)
-    capture = combined(picked, align=align, fps=fps, skeleton=skeleton)
+    picked, said = pick(clean, options.person)
+    capture = combined(picked, align=options.align, fps=options.fps, skeleton=options.skeleton)
     return replace(capture, notes=(*notes, *said, *capture.notes))
-
-
-def _sources(
-    paths: AnyPath | Iterable[AnyPath], name: str | None, notes: list[str]
-) -> list[tuple[Source, Format]]:
-    """Return what there is to read at the paths, a format each."""
-    listed = [paths] if isinstance(paths, str | PathLike) else list(paths)
-    if not listed:
-        raise FormatError("no files were given")
-    found: list[tuple[Source, Format]] = []
-    for path in map(Path, listed):
-        if path.is_dir():
-            inside = _in_folder(path, name, notes, DEPTH)
-            if not inside:
-                raise FormatError(f"{path}: a folder with no file of a known format")
-            found += inside
-        elif path.exists():
-            source = Source(path)
-            found.append((source, find(source, name)))
-        else:
-            raise FormatError(f"{path}: there is no such file or folder")
-    return found
-
-
-def _in_folder(
-    folder: Path, name: str | None, notes: list[str], depth: int
-) -> list[tuple[Source, Format]]:
-    """Return what a folder holds: frames, files of cameras, or folders of these."""
-    cameras = frames_in(folder)
-    if cameras:
-        return [(source, find(source, name)) for source in cameras]
-    inside = sorted(
-        (path for path in folder.iterdir() if not path.name.startswith(".")),
-        key=lambda path: natural(path.name),
-    )
-    found: list[tuple[Source, Format]] = []
-    unknown = []
-    for path in inside:
-        if path.is_file():
-            source = Source(path)
-            kind = find(source, name) if name else _quietly(source)
-            if kind is None:
-                unknown.append(path.name)
-            else:
-                found.append((source, kind))
-    if not found and depth > 1:
-        for path in inside:
-            if path.is_dir():
-                found += _in_folder(path, name, notes, depth - 1)
-        return found
-    if found and unknown:
-        shown = ", ".join(unknown[:5]) + (", ..." if len(unknown) > 5 else "")
-        notes.append(f"{folder.name}: not read, of no known format: {shown}")
-    return _one_of_each(found, folder, notes)
-
-
-def _quietly(source: Source) -> Format | None:
-    """Return the format of a file that nobody named; None also where it is broken."""
-    try:
-        return detect(source)
-    except FormatError:
-        return None
-
-
-def _one_of_each(
-    found: list[tuple[Source, Format]], folder: Path, notes: list[str]
-) -> list[tuple[Source, Format]]:
-    """Keep one file where a detector writes the same in two formats.
-
-    Raises
-    ------
-    FormatError
-        If files of several formats remain, and it is not clear which are meant.
-    """
-    order = [each.name for each in FORMATS]
-    kept: dict[str, tuple[Source, Format]] = {}
-    for source, kind in sorted(found, key=lambda each: order.index(each[1].name)):
-        first = kept.setdefault(source.name, (source, kind))
-        if first[0] is not source and first[1].name == kind.name:
-            kept[source.path.name] = (source, kind)
-        elif first[0] is not source:
-            notes.append(f"{source.path.name} was left out for {first[0].path.name}")
-    names = sorted({kind.name for _, kind in kept.values()})
-    if len(names) > 1:
-        raise FormatError(
-            f"{folder}: holds files of several formats ({', '.join(names)}); list those of the "
-            "cameras one by one"
-        )
-    return sorted(kept.values(), key=lambda each: natural(each[0].path.name))
 
 
 def _sized(views: list[View], asked: Size | Sequence[Size] | None) -> list[View]:

@@ -28,12 +28,16 @@ from fewview.readers.views import View
 
 @dataclass(frozen=True)
 class Format:
-    """A format: its name, for people its title, whether a source is of it, and its reader."""
+    """A format: its name, for people its title, whether a source is of it, and its reader.
+
+    A reader may have to trust its files: `trusting` says why.
+    """
 
     name: str
     title: str
     fits: Callable[[Source], bool]
     read: Callable[[Source], list[View]]
+    trusting: str = ""
 
 
 FORMATS = (
@@ -48,8 +52,8 @@ FORMATS = (
     Format("mmpose", "MMPose JSON", mmpose.fits, mmpose.read),
     Format("mediapipe", "MediaPipe JSON", mediapipe.fits, mediapipe.read),
     Format("npy", "FreeMoCap npy", npy.fits, npy.read),
-    Format("mvnrsfm", "CAM_*.pkl of MV-NRSfM", mvnrsfm.fits, mvnrsfm.read),
-    Format("c3d", "C3D", c3d.fits, c3d.read),
+    Format("mvnrsfm", "CAM_*.pkl of MV-NRSfM", mvnrsfm.fits, mvnrsfm.read, "pickles are programs"),
+    Format("c3d", "C3D", c3d.fits, c3d.read, "a broken file can end the process that reads it"),
     Format("csv", "plain CSV", table.fits, table.read),
 )
 NAMES = tuple(each.name for each in FORMATS)
@@ -63,35 +67,48 @@ def detect(source: Source) -> Format | None:
     FormatError
         If it is broken.
     """
-    with _broken(source, "a broken file"):
+    with _broken(source, lambda: "a broken file"):
         return next((each for each in FORMATS if each.fits(source)), None)
 
 
-def views_of(source: Source, known: Format) -> list[View]:
+def views_of(source: Source, known: Format, *, untrusted: bool = False) -> list[View]:
     """Read a source's views.
 
     Raises
     ------
     FormatError
-        If it is broken, or not as the format has it.
+        If it is broken, or not as the format has it; if it is not to be trusted, and must be.
     """
-    with _broken(source, f"not as {known.title} should be"):
+    if untrusted and known.trusting:
+        raise FormatError(
+            f"{source}: {known.title} is read on your own computer alone, as {known.trusting}: "
+            f"`fewview convert {source.path.name} -o capture.npz`, and send that"
+        )
+    with _broken(source, lambda: f"not as {known.title} should be{_instead(source, known)}"):
         views = known.read(source)
     if not all(len(view.numbers) for view in views):
         raise FormatError(f"{source}: {known.title} without a single frame")
     return views
 
 
+def _instead(source: Source, known: Format) -> str:
+    """Return what a source looks like that was said to be of another format."""
+    found = detect(source)
+    return f"; it looks like {found.title}" if found not in (None, known) else ""
+
+
 @contextmanager
-def _broken(source: Source, said: str) -> Iterator[None]:
+def _broken(source: Source, said: Callable[[], str]) -> Iterator[None]:
     """Turn whatever a broken file makes its reader raise into a `FormatError`."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is no keypoint
             yield
     except FormatError:
         raise
+    except MemoryError as error:
+        raise FormatError(f"{source}: needs more memory than there is; part it") from error
     except Exception as error:
-        raise FormatError(f"{source}: {said} ({type(error).__name__}: {error})") from error
+        raise FormatError(f"{source}: {said()} ({type(error).__name__}: {error})") from error
 
 
 def find(source: Source, name: str | None) -> Format:
@@ -105,7 +122,7 @@ def find(source: Source, name: str | None) -> Format:
     if name is None:
         found = detect(source)
         if found is None:
-            with _broken(source, "a broken file"):
+            with _broken(source, lambda: "a broken file"):
                 raise FormatError(f"{source}: {looks_like(source)}")
         return found
     for each in FORMATS:

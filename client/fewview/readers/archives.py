@@ -1,0 +1,77 @@
+"""Zip files of what a detector wrote into folders."""
+
+import zipfile
+import zlib
+from pathlib import Path, PurePosixPath
+
+from fewview.errors import FormatError
+from fewview.readers.sources import ZIP, Source
+
+MAX_UNPACKED = 2**30  # bytes
+MAX_MEMBERS = 200_000  # files
+
+
+def is_archive(path: Path) -> bool:
+    """Whether this is a zip file, and not an npz with `keypoints`.
+
+    Raises
+    ------
+    FormatError
+        If it is one that is broken.
+    """
+    if not path.is_file() or not Source(path).begins(ZIP):
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "keypoints.npy" not in archive.namelist()
+    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
+        raise FormatError(f"{path}: a zip file or npz that is broken ({error})") from error
+
+
+def unpacked(path: Path, folder: Path) -> Path:
+    """Unpack a zip file and return the folder of what is in it, which has the zip's name.
+
+    Folders that hold nothing but a folder are gone through; what computers hide is left out.
+
+    Raises
+    ------
+    FormatError
+        If it is broken or encrypted, unpacks to too much, or holds files outside it.
+    """
+    inside = folder / "inside"
+    inside.mkdir(parents=True)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [each for each in archive.infolist() if _is_file(each)]
+            size = sum(each.file_size for each in members)
+            if size > MAX_UNPACKED or len(members) > MAX_MEMBERS:
+                raise FormatError(
+                    f"{path}: unpacks to {len(members):,} files of {size / 2**20:,.0f} MiB, more "
+                    f"than the {MAX_MEMBERS:,} files and {MAX_UNPACKED / 2**20:,.0f} MiB that are "
+                    "read of a zip file; part it"
+                )
+            for member in members:
+                archive.extract(member, inside)
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        OSError,
+        RuntimeError,  # encrypted members
+        NotImplementedError,  # kinds of compression
+        ValueError,
+    ) as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(f"{path}: a zip file that cannot be read ({error})") from error
+    while len(within := list(inside.iterdir())) == 1 and within[0].is_dir():
+        inside = within[0]
+    named = folder / "named" / (path.name.partition(".")[0] or "zip")
+    named.parent.mkdir()
+    return inside.rename(named)
+
+
+def _is_file(member: zipfile.ZipInfo) -> bool:
+    parts = PurePosixPath(member.filename).parts
+    hidden = any(part.startswith(".") or part == "__MACOSX" for part in parts)
+    return not member.is_dir() and not hidden

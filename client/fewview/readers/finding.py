@@ -1,0 +1,119 @@
+"""What there is to read at some paths: files, folders of frames, folders of cameras, zip files."""
+
+from collections.abc import Iterable
+from os import PathLike
+from pathlib import Path
+
+from fewview.errors import FormatError
+from fewview.readers.archives import is_archive, unpacked
+from fewview.readers.names import natural
+from fewview.readers.registry import FORMATS, Format, detect, find
+from fewview.readers.sources import Source, frames_in
+
+AnyPath = str | PathLike[str]
+DEPTH = 3  # of folders in folders
+
+
+def sources_at(
+    paths: AnyPath | Iterable[AnyPath], name: str | None, notes: list[str], folder: Path
+) -> list[tuple[Source, Format]]:
+    """Return what there is to read at the paths, a format each.
+
+    Parameters
+    ----------
+    name
+        Of the format; None to find it out.
+    notes
+        Gets what was left out.
+    folder
+        An empty one, where zip files are unpacked.
+
+    Raises
+    ------
+    FormatError
+        If there is nothing of a known format.
+    """
+    listed = [paths] if isinstance(paths, str | PathLike) else list(paths)
+    if not listed:
+        raise FormatError("no files were given")
+    found: list[tuple[Source, Format]] = []
+    for number, given in enumerate(map(Path, listed)):
+        path = unpacked(given, folder / str(number)) if is_archive(given) else given
+        if path.is_dir():
+            inside = _in_folder(path, name, notes, DEPTH)
+            if not inside:
+                raise FormatError(f"{path}: a folder with no file of a known format")
+            found += inside
+        elif path.exists():
+            source = Source(path)
+            found.append((source, find(source, name)))
+        else:
+            raise FormatError(f"{path}: there is no such file or folder")
+    return found
+
+
+def _in_folder(
+    folder: Path, name: str | None, notes: list[str], depth: int
+) -> list[tuple[Source, Format]]:
+    """Return what a folder holds: frames, files of cameras, or folders of these."""
+    cameras = frames_in(folder)
+    if cameras:
+        return [(source, find(source, name)) for source in cameras]
+    inside = sorted(
+        (path for path in folder.iterdir() if not path.name.startswith(".")),
+        key=lambda path: natural(path.name),
+    )
+    found: list[tuple[Source, Format]] = []
+    unknown = []
+    for path in inside:
+        if path.is_file():
+            source = Source(path)
+            kind = find(source, name) if name else _quietly(source)
+            if kind is None:
+                unknown.append(path.name)
+            else:
+                found.append((source, kind))
+    if not found and depth > 1:
+        for path in inside:
+            if path.is_dir():
+                found += _in_folder(path, name, notes, depth - 1)
+        return found
+    if found and unknown:
+        shown = ", ".join(unknown[:5]) + (", ..." if len(unknown) > 5 else "")
+        notes.append(f"{folder.name}: not read, of no known format: {shown}")
+    return _one_of_each(found, folder, notes)
+
+
+def _quietly(source: Source) -> Format | None:
+    """Return the format of a file that nobody named; None also where it is broken."""
+    try:
+        return detect(source)
+    except FormatError:
+        return None
+
+
+def _one_of_each(
+    found: list[tuple[Source, Format]], folder: Path, notes: list[str]
+) -> list[tuple[Source, Format]]:
+    """Keep one file where a detector writes the same in two formats.
+
+    Raises
+    ------
+    FormatError
+        If files of several formats remain, and it is not clear which are meant.
+    """
+    order = [each.name for each in FORMATS]
+    kept: dict[str, tuple[Source, Format]] = {}
+    for source, kind in sorted(found, key=lambda each: order.index(each[1].name)):
+        first = kept.setdefault(source.name, (source, kind))
+        if first[0] is not source and first[1].name == kind.name:
+            kept[source.path.name] = (source, kind)
+        elif first[0] is not source:
+            notes.append(f"{source.path.name} was left out for {first[0].path.name}")
+    names = sorted({kind.name for _, kind in kept.values()})
+    if len(names) > 1:
+        raise FormatError(
+            f"{folder}: holds files of several formats ({', '.join(names)}); list those of the "
+            "cameras one by one"
+        )
+    return sorted(kept.values(), key=lambda each: natural(each[0].path.name))
