@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fewview.calibration import read_cameras
+from fewview.calibration import Camera, read_cameras, rotation_matrix, write_cameras
 from fewview.commands.fit import read_config
 
 from tests.client.conftest import Served
@@ -82,6 +82,40 @@ def test_jobs_are_queued_and_cancelled(served: Served) -> None:
     listed = said(fewview("fits", "list", "--most=1", "--json", url))
     assert [fit["id"] for fit in listed] == [made["id"]]
     assert fewview("lifts", "list", url).stdout == "no lifts\n"
+
+
+def test_a_fit_is_told_a_calibration_file(served: Served, tmp_path: Path) -> None:
+    lens = np.array([[1100.5, 0, 640.25], [0, 1099, 512], [0, 0, 1]])
+    turn = rotation_matrix([0.1, -0.2, 0.3])
+    bent = np.array([0.1, -0.05])
+    cameras = [Camera(f"c{v}", lens, bent, turn, np.array([v, 0, 4])) for v in range(3)]
+    file = write_cameras(tmp_path / "rig.yml", cameras)
+    by_hand = {
+        "intrinsics": {"fx": 1100.5, "fy": 1099, "cx": 640.25, "cy": 512}
+        | {"distortion": [0.1, -0.05, 0, 0, 0]},
+        "rotation": turn.tolist(),
+    }
+    entries = [by_hand | {"translation": [view, 0, 4]} for view in range(3)]
+    made = [
+        served.client.fits.create(served.dataset, calibration=told, steps=100_000).raw
+        for told in (entries, file, cameras, str(file))
+    ]
+    url = f"--url={served.live.url}"
+    words = ("fit", served.dataset.id, "-c", "steps=100000", "--json", url, "--calibration")
+    made.append(said(fewview(*words, str(file))))
+    for fit in made:
+        assert fit["config"] == made[0]["config"]
+        served.client.fits.cancel(fit["id"])
+    # Which is what the entries say, and their defaults.
+    kept = made[0]["config"]["calibration"]
+    assert [view["translation"] for view in kept] == [[0, 0, 4], [1, 0, 4], [2, 0, 4]]
+    assert all(view["rotation"] == turn.tolist() for view in kept)
+    assert all(by_hand["intrinsics"].items() <= view["intrinsics"].items() for view in kept)
+
+    write_cameras(tmp_path / "two.yml", cameras[:2])
+    assert "expected 3, got 2" in refused(fewview(*words, str(tmp_path / "two.yml")), 2)
+    (tmp_path / "none.toml").write_text("a = 1")
+    assert "has no cameras" in refused(fewview(*words, str(tmp_path / "none.toml")), 2)
 
 
 def test_what_is_wrong_is_a_line_on_stderr_and_a_status(served: Served, tmp_path: Path) -> None:

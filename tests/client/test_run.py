@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fewview.calibration import read_cameras
+from fewview.calibration import Camera, read_cameras, write_cameras
+from safetensors import safe_open
 
 from tests.models.rigs import IMAGE_SIZE, RigCapture, make_rig_capture
 
@@ -81,6 +82,9 @@ def test_files_become_an_animation_cameras_and_a_model(
 def test_it_goes_on_where_it_was_stopped(files: list[str], tmp_path: Path) -> None:
     words = [*files, "-o", str(tmp_path), *QUICK, "-c", "refine=off", "-c", "cameras=moving"]
     words += ["-c", "steps=1500", "--formats", "csv"]
+    # In another order than the views, and one more than there are.
+    lenses = [Camera(f"CAM-{v}", np.diag([500 + v, 500, 1])) for v in (2, 0, 3, 1)]
+    words += ["--calibration", str(write_cameras(tmp_path / "rig.yml", lenses))]
     with subprocess.Popen(command(*words), stderr=subprocess.PIPE, text=True) as process:
         notes = tmp_path / "run.json"
         deadline = time.monotonic() + 120
@@ -96,14 +100,21 @@ def test_it_goes_on_where_it_was_stopped(files: list[str], tmp_path: Path) -> No
     assert ended.returncode == 0, ended.stderr
     assert json.loads(notes.read_text()) == before
     assert (tmp_path / "animation.csv").exists()
+    with safe_open(tmp_path / "model.safetensors", "numpy") as file:
+        config = json.loads(json.loads(file.metadata()["fewview"])["config"])
+    assert [told["intrinsics"]["fx"] for told in config["calibration"]] == [500, 501, 502]
+    assert "calibration with the views' names" in ended.stdout
 
 
 def test_what_is_asked_wrongly_is_said_in_one_line(files: list[str], tmp_path: Path) -> None:
     out = ["-o", str(tmp_path)]
+    two = [Camera(f"c{v}", np.eye(3)) for v in range(2)]
+    rig = str(write_cameras(tmp_path / "two.yml", two))
     for words in (
         [*files, *out, "--known-length", "k0,nose,0.4"],
         [*files, *out, "--known-length", "k0,k1"],
         [*files, *out, "--formats", "obj"],
+        [*files, *out, "--calibration", rig],
         [str(tmp_path / "none.csv"), *out],
         [*files, *out, "--url", "nowhere", "--json"],
     ):

@@ -1,5 +1,7 @@
 """Fits: jobs that turn a dataset into a model."""
 
+from collections.abc import Mapping, Sequence
+from os import PathLike
 from typing import Any
 
 from fewview.api.arrays import SAFETENSORS
@@ -8,6 +10,9 @@ from fewview.api.jobs import Jobs
 from fewview.api.lifting import Lift, identifier
 from fewview.api.operations import Driver, operation
 from fewview.api.steps import Request, Steps, once, path
+from fewview.calibration import Camera, as_config, read_cameras
+
+Calibration = str | PathLike[str] | Sequence[Camera | Mapping[str, Any] | None]
 
 
 class Fits(Jobs[Driver, Fit]):
@@ -24,6 +29,7 @@ class Fits(Jobs[Driver, Fit]):
         *,
         name: str | None = None,
         from_model: Model | str | None = None,
+        calibration: Calibration | None = None,
         **config: Any,
     ) -> Steps[Fit]:
         """Queue a fit of a dataset.
@@ -32,17 +38,24 @@ class Fits(Jobs[Driver, Fit]):
         ----------
         from_model
             A model of the same keypoints whose weights are the first ones.
+        calibration
+            What is known of the cameras, in the order of the views: a calibration file, or a list
+            of :class:`~fewview.calibration.Camera` and of what the API takes; None where nothing
+            is known. :func:`fewview.calibration.for_views` finds cameras by the views' names.
         config
-            Fields of ``FitConfig`` in the API: ``steps``, ``cameras``, ``calibration``,
-            ``known_length`` and more.
+            Fields of ``FitConfig`` in the API: ``steps``, ``cameras``, ``known_length`` and more.
 
         Raises
         ------
+        FormatError
+            The calibration cannot be read.
         InvalidRequest
             The configuration is wrong, or not one for this dataset; ``errors`` say where.
         TooManyRequests
             Too many fits wait.
         """
+        if calibration is not None:
+            config["calibration"] = told(calibration)
         said = {
             "dataset_id": identifier(dataset),
             "name": name,
@@ -73,3 +86,9 @@ class Fits(Jobs[Driver, Fit]):
         return self._call(
             Request("GET", where, Lift.of, params={"refine": refine}, headers=headers)
         )
+
+
+def told(calibration: Calibration) -> list[Any]:
+    """Return a calibration as the API takes it, an entry for each view."""
+    cameras = read_cameras(calibration) if isinstance(calibration, str | PathLike) else calibration
+    return [as_config(camera) if isinstance(camera, Camera) else camera for camera in cameras]

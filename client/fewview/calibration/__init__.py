@@ -2,10 +2,13 @@
 
 from fewview.calibration.camera import Camera, from_model, rotation_matrix, rotation_vector
 from fewview.calibration.files import FORMATS, read_cameras, write_cameras
+from fewview.calibration.told import as_config, for_views
 
 __all__ = [
     "FORMATS",
     "Camera",
+    "as_config",
+    "for_views",
     "from_model",
     "read_cameras",
     "rotation_matrix",

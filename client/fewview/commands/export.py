@@ -9,6 +9,10 @@ from fewview.commands.reading import Fps
 from fewview.commands.talking import AsJson, Url, say, talking
 
 USUAL = "trc,csv,glb,npz"
+LengthUnit = Annotated[
+    Literal["m", "mm"] | None,
+    typer.Option("--unit", help="Of the lengths, or of the calibration, that the fit was told."),
+]
 Formats = Annotated[str, typer.Option(help="Formats of the animation, by commas.")]
 
 
@@ -18,9 +22,7 @@ def export(
     output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write into.")],
     formats: Formats = USUAL,
     fps: Fps = None,
-    unit: Annotated[
-        Literal["m", "mm"] | None, typer.Option(help="Of the lengths that the fit was told.")
-    ] = None,
+    unit: LengthUnit = None,
     url: Url = None,
     as_json: AsJson = False,
 ) -> None:

@@ -1,12 +1,18 @@
 """``fewview fit``: a dataset becomes a model."""
 
 import json
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from fewview.commands.progress import FitProgressBar
 from fewview.commands.talking import AsJson, Url, findings_in, say, talking
+
+CalibrationFile = Annotated[
+    Path | None,
+    typer.Option(help="Of Anipose, OpenCV or COLMAP; its cameras in the order of the views."),
+]
 
 
 def fit(
@@ -19,6 +25,7 @@ def fit(
             "--config", "-c", help="A JSON object, or `key=value` as in `-c steps=500`; may repeat."
         ),
     ] = None,
+    calibration: CalibrationFile = None,
     name: Annotated[str | None, typer.Option(help="Of the fit and its model.")] = None,
     from_model: Annotated[str | None, typer.Option(help="A model to start from: mdl_...")] = None,
     url: Url = None,
@@ -27,6 +34,8 @@ def fit(
     """Queue a fit of a dataset; says its id, or with --follow that of its model."""
     with talking(url) as client:
         fields = read_config(config or [])
+        if calibration is not None:
+            fields["calibration"] = calibration
         made = client.fits.create(dataset, name=name, from_model=from_model, **fields)
         if not follow:
             say(made.raw, made.id, as_json=as_json)

@@ -26,16 +26,17 @@ class FitProgressBar:
         self._task = self._bar.add_task("queued", total=None, figures="")
 
     def __enter__(self) -> Self:
-        self._bar.start()
         return self
 
     def __exit__(
         self, _k: type[BaseException] | None, _e: BaseException | None, _t: TracebackType | None
     ) -> None:
-        self._bar.stop()
+        if self._bar.live.is_started:
+            self._bar.stop()
 
     def show(self, fit: "Fit") -> None:
         """Show a fit as it is now."""
+        self._bar.start()  # with the first fit there is to show
         progress = fit.progress
         if progress is None:
             self._bar.update(self._task, description=fit.status)

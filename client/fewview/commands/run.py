@@ -4,12 +4,13 @@ import json
 import signal
 import sys
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from fewview.commands.export import USUAL, Formats, formats_in
+from fewview.commands.export import USUAL, Formats, LengthUnit, formats_in
 from fewview.commands.export import in_words as told_in_words
 from fewview.commands.fit import read_config
 from fewview.commands.reading import Files, Options, reading_files
@@ -38,6 +39,11 @@ def run(
         str | None,
         typer.Option(help="`FIRST,SECOND,METRES`: two keypoints and how far they are apart."),
     ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Of Anipose, OpenCV or COLMAP; by the views' names, else in order."),
+    ] = None,
+    unit: LengthUnit = None,
     config: Annotated[
         list[str] | None,
         typer.Option("--config", "-c", help="Of the fit, as `fewview fit` takes it; may repeat."),
@@ -45,6 +51,7 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Read, upload, fit, and write animation, cameras and model; again, it goes on where it was."""
+    from fewview.calibration import as_config, for_views, read_cameras  # noqa: PLC0415
     from fewview.commands.convert import in_words, summary  # noqa: PLC0415 (what it needs)
     from fewview.errors import FewviewError, InvalidRequest  # noqa: PLC0415
     from fewview.readers import read_with  # noqa: PLC0415
@@ -53,6 +60,11 @@ def run(
         reading = options()
         capture = read_with(files, reading)
         told = _config(config or [], known_length)
+        if calibration is not None:
+            views = capture.view_names or [str(view) for view in range(capture.views)]
+            cameras, note = for_views(read_cameras(calibration), views)
+            told["calibration"] = [as_config(camera) for camera in cameras]
+            capture = replace(capture, notes=(*capture.notes, note))
         chosen = formats_in(formats)
         output.mkdir(parents=True, exist_ok=True)
     except (FewviewError, ValueError, OSError) as error:
@@ -61,12 +73,14 @@ def run(
         typer.echo(in_words(summary(capture)))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the service is stopped then, too
     try:
-        done = _run(capture, output, url, told, chosen, reading.fps, known_length, quiet=as_json)
+        unit = unit or (None if known_length is None else "m")
+        done = _run(capture, output, url, told, chosen, reading.fps, unit, quiet=as_json)
     except (FewviewError, OSError, ValueError) as error:
         _end(str(error), WRONGLY_ASKED if isinstance(error, InvalidRequest) else FAILED)
     except KeyboardInterrupt:
         _end("stopped; the same command goes on where it was", INTERRUPTED)
-    typer.echo(json.dumps(done) if as_json else told_in_words(done))
+    understood = {"understood": summary(capture)}
+    typer.echo(json.dumps(done | understood) if as_json else told_in_words(done))
 
 
 def _run(
@@ -76,7 +90,7 @@ def _run(
     config: dict[str, Any],
     formats: list[str],
     fps: float | None,
-    known_length: str | None,
+    unit: "Unit | None",
     *,
     quiet: bool,
 ) -> dict[str, Any]:
@@ -100,7 +114,6 @@ def _run(
                 config=config,
                 on_progress=bar.show,
             )
-        unit: Unit | None = None if known_length is None else "m"
         return export(client, fit, capture, folder, formats=formats, fps=fps, unit=unit)
 
 

@@ -1,0 +1,73 @@
+"""What a fit is told of its cameras: those of a calibration file, given to the views."""
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from fewview.calibration.camera import Camera
+from fewview.errors import FormatError
+
+
+def for_views(cameras: Sequence[Camera], names: Sequence[str]) -> tuple[list[Camera], str]:
+    """Return the cameras of the views, and how they were found, in a sentence for people.
+
+    They are found by their names, where these are the views' (whatever their case, and blanks,
+    dots, dashes and underscores in them), so a file may have cameras that are not needed; else by
+    their order.
+
+    Raises
+    ------
+    FormatError
+        If only some views have a camera of their name, or, where none has, there are more or
+        fewer cameras than views.
+    """
+    by_name = {_plain(camera.name): camera for camera in cameras}
+    found = [by_name.get(_plain(name)) for name in names]
+    matched = [camera for camera in found if camera is not None]
+    called = ", ".join(camera.name for camera in cameras)
+    distinct = len(by_name) == len(cameras) and len({_plain(name) for name in names}) == len(names)
+    if distinct and matched and len(matched) == len(names):
+        return matched, f"cameras are those of the calibration with the views' names: {called}"
+    if distinct and matched:
+        missing = next(name for name, camera in zip(names, found, strict=True) if camera is None)
+        raise FormatError(
+            f"the calibration has no camera {missing!r}: its cameras are {called}, the views are "
+            f"{', '.join(names)}; give them the same names, or names that all differ"
+        )
+    if len(cameras) != len(names):
+        raise FormatError(
+            f"the calibration has {len(cameras)} cameras ({called}), and there are {len(names)} "
+            f"views ({', '.join(names)})"
+        )
+    return list(cameras), f"cameras of the calibration are taken in the order of views: {called}"
+
+
+def as_config(camera: Camera) -> dict[str, Any]:
+    """Return a camera as an entry of a fit's ``calibration``.
+
+    Raises
+    ------
+    FormatError
+        If its pixels are skewed, which the service does not know.
+    """
+    (fx, skew, cx), (_, fy, cy) = camera.matrix[:2].tolist()
+    if skew:
+        raise FormatError(f"camera {camera.name!r} has skewed pixels, which no fit can be told")
+    told: dict[str, Any] = {
+        "intrinsics": {
+            "model": "fisheye" if camera.fisheye else "pinhole",
+            "fx": fx,
+            "fy": fy,
+            "cx": cx,
+            "cy": cy,
+            "distortion": camera.distortion.tolist(),
+        }
+    }
+    if camera.rotation is not None and camera.translation is not None:
+        told["rotation"] = camera.rotation.tolist()
+        told["translation"] = camera.translation.tolist()
+    return told
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\s._-]", "", name).casefold()
