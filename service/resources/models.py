@@ -27,6 +27,7 @@ from service.resources.pages import Asked, Page, asked_of, page_of
 from service.wire.calibrations import MEDIA_TYPES, CalibrationFormat, calibration_file
 from service.wire.cameras import ModelCameras
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
+from service.wire.model_files import Description, described, taken_apart
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
 from store import lookup, models, records
@@ -76,9 +77,11 @@ class ModelSummary(BaseModel):
     created_at: datetime
     fit_id: str | None = Field(description="The fit that made it; null if it was imported.")
     dataset_id: str | None
-    frames: int | None = Field(description="Frames it was fitted to; null if it was imported.")
+    frames: int | None = Field(
+        description="Frames it was fitted to; null if it was imported and its file does not say."
+    )
     views: int | None = Field(
-        description="Views it was fitted to, null if it was imported; it lifts any number of them."
+        description="Views it was fitted to, null as `frames`; it lifts any number of them."
     )
     keypoints: int = Field(description="Keypoints per view.")
     config: FitConfig
@@ -96,8 +99,8 @@ class ModelSummary(BaseModel):
         None, description="Share of keypoints closer to the truth than `pck_threshold`."
     )
     pck_threshold: float | None = None
-    weights_bytes: int
-    weights_checksum: str
+    weights_bytes: int = Field(description="Without the description that an export adds.")
+    weights_checksum: str = Field(description="Of these bytes; a copy elsewhere has the same.")
     findings: Findings
 
     @classmethod
@@ -144,7 +147,7 @@ class ModelPage(Page[ModelSummary]):
 
 
 class ModelImport(BaseModel):
-    """What can be said of imported weights."""
+    """What can be said of imported weights, over what the file says of itself."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -225,14 +228,17 @@ def _image_sizes(store: Store, model_id: str) -> list[tuple[int, int] | None] | 
     | binary_responses("The weights as safetensors, to be imported elsewhere.", OCTETS),
 )
 def download_weights(model_id: Identifier, store: StoreDep, request: Request) -> Response:
-    """Download a model's weights (safetensors), whole or a range of their bytes."""
+    """Download a model (safetensors), whole or a range of its bytes.
+
+    Beside the weights, with configuration, training curve, cameras and findings, its header says
+    name, skeleton, views, frames and figures: `POST /models` makes the same model of it.
+    """
     record = lookup.get(store, records.Model, model_id)
     return bytes_response(
         request,
-        models.load_weights(store, record),
+        described(models.load_weights(store, record), Description.of(record)),
         media_type=OCTETS,
         filename=f"{record.id}.safetensors",
-        checksum=record.weights_checksum,
     )
 
 
@@ -252,9 +258,9 @@ def import_model(
     name: Name | None = None,
     idempotency_key: IdempotencyHeader = None,
 ) -> Model:
-    """Import weights that were downloaded from this or another Fewview.
+    """Import a model that was downloaded from this or another Fewview.
 
-    `name` in the query names a model that comes as raw bytes.
+    It is the same model, but for its identifiers; `name` in the query, or in the form, renames it.
     """
     if upload.is_json:
         raise ApiError(
@@ -263,23 +269,27 @@ def import_model(
         )
     said = upload.form(ModelImport, {} if name is None else {"name": name})
     try:
-        prior = FittedPrior.from_bytes(upload.data)
+        weights, known = taken_apart(upload.data)
+        prior = FittedPrior.from_bytes(weights)
     except WeightsError as error:
         raise ApiError("malformed_body", f"These are no weights of a model: {error}") from error
-    if said.skeleton is not None:
-        said.skeleton.check(prior.keypoints_per_frame)
+    skeleton = said.skeleton or known.skeleton
+    if skeleton is not None:
+        skeleton.check(prior.keypoints_per_frame)
     columns: dict[str, Any] = {
-        "name": said.name,
+        "name": said.name if "name" in said.model_fields_set else known.name or said.name,
+        "views": known.views,
+        "frames": known.frames,
         "keypoints": prior.keypoints_per_frame,
         "config": prior.config.model_dump(mode="json"),
-        "skeleton": said.skeleton.model_dump() if said.skeleton else None,
+        "skeleton": None if skeleton is None else skeleton.model_dump(),
         "training_curve": [point._asdict() for point in prior.curve],
-        "metrics": {},
+        "metrics": known.metrics.model_dump(),
         "findings": dumped(prior.findings),
     }
     record = models.create(
         store,
-        upload.data,
+        weights,
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
         **columns,
     )
