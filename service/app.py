@@ -27,6 +27,7 @@ from service.http.operations import registered_schemas
 from service.http.uploads import LARGE_AT_A_TIME
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
+from service.realtime.rooms import Rooms
 from service.resources import datasets, fits, health, lifts, models, reconstructions
 from service.settings import Settings
 from store.database import Store
@@ -73,6 +74,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.engine = Engine(
             app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
         )
+        app.state.rooms = Rooms(app.state.store)
         threading.Thread(target=app.state.engine.warm_newest, daemon=True).start()
         yield
         await asyncio.to_thread(app.state.engine.close)

@@ -8,6 +8,7 @@ helper's consent: the writes of a chunk count only while its lift is running.
 """
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from sqlalchemy import delete as sql_delete
@@ -32,6 +33,8 @@ def create(
     name: str,
     refine: str | None = None,
     views: list[int] | None = None,
+    frame: str = "canonical",
+    up: Sequence[float] | str | None = None,
     chunk_frames: int,
     job_id: str | None = None,
     max_queued: int | None = None,
@@ -44,6 +47,8 @@ def create(
 
     Parameters
     ----------
+    frame, up
+        The frame of reference of the result, and up in a room; see `worker.rooms`.
     chunk_frames
         Most frames to do in one go; fewer where there are many views and keypoints.
 
@@ -62,6 +67,8 @@ def create(
         dataset = lock(session, Dataset, dataset_id)
         model = lock(session, Model, model_id)
         _check(views, dataset, model)
+        if up is not None and frame != "room":
+            raise LiftError("up", "up is of a room: ask for frame=room too, or leave it out")
         chunks = _cut(lift_id, dataset, chunk_frames)
         lift = LiftJob(
             id=lift_id,
@@ -71,6 +78,8 @@ def create(
             frames=dataset.frames,
             refine=refine,
             views=views,
+            frame=frame,
+            up=up,
             chunks=len(chunks),
             job_id=job_id or lift_id,
         )

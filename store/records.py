@@ -111,6 +111,9 @@ class LiftJob(Job, Record):
     model_id: Mapped[str] = mapped_column(index=True)
     refine: Mapped[str | None]
     views: Mapped[list[Any] | None]
+    frame: Mapped[str | None]  # of reference: "canonical" or "room"; None of older versions
+    # In the room: [x, y, z] or "auto".
+    up: Mapped[Any] = mapped_column(JSON(none_as_null=True), nullable=True)
     helpers: Mapped[int] = mapped_column(default=0)
     chunks: Mapped[int] = mapped_column(default=0)
     chunks_done: Mapped[int] = mapped_column(default=0)

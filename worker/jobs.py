@@ -74,6 +74,8 @@ def lift(
     name: str | None = None,
     refine: str | None = None,
     views: list[int] | None = None,
+    frame: str = "canonical",
+    up: str | list[float] | None = None,
 ) -> dict[str, str | None]:
     """Lift a dataset; the body of ``Queue("fits").enqueue("worker.jobs.lift", ...)``.
 
@@ -83,7 +85,7 @@ def lift(
         A fitted model, a stored dataset of the same keypoints.
     name
         For people to tell lifts apart.
-    refine, views
+    refine, views, frame, up
         As in ``POST /lift``.
 
     Returns

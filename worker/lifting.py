@@ -15,10 +15,12 @@ from models.settings.config import Refine
 from store import datasets, lift_chunks, lookup, models
 from store.capture import Capture
 from store.database import Store
+from store.errors import ConflictError
 from store.lift_chunks import Helper
 from store.records import Dataset, LiftChunk, LiftJob, Model
 from worker.heartbeat import Heartbeat
 from worker.outcomes import Outcomes, recorded
+from worker.rooms import Room, find_room
 from worker.settings import WorkerSettings
 from worker.time_slice import TimeSlice
 
@@ -56,8 +58,9 @@ def do_chunks(
     )
     with recorded(helper.lift_id, outcomes):
         prior = _load_prior(store, helper.lift_id)
+        room = _find_room(store, helper.lift_id, prior)
         while chunk is not None:
-            _do(store, helper, chunk, heartbeat, prior)
+            _do(store, helper, chunk, heartbeat, prior, room)
             if heartbeat.lost or heartbeat.leave or time_slice.is_over():
                 return
             chunk = lift_chunks.claim(store, helper)
@@ -66,6 +69,17 @@ def do_chunks(
 def _load_prior(store: Store, lift_id: str) -> FittedPrior:
     model = lookup.get(store, Model, lookup.get(store, LiftJob, lift_id).model_id)
     return FittedPrior.from_bytes(models.load_weights(store, model))
+
+
+def _find_room(store: Store, lift_id: str, prior: FittedPrior) -> Room | None:
+    lift = lookup.get(store, LiftJob, lift_id)
+    if lift.frame != "room":
+        return None
+    up = tuple(lift.up) if isinstance(lift.up, list) else lift.up
+    try:
+        return find_room(store, lift.model_id, prior.cameras, up)
+    except ConflictError as error:
+        raise ValueError(str(error)) from error
 
 
 def _load_in_step(store: Store, lift: LiftJob, chunk: LiftChunk, prior: FittedPrior) -> Capture:
@@ -88,7 +102,12 @@ def _load_in_step(store: Store, lift: LiftJob, chunk: LiftChunk, prior: FittedPr
 
 
 def _do(
-    store: Store, helper: Helper, chunk: LiftChunk, heartbeat: Heartbeat, prior: FittedPrior
+    store: Store,
+    helper: Helper,
+    chunk: LiftChunk,
+    heartbeat: Heartbeat,
+    prior: FittedPrior,
+    room: Room | None,
 ) -> None:
     """Do one chunk, unless the process must leave: then it is given back."""
     lift = lookup.get(store, LiftJob, helper.lift_id)
@@ -108,6 +127,8 @@ def _do(
             refine=cast(Refine | None, lift.refine),
             views=lift.views,
         )
+        if room is not None:
+            lifted = room.place(lifted, lift.views)
         parts.append(lifted)
         findings += lift_findings(lifted, prior, first_frame=chunk.first_frame + start)
     arrays = join(parts).arrays

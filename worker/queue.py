@@ -16,6 +16,7 @@ from rq.job import Job
 
 from models.settings.config import FitConfig, Index, Refine
 from models.settings.keypoints import MAX_VIEWS
+from models.settings.rooms import FrameOfReference, Up
 from store.lifts import waiting_job
 from store.mistakes import unknown
 from store.records import FitJob, LiftJob
@@ -153,6 +154,8 @@ class LiftArguments(BaseModel):
     name: str | None = None
     refine: Refine | None = None
     views: list[Index] | None = Field(None, max_length=MAX_VIEWS)
+    frame: FrameOfReference = "canonical"
+    up: Up | None = None
 
 
 def arguments_of(job: KnownJob) -> dict[str, Any]:

@@ -169,6 +169,8 @@ def _create_lift(
         dataset_id=asked.dataset_id,
         name=(asked.name or "lift")[:200],
         refine=asked.refine,
+        frame=asked.frame,
+        up=asked.up,
         views=asked.views,
         chunk_frames=settings.lift_chunk_frames,
         job_id=job.id,

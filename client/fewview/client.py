@@ -54,6 +54,8 @@ class Api(Resource[Driver]):
         confidence: ArrayLike | None = None,
         refine: str | None = None,
         views: Iterable[int] | None = None,
+        frame: str | None = None,
+        up: ArrayLike | None = None,
     ) -> Steps[Lift]:
         """Lift frames with a fitted model.
 
@@ -68,16 +70,32 @@ class Api(Resource[Driver]):
             the fit.
         views
             Which K views of the fit these are; None if they are all, or not said.
+        frame
+            The frame of reference of points and cameras: ``canonical``, as without, is centred and
+            turns with the subject; ``room`` is that of the model's cameras at rest.
+        up
+            In the room: ``auto`` or a vector (3,), in the room as it is without, that becomes y.
+            Feet, where keypoints are named so, are then on the floor, y = 0.
 
         Raises
         ------
         NotFound
             There is no such model.
+        Conflict
+            It has no room, since none of its cameras rest, or up was not found.
         InvalidRequest
             The keypoints are not those of the model; ``errors`` say what is expected.
         """
         return self._call(
-            lift_request(model, keypoints, confidence=confidence, refine=refine, views=views)
+            lift_request(
+                model,
+                keypoints,
+                confidence=confidence,
+                refine=refine,
+                views=views,
+                frame=frame,
+                up=up,
+            )
         )
 
     def _line(self) -> Line:

@@ -6,13 +6,14 @@ their poses relative to each other, and so all of them agree on one room.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fewview.calibration.camera import Camera
+from fewview.placing import find_places, nearest_rotation
 from fewview.upright import Up, feet_of, find_up, floor_height, upright_axes
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ Bool = NDArray[np.bool_]
 
 FISHEYE = 2  # among `camera_models`
 AT_REST = np.radians(0.1)  # median scatter of a relative pose; lifts with a rig have 1e-5 of it
-AGREE = np.cos(np.radians(2))  # poses of two views of a frame that contradict each other
 
 
 @dataclass(frozen=True)
@@ -135,38 +135,95 @@ def to_room(
         If shapes do not fit, no frame has a perspective pose of the reference or of `cameras`, or
         up or the floor was asked for and cannot be found.
     """
-    points, turns, shifts = (
-        np.asarray(array, dtype=np.float64) for array in (points3d, rotations, translations)
-    )
-    frames, views = turns.shape[:2]
-    if points.shape[::2] != (frames, 3) or shifts.shape != (frames, views, 3):
-        raise ValueError(
-            f"expected (N, P, 3), (N, K, 3, 3) and (N, K, 3), got {points.shape}, {turns.shape} "
-            f"and {shifts.shape}"
-        )
-    known: Bool = np.asarray(np.isfinite(turns).all((2, 3)) & np.isfinite(shifts).all(2))
-    if camera_models is not None:
-        known = known & (np.asarray(camera_models) > 0)
+    turns, shifts = (np.asarray(array, np.float64) for array in (rotations, translations))
+    known = _known_poses(points3d, turns, shifts, camera_models)
     rig_turns, rig_shifts, notes = _rig(turns, shifts, known, cameras, reference)
-    order = np.argsort(np.arange(views) != (reference or 0), kind="stable")
-    order = order[np.isfinite(rig_turns[order]).all((1, 2))]
-    scales, pose_turns, pose_shifts, contradicted = _frame_poses(
-        turns[:, order], shifts[:, order], known[:, order], rig_turns[order], rig_shifts[order]
+    room = in_rig(
+        points3d,
+        turns,
+        shifts,
+        camera_models,
+        rig_turns,
+        rig_shifts,
+        believed=reference or 0,
+        up=up,
+        floor=floor,
+        keypoint_names=keypoint_names,
     )
-    placed = (scales[:, None, None] * points) @ pose_turns.transpose(0, 2, 1) + pose_shifts[:, None]
+    return replace(room, notes=(*notes, *room.notes))
+
+
+def in_rig(
+    points3d: ArrayLike,
+    rotations: ArrayLike,
+    translations: ArrayLike,
+    camera_models: ArrayLike | None,
+    rig_rotations: Float64,
+    rig_translations: Float64,
+    *,
+    believed: int = 0,
+    up: Up = None,
+    floor: bool | None = None,
+    keypoint_names: Sequence[str] | None = None,
+) -> Room:
+    """Place the frames of a lift in the room of a rig; see :func:`to_room`.
+
+    Parameters
+    ----------
+    rig_rotations, rig_translations
+        (K, 3, 3) and (K, 3) from the room to the cameras, NaN for views that move.
+    believed
+        Of two views that contradict each other.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, or up or the floor was asked for and cannot be found.
+    """
+    turns, shifts = (np.asarray(array, np.float64) for array in (rotations, translations))
+    known = _known_poses(points3d, turns, shifts, camera_models)
+    frames, views = known.shape
+    order = np.argsort(np.arange(views) != believed, kind="stable")
+    order = order[np.isfinite(rig_rotations[order]).all((1, 2))]
+    places = find_places(
+        turns[:, order],
+        shifts[:, order],
+        known[:, order],
+        rig_rotations[order],
+        rig_translations[order],
+    )
+    placed = places.of(np.asarray(points3d, np.float64))
     missing = int(np.isnan(placed).all((1, 2)).sum())
+    notes = []
     if missing:
         notes.append(f"{missing} of {frames} frames have no perspective pose: they are empty")
-    if contradicted:
-        notes.append(f"in {contradicted} frames views contradict each other: the fewer were left")
+    if places.contradicted:
+        notes.append(
+            f"in {places.contradicted} frames views contradict each other: the fewer were left"
+        )
     axes, drop, said = _upright(placed, up, floor, feet_of(keypoint_names))
     return Room(
         points=placed @ axes.T - drop,
-        rotations=rig_turns @ axes.T,
-        translations=rig_shifts + rig_turns @ (axes.T @ drop),
+        rotations=rig_rotations @ axes.T,
+        translations=rig_translations + rig_rotations @ (axes.T @ drop),
         missing=missing,
         notes=(*notes, *said),
     )
+
+
+def _known_poses(
+    points: ArrayLike, turns: Float64, shifts: Float64, camera_models: ArrayLike | None
+) -> Bool:
+    """Return which views (N, K) of frames have a perspective pose; raise if shapes do not fit."""
+    frames, views = turns.shape[:2]
+    shape = np.shape(points)
+    if shape[::2] != (frames, 3) or shifts.shape != (frames, views, 3):
+        raise ValueError(
+            f"expected (N, P, 3), (N, K, 3, 3) and (N, K, 3), got {shape}, {turns.shape} "
+            f"and {shifts.shape}"
+        )
+    known: Bool = np.asarray(np.isfinite(turns).all((2, 3)) & np.isfinite(shifts).all(2))
+    return known if camera_models is None else known & (np.asarray(camera_models) > 0)
 
 
 def _rig(
@@ -244,42 +301,6 @@ def _relative_pose(
     return (middle, step) if still else None
 
 
-def _frame_poses(
-    turns: Float64, shifts: Float64, known: Bool, rig_turns: Float64, rig_shifts: Float64
-) -> tuple[Float64, Float64, Float64, int]:
-    """Return scale (N,), R (N, 3, 3) and t (N, 3) from canonical to room, and contradicted frames.
-
-    With V views at rest, `X_room = C_v^T (s (R_v X + t_v) - d_v)` for each of them; the rotations
-    agree, and so do the baselines between the cameras, in direction: their lengths give s.
-    """
-    seen = np.where(known[..., None, None], rig_turns.transpose(0, 2, 1) @ turns, np.nan)
-    there = np.einsum("vji,nvj->nvi", rig_turns, np.where(known[..., None], shifts, np.nan))
-    here = np.einsum("vji,vj->vi", rig_turns, rig_shifts)
-    found, true = there[:, :, None] - there[:, None], here[:, None] - here[None]
-    lengths, true_lengths = np.linalg.norm(found, axis=-1), np.linalg.norm(true, axis=-1)
-    apart = true_lengths > 1e-9 * max(float(np.abs(here).max()), 1e-300)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        alike: Bool = (np.einsum("nuij,nvij->nuv", seen, seen) - 1) / 2 > AGREE
-        alike &= (np.sum(found * true, -1) / (lengths * true_lengths) > AGREE) | ~apart
-        ratios = np.where(alike & apart, true_lengths / lengths, np.nan)
-    chosen = alike.sum(2).argmax(1)  # the first of equals: the reference
-    each = np.arange(len(known))
-    trusted = alike[each, chosen]
-    scales = _nanmedian(ratios[each, chosen])
-    usual = float(_nanmedian(scales[None])[0])
-    scales = np.where(np.isnan(scales), usual if np.isfinite(usual) else 1.0, scales)
-    count = trusted.sum(1).astype(np.float64)
-    count[count == 0] = np.nan
-    mean_turn = np.where(trusted[..., None, None], seen, 0).sum(1) / count[:, None, None]
-    shift = np.where(trusted[..., None], scales[:, None, None] * there - here, 0).sum(1)
-    return (
-        scales,
-        nearest_rotation(mean_turn),
-        shift / count[:, None],
-        int((trusted.sum(1) < known.sum(1)).sum()),
-    )
-
-
 def _upright(
     placed: Float64, up: Up, floor: bool | None, feet: list[int]
 ) -> tuple[Float64, Float64, list[str]]:
@@ -301,19 +322,3 @@ def _upright(
     if not np.isfinite(height):
         return axes, np.zeros(3), notes
     return axes, np.array([0.0, height, 0.0]), [*notes, "y = 0 is the floor under the feet"]
-
-
-def nearest_rotation(matrices: Float64) -> Float64:
-    """Return the rotations (..., 3, 3) nearest to matrices in the Frobenius norm; NaN of NaN."""
-    finite = np.asarray(np.isfinite(matrices).all((-2, -1)))[..., None, None]
-    u, _, vt = np.linalg.svd(np.where(finite, matrices, np.eye(3)))
-    u[..., -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
-    return np.where(finite, u @ vt, np.nan)
-
-
-def _nanmedian(values: Float64) -> Float64:
-    """Return the medians (N,) of the finite numbers of rows (N, M), NaN where there are none."""
-    medians = np.full(len(values), np.nan)
-    some = np.isfinite(values).any(1)
-    medians[some] = np.nanmedian(values[some], axis=1)
-    return medians

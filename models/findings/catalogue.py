@@ -44,6 +44,7 @@ LiftCode = TypeAliasType(
         "rig_not_used",
         "frame_unlike_fit",
         "coordinates_of_another_scale",
+        "not_in_room",
     ],
 )
 FindingCode = CaptureCode | CameraCode | LiftCode
@@ -197,6 +198,13 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "warning",
         "The coordinates are of another scale than those of the fit.",
         "Send pixels of images of the size that the fit had, not shares of the image.",
+    ),
+    "not_in_room": Entry(
+        "warning",
+        "These frames have structures, but no place in the room: no camera at rest is perspective"
+        " in them, or none tells their unit. Their points and cameras are empty.",
+        "Ask for the canonical frame of reference, or lift with `refine: full` and with views of"
+        " two cameras at rest.",
     ),
 }
 CODES: tuple[FindingCode, ...] = tuple(

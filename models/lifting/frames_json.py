@@ -37,7 +37,7 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
     if not known.all():  # a keypoint that no view of the fit showed
         texts = [text.replace(_NO_POINT, b"null") for text in texts]
     return [
-        (_ANSWERED if fine else _UNANSWERED)
+        (_ANSWERED if fine else _NOT_IN_ROOM if b"not_in_room" in found else _UNANSWERED)
         % {b"points": text, b"seen": seen, b"findings": found, b"views": rest}
         for fine, text, seen, found, rest in zip(
             answered.tolist(),
@@ -109,7 +109,9 @@ _ANSWERED = (
     b'{"status":"ok","reason":null,"points3d":%(points)b,"keypoints_seen":%(seen)b,'
     b'"views":[%(views)b],"findings":%(findings)b}'
 )
-_UNANSWERED = (
-    b'{"status":"too_few_keypoints","reason":%b,"points3d":null,"keypoints_seen":%%(seen)b,'
+_UNANSWERED, _NOT_IN_ROOM = (
+    b'{"status":%b,"reason":%b,"points3d":null,"keypoints_seen":%%(seen)b,'
     b'"views":[%%(views)b],"findings":%%(findings)b}'
-) % orjson.dumps(REASONS["too_few_keypoints"])
+    % (orjson.dumps(status), orjson.dumps(REASONS[status]))
+    for status in ("too_few_keypoints", "not_in_room")
+)

@@ -7,24 +7,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.findings.catalogue import LiftCode
-from models.network.answers import OTHER_SCALE, RIG_NOT_USED, UNLIKE_FIT, Answers
+from models.network.answers import (
+    NOT_IN_ROOM,
+    OTHER_SCALE,
+    RIG_NOT_USED,
+    UNLIKE_FIT,
+    Answers,
+)
 from models.optics.lenses.projection import LENSES
 from models.settings.keypoints import MIN_KEYPOINTS
 
 # What `camera_models` are indices of: weak perspective, then the lenses in their order.
 CAMERA_MODELS = ("weak_perspective", *(lens.LIFTED_AS for lens in LENSES))
-Status = Literal["ok", "too_few_keypoints"]
+Status = Literal["ok", "too_few_keypoints", "not_in_room"]
 REASONS: dict[Status, str] = {
     "ok": "",
     "too_few_keypoints": (
         f"no view shows {MIN_KEYPOINTS} keypoints or more that do not all lie at one place"
     ),
+    "not_in_room": "no camera at rest says where in the room it is",
 }
 # What the sums in `findings` are made of.
 FINDING_BITS: dict[int, LiftCode] = {
     RIG_NOT_USED: "rig_not_used",
     UNLIKE_FIT: "frame_unlike_fit",
     OTHER_SCALE: "coordinates_of_another_scale",
+    NOT_IN_ROOM: "not_in_room",
 }
 _INTERNAL = frozenset({"continued", "sizes", "misfits", "rig_residuals"})
 
@@ -38,7 +46,11 @@ class Lift(Answers):
     def status(self) -> tuple[Status, ...]:
         """Whether each of the N frames has a structure: it has one if any view has a camera."""
         lifted = np.any(self.camera_models >= 0, axis=1).tolist()
-        return tuple("ok" if one else "too_few_keypoints" for one in lifted)
+        homeless = np.not_equal(self.findings & NOT_IN_ROOM, 0).tolist()
+        return tuple(
+            "ok" if one else "not_in_room" if none else "too_few_keypoints"
+            for one, none in zip(lifted, homeless, strict=True)
+        )
 
     @property
     def reasons(self) -> tuple[str, ...]:

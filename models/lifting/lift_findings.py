@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from models.findings.finding import Finding
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import FINDING_BITS, Lift
-from models.network.answers import OTHER_SCALE, RIG_NOT_USED, UNLIKE_FIT
+from models.network.answers import NOT_IN_ROOM, OTHER_SCALE, RIG_NOT_USED, UNLIKE_FIT
 
 
 def lift_findings(
@@ -47,7 +47,7 @@ def _of_rig(lift: Lift, prior: FittedPrior) -> dict[str, float]:
 
 def _of_misfit(lift: Lift, prior: FittedPrior) -> dict[str, float]:
     limits = prior.capture.usual.misfits
-    views = (lift.camera_models >= 0).sum(1)
+    views = np.isfinite(lift.reprojection_errors).sum(1)
     limit = limits[np.minimum(views, len(limits)) - 1]
     return {"misfit": _median(lift.misfits), "usual_at_most": float(np.median(limit))}
 
@@ -61,7 +61,16 @@ def _of_size(lift: Lift, prior: FittedPrior) -> dict[str, float]:
     }
 
 
-_EVIDENCE = {RIG_NOT_USED: _of_rig, UNLIKE_FIT: _of_misfit, OTHER_SCALE: _of_size}
+def _of_nothing(_lift: Lift, _prior: FittedPrior) -> dict[str, float]:
+    return {}
+
+
+_EVIDENCE = {
+    RIG_NOT_USED: _of_rig,
+    UNLIKE_FIT: _of_misfit,
+    OTHER_SCALE: _of_size,
+    NOT_IN_ROOM: _of_nothing,
+}
 
 
 def _median(values: NDArray[np.float32]) -> float:

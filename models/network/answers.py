@@ -33,7 +33,7 @@ class Answers(NamedTuple):
     keypoints_used: NDArray[np.int32]  # (N, K)
     # (N, P): usable views that show the keypoint; 0 where it is inferred from the others.
     keypoints_seen: NDArray[np.uint8]
-    findings: NDArray[np.uint8]  # (N,) sums of `RIG_NOT_USED`, `UNLIKE_FIT`, `OTHER_SCALE`
+    findings: NDArray[np.uint8]  # (N,) sums of what stands below this class
     continued: NDArray[np.bool_]  # (N,) whether refinement started from the answer before
     # What the findings rest on:
     sizes: Float32  # (N,) pixels, mean size of the usable views
@@ -42,7 +42,7 @@ class Answers(NamedTuple):
 
 
 # What `Answers.findings` adds up; the codes in `models.findings` say more.
-RIG_NOT_USED, UNLIKE_FIT, OTHER_SCALE = 1, 2, 4
+RIG_NOT_USED, UNLIKE_FIT, OTHER_SCALE, NOT_IN_ROOM = 1, 2, 4, 8
 
 
 class Usual(NamedTuple):

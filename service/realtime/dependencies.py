@@ -1,10 +1,11 @@
-"""What endpoints that lift ask for, as an annotated dependency."""
+"""What endpoints that lift ask for, as annotated dependencies."""
 
 from typing import Annotated
 
 from fastapi import Depends, Request
 
 from service.realtime.engine import Engine
+from service.realtime.rooms import Rooms
 
 
 async def get_engine(request: Request) -> Engine:
@@ -13,4 +14,11 @@ async def get_engine(request: Request) -> Engine:
     return engine
 
 
+async def get_rooms(request: Request) -> Rooms:
+    """Return the rooms of models."""
+    rooms: Rooms = request.app.state.rooms
+    return rooms
+
+
 EngineDep = Annotated[Engine, Depends(get_engine)]
+RoomsDep = Annotated[Rooms, Depends(get_rooms)]

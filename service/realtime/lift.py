@@ -14,18 +14,22 @@ from models.lifting import lift as lifts
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift_findings import lift_findings
 from models.settings.config import Index, Refine
+from models.settings.rooms import FrameOfReference, Up
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses, request_body
 from service.http.uploads import LARGE_BYTES, Upload, read_body
 from service.realtime.engine import Engine
 from service.realtime.frames import to_frames
+from service.realtime.rooms import Rooms, check_known
 from service.settings import Settings
 from service.wire.captures import read_arrays
 from service.wire.findings import Findings
-from service.wire.representations import FormatQuery, arrays_response
+from service.wire.representations import Format, FormatQuery, arrays_response
+from service.wire.rooms import FRAME_OF_REFERENCE, UP, FrameQuery, UpQuery, is_room, read_up
 from service.wire.schemas import CONFIDENCE, KEYPOINTS, LIFTED_FRAME, REFINE, VIEWS, LiftedFrame
 from store.capture import Capture
+from worker.rooms import Room
 
 TINY_BYTES = 32 * 1024  # worked on in less time than it takes to switch threads, or not much more
 PATIENCE_SECONDS = 0.1  # before it is looked whether a client still waits
@@ -58,6 +62,8 @@ class LiftRequest(BaseModel):
     confidence: CONFIDENCE = None
     refine: Refine | None = Field(None, description=REFINE)
     views: list[Index] | None = Field(None, description=VIEWS)
+    frame: FrameOfReference | None = Field(None, description=FRAME_OF_REFERENCE)
+    up: Up | None = Field(None, description=UP)
 
 
 class Lift(BaseModel):
@@ -94,24 +100,34 @@ class _Asked(NamedTuple):
     capture: Capture
     refine: Refine | None
     views: list[int] | None
+    room: Room | None
+
+
+class _Query(NamedTuple):
+    """What the query says, for where the body is silent."""
+
+    model: str | None
+    refine: Refine | None
+    views: list[int] | None
+    frame: FrameOfReference | None
+    up: str | None
 
 
 def _understand(
     upload: Upload,
-    model: str | None,
-    refine: Refine | None,
-    views: list[int] | None,
+    query: _Query,
     settings: Settings,
     prior_of: Callable[[str], FittedPrior | None],
+    room_of: Callable[[str, FittedPrior, Up | None], Room | None],
 ) -> _Asked | None:
     """Return what the body asks for, and the query where it is silent.
 
-    None if ``prior_of`` has no such model.
+    None if ``prior_of`` has no such model, or ``room_of`` no such room.
     """
     if upload.is_json:
         asked = upload.json(LiftRequest)
     else:
-        if model is None:
+        if query.model is None:
             raise invalid(
                 "/model", "expected the model's identifier in the query: /lift?model=mdl_..."
             )
@@ -121,13 +137,21 @@ def _understand(
             raise invalid(
                 "/frames", "expected an array of this name: (frames, views, keypoints, 2)"
             )
-        asked = LiftRequest(model=model, frames=frames, confidence=found.get("confidence"))
-    views = views if asked.views is None else asked.views
+        asked = LiftRequest(model=query.model, frames=frames, confidence=found.get("confidence"))
+    views = query.views if asked.views is None else asked.views
+    up = read_up(query.up) if asked.up is None else asked.up
+    in_room = is_room(asked.frame or query.frame, up)
     prior = prior_of(asked.model)
     if prior is None:
         return None
     capture = to_frames(asked.frames, asked.confidence, views, prior, settings)
-    return _Asked(asked.model, prior, capture, asked.refine or refine, views)
+    room = None
+    if in_room:
+        room = room_of(asked.model, prior, up)
+        if room is None:
+            return None
+        check_known(room, views, capture.keypoints.shape[1])
+    return _Asked(asked.model, prior, capture, asked.refine or query.refine, views, room)
 
 
 class DirectRoute(APIRoute):
@@ -153,7 +177,7 @@ router = APIRouter(tags=["lift"], route_class=DirectRoute)
     "/lift",
     operation_id="lift",
     response_model=Lift,
-    responses=problems(*BODY_PROBLEMS, "not_found", "not_acceptable")
+    responses=problems(*BODY_PROBLEMS, "not_found", "conflict", "not_acceptable")
     | binary_responses("The lifted frames.", OCTETS, NPZ),
     openapi_extra=request_body(
         LiftRequest,
@@ -166,23 +190,29 @@ async def lift(
     model: ModelQuery = None,
     refine: RefineQuery = None,
     views: ViewsQuery = None,
+    frame: FrameQuery = None,
+    up: UpQuery = None,
     format: FormatQuery = None,
 ) -> Response:
     """Lift frames to 3D with a fitted model.
 
-    The query says what the body does not: of bytes `model`, of either `refine` and `views`.
+    The query says what the body does not: of bytes `model`, of either `refine`, `views`, `frame`
+    and `up`.
 
     Any number of the views, in any order; missing keypoints and views allowed. Every frame is
-    lifted on its own. Structures come in the model's canonical frame, with the handedness that
-    the fit settled on. Each view's `camera` says by which camera model it was explained.
+    lifted on its own. Structures come in the model's canonical frame, or in the room of its cameras
+    at rest (`frame`), with the handedness that the fit settled on. Each view's `camera` says by
+    which camera model it was explained.
     """
     engine: Engine = request.app.state.engine
+    rooms: Rooms = request.app.state.rooms
     upload = await read_body(request)
-    understand = partial(_understand, upload, model, refine, views, request.app.state.settings)
+    query = _Query(model, refine, views, frame, up)
+    understand = partial(_understand, upload, query, request.app.state.settings)
     run = partial(_run, request, len(upload.data))
-    asked = await run(understand, engine.remembered)
-    if asked is None:  # the model is cold, or there is none
-        asked = await _run(request, LARGE_BYTES, understand, engine.prior)
+    asked = await run(understand, engine.remembered, rooms.remembered)
+    if asked is None:  # the model or its room is cold, or there is none
+        asked = await _run(request, LARGE_BYTES, understand, engine.prior, rooms.find)
         assert asked is not None  # noqa: S101
     lifted = await _unless_gone(
         request,
@@ -196,12 +226,19 @@ async def lift(
     )
     if lifted is None:
         return Response(status_code=499)  # which nobody reads
-    return await run(
-        partial(arrays_response, format=format, filename="lift"),
+    return await run(_answer, request, asked, lifted, format)
+
+
+def _answer(request: Request, asked: _Asked, lifted: lifts.Lift, format: Format | None) -> Response:
+    if asked.room is not None:
+        lifted = asked.room.place(lifted, asked.views)
+    return arrays_response(
         request,
         lifted.arrays,
         {"model": asked.model},
         lift_findings(lifted, asked.prior),
+        format=format,
+        filename="lift",
     )
 
 

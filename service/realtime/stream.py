@@ -18,8 +18,10 @@ from service.http.errors import PROBLEMS, ApiError, FieldError, from_validation,
 from service.http.operations import register
 from service.realtime.engine import Engine
 from service.realtime.frames import check_views
+from service.realtime.rooms import Rooms
 from service.realtime.stream_frames import Frame, json_object, read_frame, seen_bytes, write_answer
 from service.settings import Settings
+from service.wire.rooms import is_room
 from service.wire.stream_messages import (
     StreamAnswer,
     StreamDropped,
@@ -29,7 +31,8 @@ from service.wire.stream_messages import (
     StreamReady,
     StreamStart,
 )
-from store.errors import NotFoundError
+from store.errors import ConflictError, NotFoundError
+from worker.rooms import Room
 
 FRAMES_IN_HAND = 16  # of one stream; what waits longer is out of date
 MAX_DROPPED = 10_000  # frames, until a client that reads no answers is not read from either
@@ -93,6 +96,8 @@ async def stream(websocket: WebSocket) -> None:
             ending = error
         except NotFoundError as error:
             ending = ApiError("not_found", str(error))
+        except ConflictError as error:
+            ending = ApiError("conflict", str(error))
         except Exception:
             logger.exception("A stream failed")
             ending = ApiError("internal_error", "This is a fault in Fewview; its log says more.")
@@ -135,7 +140,11 @@ async def _converse(websocket: WebSocket) -> None:
             prior = await asyncio.to_thread(engine.prior, start.model)
             if start.views is not None:
                 check_views(start.views, prior, len(start.views))
-            conversation = _Conversation(websocket, engine, settings, start, prior)
+            room = None
+            if is_room(start.frame, start.up):
+                rooms: Rooms = websocket.app.state.rooms
+                room = await asyncio.to_thread(rooms.find, start.model, prior, start.up)
+            conversation = _Conversation(websocket, engine, settings, start, prior, room)
             await websocket.send_text(conversation.ready().model_dump_json())
             try:
                 async with asyncio.TaskGroup() as tasks:
@@ -159,9 +168,10 @@ class _Conversation:
         settings: Settings,
         start: StreamStart,
         prior: FittedPrior,
+        room: Room | None,
     ) -> None:
         self._websocket, self._engine, self._settings = websocket, engine, settings
-        self._start, self._prior = start, prior
+        self._start, self._prior, self._room = start, prior, room
         self._refine = start.refine or prior.config.refine
         self._continuity = start.continuity and self._refine != "off" and prior.cameras is not None
         self._latest = start.on_overload == "latest"
@@ -181,6 +191,8 @@ class _Conversation:
             refine=self._refine,
             on_overload=self._start.on_overload,
             continuity=self._continuity,
+            frame=self._start.frame,
+            up=self._start.up,
             seen_bytes=seen_bytes(self._prior.keypoints_per_frame),
             limits=StreamLimits(
                 message_bytes=self._settings.max_stream_bytes,
@@ -195,9 +207,8 @@ class _Conversation:
         while True:
             silence.reschedule(now() + patience)
             message = await _receive(self._websocket)
-            self._arrived.append(
-                read_frame(message, self._prior, self._start.views, self._settings)
-            )
+            frame = read_frame(message, self._prior, self._room, self._start.views, self._settings)
+            self._arrived.append(frame)
             self._ask()
             if self._latest:
                 self._drop_stale()
@@ -255,6 +266,8 @@ class _Conversation:
                 lift = await answer
                 if self._continuity:
                     self._previous = lift
+                if self._room is not None:
+                    lift = self._room.place(lift, self._start.views)
                 message = write_answer(frame, lift, self._prior)
             self._asked.popleft()
             self._ask()

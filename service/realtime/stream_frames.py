@@ -14,6 +14,7 @@ from models.lifting.lift import Lift
 from models.lifting.lift_findings import lift_findings
 from service.http.errors import ApiError, from_validation, invalid
 from service.realtime.frames import to_frames
+from service.realtime.rooms import check_known
 from service.settings import Settings
 from service.wire.arrays import from_nested
 from service.wire.captures import POINT_AXES
@@ -30,6 +31,7 @@ from service.wire.stream_messages import (
     StreamFrame,
 )
 from store.capture import Capture
+from worker.rooms import Room
 
 Float32 = NDArray[np.float32]
 _NOT_OBSERVED = "JSON knows no NaN: write null for what was not observed."
@@ -61,7 +63,11 @@ class Frame:
 
 
 def read_frame(
-    message: str | bytes, prior: FittedPrior, views: list[int] | None, settings: Settings
+    message: str | bytes,
+    prior: FittedPrior,
+    room: Room | None,
+    views: list[int] | None,
+    settings: Settings,
 ) -> Frame:
     """Return the frame in a message, or with an error if the model or the views do not allow it."""
     frame = Frame(binary=isinstance(message, bytes))
@@ -70,7 +76,10 @@ def read_frame(
             keypoints, confidence = _from_bytes(frame, message, prior.keypoints_per_frame)
         else:
             keypoints, confidence = _from_json(frame, message, prior.keypoints_per_frame, settings)
-        frame.capture = to_frames(keypoints, confidence, views, prior, settings, field="keypoints")
+        capture = to_frames(keypoints, confidence, views, prior, settings, field="keypoints")
+        if room is not None:
+            check_known(room, views, capture.keypoints.shape[1])
+        frame.capture = capture
     except ApiError as error:
         frame.error = error
     return frame

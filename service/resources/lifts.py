@@ -11,6 +11,7 @@ from rq import Queue
 
 from models.settings.config import Index, Refine
 from models.settings.keypoints import MAX_VIEWS
+from models.settings.rooms import FrameOfReference, Up
 from service.http.dependencies import (
     IdempotencyHeader,
     QueueDep,
@@ -23,11 +24,13 @@ from service.http.idempotency import idempotency
 from service.http.negotiation import BINARY_FORMATS, NPZ, OCTETS, accepted_format
 from service.http.operations import binary_responses, request_body
 from service.http.uploads import UploadBody
-from service.realtime.dependencies import EngineDep
+from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.frames import check_views
+from service.realtime.rooms import check_known
 from service.resources.jobs import JobStatus, Words, add_job_routes, announce, finder
 from service.resources.pages import Asked, Page, asked_of, page_of
 from service.wire.findings import Findings
+from service.wire.rooms import FRAME_OF_REFERENCE, UP, is_room
 from service.wire.schemas import REFINE, VIEWS, Name
 from store import lifts, lookup, records
 from store.database import Store
@@ -67,6 +70,8 @@ class LiftCreate(BaseModel):
     name: Name = "lift"
     refine: Refine | None = Field(None, description=REFINE)
     views: list[Index] | None = Field(None, max_length=MAX_VIEWS, description=VIEWS)
+    frame: FrameOfReference = Field("canonical", description=FRAME_OF_REFERENCE)
+    up: Up | None = Field(None, description=UP)
 
 
 class LiftProgress(BaseModel):
@@ -102,6 +107,8 @@ class LiftJob(BaseModel):
                 "frames": 1000000,
                 "refine": "auto",
                 "views": None,
+                "frame": "canonical",
+                "up": None,
                 "job_id": "lift_01m7ysr6k3w9m0x2c4a8h5e7dq",
                 "progress": {
                     "frames_done": 407600,
@@ -126,6 +133,8 @@ class LiftJob(BaseModel):
     frames: int = Field(description="Frames the dataset had when the lift was made: those lifted.")
     refine: Refine | None
     views: list[int] | None
+    frame: FrameOfReference = Field(description=FRAME_OF_REFERENCE)
+    up: Up | None = Field(description=UP)
     job_id: str = Field(description="The job that asked for this lift on the queue.")
     progress: LiftProgress
     created_at: datetime
@@ -139,6 +148,7 @@ class LiftJob(BaseModel):
         """Return the wire form of a record."""
         shared = {name: getattr(record, name) for name in cls.model_fields if name != "progress"}
         shared["findings"] = record.findings or []
+        shared["frame"] = record.frame or "canonical"  # of older versions
         progress = {name: getattr(record, name) for name in LiftProgress.model_fields}
         return cls.model_validate({**shared, "progress": progress})
 
@@ -155,13 +165,16 @@ LiftDep = Annotated[records.LiftJob, Depends(finder(records.LiftJob))]
 @router.post(
     "",
     status_code=status.HTTP_202_ACCEPTED,
-    responses=problems(*BODY_PROBLEMS, "not_found", "idempotency_key_reused", "too_many_lifts"),
+    responses=problems(
+        *BODY_PROBLEMS, "not_found", "conflict", "idempotency_key_reused", "too_many_lifts"
+    ),
     openapi_extra=request_body(LiftCreate),
 )
 def create_lift(
     upload: UploadBody,
     store: StoreDep,
     engine: EngineDep,
+    rooms: RoomsDep,
     queue: QueueDep,
     settings: SettingsDep,
     request: Request,
@@ -175,9 +188,14 @@ def create_lift(
     a request.
     """
     body = upload.json(LiftCreate)
-    if body.views is not None:
+    in_room = is_room(body.frame, body.up)
+    if body.views is not None or in_room:
         dataset = lookup.get(store, records.Dataset, body.dataset_id)
-        check_views(body.views, engine.prior(body.model_id), dataset.views)
+        prior = engine.prior(body.model_id)
+        if body.views is not None:
+            check_views(body.views, prior, dataset.views)
+        if in_room:
+            check_known(rooms.find(body.model_id, prior, body.up), body.views, dataset.views)
     record = lifts.create(
         store,
         **body.model_dump(),

@@ -15,12 +15,13 @@ from service.http.dependencies import SettingsDep, StoreDep
 from service.http.errors import invalid, problems
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses
-from service.realtime.dependencies import EngineDep
+from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.lift import RefineQuery
 from service.resources.fits import FitDep
 from service.wire.arrays import Arrays
 from service.wire.findings import Findings
 from service.wire.representations import FormatQuery, arrays_response
+from service.wire.rooms import FrameQuery, UpQuery, is_room, read_up
 from service.wire.schemas import LIFTED_FRAME, LiftedFrame
 from store import datasets, fits, lookup, records
 from store.errors import ConflictError
@@ -70,9 +71,12 @@ def get_reconstruction(
     fit: FitDep,
     store: StoreDep,
     engine: EngineDep,
+    rooms: RoomsDep,
     settings: SettingsDep,
     request: Request,
     refine: RefineQuery = None,
+    frame: FrameQuery = None,
+    up: UpQuery = None,
     format: FormatQuery = None,
 ) -> Response:
     """Download every frame of the fitted dataset, lifted: structures, cameras, errors.
@@ -84,8 +88,12 @@ def get_reconstruction(
     perspective a translation is (x, y) in pixels and NaN. `keypoints_seen` (N, P) counts the views
     that show a keypoint, 0 where it is inferred from the others; a keypoint that no view of the fit
     shows is NaN. `findings` (N,) adds up what was noticed of a frame: 1 `rig_not_used`, 2
-    `frame_unlike_fit`, 4 `coordinates_of_another_scale`. Reconstructions that older versions stored
-    lack these two.
+    `frame_unlike_fit`, 4 `coordinates_of_another_scale`, 8 `not_in_room`. Reconstructions that
+    older versions stored lack these two.
+
+    With `frame=room` all frames are in one room, and the cameras as they see that room. Canonical
+    translations have the unit of each frame's first view: where that view moves while others rest,
+    the unit differs from frame to frame. In the room it is one.
 
     With the fit's own `refine`, or without, this is what the fit stored. With another the frames
     are lifted when asked for, by the fit's model, which takes longer.
@@ -94,6 +102,11 @@ def get_reconstruction(
         found = _completed(load(fits.load_reconstruction(store, fit)))
     else:
         found = _lift_again(fit, refine, store, engine, settings)
+    direction = read_up(up)
+    if is_room(frame, direction):
+        model_id = _model_of(fit)
+        room = rooms.find(model_id, engine.prior(model_id), direction)
+        found = room.place_arrays(found)
     about = {
         "fit_id": fit.id,
         "model_id": fit.model_id,
@@ -135,11 +148,7 @@ def _lift_again(
     ApiError
         422 if there are more frames than in one lift.
     """
-    if fit.model_id is None:
-        raise ConflictError(
-            f"Fit {fit.id!r} ({fit.status}) has no model to lift its frames with: it has not "
-            "succeeded, or the model was deleted."
-        )
+    model_id = _model_of(fit)
     if fit.frames > settings.max_frames:
         raise invalid(
             "/refine",
@@ -147,9 +156,18 @@ def _lift_again(
             "leave it out for what the fit stored, or lift the frames in parts with POST /lift",
         )
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
-    prior = engine.prior(fit.model_id)
+    prior = engine.prior(model_id)
     times = datasets.times_of(lookup.get(store, records.Dataset, fit.dataset_id), capture)
     keypoints, confidence = in_step(
         capture.keypoints, capture.confidence, times, prior.capture.clocks
     )
     return prior.lift(keypoints, confidence=confidence, refine=refine).arrays
+
+
+def _model_of(fit: records.FitJob) -> str:
+    if fit.model_id is None:
+        raise ConflictError(
+            f"Fit {fit.id!r} ({fit.status}) has no model to lift its frames with, nor its cameras: "
+            "it has not succeeded, or the model was deleted."
+        )
+    return fit.model_id

@@ -82,7 +82,7 @@ Rotation = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 
 
 CameraModel = TypeAliasType("CameraModel", Literal["weak_perspective", "perspective", "fisheye"])
-FrameStatus = TypeAliasType("FrameStatus", Literal["ok", "too_few_keypoints"])
+FrameStatus = TypeAliasType("FrameStatus", Literal["ok", "too_few_keypoints", "not_in_room"])
 Distortion = Annotated[list[float], Field(min_length=8, max_length=8)]
 
 

@@ -5,7 +5,7 @@ A frame in bytes:  kind u8 = 1, flags u8, views u16 (K), sequence u32, keypoints
 Its answer:        kind u8 = 2, flags u8, views u16 (K), sequence u32, points3d f32 (P, 3) and K
                    times `VIEW`, keypoints_seen u8 (P), zeros up to a multiple of 4 bytes. NaN: no
                    answer. Flag 1: the frame could be lifted, 2: its refinement started from the
-                   answer before, 4, 8 and 16: see `FINDINGS`.
+                   answer before, 4, 8, 16 and 32: see `FINDINGS`.
 """
 
 import struct
@@ -16,8 +16,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from typing_extensions import TypeAliasType
 
 from models.settings.config import Index, Refine
+from models.settings.rooms import FrameOfReference, Up
 from service.http.errors import FieldError
 from service.wire.findings import Findings
+from service.wire.rooms import FRAME_OF_REFERENCE, UP
 from service.wire.schemas import (
     FRAME_CONFIDENCE,
     FRAME_KEYPOINTS,
@@ -61,6 +63,8 @@ class StreamStart(BaseModel):
                 "refine": "auto",
                 "on_overload": "latest",
                 "continuity": True,
+                "frame": "room",
+                "up": "auto",
             }
         },
     )
@@ -79,6 +83,8 @@ class StreamStart(BaseModel):
         description="Frames follow each other in time: the refinement of each may start from the "
         "answer before, which is faster and steadier.",
     )
+    frame: FrameOfReference = Field("canonical", description=FRAME_OF_REFERENCE)
+    up: Up | None = Field(None, description=UP)
 
 
 class StreamLimits(BaseModel):
@@ -102,6 +108,8 @@ class StreamReady(BaseModel):
                 "refine": "auto",
                 "on_overload": "latest",
                 "continuity": True,
+                "frame": "room",
+                "up": "auto",
                 "header_bytes": 8,
                 "view_bytes": 108,
                 "seen_bytes": 20,
@@ -117,6 +125,8 @@ class StreamReady(BaseModel):
     refine: Refine = Field(description="What is done, also if the client did not say.")
     on_overload: Overload
     continuity: bool
+    frame: FrameOfReference
+    up: Up | None
     header_bytes: int = Field(HEADER.size, description="Of a binary message, before its arrays.")
     view_bytes: int = Field(VIEW.itemsize, description="Of each view in a binary answer.")
     seen_bytes: int = Field(

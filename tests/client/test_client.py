@@ -14,11 +14,15 @@ from fewview import AsyncClient, Client
 from fewview.api import datasets
 from fewview.api.forms import Fit
 from fewview.api.stream_messages import Answer, Dropped
+from fewview.calibration import from_model
+from fewview.room import to_room
+from safetensors.numpy import load_file
 
 from tests.client.conftest import Served, a_capture
 from tests.service.conftest import CONFIG
 
 T = TypeVar("T")
+FIXTURES = Path(__file__).parent.parent / "fixtures"
 # What is promised to users: changed on purpose, or not at all.
 SURFACE = [
     "Animation",
@@ -209,6 +213,41 @@ def test_frames_are_streamed(served: Served) -> None:
         assert [found.sequence for found in answers if isinstance(found, Answer)] == sent
     with pytest.raises(fewview.NotFound), served.client.stream("mdl_none"):
         pass
+
+
+def test_answers_come_in_the_room(served: Served, tmp_path: Path) -> None:
+    """As `fewview.room` places canonical ones, in the room of the same cameras."""
+    client, up = served.client, (0, -1, 0.1)
+    model = client.models.upload(FIXTURES / "resting.safetensors")
+    keypoints = load_file(FIXTURES / "resting_lifts.safetensors")["keypoints"]
+    lift = client.lift(model, keypoints)
+    placed = to_room(
+        lift.points3d,
+        lift.rotations,
+        lift.translations,
+        lift.camera_models,
+        cameras=from_model(client.models.cameras(model).raw),
+        reference=None,
+        up=up,
+    )
+    mine = client.lift(model, keypoints, frame="room", up=up)
+    np.testing.assert_allclose(mine.points3d, placed.points, atol=1e-4)
+    with client.stream(model, frame="room", up=up) as stream:
+        answer = stream.lift(keypoints[0])
+    np.testing.assert_allclose(answer.points3d, mine.points3d[0], atol=1e-5)
+    dataset = client.datasets.create(keypoints)
+    job = client.lifts.wait(client.lifts.create(model, dataset, frame="room", up=up))
+    assert job.frame == "room"
+    np.testing.assert_array_equal(client.lifts.result(job).points3d, mine.points3d)
+    with pytest.raises(fewview.Conflict, match="none of its cameras rest"):
+        client.fits.reconstruction(served.fit, frame="room")
+    np.save(tmp_path / "keypoints.npy", keypoints.swapaxes(0, 1))
+    file, command = tmp_path / "out.npz", [sys.executable, "-m", "fewview.cli", "lift", model.id]
+    command += [str(tmp_path / "keypoints.npy"), "-o", str(file), "--frame=room", "--up=0,-1,0.1"]
+    ran = subprocess.run([*command, f"--url={client.url}"], capture_output=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    with np.load(file) as arrays:
+        np.testing.assert_allclose(arrays["points3d"], mine.points3d, atol=1e-5)
 
 
 def test_the_same_can_be_awaited(served: Served, tmp_path: Path) -> None:

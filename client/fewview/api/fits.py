@@ -4,10 +4,12 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any
 
+from numpy.typing import ArrayLike
+
 from fewview.api.arrays import SAFETENSORS
 from fewview.api.forms import Dataset, Fit, Model, form_in
 from fewview.api.jobs import Jobs
-from fewview.api.lifting import Lift, identifier
+from fewview.api.lifting import Lift, identifier, room_query
 from fewview.api.operations import Driver, operation
 from fewview.api.steps import Request, Steps, once, path
 from fewview.calibration import Camera, as_config, read_cameras
@@ -68,23 +70,38 @@ class Fits(Jobs[Driver, Fit]):
         )
 
     @operation
-    def reconstruction(self, fit: Fit | str, *, refine: str | None = None) -> Steps[Lift]:
+    def reconstruction(
+        self,
+        fit: Fit | str,
+        *,
+        refine: str | None = None,
+        frame: str | None = None,
+        up: ArrayLike | None = None,
+    ) -> Steps[Lift]:
         """Return all fitted frames in 3D.
 
         Parameters
         ----------
         refine
             ``auto``, ``full`` or ``off``: have them lifted anew, refined so.
+        frame, up
+            The frame of reference; see :meth:`~fewview.Client.lift`.
 
         Raises
         ------
         Conflict
-            The fit has not succeeded.
+            The fit has not succeeded, or none of its cameras rest and there is no room.
         """
         where = path("fits", identifier(fit), "reconstruction")
         headers = {"Accept": SAFETENSORS}
         return self._call(
-            Request("GET", where, Lift.of, params={"refine": refine}, headers=headers)
+            Request(
+                "GET",
+                where,
+                Lift.of,
+                params={"refine": refine, **room_query(frame, up)},
+                headers=headers,
+            )
         )
 
 

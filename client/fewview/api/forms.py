@@ -137,6 +137,7 @@ class LiftJob(Job):
     model_id: str = ""
     refine: str | None = None
     views: tuple[int, ...] | None = None
+    frame: str = "canonical"
     progress: LiftProgress | None = None
 
 

@@ -23,12 +23,15 @@ class Lift:
     ----------
     points3d
         (N, P, 3) canonical structures, right-handed; the unit is the one that the fit was told.
+        If the room was asked for, points in the room; NaN in frames that have no place in it.
     rotations
-        (N, K, 3, 3) from the canonical frame to each camera's: x right, y down, z forward.
+        (N, K, 3, 3) from there to each camera's axes: x right, y down, z forward.
     scales
         (N, K) pixels per unit.
     translations
-        (N, K, 3): in perspective, units; in weak perspective (x, y) in pixels, and NaN.
+        (N, K, 3): in perspective, units; in weak perspective (x, y) in pixels, and NaN. In a
+        canonical frame the unit is that of the first view; where it moves while others rest, the
+        unit differs from frame to frame, and in the room it is one.
     focals, principal_points
         (N, K, 2) pixels.
     distortions
@@ -42,8 +45,8 @@ class Lift:
     keypoints_seen
         (N, P) how many views show each; 0 is inferred. None of old reconstructions.
     frame_findings
-        (N,) sums of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``;
-        None of old reconstructions.
+        (N,) sums of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``,
+        8 ``not_in_room``; None of old reconstructions.
     findings
         The same and more in words.
     model_id
@@ -101,6 +104,8 @@ def lift_request(
     confidence: ArrayLike | None = None,
     refine: str | None = None,
     views: Iterable[int] | None = None,
+    frame: str | None = None,
+    up: ArrayLike | None = None,
 ) -> Request[Lift]:
     """Return the request that lifts frames with a fitted model.
 
@@ -114,6 +119,8 @@ def lift_request(
         ``auto``, ``full`` or ``off``: where frames are refined in perspective. None: as in the fit.
     views
         Which K views of the fit these are; None if they are all, or not said.
+    frame, up
+        The frame of reference of points and cameras; see :meth:`~fewview.Client.lift`.
     """
     if isinstance(keypoints, Capture):
         confidence = keypoints.confidence if confidence is None else confidence
@@ -129,10 +136,23 @@ def lift_request(
             "model": identifier(model),
             "refine": refine,
             "views": None if views is None else tuple(views),
+            **room_query(frame, up),
         },
         headers={"Content-Type": SAFETENSORS, "Accept": SAFETENSORS},
         body={"content": to_safetensors(arrays)},
     )
+
+
+def room_query(frame: str | None, up: ArrayLike | None) -> dict[str, str | None]:
+    """Return the query that asks for a frame of reference."""
+    if up is None or isinstance(up, str):
+        return {"frame": frame, "up": up}
+    return {"frame": frame, "up": ",".join(map(str, up_in_json(up)))}
+
+
+def up_in_json(up: ArrayLike) -> str | list[float]:
+    """Return ``auto``, or a vector as a list."""
+    return up if isinstance(up, str) else np.asarray(up, np.float64).ravel().tolist()
 
 
 def identifier(resource: Any) -> str:

@@ -4,11 +4,13 @@ from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path
 
+from numpy.typing import ArrayLike
+
 from fewview.api.arrays import SAFETENSORS
 from fewview.api.downloads import download
 from fewview.api.forms import Dataset, LiftJob, Model, form_in
 from fewview.api.jobs import Jobs
-from fewview.api.lifting import Lift, identifier
+from fewview.api.lifting import Lift, identifier, up_in_json
 from fewview.api.operations import Driver, operation
 from fewview.api.steps import Request, Steps, once, path
 
@@ -30,6 +32,8 @@ class Lifts(Jobs[Driver, LiftJob]):
         name: str | None = None,
         refine: str | None = None,
         views: Iterable[int] | None = None,
+        frame: str | None = None,
+        up: ArrayLike | None = None,
     ) -> Steps[LiftJob]:
         """Queue the lift of a dataset.
 
@@ -39,9 +43,13 @@ class Lifts(Jobs[Driver, LiftJob]):
             ``auto``, ``full`` or ``off``: where frames are refined. None: as in the fit.
         views
             Which views of the fit the dataset's are; None if they are all, or not said.
+        frame, up
+            The frame of reference of the result; see :meth:`~fewview.Client.lift`.
 
         Raises
         ------
+        Conflict
+            The model has no room, since none of its cameras rest.
         InvalidRequest
             The dataset has other keypoints than the model, or such views are not.
         TooManyRequests
@@ -53,6 +61,8 @@ class Lifts(Jobs[Driver, LiftJob]):
             "name": name,
             "refine": refine,
             "views": None if views is None else list(views),
+            "frame": frame,
+            "up": None if up is None else up_in_json(up),
         }
         body = {key: value for key, value in said.items() if value is not None}
         return self._call(

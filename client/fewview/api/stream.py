@@ -44,12 +44,16 @@ class Start(TypedDict, total=False):
         one that waits.
     continuity
         Whether frames follow each other, and refinement may start from the answer before.
+    frame, up
+        The frame of reference of the answers; see :meth:`~fewview.Client.lift`.
     """
 
     views: Sequence[int] | None
     refine: str | None
     on_overload: str
     continuity: bool
+    frame: str
+    up: Sequence[float] | str | None
 
 
 class Line:

@@ -63,7 +63,7 @@ class Answer:
     lifted, continued
         Whether there is a structure; whether its refinement started from the answer before.
     points3d
-        (P, 3).
+        (P, 3), in the frame of reference that the stream was asked for.
     views
         (K,) with the fields ``camera_models``, ``rotations`` (3, 3), ``scales``, ``translations``,
         ``focals``, ``principal_points``, ``distortions`` and ``reprojection_errors``, which mean
@@ -71,7 +71,8 @@ class Answer:
     keypoints_seen
         (P,) how many views show each; 0 is inferred.
     findings
-        Sum of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``.
+        Sum of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``,
+        8 ``not_in_room``.
     """
 
     sequence: int

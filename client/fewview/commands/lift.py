@@ -22,6 +22,13 @@ def lift(
     views: Annotated[
         str | None, typer.Option(help="Which views of the fit the cameras are, such as `0,2`.")
     ] = None,
+    frame: Annotated[
+        str | None,
+        typer.Option(help="`room`: of the cameras at rest; else `canonical`, of each frame."),
+    ] = None,
+    up: Annotated[
+        str | None, typer.Option(help="Up in the room: `auto`, or a vector such as `0,-1,0`.")
+    ] = None,
     url: Url = None,
     as_json: AsJson = False,
 ) -> None:
@@ -36,6 +43,8 @@ def lift(
             capture_in(files, options()),
             refine=refine,
             views=None if views is None else _indices(views),
+            frame=frame,
+            up=up,
         )
         part = output.with_name(f"{output.name}.part")
         with part.open("wb") as file:

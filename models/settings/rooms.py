@@ -1,0 +1,20 @@
+"""In which frame of reference answers are told. Imports no torch."""
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+from typing_extensions import TypeAliasType
+
+FrameOfReference = TypeAliasType("FrameOfReference", Literal["canonical", "room"])
+_Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+_Vector = tuple[_Number, _Number, _Number]
+
+
+def _is_a_direction(vector: _Vector) -> _Vector:
+    if not any(vector):
+        raise ValueError("expected 'auto' or a vector (x, y, z) other than zero")
+    return vector
+
+
+# Up in the room: to be found, or (x, y, z) in the frame of reference of the model's cameras.
+Up = Literal["auto"] | Annotated[_Vector, AfterValidator(_is_a_direction)]

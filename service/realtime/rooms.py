@@ -1,0 +1,49 @@
+"""The rooms of models, found once and kept."""
+
+from models.lifting.fitted_prior import FittedPrior
+from models.settings.rooms import Up
+from service.http.errors import invalid
+from store.database import Store
+from worker.rooms import Room, find_room
+
+MOST = 256  # rooms kept at once, of a few hundred bytes each
+
+
+class Rooms:
+    """What is known of the rooms of models that were asked for. Safe to use from many threads."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._found: dict[tuple[str, Up | None], Room] = {}
+
+    def find(self, model_id: str, prior: FittedPrior, up: Up | None) -> Room:
+        """Return the room of a model as :func:`worker.rooms.find_room` does; it may take a while.
+
+        Raises
+        ------
+        NotFoundError, ConflictError
+            If there is no such model, or no room of it.
+        """
+        room = self.remembered(model_id, prior, up)
+        if room is None:
+            room = find_room(self._store, model_id, prior.cameras, up)
+            if len(self._found) >= MOST:
+                self._found.clear()
+            self._found[model_id, up] = room
+        return room
+
+    def remembered(self, model_id: str, prior: FittedPrior, up: Up | None) -> Room | None:
+        """Return a room for which nothing is to be read, None if that is not yet so."""
+        if up is None:
+            return find_room(self._store, model_id, prior.cameras, None)
+        return self._found.get((model_id, up))
+
+
+def check_known(room: Room, views: list[int] | None, count: int) -> None:
+    """Raise ``ApiError`` unless it is known which of the fit's the views of frames are."""
+    if not room.knows(views, count):
+        raise invalid(
+            "/views",
+            f"expected which {count} of the {len(room.rotations)} views of the fit these are: "
+            "frame=room has a place for known cameras only",
+        )

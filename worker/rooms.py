@@ -1,0 +1,125 @@
+"""The room of a model: the frame of reference of its cameras at rest, in which a subject moves."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from fewview.placing import in_room
+from fewview.room import in_rig
+from numpy.typing import NDArray
+from safetensors.numpy import load
+
+from models.calibrating.result import CameraReport
+from models.lifting.lift import Lift
+from models.network.answers import NOT_IN_ROOM
+from models.settings.rooms import Up
+from store import fits, lookup
+from store.database import Store
+from store.errors import ConflictError
+from store.records import FitJob, Model
+
+Arrays = dict[str, NDArray[Any]]
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Room:
+    """Where the K views of a fit stand.
+
+    Attributes
+    ----------
+    rotations, translations
+        (K, 3, 3) and (K, 3): `x_cam = R X_room + t` in the unit of the model's structures, NaN for
+        views that move.
+    """
+
+    rotations: Float64
+    translations: Float64
+
+    def knows(self, views: Sequence[int] | None, count: int) -> bool:
+        """Tell whether it is known which of the fit's the ``count`` views of a lift are."""
+        return views is not None or count == len(self.rotations)
+
+    def place_arrays(self, arrays: Arrays, views: Sequence[int] | None = None) -> Arrays:
+        """Return the arrays of a lift of some views of the fit in the room.
+
+        Each frame is placed on its own. Those that have a structure and no place get the finding
+        `not_in_room`; so do all where the views are not known.
+        """
+        count = arrays["scales"].shape[1]
+        rotations = np.full((count, 3, 3), np.nan)
+        translations = np.full((count, 3), np.nan)
+        if self.knows(views, count):
+            chosen = range(count) if views is None else views
+            rotations, translations = self.rotations[chosen], self.translations[chosen]
+        # A lift has the unit of its first view, which is the room's if that view rests.
+        lone = 1.0 if np.isfinite(translations[0]).all() else math.nan
+        placed = in_room(arrays, rotations, translations, lone)
+        there, here = (
+            np.asarray((found["camera_models"] >= 0).any(axis=1)) for found in (arrays, placed)
+        )
+        findings = arrays.get("findings", np.zeros(len(there), np.uint8))
+        placed["findings"] = findings | (NOT_IN_ROOM * (there & ~here)).astype(np.uint8)
+        return placed
+
+    def place(self, lift: Lift, views: Sequence[int] | None) -> Lift:
+        """Return a lift in the room; see :meth:`place_arrays`."""
+        return lift._replace(**self.place_arrays(lift.arrays, views))
+
+
+def find_room(store: Store, model_id: str, cameras: CameraReport | None, up: Up | None) -> Room:
+    """Return the room of a model: y up and level if `up` is said, else as its cameras are.
+
+    Up is a vector in the frame of reference of the model's cameras, or found from the frames that
+    the model was fitted to. Their feet, where keypoints are named so, are on the floor, y = 0.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such model.
+    ConflictError
+        If its cameras do not rest, or `up` is to be found and cannot be.
+    """
+    if cameras is None or not cameras.resting.any():
+        arrangement = "unknown" if cameras is None else cameras.arrangement
+        raise ConflictError(
+            f"Model {model_id!r} has no room: none of its cameras rest (arrangement: "
+            f"{arrangement}). Ask for frame=canonical, or fit with `refine` and cameras at rest."
+        )
+    if up is None:
+        return Room(cameras.rotations, cameras.translations)
+    model = lookup.get(store, Model, model_id)
+    frames = _fitted_frames(store, model, len(cameras.resting))
+    if up == "auto" and not len(frames["points3d"]):
+        raise ConflictError(
+            f"up: 'auto' is found from the frames of the fit, and model {model_id!r} has none: it "
+            "was imported, or the fit was deleted. Give up as a vector (x, y, z)."
+        )
+    try:
+        room = in_rig(
+            frames["points3d"],
+            frames["rotations"],
+            frames["translations"],
+            frames["camera_models"],
+            cameras.rotations,
+            cameras.translations,
+            up=up,
+            keypoint_names=(model.skeleton or {}).get("keypoint_names"),
+        )
+    except ValueError as error:
+        raise ConflictError(f"up: {error}. Give it as a vector (x, y, z).") from error
+    return Room(room.rotations, room.translations)
+
+
+def _fitted_frames(store: Store, model: Model, views: int) -> Arrays:
+    """Return the reconstruction of a model's fit; no frames where there is none."""
+    if model.fit_id is not None:
+        return load(fits.load_reconstruction(store, lookup.get(store, FitJob, model.fit_id)))
+    return {
+        "points3d": np.empty((0, model.keypoints, 3)),
+        "rotations": np.empty((0, views, 3, 3)),
+        "translations": np.empty((0, views, 3)),
+        "camera_models": np.empty((0, views)),
+    }
