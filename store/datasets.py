@@ -27,9 +27,11 @@ class Description:
 
     name: str
     skeleton: dict[str, Any] | None = None
+    view_names: list[str] | None = None
     image_sizes: list[Any] | None = None
     fps: float | None = None
     metadata: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
 
 def create(
@@ -62,10 +64,12 @@ def create(
                 ground_truth=capture.points3d is not None,
                 checksum=extend_checksum("", capture),
                 skeleton=description.skeleton,
+                view_names=description.view_names,
                 image_sizes=description.image_sizes,
                 fps=description.fps,
                 last_times=_last_times(capture),
                 user_metadata=description.metadata,
+                notes=description.notes,
                 findings=findings,
             )
             session.add(dataset)

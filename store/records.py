@@ -40,6 +40,8 @@ class Dataset(Record):
     user_metadata: Mapped[dict[str, Any]]
     fps: Mapped[float | None]
     last_times: Mapped[list[Any] | None]  # seconds, of the last frame, one or one a view
+    view_names: Mapped[list[Any] | None]
+    notes: Mapped[list[Any] | None]  # of whoever read the files that it came in
     findings: Mapped[list[Any] | None]  # as JSON, see models.findings; None: never looked for
 
 

@@ -15,6 +15,7 @@ def request_body(
     *,
     form: type[BaseModel] | None = None,
     binary: str | None = None,
+    files: str | None = None,
 ) -> dict[str, Any]:
     """Return the ``openapi_extra`` of an operation that reads its body itself.
 
@@ -26,6 +27,8 @@ def request_body(
         Text fields beside the file in ``multipart/form-data``.
     binary
         What the file holds, if it takes one.
+    files
+        What other files may come in its place in a form, if they may.
     """
     content: dict[str, Any] = {}
     if json is not None:
@@ -38,15 +41,19 @@ def request_body(
         _forms[name] = {
             "type": "object",
             "title": name,
-            "required": ["file"],
             "properties": {"file": file} | _form_fields(form),
         }
+        if files is None:
+            _forms[name]["required"] = ["file"]
+        else:
+            several = {"type": "array", "items": {"type": "string", "format": "binary"}}
+            _forms[name]["properties"]["files"] = several | {"description": files}
         content["multipart/form-data"] = {"schema": {"$ref": _REFERENCE.format(model=name)}}
     return {"requestBody": {"required": True, "content": content}}
 
 
 def _form_fields(form: type[BaseModel] | None) -> dict[str, Any]:
-    """Return the text fields of a form: what is not a string is written as JSON."""
+    """Return the text fields of a form: what is neither text nor a number is written as JSON."""
     if form is None:
         return {}
     fields = form.model_json_schema(ref_template=_REFERENCE)["properties"]

@@ -3,13 +3,14 @@
 import hashlib
 import os
 from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeVar
 
 import orjson
 from fastapi import Depends, Request
 from pydantic import BaseModel, ValidationError
-from starlette.datastructures import UploadFile
+from starlette.datastructures import FormData, UploadFile
 
 from service.http.errors import ApiError, from_validation, invalid
 from service.settings import Settings
@@ -24,8 +25,20 @@ BINARY_TYPES = (
     "application/npz",
     "application/zip",
 )
+HOW_TO_SEND_FILES = (
+    "Detectors' files (CSV, H5, JSON, zip) become a dataset in a form, one for each camera: "
+    "curl -F files=@cam1.csv -F files=@cam2.csv ADDRESS/datasets"
+)
 LARGE_BYTES = 1024 * 1024
 LARGE_AT_A_TIME = min(4, os.cpu_count() or 1)
+
+
+@dataclass(frozen=True)
+class File:
+    """A file of a form, under the name that it has where it comes from."""
+
+    name: str
+    data: bytes
 
 
 @dataclass(frozen=True)
@@ -40,15 +53,25 @@ class Upload:
         Which of the two.
     fields
         Text fields that came beside the file in a form.
+    files
+        All files of a form that may have several; `data` are those of the first.
     """
 
     data: bytes
     is_json: bool
     fields: dict[str, str] = field(default_factory=dict)
+    files: tuple[File, ...] = ()
+
+    @property
+    def is_large(self) -> bool:
+        """Whether to work on it takes so much that large ones take turns."""
+        return len(self.data) >= LARGE_BYTES or sum(len(f.data) for f in self.files) >= LARGE_BYTES
 
     def fingerprint(self) -> str:
         """Return a digest of everything in the body."""
         digest = hashlib.sha256(self.data)
+        for file in self.files[1:]:
+            digest.update(f"\0{file.name}\0".encode() + hashlib.sha256(file.data).digest())
         for name, text in sorted(self.fields.items()):
             digest.update(f"\0{name}\0{text}".encode())
         return digest.hexdigest()
@@ -92,15 +115,28 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
     Working on a body takes many times its size in memory. Large ones take turns at that, a few at
     a time, and so leave the threads to the small ones.
     """
-    upload = await read_body(request)
-    if len(upload.data) < LARGE_BYTES:
+    async with _in_turn(request, await read_body(request)) as upload:
         yield upload
-    else:
+
+
+async def read_files(request: Request) -> AsyncIterator[Upload]:
+    """Give a body as `read_upload` does; a form may have several files."""
+    settings: Settings = request.app.state.settings
+    upload = await read_body(request, max_files=settings.max_views)
+    async with _in_turn(request, upload):
+        yield upload
+
+
+@asynccontextmanager
+async def _in_turn(request: Request, upload: Upload) -> AsyncIterator[Upload]:
+    if upload.is_large:
         async with request.app.state.large_uploads:
             yield upload
+    else:
+        yield upload
 
 
-async def read_body(request: Request) -> Upload:
+async def read_body(request: Request, *, max_files: int = 1) -> Upload:
     """Return a body of any of the accepted types; the size limits hold while it streams in.
 
     Raises
@@ -111,12 +147,8 @@ async def read_body(request: Request) -> Upload:
     settings: Settings = request.app.state.settings
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type == "multipart/form-data":
-        async with request.form(max_files=1, max_fields=16) as form:
-            file = form.get("file")
-            if not isinstance(file, UploadFile):
-                raise invalid("/file", "expected an .npz or safetensors file in this form field")
-            fields = {name: text for name, text in form.items() if isinstance(text, str)}
-            return Upload(await file.read(), is_json=False, fields=fields)
+        async with request.form(max_files=max_files, max_fields=16) as form:
+            return await _of_form(form, several=max_files > 1)
     if media_type in BINARY_TYPES:
         return Upload(await request.body(), is_json=False)
     if media_type == "application/json" or media_type.endswith("+json"):
@@ -134,8 +166,26 @@ async def read_body(request: Request) -> Upload:
     raise ApiError(
         "unsupported_media_type",
         f"expected Content-Type application/json, application/octet-stream (npz or safetensors) "
-        f"or multipart/form-data, got {media_type or 'none'!r}",
+        f"or multipart/form-data, got {media_type or 'none'!r}. {HOW_TO_SEND_FILES}",
     )
 
 
-UploadBody = Annotated[Upload, Depends(read_upload, scope="function")]  # until it is answered
+async def _of_form(form: FormData, *, several: bool) -> Upload:
+    names = ("file", "files") if several else ("file",)
+    parts = [part for name in names for part in form.getlist(name) if isinstance(part, UploadFile)]
+    if len(form.getlist("file")) > 1:
+        raise ApiError("malformed_body", "The form has `file` twice; name several files `files`.")
+    if not parts:
+        raise invalid(
+            "/file",
+            "expected an .npz or safetensors file in this form field"
+            + (", or detectors' files as `files`, one for each camera" if several else ""),
+        )
+    fields = {name: text for name, text in form.items() if isinstance(text, str)}
+    files = tuple([File(part.filename or "", await part.read()) for part in parts])
+    return Upload(files[0].data, is_json=False, fields=fields, files=files if several else ())
+
+
+# Until it is answered.
+UploadBody = Annotated[Upload, Depends(read_upload, scope="function")]
+FilesBody = Annotated[Upload, Depends(read_files, scope="function")]

@@ -4,146 +4,39 @@ import logging
 from datetime import UTC, datetime
 from typing import Annotated, Any, Self
 
-import numpy as np
-import orjson
 from fastapi import APIRouter, Depends, Request, Response, status
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import Finding, log_findings
-from models.settings.times import MAX_FPS, check_rate
 from service.http.dependencies import (
     IdempotencyHeader,
     Identifier,
     SettingsDep,
     StoreDep,
 )
-from service.http.errors import BODY_PROBLEMS, invalid, problems
+from service.http.errors import BODY_PROBLEMS, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
-from service.http.uploads import Upload, UploadBody
+from service.http.uploads import FilesBody, UploadBody
 from service.resources.changes import NameChange, add_change_route
+from service.resources.dataset_bodies import (
+    METADATA,
+    DatasetCreate,
+    DatasetForm,
+    Frames,
+    ImageSize,
+    Metadata,
+    read_frames,
+    read_new,
+)
 from service.resources.pages import Asked, Page, asked_of, page_of
-from service.settings import Settings
-from service.wire.arrays import Arrays
-from service.wire.captures import read_arrays, to_capture
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
-from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, TIMES, Name
+from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
 from store import datasets, lookup, records
-from store.capture import Capture
-from store.datasets import Description
 
 logger = logging.getLogger(__name__)
 router = APIRouter(prefix="/datasets", tags=["datasets"])
-
-CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d", "times"})
-DESCRIPTION_ARRAYS = frozenset({"keypoint_names", "edges", "image_sizes", "fps"})
-MAX_LISTED = 10_000  # values of an array that describes
-
-MAX_METADATA = 64 * 1024
-
-
-def _bounded(value: dict[str, Any]) -> dict[str, Any]:
-    try:
-        size = len(orjson.dumps(value))
-    except orjson.JSONEncodeError as error:  # nested too deeply, integers beyond 64 bits
-        raise ValueError(f"expected JSON that can be given back: {error}") from error
-    if size > MAX_METADATA:
-        raise ValueError(f"expected {MAX_METADATA} bytes of JSON at most, got {size}")
-    return value
-
-
-Metadata = Annotated[dict[str, Any], AfterValidator(_bounded)]
-METADATA = "Anything of yours, kept and given back; 64 KiB of JSON at most."
-ImageSize = Annotated[
-    list[Annotated[int, Field(ge=1, le=100_000)]], Field(min_length=2, max_length=2)
-]
-
-
-class DatasetDescription(BaseModel):
-    """What can be said of a capture besides its arrays."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    name: Name = "capture"
-    skeleton: Skeleton | None = None
-    image_sizes: list[ImageSize | None] | None = Field(
-        None, description="Width and height in pixels of each view's images, null if unknown."
-    )
-    fps: float | None = Field(
-        None,
-        gt=0,
-        le=MAX_FPS,
-        description="Frames per second, if the frames follow each other in time: views that are "
-        "out of step are then found and shifted (`synchronise` of a fit).",
-    )
-    metadata: Metadata = Field({}, description=METADATA)
-
-    def describe(self, capture: Capture) -> Description:
-        """Return the description, checked against the capture it describes."""
-        views, keypoints = capture.keypoints.shape[1:3]
-        if self.skeleton is not None:
-            self.skeleton.check(keypoints)
-        if self.image_sizes is not None and len(self.image_sizes) != views:
-            raise invalid(
-                "/image_sizes", f"expected one per view ({views}), got {len(self.image_sizes)}"
-            )
-        if self.fps is not None and capture.times is not None:
-            try:
-                check_rate(self.fps, capture.times)
-            except ValueError as error:
-                raise invalid("/fps", str(error)) from error
-        return Description(
-            name=self.name,
-            skeleton=self.skeleton.model_dump() if self.skeleton else None,
-            image_sizes=self.image_sizes,
-            fps=self.fps,
-            metadata=self.metadata,
-        )
-
-
-class Frames(BaseModel):
-    """Frames of a capture."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "example": {
-                "keypoints": [
-                    [
-                        [[512.0, 200.5], [530.0, 260.0], None, [498.0, 402.0]],
-                        [[301.0, 190.0], [322.5, 251.0], [350.0, 330.0], [310.0, 399.0]],
-                    ]
-                ]
-            }
-        },
-    )
-
-    keypoints: KEYPOINTS
-    confidence: CONFIDENCE = None
-    points3d: POINTS3D = None
-    times: TIMES = None
-
-
-class DatasetCreate(DatasetDescription, Frames):
-    """A capture and what is said of it."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "example": {
-                "name": "macaque, morning session",
-                "keypoints": Frames.model_config["json_schema_extra"]["example"]["keypoints"],  # type: ignore[index,call-overload]
-                "skeleton": {
-                    "keypoint_names": ["nose", "neck", "elbow", "wrist"],
-                    "edges": [[0, 1], [1, 2], [2, 3]],
-                },
-                "image_sizes": [[1280, 1024], [1280, 1024]],
-                "fps": 50.0,
-                "metadata": {"subject": "M7"},
-            }
-        },
-    )
 
 
 class Dataset(BaseModel):
@@ -163,10 +56,12 @@ class Dataset(BaseModel):
                 "has_ground_truth": False,
                 "checksum": f"sha256:{'5e88' * 16}",
                 "skeleton": None,
+                "view_names": ["left", "right", "top"],
                 "image_sizes": None,
                 "fps": 50.0,
                 "has_times": False,
                 "metadata": {"subject": "M7"},
+                "notes": ["read as DeepLabCut CSV"],
                 "findings": EXAMPLE_FINDINGS,
             }
         }
@@ -187,10 +82,14 @@ class Dataset(BaseModel):
         description="Of all frames' arrays, the same however the capture was cut into uploads."
     )
     skeleton: Skeleton | None
+    view_names: list[str] | None
     image_sizes: list[ImageSize | None] | None
     fps: float | None = Field(description="Frames per second, if they were told.")
     has_times: bool = Field(description="Whether every frame came with its time.")
     metadata: dict[str, Any]
+    notes: list[str] = Field(
+        description="What was understood and changed, if detectors' files were read."
+    )
     findings: Findings
 
     @classmethod
@@ -210,10 +109,12 @@ class Dataset(BaseModel):
             has_ground_truth=record.ground_truth,
             checksum=f"sha256:{record.checksum}",
             skeleton=Skeleton.model_validate(record.skeleton) if record.skeleton else None,
+            view_names=record.view_names,
             image_sizes=record.image_sizes,
             fps=record.fps,
             has_times=record.last_times is not None,
             metadata=record.user_metadata,
+            notes=record.notes or [],
             findings=[Finding.model_validate(finding) for finding in record.findings or []],
         )
 
@@ -240,70 +141,22 @@ class DatasetPage(Page[Dataset]):
     model_config = page_of(Dataset)
 
 
-def _read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capture, Description]:
-    if upload.is_json:
-        body = upload.json(DatasetCreate)
-        return (capture := _capture_of(body, settings)), body.describe(capture)
-    found = read_arrays(upload, settings, CAPTURE_ARRAYS | DESCRIPTION_ARRAYS)
-    said: dict[str, Any] = {"name": name} if name is not None else {}
-    skeleton = {key: _listed(found, key) for key in ("keypoint_names", "edges") if key in found}
-    if skeleton:
-        said["skeleton"] = skeleton
-    if "image_sizes" in found:
-        said["image_sizes"] = _listed(found, "image_sizes")
-    if "fps" in found:
-        fps = found["fps"]
-        said["fps"] = fps.item() if fps.size == 1 else _listed(found, "fps")
-    description = upload.form(DatasetDescription, said)
-    capture = _capture_in(found, settings)
-    return capture, description.describe(capture)
-
-
-def _read_frames(upload: Upload, settings: Settings) -> Capture:
-    if upload.is_json:
-        body = upload.json(Frames)
-        return _capture_of(body, settings)
-    return _capture_in(read_arrays(upload, settings, CAPTURE_ARRAYS), settings)
-
-
-def _capture_of(body: Frames, settings: Settings) -> Capture:
-    return to_capture(body.keypoints, body.confidence, body.points3d, body.times, settings=settings)
-
-
-def _capture_in(found: Arrays, settings: Settings) -> Capture:
-    others = (found.get(name) for name in ("confidence", "points3d", "times"))
-    return to_capture(_required(found), *others, settings=settings)
-
-
-def _listed(found: Arrays, name: str) -> Any:
-    if found[name].size > MAX_LISTED:
-        raise invalid(f"/{name}", f"expected {MAX_LISTED} values at most, got {found[name].size}")
-    return found[name].tolist()
-
-
-def _required(found: Arrays) -> np.ndarray[Any, Any]:
-    if "keypoints" not in found:
-        raise invalid(
-            "/keypoints",
-            "expected an array of this name in the file, shape (frames, views, keypoints, 2)",
-        )
-    return found["keypoints"]
-
-
 @router.post(
     "",
     status_code=status.HTTP_201_CREATED,
     responses=problems(*BODY_PROBLEMS, "idempotency_key_reused"),
     openapi_extra=request_body(
         DatasetCreate,
-        form=DatasetDescription,
+        form=DatasetForm,
+        files="What a detector wrote, one file for each camera: CSV, H5, JSON of the formats of "
+        "docs/files.md; a zip file for a folder of JSON files.",
         binary="An .npz or safetensors file with `keypoints` and optionally `confidence`, "
         "`points3d`, `times`, `fps`, `keypoint_names` (npz only), `edges`, `image_sizes`; others "
         "are ignored.",
     ),
 )
 def create_dataset(
-    upload: UploadBody,
+    upload: FilesBody,
     store: StoreDep,
     settings: SettingsDep,
     request: Request,
@@ -313,9 +166,10 @@ def create_dataset(
 ) -> Dataset:
     """Store a capture.
 
-    `name` in the query names a capture that comes as raw bytes.
+    `name` in the query names a capture that comes as raw bytes. Files of detectors come in a form,
+    as `files`, one for each camera; `notes` of the answer say what was understood.
     """
-    capture, description = _read_new(upload, settings, name)
+    capture, description = read_new(upload, settings, name)
     record = datasets.create(
         store,
         capture,
@@ -352,7 +206,7 @@ def append_frames(
     record = datasets.append(
         store,
         dataset_id,
-        _read_frames(upload, settings),
+        read_frames(upload, settings),
         max_frames=settings.max_dataset_frames,
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )

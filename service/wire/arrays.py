@@ -17,6 +17,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from service.http.errors import ApiError, invalid
+from service.http.uploads import HOW_TO_SEND_FILES
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -41,11 +42,32 @@ def from_bytes(data: bytes, *, max_bytes: int) -> Arrays:
             raise ValueError("no header at its start")
         return load(data)
     except (SafetensorError, KeyError, TypeError, ValueError) as error:  # also unknown dtypes
+        other = _other_kind(data)
+        if other is not None:
+            detail = f"The body is {other}, neither an .npz file nor safetensors. "
+            raise ApiError("malformed_body", detail + HOW_TO_SEND_FILES) from error
         raise ApiError(
             "malformed_body",
             "The body is neither an .npz file nor safetensors, or it was cut short "
             f"({len(data)} bytes came): {error}",
         ) from error
+
+
+def _other_kind(data: bytes) -> str | None:
+    """Return what a body is that people take for arrays, None if it is none of these."""
+    if data.startswith(b"\x89HDF\r\n\x1a\n"):
+        return "an HDF5 file"
+    if data.startswith(b"\x93NUMPY"):
+        return "a single .npy array"
+    try:
+        text = data[:1000].decode("utf-8-sig", errors="strict" if len(data) <= 1000 else "ignore")
+    except UnicodeDecodeError:
+        return None
+    if not text.strip() or (not text.isprintable() and not set(text) & set("\n,;\t{[")):
+        return None
+    if "\0" in text:
+        return None
+    return "JSON" if text.lstrip()[:1] in ("{", "[") else "text, such as CSV"
 
 
 def _from_npz(data: bytes, max_bytes: int) -> Arrays:

@@ -39,6 +39,13 @@ def operations(spec: dict[str, Any]) -> list[dict[str, Any]]:
     return [operation for path in spec["paths"].values() for operation in path.values()]
 
 
+def wide_csv(keypoints: np.ndarray[Any, Any]) -> bytes:
+    """Return one camera's keypoints (N, P, 2) as a plain table."""
+    header = ",".join(f"k{k}_{axis}" for k in range(keypoints.shape[1]) for axis in "xy")
+    rows = [",".join("" if np.isnan(x) else str(x) for x in frame.ravel()) for frame in keypoints]
+    return "\n".join([header, *rows, ""]).encode()
+
+
 def test_it_is_valid(spec: dict[str, Any]) -> None:
     OpenAPIV31SpecValidator(spec).validate()
 
@@ -222,6 +229,13 @@ def test_a_generated_client_does_the_whole_job(
         made = call("datasets.create_dataset", body=form)
         assert (made.checksum, made.name) == (dataset.checksum, "form")
         assert made.metadata.to_dict() == {"a": 1}
+        tables = [
+            types.File(io.BytesIO(wide_csv(capture.keypoints[:30, view])), f"cam{view}.csv")
+            for view in range(3)
+        ]
+        made = call("datasets.create_dataset", body=wire.DatasetCreateForm(files=tables))
+        assert (made.frames, made.view_names) == (30, ["cam0", "cam1", "cam2"])
+        assert made.notes == ["read as plain CSV"]
         file = types.File(payload=io.BytesIO(to_npz(keypoints=capture.keypoints[30:])))
         assert call("datasets.append_frames", dataset.id, body=file).frames == 60
 

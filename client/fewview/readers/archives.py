@@ -1,14 +1,31 @@
 """Zip files of what a detector wrote into folders."""
 
+import re
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 
 from fewview.errors import FormatError
 from fewview.readers.sources import ZIP, Source
 
 MAX_UNPACKED = 2**30  # bytes
 MAX_MEMBERS = 200_000  # files
+NAMED = "named"  # the folder of what was unpacked, under its own name
+
+
+@contextmanager
+def workplace() -> Iterator[Path]:
+    """Give a folder to unpack into, that is gone afterwards; errors leave it out."""
+    with TemporaryDirectory(prefix="fewview-") as folder:
+        try:
+            yield Path(folder)
+        except FormatError as error:
+            raise FormatError(
+                re.sub(rf"{re.escape(folder)}/\d+/{NAMED}/", "", str(error))
+            ) from error
 
 
 def is_archive(path: Path) -> bool:
@@ -66,7 +83,7 @@ def unpacked(path: Path, folder: Path) -> Path:
         raise FormatError(f"{path}: a zip file that cannot be read ({error})") from error
     while len(within := list(inside.iterdir())) == 1 and within[0].is_dir():
         inside = within[0]
-    named = folder / "named" / (path.name.partition(".")[0] or "zip")
+    named = folder / NAMED / (path.name.partition(".")[0] or "zip")
     named.parent.mkdir()
     return inside.rename(named)
 

@@ -3,13 +3,12 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from fewview.capture import Capture
 from fewview.errors import FormatError
+from fewview.readers.archives import workplace
 from fewview.readers.combining import cleaned, combined
 from fewview.readers.finding import AnyPath, sources_at
 from fewview.readers.names import told_apart
@@ -79,8 +78,8 @@ def read_with(paths: AnyPath | Iterable[AnyPath], options: ReadingOptions) -> Ca
     notes: list[str] = []
     views: list[View] = []
     kinds: Counter[str] = Counter()
-    with TemporaryDirectory(prefix="fewview-") as folder:
-        for source, kind in sources_at(paths, options.format, notes, Path(folder)):
+    with workplace() as folder:
+        for source, kind in sources_at(paths, options.format, notes, folder):
             found = views_of(source, kind, untrusted=options.untrusted)
             views += found
             kinds[kind.title] += len(found)

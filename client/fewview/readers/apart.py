@@ -1,0 +1,131 @@
+"""Reading files of strangers in a process of its own, which may run out of memory, time or luck.
+
+Readers trust no count that is in a file, and yet a small file may ask for gigabytes, and the
+libraries below them are written in C. What happens there ends the child, and not its parent.
+"""
+
+import io
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fewview.capture import Capture
+from fewview.errors import FormatError
+from fewview.reading_options import ReadingOptions
+
+MEMORY = 3 * 2**30  # bytes of addresses, what Python and its libraries take among them
+SECONDS = 120
+CAPTURE, OTHERS = "capture.npz", "others.json"
+# OpenBLAS sets addresses aside for each thread.
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+
+
+def read_apart(
+    folder: Path, names: Sequence[str], options: ReadingOptions, *, max_bytes: int
+) -> Capture:
+    """Read files as `fewview.read` does, in a process of its own; they are not trusted.
+
+    Parameters
+    ----------
+    folder
+        Where the files are, and nothing else; messages leave it out.
+    names
+        Of the files in it, one for each camera.
+    max_bytes
+        Largest capture that is taken, as float32 and float64.
+
+    Raises
+    ------
+    FormatError
+        As `fewview.read`, and if reading takes too much memory or time, or ends the process.
+    """
+    out = folder / "out"
+    out.mkdir()
+    told = {"names": list(names), "options": asdict(options), "max_bytes": max_bytes}
+    # The paths are those of this process: a child with -P would not find what tests import.
+    code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main()"
+    try:
+        done = subprocess.run(  # noqa: S603 (our own program; what is told comes as data)
+            [sys.executable, "-P", "-c", code],
+            input=json.dumps(told).encode(),
+            capture_output=True,
+            cwd=folder,
+            env={**os.environ, **ONE_THREAD},
+            timeout=SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise FormatError(f"{', '.join(names)}: took more than {SECONDS} s to read") from None
+    if done.returncode == 0:
+        return _capture(out)
+    if done.returncode == 1 and done.stdout:
+        raise FormatError(done.stdout.decode(errors="replace"))
+    raise FormatError(
+        f"{', '.join(names)}: broken, or too much: reading ended without an answer "
+        f"(status {done.returncode})"
+    )
+
+
+def _capture(out: Path) -> Capture:
+    with np.load(io.BytesIO((out / CAPTURE).read_bytes()), allow_pickle=False) as arrays:
+        found: dict[str, Any] = {
+            name: arrays[name]
+            for name in ("keypoints", "confidence", "points3d", "times")
+            if name in arrays
+        }
+    others = json.loads((out / OTHERS).read_bytes())
+    return Capture(**found, **{name: _tuples(value) for name, value in others.items()})
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def main() -> None:
+    """Read what standard input tells into the folder ``out``; exit status 1 with what is wrong."""
+    told = json.loads(sys.stdin.buffer.read())
+    for limit, most in (
+        (resource.RLIMIT_AS, MEMORY),
+        (resource.RLIMIT_CPU, SECONDS),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        resource.setrlimit(limit, (most, most))
+    try:
+        _read(told["names"], ReadingOptions(**told["options"]), told["max_bytes"])
+    except FormatError as error:
+        sys.stdout.write(str(error))
+        sys.exit(1)
+    except MemoryError:
+        sys.stdout.write(f"{', '.join(told['names'])}: need more memory than there is; part them")
+        sys.exit(1)
+
+
+def _read(names: list[str], options: ReadingOptions, max_bytes: int) -> None:
+    from fewview.readers.reading import read_with  # noqa: PLC0415 (within the limits)
+
+    capture = read_with(names, replace(options, untrusted=True))
+    arrays = capture.arrays()
+    size = sum(array.nbytes for array in arrays.values())
+    if size > max_bytes:
+        raise FormatError(
+            f"{', '.join(names)}: make {capture.frames:,} frames of {capture.views} views, "
+            f"{size:,} bytes, more than the {max_bytes:,} that are taken at a time; send them in "
+            "parts"
+        )
+    np.savez(Path("out", CAPTURE), allow_pickle=False, **arrays)
+    others = {
+        "keypoint_names": capture.keypoint_names,
+        "edges": capture.edges,
+        "view_names": capture.view_names,
+        "image_sizes": capture.image_sizes,
+        "notes": capture.notes,
+    }
+    Path("out", OTHERS).write_text(json.dumps(others))

@@ -1,0 +1,219 @@
+"""The bodies that datasets are made of: JSON, arrays, and files of detectors."""
+
+from dataclasses import replace
+from typing import Annotated, Any
+
+import numpy as np
+import orjson
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from models.settings.times import MAX_FPS, check_rate
+from service.http.errors import invalid
+from service.http.uploads import Upload
+from service.settings import Settings
+from service.wire.arrays import Arrays
+from service.wire.captures import read_arrays, to_capture
+from service.wire.detector_files import DetectorReading, asked_of, holds_arrays, read_files
+from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, TIMES, Name
+from service.wire.skeletons import Skeleton
+from store.capture import Capture
+from store.datasets import Description
+
+CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d", "times"})
+DESCRIPTION_ARRAYS = frozenset({"keypoint_names", "edges", "image_sizes", "fps", "view_names"})
+MAX_LISTED = 10_000  # values of an array that describes
+
+MAX_METADATA = 64 * 1024
+
+
+def _bounded(value: dict[str, Any]) -> dict[str, Any]:
+    try:
+        size = len(orjson.dumps(value))
+    except orjson.JSONEncodeError as error:  # nested too deeply, integers beyond 64 bits
+        raise ValueError(f"expected JSON that can be given back: {error}") from error
+    if size > MAX_METADATA:
+        raise ValueError(f"expected {MAX_METADATA} bytes of JSON at most, got {size}")
+    return value
+
+
+Metadata = Annotated[dict[str, Any], AfterValidator(_bounded)]
+METADATA = "Anything of yours, kept and given back; 64 KiB of JSON at most."
+ViewName = Annotated[str, Field(min_length=1, max_length=200)]
+ImageSize = Annotated[
+    list[Annotated[int, Field(ge=1, le=100_000)]], Field(min_length=2, max_length=2)
+]
+
+
+class DatasetDescription(BaseModel):
+    """What can be said of a capture besides its arrays."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: Name = "capture"
+    skeleton: Skeleton | None = None
+    view_names: list[ViewName] | None = Field(
+        None, description="One name per view, such as those of the cameras."
+    )
+    image_sizes: list[ImageSize | None] | None = Field(
+        None, description="Width and height in pixels of each view's images, null if unknown."
+    )
+    fps: float | None = Field(
+        None,
+        gt=0,
+        le=MAX_FPS,
+        description="Frames per second, if the frames follow each other in time: views that are "
+        "out of step are then found and shifted (`synchronise` of a fit).",
+    )
+    metadata: Metadata = Field({}, description=METADATA)
+
+    def describe(self, capture: Capture) -> Description:
+        """Return the description, checked against the capture it describes."""
+        views, keypoints = capture.keypoints.shape[1:3]
+        if self.skeleton is not None:
+            self.skeleton.check(keypoints)
+        for field in ("image_sizes", "view_names"):
+            told = getattr(self, field)
+            if told is not None and len(told) != views:
+                raise invalid(f"/{field}", f"expected one per view ({views}), got {len(told)}")
+        if self.fps is not None and capture.times is not None:
+            try:
+                check_rate(self.fps, capture.times)
+            except ValueError as error:
+                raise invalid("/fps", str(error)) from error
+        return Description(
+            name=self.name,
+            skeleton=self.skeleton.model_dump() if self.skeleton else None,
+            view_names=self.view_names,
+            image_sizes=self.image_sizes,
+            fps=self.fps,
+            metadata=self.metadata,
+        )
+
+
+class Frames(BaseModel):
+    """Frames of a capture."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {
+                "keypoints": [
+                    [
+                        [[512.0, 200.5], [530.0, 260.0], None, [498.0, 402.0]],
+                        [[301.0, 190.0], [322.5, 251.0], [350.0, 330.0], [310.0, 399.0]],
+                    ]
+                ]
+            }
+        },
+    )
+
+    keypoints: KEYPOINTS
+    confidence: CONFIDENCE = None
+    points3d: POINTS3D = None
+    times: TIMES = None
+
+
+class DatasetCreate(DatasetDescription, Frames):
+    """A capture and what is said of it."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {
+                "name": "macaque, morning session",
+                "keypoints": Frames.model_config["json_schema_extra"]["example"]["keypoints"],  # type: ignore[index,call-overload]
+                "skeleton": {
+                    "keypoint_names": ["nose", "neck", "elbow", "wrist"],
+                    "edges": [[0, 1], [1, 2], [2, 3]],
+                },
+                "image_sizes": [[1280, 1024], [1280, 1024]],
+                "fps": 50.0,
+                "metadata": {"subject": "M7"},
+            }
+        },
+    )
+
+
+class DatasetForm(DetectorReading, DatasetDescription):
+    """What can be said beside files in a form."""
+
+
+def read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capture, Description]:
+    """Return the capture in a body, and what is said of it.
+
+    Raises
+    ------
+    ApiError
+        If the body cannot be read, or what it says cannot be.
+    """
+    if upload.is_json:
+        body = upload.json(DatasetCreate)
+        return (capture := _capture_of(body, settings)), body.describe(capture)
+    said: dict[str, Any] = {"name": name} if name is not None else {}
+    reading, upload = asked_of(upload)
+    if upload.files and (reading or not holds_arrays(upload)):
+        known = upload.form(DatasetDescription, said)
+        found, told, notes = read_files(
+            upload, reading, settings, fps=known.fps, image_sizes=known.image_sizes
+        )
+        said |= told
+    else:
+        found = read_arrays(upload, settings, CAPTURE_ARRAYS | DESCRIPTION_ARRAYS)
+        said |= _described_in(found)
+        notes = []
+    capture = _capture_in(found, settings)
+    description = upload.form(DatasetDescription, said).describe(capture)
+    return capture, replace(description, notes=notes)
+
+
+def _described_in(found: Arrays) -> dict[str, Any]:
+    """Return what arrays say of a capture, in the terms of a description."""
+    said: dict[str, Any] = {}
+    skeleton = {key: _listed(found, key) for key in ("keypoint_names", "edges") if key in found}
+    if skeleton:
+        said["skeleton"] = skeleton
+    for key in ("image_sizes", "view_names"):
+        if key in found:
+            said[key] = _listed(found, key)
+    if "fps" in found:
+        fps = found["fps"]
+        said["fps"] = fps.item() if fps.size == 1 else _listed(found, "fps")
+    return said
+
+
+def read_frames(upload: Upload, settings: Settings) -> Capture:
+    """Return the frames in a body.
+
+    Raises
+    ------
+    ApiError
+        If the body cannot be read.
+    """
+    if upload.is_json:
+        body = upload.json(Frames)
+        return _capture_of(body, settings)
+    return _capture_in(read_arrays(upload, settings, CAPTURE_ARRAYS), settings)
+
+
+def _capture_of(body: Frames, settings: Settings) -> Capture:
+    return to_capture(body.keypoints, body.confidence, body.points3d, body.times, settings=settings)
+
+
+def _capture_in(found: Arrays, settings: Settings) -> Capture:
+    others = (found.get(name) for name in ("confidence", "points3d", "times"))
+    return to_capture(_required(found), *others, settings=settings)
+
+
+def _listed(found: Arrays, name: str) -> Any:
+    if found[name].size > MAX_LISTED:
+        raise invalid(f"/{name}", f"expected {MAX_LISTED} values at most, got {found[name].size}")
+    return found[name].tolist()
+
+
+def _required(found: Arrays) -> np.ndarray[Any, Any]:
+    if "keypoints" not in found:
+        raise invalid(
+            "/keypoints",
+            "expected an array of this name in the file, shape (frames, views, keypoints, 2)",
+        )
+    return found["keypoints"]

@@ -1,0 +1,156 @@
+"""Files as detectors write them, one for each camera, as the arrays of a capture."""
+
+import re
+import zipfile
+from collections.abc import Sequence
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any, Literal, NamedTuple
+
+from fewview.errors import FormatError
+from fewview.readers.apart import read_apart
+from fewview.readers.registry import NAMES
+from fewview.readers.skeletons import SKELETONS
+from fewview.reading_options import ReadingOptions
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from service.http.errors import from_validation, invalid
+from service.http.uploads import Upload
+from service.settings import Settings
+from service.wire.arrays import Arrays
+
+LONGEST_NAME = 100  # of a file, or of a camera named after it
+
+
+def _one_of(*known: str) -> AfterValidator:
+    def check(name: str) -> str:
+        if name not in known:
+            raise ValueError(f"expected one of {', '.join(known)}, got {name[:LONGEST_NAME]!r}")
+        return name
+
+    return AfterValidator(check)
+
+
+class DetectorReading(BaseModel):
+    """How detectors' files are to be read."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    format: Annotated[str, _one_of(*NAMES)] = Field(
+        "", description="Of `files`: the name of their format; found out if not given."
+    )
+    person: str = Field(
+        "auto",
+        description="Of `files` with several people: `auto`, a number (0 is seen most), the name "
+        "of a track, or one for each camera, such as `0,1,0`.",
+    )
+    min_confidence: float = Field(
+        0.0, ge=0, le=1, description="Of `files`: detections that are less sure are gaps."
+    )
+    align: Literal["index", "time"] = Field(
+        "index",
+        description="Of `files`: whether frames of the same number (`index`) or of the nearest "
+        "`time` belong together.",
+    )
+    skeleton_name: Annotated[str, _one_of(*SKELETONS)] = Field(
+        "", description="Of `files`: names the keypoints, such as `body-25b`."
+    )
+
+
+class Read(NamedTuple):
+    """What was read: arrays, what they are described by, and sentences on what was understood."""
+
+    arrays: Arrays
+    said: dict[str, Any]
+    notes: list[str]
+
+
+def asked_of(upload: Upload) -> tuple[dict[str, str], Upload]:
+    """Part a form's text fields into those on reading, and the upload with the others."""
+    others = dict(upload.fields)
+    asked = {name: others.pop(name) for name in DetectorReading.model_fields if name in others}
+    if not others.get("skeleton", "{").lstrip().startswith("{"):  # a name, and no skeleton in JSON
+        asked.setdefault("skeleton_name", others.pop("skeleton"))
+    return asked, replace(upload, fields=others)
+
+
+def holds_arrays(upload: Upload) -> bool:
+    """Whether a form's one file is of arrays, or should be: safetensors, or a zip of arrays."""
+    if len(upload.files) > 1:
+        return False
+    data = upload.data
+    if not data.startswith(b"PK\x03\x04"):
+        return data[8:9] == b"{" and int.from_bytes(data[:8], "little") < len(data)
+    try:
+        with zipfile.ZipFile(BytesIO(data)) as archive:
+            return all(name.endswith(".npy") for name in archive.namelist())
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return True
+
+
+def read_files(
+    upload: Upload,
+    asked: dict[str, str],
+    settings: Settings,
+    *,
+    fps: float | None,
+    image_sizes: Sequence[Sequence[int] | None] | None,
+) -> Read:
+    """Read an upload's files, in a process of its own.
+
+    Parameters
+    ----------
+    asked
+        Fields of `DetectorReading`, as text.
+    fps
+        Frames per second, by which frames may be aligned.
+    image_sizes
+        (width, height) in pixels of each view, None where unknown.
+
+    Raises
+    ------
+    ApiError
+        422 if an option cannot be, a file cannot be read, or files do not fit together.
+    """
+    try:
+        said = DetectorReading.model_validate(asked)
+    except ValidationError as error:
+        raise from_validation(error, DetectorReading) from error
+    try:
+        options = ReadingOptions(
+            format=said.format or None,
+            person=said.person,
+            min_confidence=said.min_confidence,
+            skeleton=said.skeleton_name or None,
+            align=said.align,
+            fps=fps if said.align == "time" else None,
+            image_size=[(w, h) for w, h in filter(None, image_sizes or ())] or None,
+        )
+        with TemporaryDirectory(prefix="fewview-") as folder:
+            names: list[str] = []
+            for file in upload.files:
+                names.append(_name(file.name, names))
+                Path(folder, names[-1]).write_bytes(file.data)
+            found = read_apart(Path(folder), names, options, max_bytes=settings.max_body_bytes)
+    except FormatError as error:
+        raise invalid("/files", str(error)) from error
+    arrays = {
+        name: array
+        for name in ("keypoints", "confidence", "points3d", "times")
+        if (array := getattr(found, name)) is not None
+    }
+    told: dict[str, Any] = {"view_names": [n[:LONGEST_NAME] for n in found.view_names or ()]}
+    if found.keypoint_names is not None or found.edges is not None:
+        told["skeleton"] = {"keypoint_names": found.keypoint_names, "edges": found.edges or ()}
+    if found.image_sizes is not None:
+        told["image_sizes"] = found.image_sizes
+    return Read(arrays, told, list(found.notes))
+
+
+def _name(told: str, taken: list[str]) -> str:
+    """Return a file's name without a folder, and without what a name should not have."""
+    name = re.sub(r"[^\w.() +-]", "_", re.split(r"[/\\]", told)[-1]).lstrip(". ")
+    name = name[-LONGEST_NAME:] or "file"
+    return name if name not in taken and name != "out" else f"{len(taken)}_{name}"

@@ -1,0 +1,202 @@
+"""Files as detectors write them, sent in a form, one for each camera."""
+
+import io
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import h5py
+import httpx2
+import numpy as np
+import pytest
+from fewview.errors import FormatError
+from fewview.readers.apart import read_apart
+from fewview.reading_options import ReadingOptions
+from starlette.testclient import TestClient
+
+from tests.client.readers import files
+from tests.service.conftest import problem, zip_of
+
+NAMES = files.NAMES
+LEFT, RIGHT = files.walk(12), files.walk(12, start=200, seed=2)
+Parts = list[tuple[str, tuple[str, bytes]]]
+
+
+def table(path: Path, values: Any) -> bytes:
+    return files.dlc_csv(path, files.columns(NAMES), values.reshape(len(values), -1)).read_bytes()
+
+
+def parts(**named: bytes) -> Parts:
+    """Return files of a form; their names are those of the arguments, with a point for `_`."""
+    return [("files", (name.replace("_", ".", 1), data)) for name, data in named.items()]
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    folder = tmp_path_factory.mktemp("tables")
+    return parts(left_csv=table(folder / "a", LEFT), right_csv=table(folder / "b", RIGHT))
+
+
+def openpose(frames: Any) -> bytes:
+    """Return a zip of a file for each frame."""
+    return zip_of(
+        {
+            f"cam/cam_{n:012}_keypoints.json": json.dumps(
+                {"people": [{"pose_keypoints_2d": frame.ravel().tolist()}]}
+            ).encode()
+            for n, frame in enumerate(frames)
+        }
+    )
+
+
+def send(api: TestClient, sent: Parts, **fields: str) -> dict[str, Any]:
+    answer = api.post("/datasets", files=sent, data=fields)
+    assert answer.status_code == 201, answer.text
+    made: dict[str, Any] = answer.json()
+    assert api.get(f"/datasets/{made['id']}").json() == made
+    return made
+
+
+def refused(answer: httpx2.Response) -> str:
+    return problem(answer, 422, "invalid_input", "/files")
+
+
+def test_tables_of_two_cameras(api: TestClient, tables: Parts) -> None:
+    made = send(api, tables, name="walk", fps="50", metadata='{"subject": "M7"}')
+    assert [made[k] for k in ("name", "frames", "views", "keypoints", "fps")] == [
+        "walk", 12, 2, 4, 50,
+    ]  # fmt: skip
+    assert made["view_names"] == ["left", "right"]
+    assert made["skeleton"]["keypoint_names"] == list(NAMES)
+    assert made["metadata"] == {"subject": "M7"}
+    assert made["notes"] == ["read as DeepLabCut CSV"]
+    assert made["missing_fraction"] == [0, 0]
+    # The same as arrays.
+    buffer = io.BytesIO()
+    both = np.stack([LEFT, RIGHT], 1).astype(np.float32)
+    np.savez(buffer, keypoints=both[..., :2], confidence=both[..., 2])
+    posted = api.post("/datasets", files={"file": ("capture.npz", buffer.getvalue())})
+    assert posted.json()["checksum"] == made["checksum"]
+
+
+def test_how_they_are_read_is_said_in_the_form(api: TestClient, tables: Parts) -> None:
+    seen = np.mean([LEFT[..., 2] >= 0.8, RIGHT[..., 2] >= 0.8], (1, 2))
+    made = send(api, tables, min_confidence="0.8", format="deeplabcut-csv")
+    np.testing.assert_allclose(made["missing_fraction"], 1 - seen, atol=1e-6)
+    assert any("below 0.8 are gaps" in note for note in made["notes"])
+    for field, wrong in (
+        ("format", "dlc"),
+        ("min_confidence", "2"),
+        ("align", "name"),
+        ("skeleton", "cat"),
+        ("fps", "fast"),
+    ):
+        answer = api.post("/datasets", files=tables, data={field: wrong})
+        pointer = "/skeleton_name" if field == "skeleton" else f"/{field}"
+        problem(answer, 422, "invalid_input", pointer)
+    answer = api.post("/datasets", files=tables, data={"min_confidense": "0.1"})
+    problem(answer, 422, "invalid_input", "/min_confidense")
+
+
+def test_a_zip_file_is_a_folder_of_frames(api: TestClient) -> None:
+    left, right = files.walk(5, 25), files.walk(5, 25, start=300, seed=2)
+    sent = parts(left_zip=openpose(left), right_zip=openpose(right))
+    made = send(api, sent, skeleton="body-25b")
+    assert (made["frames"], made["views"], made["keypoints"]) == (5, 2, 25)
+    assert made["view_names"] == ["left", "right"]
+    assert "Head" in made["skeleton"]["keypoint_names"]
+
+
+def test_landmarks_take_the_sizes_that_are_told(api: TestClient) -> None:
+    frames = [[{"x": 0.1 * k, "y": 0.05 * n} for k in range(1, 6)] for n in range(1, 5)]
+    sent = parts(left_json=json.dumps(frames).encode(), right_json=json.dumps(frames).encode())
+    assert "image's width" in refused(api.post("/datasets", files=sent))
+    made = send(api, sent, image_sizes="[[1920, 1080], [1280, 720]]")
+    assert made["image_sizes"] == [[1920, 1080], [1280, 720]]
+
+
+@pytest.mark.usefixtures("unchanged")
+def test_what_has_to_be_trusted_is_refused_and_says_what_to_do(
+    api: TestClient, tables: Parts
+) -> None:
+    authors = pickle.dumps({"W_GT": np.zeros((4, 2, 5)), "S_GT": np.zeros((4, 3, 5))})
+    c3d = b"\x02\x50" + bytes(1024)
+    for sent in (
+        parts(cam_c3d=c3d, other_c3d=c3d),
+        parts(CAM_pkl=authors),
+        parts(cams_zip=zip_of({"a.c3d": c3d})),
+    ):
+        assert "fewview convert" in refused(api.post("/datasets", files=sent))
+
+
+def hostile(tmp_path: Path) -> dict[str, bytes]:
+    """Return files that are broken, or that ask for far more than they hold."""
+    promised = tmp_path / "promised.h5"
+    with h5py.File(promised, "w") as file:  # 2 KiB that unpack to 3.8 GB
+        file.create_dataset("tracks", (2, 2, 4, 30_000_000), "f8", compression="gzip", chunks=True)
+        file["node_names"] = [b"a", b"b", b"c", b"d"]
+    cut = files.dlc_h5_fixed(tmp_path / "cut.h5", files.columns(NAMES), LEFT.reshape(12, 12))
+    nested = b'{"people": [' + b"[" * 100_000
+    return {
+        "promised.h5": promised.read_bytes(),
+        "cut.h5": cut.read_bytes()[:3000],
+        "noise.h5": b"\x89HDF\r\n\x1a\n" + bytes(range(256)) * 20,
+        "nested.json": nested,
+        "words.csv": b"scorer,a\nbodyparts,nose\ncoords,x\n0,hello\n",
+        "empty.csv": b"",
+        "bomb.zip": zip_of({"a/big.csv": b"0,1\n" * 2**24, "a/bigger.csv": bytes(2**30)}),
+        "broken.zip": openpose(files.walk(4, 25))[:-40],
+        "nothing.zip": zip_of({"readme.txt": b"no keypoints"}),
+    }
+
+
+@pytest.mark.usefixtures("unchanged")
+def test_hostile_and_broken_files_are_named(api: TestClient, tables: Parts, tmp_path: Path) -> None:
+    for name, data in hostile(tmp_path).items():
+        answer = api.post("/datasets", files=[("files", (name, data)), tables[0]])
+        said = refused(answer)
+        assert name.partition(".")[0] in said, said
+        assert "fewview-" not in said, said  # the service's own folder
+
+
+@pytest.mark.usefixtures("unchanged")
+def test_how_many_and_how_much_is_bounded(api: TestClient, tables: Parts, tmp_path: Path) -> None:
+    answer = api.post("/datasets", files=[tables[0]] * 5)  # the service takes 4 views
+    assert answer.status_code == 400
+    long = table(tmp_path / "long.csv", files.walk(401))
+    answer = api.post("/datasets", files=parts(a_csv=long, b_csv=long))
+    assert "at most 400 frames" in problem(answer, 422, "invalid_input", "/keypoints")
+
+
+def test_bodies_that_should_be_files_say_how_to_send_them(api: TestClient, tables: Parts) -> None:
+    for data, what in (
+        (tables[0][1][1], "text, such as CSV"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(99), "an HDF5 file"),
+        (b'[{"image_id": 1}]', "JSON"),
+    ):
+        headers = {"Content-Type": "application/octet-stream"}
+        answer = api.post("/datasets", content=data, headers=headers)
+        said = problem(answer, 400, "malformed_body")
+        assert what in said
+        assert "curl -F files=@cam1.csv" in said
+    answer = api.post("/datasets", content=b"a,b", headers={"Content-Type": "text/csv"})
+    assert "-F files=@" in problem(answer, 415, "unsupported_media_type")
+
+
+def test_a_request_sent_again_makes_one_dataset(api: TestClient, tables: Parts) -> None:
+    key = {"Idempotency-Key": "files-1"}
+    first = api.post("/datasets", files=tables, headers=key)
+    assert api.post("/datasets", files=tables, headers=key).json() == first.json()
+    other = [tables[0], ("files", ("other.csv", tables[1][1][1]))]
+    answer = api.post("/datasets", files=other, headers=key)
+    problem(answer, 422, "idempotency_key_reused")
+
+
+def test_reading_that_takes_too_long_or_ends_its_process_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table(tmp_path / "a.csv", LEFT)
+    monkeypatch.setattr("fewview.readers.apart.SECONDS", 0.001)
+    with pytest.raises(FormatError, match=r"a\.csv: took more than"):
+        read_apart(tmp_path, ["a.csv"], ReadingOptions(), max_bytes=2**20)
