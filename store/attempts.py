@@ -115,7 +115,8 @@ def succeed(
         The model's identifier.
     """
     fit = lookup.get(store, FitJob, attempt.fit_id)
-    model = models.new_record(store, weights, name=fit.name, fit_id=fit.id, **describe)
+    said = {"name": fit.name, "tags": fit.tags, "user_metadata": fit.user_metadata}
+    model = models.new_record(store, weights, fit_id=fit.id, **said, **describe)
     reconstruction_key = f"fits/{fit.id}/{new_id('reconstruction')}.safetensors"
     store.objects.put(reconstruction_key, reconstruction)
     try:

@@ -17,6 +17,7 @@ from store.database import Store
 from store.errors import CaptureError, NotFoundError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
+from store.labels import Labels
 from store.lookup import get
 from store.records import Chunk, Dataset, FitJob, LiftJob
 
@@ -30,8 +31,8 @@ class Description:
     view_names: list[str] | None = None
     image_sizes: list[Any] | None = None
     fps: float | None = None
-    metadata: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    labels: Labels = field(default_factory=Labels)
 
 
 def create(
@@ -68,9 +69,9 @@ def create(
                 image_sizes=description.image_sizes,
                 fps=description.fps,
                 last_times=_last_times(capture),
-                user_metadata=description.metadata,
                 notes=description.notes,
                 findings=findings,
+                **description.labels.columns(),
             )
             session.add(dataset)
             session.flush()

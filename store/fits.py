@@ -23,6 +23,7 @@ from store import jobs
 from store.database import Store
 from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
 from store.idempotency import Idempotency
+from store.labels import Labels
 from store.lookup import lock
 from store.mistakes import unknown
 from store.records import Dataset, FitJob, Model
@@ -35,6 +36,7 @@ def create(
     name: str,
     config: dict[str, Any],
     from_model: str | None = None,
+    labels: Labels = Labels(),  # noqa: B008 (nobody changes it)
     job_id: str | None = None,
     max_queued: int | None = None,
     idempotency: Idempotency | None = None,
@@ -77,6 +79,7 @@ def create(
             config=filled_in,
             from_model=from_model,
             job_id=job_id or fit_id,
+            **labels.columns(),
         )
 
     return jobs.create(

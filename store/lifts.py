@@ -19,6 +19,7 @@ from store import jobs
 from store.database import Store
 from store.errors import LiftError
 from store.idempotency import Idempotency
+from store.labels import Labels
 from store.lookup import lock
 from store.records import Dataset, LiftChunk, LiftJob, Model
 
@@ -36,6 +37,7 @@ def create(
     frame: str = "canonical",
     up: Sequence[float] | str | None = None,
     chunk_frames: int,
+    labels: Labels = Labels(),  # noqa: B008 (nobody changes it)
     job_id: str | None = None,
     max_queued: int | None = None,
     idempotency: Idempotency | None = None,
@@ -82,6 +84,7 @@ def create(
             up=up,
             chunks=len(chunks),
             job_id=job_id or lift_id,
+            **labels.columns(),
         )
         session.add(lift)
         session.flush()

@@ -1,18 +1,51 @@
 """What has an identifier, datasets, models, fits and lifts alike: reading and renaming it."""
 
-from collections.abc import Mapping
-from typing import Any, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from store.database import Store
 from store.errors import NotFoundError
+from store.labels import says, tagged
 from store.records import Dataset, FitJob, Job, LiftJob, Model
 
 HALF_A_MICROSECOND = 0.5e-6
 
 Resource = TypeVar("Resource", Dataset, Model, FitJob, LiftJob)
+
+
+class Filters(NamedTuple):
+    """What records must have; what is None or empty allows anything.
+
+    Attributes
+    ----------
+    ids
+        One of these identifiers.
+    created_before, created_after
+        Seconds since the epoch, compared as they travel, in microseconds.
+    tags
+        All of these.
+    metadata
+        These texts under these keys, as :func:`store.labels.says` compares them.
+    equal
+        What columns must hold.
+    """
+
+    ids: Sequence[str] = ()
+    created_before: float | None = None
+    created_after: float | None = None
+    tags: Sequence[str] = ()
+    metadata: Mapping[str, str] = {}
+    equal: Mapping[str, str | None] = {}
+
+    def __bool__(self) -> bool:
+        """Tell whether anything is asked for."""
+        moments = (self.created_before, self.created_after)
+        return any((self.ids, self.tags, self.metadata)) or any(
+            value is not None for value in (*moments, *self.equal.values())
+        )
 
 
 def get(store: Store, kind: type[Resource], identifier: str) -> Resource:
@@ -42,30 +75,26 @@ def change(
 def page(
     store: Store,
     kind: type[Resource],
+    filters: Filters = Filters(),  # noqa: B008 (it never changes)
     *,
     limit: int,
     after: str | None,
-    created_before: float | None = None,
-    created_after: float | None = None,
-    **equal: str | None,
 ) -> list[Resource]:
-    """Return up to ``limit`` records, newest first, older than ``after`` if it is given.
-
-    Parameters
-    ----------
-    created_before, created_after
-        Seconds since the epoch, compared as they travel, in microseconds.
-    equal
-        What columns must hold; None allows anything.
-    """
+    """Return up to ``limit`` records, newest first, older than ``after`` if it is given."""
+    before, since = filters.created_before, filters.created_after
     query = select(kind).order_by(kind.id.desc()).limit(limit)
     if after is not None:
         query = query.where(kind.id < after)
-    if created_before is not None:
-        query = query.where(kind.created_at < created_before - HALF_A_MICROSECOND)
-    if created_after is not None:
-        query = query.where(kind.created_at > created_after + HALF_A_MICROSECOND)
-    query = query.filter_by(**{name: value for name, value in equal.items() if value is not None})
+    if filters.ids:
+        query = query.where(kind.id.in_(filters.ids))
+    if before is not None:
+        query = query.where(kind.created_at < before - HALF_A_MICROSECOND)
+    if since is not None:
+        query = query.where(kind.created_at > since + HALF_A_MICROSECOND)
+    dialect = store.engine.dialect.name
+    query = query.filter_by(**{n: value for n, value in filters.equal.items() if value is not None})
+    query = query.where(*(tagged(dialect, kind, tag) for tag in filters.tags))
+    query = query.where(*(says(dialect, kind, *item) for item in filters.metadata.items()))
     with store.reading() as session:
         return list(session.scalars(query))
 

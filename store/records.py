@@ -19,14 +19,21 @@ class Record(DeclarativeBase):
     }
 
 
-class Dataset(Record):
+class Labelled:
+    """Columns of what people say of anything stored; older records hold null."""
+
+    name: Mapped[str]
+    tags: Mapped[list[Any] | None]
+    user_metadata: Mapped[dict[str, Any] | None]
+
+
+class Dataset(Labelled, Record):
     """A stored capture: what is known of it without reading its arrays."""
 
     noun: ClassVar = "dataset"  # in messages and URLs
     __tablename__ = "datasets"
 
     id: Mapped[str] = mapped_column(primary_key=True)
-    name: Mapped[str]
     created_at: Mapped[float]
     frames: Mapped[int] = mapped_column(BigInteger)
     views: Mapped[int]
@@ -37,7 +44,6 @@ class Dataset(Record):
     checksum: Mapped[str]
     skeleton: Mapped[dict[str, Any] | None]
     image_sizes: Mapped[list[Any] | None]
-    user_metadata: Mapped[dict[str, Any]]
     fps: Mapped[float | None]
     last_times: Mapped[list[Any] | None]  # seconds, of the last frame, one or one a view
     view_names: Mapped[list[Any] | None]
@@ -58,14 +64,13 @@ class Chunk(Record):
     key: Mapped[str]
 
 
-class Job:
+class Job(Labelled):
     """Columns of what the queue carries. ``status`` is the one truth about it.
 
     ``revision`` grows with every visible change.
     """
 
     id: Mapped[str] = mapped_column(primary_key=True)
-    name: Mapped[str]
     created_at: Mapped[float] = mapped_column(default=time.time)
     started_at: Mapped[float | None]
     finished_at: Mapped[float | None]
@@ -147,14 +152,13 @@ class LiftChunk(Record):
     checksums: Mapped[dict[str, Any] | None]  # CRC-32 of each array's bytes
 
 
-class Model(Record):
+class Model(Labelled, Record):
     """A fitted prior: its weights are an object, its figures are here."""
 
     noun: ClassVar = "model"
     __tablename__ = "models"
 
     id: Mapped[str] = mapped_column(primary_key=True)
-    name: Mapped[str]
     created_at: Mapped[float]
     fit_id: Mapped[str | None]
     dataset_id: Mapped[str | None]

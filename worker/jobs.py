@@ -27,6 +27,8 @@ def fit(
     config: dict[str, Any] | None = None,
     name: str | None = None,
     from_model: str | None = None,
+    tags: list[str] | None = None,
+    metadata: dict[str, Any] | None = None,
 ) -> dict[str, str | None]:
     """Fit a model to a dataset; the body of ``Queue("fits").enqueue("worker.jobs.fit", ...)``.
 
@@ -40,6 +42,8 @@ def fit(
         For people to tell fits and models apart.
     from_model
         A fitted model of the same keypoints, whose weights the fit starts with.
+    tags, metadata
+        Of yours, to find the fit and its model by.
 
     Returns
     -------
@@ -76,6 +80,8 @@ def lift(
     views: list[int] | None = None,
     frame: str = "canonical",
     up: str | list[float] | None = None,
+    tags: list[str] | None = None,
+    metadata: dict[str, Any] | None = None,
 ) -> dict[str, str | None]:
     """Lift a dataset; the body of ``Queue("fits").enqueue("worker.jobs.lift", ...)``.
 
@@ -87,6 +93,8 @@ def lift(
         For people to tell lifts apart.
     refine, views, frame, up
         As in ``POST /lift``.
+    tags, metadata
+        Of yours, to find the lift by.
 
     Returns
     -------

@@ -17,6 +17,7 @@ from rq.job import Job
 from models.settings.config import FitConfig, Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
+from store.labels import Metadata, Tags
 from store.lifts import waiting_job
 from store.mistakes import unknown
 from store.records import FitJob, LiftJob
@@ -144,6 +145,8 @@ class FitArguments(BaseModel):
     config: FitConfig | None = None
     name: str | None = None
     from_model: str | None = None
+    tags: Tags = []
+    metadata: Metadata = {}
 
 
 class LiftArguments(BaseModel):
@@ -156,6 +159,8 @@ class LiftArguments(BaseModel):
     views: list[Index] | None = Field(None, max_length=MAX_VIEWS)
     frame: FrameOfReference = "canonical"
     up: Up | None = None
+    tags: Tags = []
+    metadata: Metadata = {}
 
 
 def arguments_of(job: KnownJob) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from models.settings.config import FitConfig
 from store import fits, jobs, lifts
 from store.database import Store
 from store.errors import InputError, NotFoundError
+from store.labels import Labels
 from store.mistakes import mistakes, summary
 from store.records import FitJob, LiftJob
 from worker.queue import (
@@ -155,6 +156,7 @@ def _create_fit(store: Store, job: KnownJob, arguments: dict[str, object]) -> st
         name=(asked.name or "fit")[:200],
         config=(asked.config or FitConfig()).model_dump(mode="json", exclude_unset=True),
         from_model=asked.from_model,
+        labels=Labels(tags=asked.tags, metadata=asked.metadata),
         job_id=job.id,
     ).id
 
@@ -172,6 +174,7 @@ def _create_lift(
         frame=asked.frame,
         up=asked.up,
         views=asked.views,
+        labels=Labels(tags=asked.tags, metadata=asked.metadata),
         chunk_frames=settings.lift_chunk_frames,
         job_id=job.id,
     ).id

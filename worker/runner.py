@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from contextlib import suppress
+from typing import Any
 
 import redis.exceptions
 from obstore.exceptions import BaseError as ObjectStoreError
@@ -13,10 +14,12 @@ from redis import Redis
 from redis.client import Pipeline
 from rq import Queue, Worker
 from rq.job import Job
+from rq.registry import StartedJobRegistry
 from sqlalchemy.exc import SQLAlchemyError
 
-from store import fits, housekeeping, lifts
+from store import fits, housekeeping, jobs, lifts
 from store.database import Store
+from store.records import FitJob, LiftJob
 from worker.process import die_with_parent
 from worker.queue import (
     FAILURE_SECONDS,
@@ -110,6 +113,39 @@ class JobWorker(Worker):
             logger.exception("Redis is gone: waiting for the running job")
             self.wait_for_horse()
             raise
+
+    def handle_exception(self, job: Job, *exc_info: Any) -> None:
+        """Log what ended a job: one line if the record says why, else with the traceback."""
+        why = self._recorded_failure(job)
+        if why is None:
+            super().handle_exception(job, *exc_info)
+        else:
+            logger.warning("Job %s failed: %s", job.id, why)
+
+    def handle_job_failure(
+        self,
+        job: Job,
+        queue: Queue,
+        started_job_registry: StartedJobRegistry | None = None,
+        exc_string: str = "",
+    ) -> None:
+        """Have the producer read why a job failed: in one line if the record says why."""
+        why = self._recorded_failure(job)
+        exc_string = exc_string if why is None else f"RuntimeError: {why}"
+        super().handle_job_failure(job, queue, started_job_registry, exc_string)
+
+    def _recorded_failure(self, job: Job) -> str | None:
+        """Return code and message of the fit or the lift that a job asked for, if it failed.
+
+        None for a fault of Fewview's own: then the exception says more.
+        """
+        with suppress(SQLAlchemyError):
+            record = jobs.by_job(self._store, FitJob, job.id) or jobs.by_job(
+                self._store, LiftJob, job.id
+            )
+            if record is not None and record.error and record.error["code"] != "internal_error":
+                return f"{record.error['code']}: {record.error['message']}"
+        return None
 
     def main_work_horse(self, job: Job, queue: Queue) -> None:
         """Run a job; the forked process starts here."""

@@ -16,6 +16,9 @@ from service.settings import Settings
 from store.database import Store
 from store.mistakes import MOST, Mistake, pointer, unknown
 
+# Of a parameter that a route declares by this name, the dot and a key of the user's own follow.
+FREE_QUERY = "metadata"
+
 
 async def get_settings(request: Request) -> Settings:
     """Return the settings this app was made with."""
@@ -45,12 +48,15 @@ async def refuse_unknown_query(connection: HTTPConnection) -> None:
     """
     if not connection.scope["query_string"]:
         return
+    route = connection.scope["route"]
     known = [
         field.alias
-        for field in get_flat_params(connection.scope["route"].dependant)
+        for field in get_flat_params(route.dependant)
         if isinstance(field.field_info, Query)
     ]
-    others = [name for name in connection.query_params if name not in known]
+    free = (getattr(route, "openapi_extra", None) or {}).get("parameters", ())
+    starts = tuple(f"{parameter['name']}." for parameter in free)
+    others = [n for n in connection.query_params if n not in known and not n.startswith(starts)]
     if others:
         raise of_mistakes(
             [

@@ -1,10 +1,10 @@
-"""Changing what may be changed of what is stored: mostly its name."""
+"""Changing what people say of what is stored."""
 
 from collections.abc import Callable
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from service.http.dependencies import StoreDep
 from service.http.errors import BODY_PROBLEMS, problems
@@ -12,21 +12,28 @@ from service.http.operations import request_body
 from service.http.uploads import UploadBody
 from service.wire.schemas import Name
 from store import lookup
+from store.labels import METADATA, TAGS, Metadata, Tags
 from store.lookup import Resource
 
 
-class NameChange(BaseModel):
+class Change(BaseModel):
     """What to change; what is left out, or null, stays as it is."""
 
     model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"example": {"name": "macaque, second try"}}
+        extra="forbid",
+        json_schema_extra={
+            "example": {"name": "macaque, second try", "tags": ["pilot"], "metadata": {"day": 2}}
+        },
     )
 
     name: Name | None = None
+    tags: Tags | None = Field(None, description=f"In place of those it had. {TAGS}")
+    metadata: Metadata | None = Field(None, description=f"In place of what it was. {METADATA}")
 
     def columns(self) -> dict[str, Any]:
         """Return the record's columns that change, with what they are to hold."""
-        return {} if self.name is None else {"name": self.name}
+        told = {"name": self.name, "tags": self.tags, "user_metadata": self.metadata}
+        return {column: value for column, value in told.items() if value is not None}
 
 
 def add_change_route(
@@ -34,7 +41,6 @@ def add_change_route(
     kind: type[Resource],
     form: type[BaseModel],
     to_wire: Callable[[Resource], BaseModel],
-    change: type[NameChange] = NameChange,
 ) -> None:
     """Add ``PATCH`` of one resource.
 
@@ -42,8 +48,6 @@ def add_change_route(
     ----------
     form, to_wire
         The JSON form of a resource, and what makes it of a record.
-    change
-        What the body may say.
     """
     noun = kind.noun
 
@@ -51,14 +55,14 @@ def add_change_route(
         f"/{{{noun}_id}}",
         name=f"change_{noun}",
         response_model=form,
-        description=f"Change a {noun}: {', '.join(f'`{name}`' for name in change.model_fields)}. "
-        "What is left out stays as it is.",
+        description=f"Change what is said of a {noun}: `name`, `tags`, `metadata`. What is left "
+        "out stays as it is.",
         responses=problems(*BODY_PROBLEMS, "not_found"),
-        openapi_extra=request_body(change),
+        openapi_extra=request_body(Change),
     )
     def change_resource(
         identifier: Annotated[str, Path(alias=f"{noun}_id", max_length=200)],
         upload: UploadBody,
         store: StoreDep,
     ) -> Any:
-        return to_wire(lookup.change(store, kind, identifier, upload.json(change).columns()))
+        return to_wire(lookup.change(store, kind, identifier, upload.json(Change).columns()))

@@ -4,8 +4,7 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
-import orjson
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from models.settings.times import MAX_FPS, check_rate
 from service.http.errors import invalid
@@ -18,36 +17,20 @@ from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, TIMES, Name
 from service.wire.skeletons import Skeleton
 from store.capture import Capture
 from store.datasets import Description
+from store.labels import Labels
 
 CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d", "times"})
 DESCRIPTION_ARRAYS = frozenset({"keypoint_names", "edges", "image_sizes", "fps", "view_names"})
 MAX_LISTED = 10_000  # values of an array that describes
 
-MAX_METADATA = 64 * 1024
-
-
-def _bounded(value: dict[str, Any]) -> dict[str, Any]:
-    try:
-        size = len(orjson.dumps(value))
-    except orjson.JSONEncodeError as error:  # nested too deeply, integers beyond 64 bits
-        raise ValueError(f"expected JSON that can be given back: {error}") from error
-    if size > MAX_METADATA:
-        raise ValueError(f"expected {MAX_METADATA} bytes of JSON at most, got {size}")
-    return value
-
-
-Metadata = Annotated[dict[str, Any], AfterValidator(_bounded)]
-METADATA = "Anything of yours, kept and given back; 64 KiB of JSON at most."
 ViewName = Annotated[str, Field(min_length=1, max_length=200)]
 ImageSize = Annotated[
     list[Annotated[int, Field(ge=1, le=100_000)]], Field(min_length=2, max_length=2)
 ]
 
 
-class DatasetDescription(BaseModel):
+class DatasetDescription(Labels):
     """What can be said of a capture besides its arrays."""
-
-    model_config = ConfigDict(extra="forbid")
 
     name: Name = "capture"
     skeleton: Skeleton | None = None
@@ -64,7 +47,6 @@ class DatasetDescription(BaseModel):
         description="Frames per second, if the frames follow each other in time: views that are "
         "out of step are then found and shifted (`synchronise` of a fit).",
     )
-    metadata: Metadata = Field({}, description=METADATA)
 
     def describe(self, capture: Capture) -> Description:
         """Return the description, checked against the capture it describes."""
@@ -86,7 +68,7 @@ class DatasetDescription(BaseModel):
             view_names=self.view_names,
             image_sizes=self.image_sizes,
             fps=self.fps,
-            metadata=self.metadata,
+            labels=self,
         )
 
 
@@ -128,6 +110,7 @@ class DatasetCreate(DatasetDescription, Frames):
                 },
                 "image_sizes": [[1280, 1024], [1280, 1024]],
                 "fps": 50.0,
+                "tags": ["pilot"],
                 "metadata": {"subject": "M7"},
             }
         },

@@ -2,9 +2,9 @@
 
 import logging
 from datetime import UTC, datetime
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
-from fastapi import APIRouter, Depends, Request, Response, status
+from fastapi import APIRouter, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import Finding, log_findings
@@ -18,22 +18,21 @@ from service.http.errors import BODY_PROBLEMS, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
 from service.http.uploads import FilesBody, UploadBody
-from service.resources.changes import NameChange, add_change_route
+from service.resources.changes import add_change_route
 from service.resources.dataset_bodies import (
-    METADATA,
     DatasetCreate,
     DatasetForm,
     Frames,
     ImageSize,
-    Metadata,
     read_frames,
     read_new,
 )
-from service.resources.pages import Asked, Page, asked_of, page_of
+from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
 from store import datasets, lookup, records
+from store.labels import labels_of
 
 logger = logging.getLogger(__name__)
 router = APIRouter(prefix="/datasets", tags=["datasets"])
@@ -60,6 +59,7 @@ class Dataset(BaseModel):
                 "image_sizes": None,
                 "fps": 50.0,
                 "has_times": False,
+                "tags": ["pilot"],
                 "metadata": {"subject": "M7"},
                 "notes": ["read as DeepLabCut CSV"],
                 "findings": EXAMPLE_FINDINGS,
@@ -86,6 +86,7 @@ class Dataset(BaseModel):
     image_sizes: list[ImageSize | None] | None
     fps: float | None = Field(description="Frames per second, if they were told.")
     has_times: bool = Field(description="Whether every frame came with its time.")
+    tags: list[str]
     metadata: dict[str, Any]
     notes: list[str] = Field(
         description="What was understood and changed, if detectors' files were read."
@@ -113,25 +114,9 @@ class Dataset(BaseModel):
             image_sizes=record.image_sizes,
             fps=record.fps,
             has_times=record.last_times is not None,
-            metadata=record.user_metadata,
+            **labels_of(record),
             notes=record.notes or [],
             findings=[Finding.model_validate(finding) for finding in record.findings or []],
-        )
-
-
-class DatasetChange(NameChange):
-    """What to change of a dataset; what is left out, or null, stays as it is."""
-
-    model_config = ConfigDict(
-        json_schema_extra={"example": {"name": "macaque, evening", "metadata": {"subject": "M8"}}}
-    )
-
-    metadata: Metadata | None = Field(None, description=f"In place of what it was. {METADATA}")
-
-    def columns(self) -> dict[str, Any]:
-        """Return the record's columns that change, with what they are to hold."""
-        return super().columns() | (
-            {} if self.metadata is None else {"user_metadata": self.metadata}
         )
 
 
@@ -213,18 +198,9 @@ def append_frames(
     return Dataset.of(record)
 
 
-@router.get("", responses=problems())
-def list_datasets(
-    store: StoreDep,
-    asked: Annotated[Asked, Depends(asked_of("ds"))],
-) -> DatasetPage:
-    """List datasets, newest first."""
-    return DatasetPage.read(
-        store,
-        records.Dataset,
-        Dataset.of,
-        asked,
-    )
+add_list_routes(
+    router, records.Dataset, DatasetPage, Dataset.of, prefix="ds", delete=datasets.delete
+)
 
 
 @router.get("/{dataset_id}", responses=problems("not_found"))
@@ -233,7 +209,7 @@ def get_dataset(dataset_id: Identifier, store: StoreDep) -> Dataset:
     return Dataset.of(lookup.get(store, records.Dataset, dataset_id))
 
 
-add_change_route(router, records.Dataset, Dataset, Dataset.of, DatasetChange)
+add_change_route(router, records.Dataset, Dataset, Dataset.of)
 
 
 @router.delete(

@@ -2,10 +2,10 @@
 
 from contextlib import suppress
 from datetime import datetime
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import redis.exceptions
-from fastapi import APIRouter, Depends, Query, Request, Response, status
+from fastapi import APIRouter, Depends, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 from rq import Queue
 from typing_extensions import TypeAliasType
@@ -21,12 +21,20 @@ from service.http.errors import BODY_PROBLEMS, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
-from service.resources.jobs import JobStatus, Words, add_job_routes, announce, finder
-from service.resources.pages import Asked, Page, asked_of, page_of
+from service.resources.jobs import (
+    JobStatus,
+    Words,
+    add_job_routes,
+    announce,
+    finder,
+    job_columns,
+)
+from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.findings import Findings
 from service.wire.schemas import Name
 from store import fits, records
 from store.database import Store
+from store.labels import Labels, labels_of
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
@@ -34,15 +42,15 @@ FitStage = TypeAliasType("FitStage", Literal["training", "refining"])
 StoppedBy = TypeAliasType("StoppedBy", Literal["steps", "budget", "early"])
 
 
-class FitCreate(BaseModel):
+class FitCreate(Labels):
     """A fit to make."""
 
     model_config = ConfigDict(
-        extra="forbid",
         json_schema_extra={
             "example": {
                 "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
                 "name": "macaque",
+                "tags": ["pilot"],
                 "config": {
                     "seed": 1,
                     "cameras": "static",
@@ -111,6 +119,8 @@ class Fit(BaseModel):
                 "frames": 3309,
                 "from_model": None,
                 "config": FitConfig().model_dump(mode="json"),
+                "tags": ["pilot"],
+                "metadata": {"subject": "M7"},
                 "job_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
                 "attempt": 1,
                 "cancel_requested": False,
@@ -143,6 +153,8 @@ class Fit(BaseModel):
         description="With defaults filled in; null if the job that asked for the fit had none that "
         "is valid."
     )
+    tags: list[str]
+    metadata: dict[str, Any]
     job_id: str = Field(description="The job that carries this fit on the queue.")
     attempt: int = Field(description="How often it was started; more than once after a crash.")
     cancel_requested: bool
@@ -176,6 +188,7 @@ class Fit(BaseModel):
                 "model_id": record.model_id,
                 "error": record.error,
                 "findings": record.findings or [],
+                **labels_of(record),
             }
         )
 
@@ -216,6 +229,7 @@ def create_fit(
         name=body.name,
         config=body.config.model_dump(mode="json", exclude_unset=True),
         from_model=body.from_model,
+        labels=body,
         max_queued=settings.max_queued_fits,
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )
@@ -223,24 +237,15 @@ def create_fit(
     return Fit.of(record)
 
 
-@router.get("", responses=problems())
-def list_fits(
-    store: StoreDep,
-    asked: Annotated[Asked, Depends(asked_of("fit"))],
-    status: Annotated[JobStatus | None, Query()] = None,
-    dataset_id: Annotated[str | None, Query(max_length=200)] = None,
-    job_id: Annotated[str | None, Query(max_length=200)] = None,
-) -> FitPage:
-    """List fits, newest first; `job_id` finds the fit of a job you queued yourself."""
-    return FitPage.read(
-        store,
-        records.FitJob,
-        Fit.of,
-        asked,
-        status=status,
-        dataset_id=dataset_id,
-        job_id=job_id,
-    )
+add_list_routes(
+    router,
+    records.FitJob,
+    FitPage,
+    Fit.of,
+    prefix="fit",
+    delete=fits.delete,
+    columns=job_columns,
+)
 
 
 def _cancel(store: Store, queue: Queue, fit_id: str) -> records.FitJob:

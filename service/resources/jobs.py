@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator, Callable
 from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
 
-from fastapi import APIRouter, Depends, Header, Path, Response, status
+from fastapi import APIRouter, Depends, Header, Path, Query, Response, status
 from fastapi.concurrency import run_in_threadpool
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel
@@ -15,6 +15,7 @@ from typing_extensions import TypeAliasType
 from service.http.dependencies import QueueDep, StoreDep
 from service.http.errors import problems
 from service.resources.changes import add_change_route
+from service.resources.lists import Columns
 from store import jobs, lookup
 from store.database import Store
 from store.errors import NotFoundError
@@ -48,6 +49,17 @@ def finder(kind: type[Job]) -> Callable[[str, Store], Job]:
         return lookup.get(store, kind, identifier)
 
     return find
+
+
+async def job_columns(
+    status: Annotated[JobStatus | None, Query()] = None,
+    dataset_id: Annotated[str | None, Query(max_length=200)] = None,
+    job_id: Annotated[
+        str | None, Query(max_length=200, description="Finds that of a job you queued yourself.")
+    ] = None,
+) -> Columns:
+    """Return what columns of the jobs in a list must hold."""
+    return {"status": status, "dataset_id": dataset_id, "job_id": job_id}
 
 
 def announce(job: Any, queue: Queue, response: Response) -> None:

@@ -3,7 +3,7 @@
 import json
 from datetime import datetime
 from functools import partial
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from fastapi import APIRouter, Depends, Query, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
@@ -27,14 +27,22 @@ from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.frames import check_views
 from service.realtime.rooms import check_known
-from service.resources.jobs import JobStatus, Words, add_job_routes, announce, finder
-from service.resources.pages import Asked, Page, asked_of, page_of
+from service.resources.jobs import (
+    JobStatus,
+    Words,
+    add_job_routes,
+    announce,
+    finder,
+    job_columns,
+)
+from service.resources.lists import Columns, Page, add_list_routes, page_of
 from service.wire.findings import Findings
 from service.wire.rooms import FRAME_OF_REFERENCE, UP, is_room
 from service.wire.schemas import REFINE, VIEWS, Name
 from store import lifts, lookup, records
 from store.database import Store
 from store.errors import ConflictError
+from store.labels import Labels, labels_of
 from store.lift_files import ResultFormat, result_file
 
 router = APIRouter(prefix="/lifts", tags=["lifts"])
@@ -50,11 +58,10 @@ FORMATS: dict[str, ResultFormat] = {
 MEDIA_TYPES: dict[ResultFormat, str] = {"jsonl": JSON_LINES, "npz": NPZ, "safetensors": OCTETS}
 
 
-class LiftCreate(BaseModel):
+class LiftCreate(Labels):
     """A dataset to lift."""
 
     model_config = ConfigDict(
-        extra="forbid",
         json_schema_extra={
             "example": {
                 "model_id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
@@ -109,6 +116,8 @@ class LiftJob(BaseModel):
                 "views": None,
                 "frame": "canonical",
                 "up": None,
+                "tags": ["pilot"],
+                "metadata": {"subject": "M7"},
                 "job_id": "lift_01m7ysr6k3w9m0x2c4a8h5e7dq",
                 "progress": {
                     "frames_done": 407600,
@@ -135,6 +144,8 @@ class LiftJob(BaseModel):
     views: list[int] | None
     frame: FrameOfReference = Field(description=FRAME_OF_REFERENCE)
     up: Up | None = Field(description=UP)
+    tags: list[str]
+    metadata: dict[str, Any]
     job_id: str = Field(description="The job that asked for this lift on the queue.")
     progress: LiftProgress
     created_at: datetime
@@ -146,11 +157,13 @@ class LiftJob(BaseModel):
     @classmethod
     def of(cls, record: records.LiftJob) -> Self:
         """Return the wire form of a record."""
-        shared = {name: getattr(record, name) for name in cls.model_fields if name != "progress"}
+        labels = labels_of(record)
+        plain = cls.model_fields.keys() - labels.keys() - {"progress"}
+        shared = {name: getattr(record, name) for name in plain}
         shared["findings"] = record.findings or []
         shared["frame"] = record.frame or "canonical"  # of older versions
         progress = {name: getattr(record, name) for name in LiftProgress.model_fields}
-        return cls.model_validate({**shared, "progress": progress})
+        return cls.model_validate({**shared, **labels, "progress": progress})
 
 
 class LiftPage(Page[LiftJob]):
@@ -198,7 +211,8 @@ def create_lift(
             check_known(rooms.find(body.model_id, prior, body.up), body.views, dataset.views)
     record = lifts.create(
         store,
-        **body.model_dump(),
+        **body.model_dump(exclude=set(Labels.model_fields)),
+        labels=body,
         chunk_frames=settings.lift_chunk_frames,
         max_queued=settings.max_queued_lifts,
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
@@ -207,26 +221,22 @@ def create_lift(
     return LiftJob.of(record)
 
 
-@router.get("", responses=problems())
-def list_lifts(
-    store: StoreDep,
-    asked: Annotated[Asked, Depends(asked_of("lift"))],
-    status: Annotated[JobStatus | None, Query()] = None,
+async def _columns(
+    shared: Annotated[Columns, Depends(job_columns)],
     model_id: Annotated[str | None, Query(max_length=200)] = None,
-    dataset_id: Annotated[str | None, Query(max_length=200)] = None,
-    job_id: Annotated[str | None, Query(max_length=200)] = None,
-) -> LiftPage:
-    """List lifts, newest first; `job_id` finds the lift of a job you queued yourself."""
-    return LiftPage.read(
-        store,
-        records.LiftJob,
-        LiftJob.of,
-        asked,
-        status=status,
-        model_id=model_id,
-        dataset_id=dataset_id,
-        job_id=job_id,
-    )
+) -> Columns:
+    return shared | {"model_id": model_id}
+
+
+add_list_routes(
+    router,
+    records.LiftJob,
+    LiftPage,
+    LiftJob.of,
+    prefix="lift",
+    delete=lifts.delete,
+    columns=_columns,
+)
 
 
 def _cancel(store: Store, _queue: Queue, lift_id: str) -> records.LiftJob:

@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Annotated, Any, Self
 
-from fastapi import APIRouter, Depends, Query, Request, Response, status
+from fastapi import APIRouter, Query, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import dumped
@@ -23,7 +23,7 @@ from service.http.operations import binary_responses, request_body
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
 from service.resources.changes import add_change_route
-from service.resources.pages import Asked, Page, asked_of, page_of
+from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.calibrations import MEDIA_TYPES, CalibrationFormat, calibration_file
 from service.wire.cameras import ModelCameras
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
@@ -33,6 +33,7 @@ from service.wire.skeletons import Skeleton
 from store import lookup, models, records
 from store.database import Store
 from store.errors import NotFoundError
+from store.labels import Labels, labels_of
 
 router = APIRouter(prefix="/models", tags=["models"])
 
@@ -56,6 +57,8 @@ _EXAMPLE: dict[str, Any] = {
     "keypoints": 13,
     "config": FitConfig().model_dump(mode="json"),
     "skeleton": None,
+    "tags": ["pilot"],
+    "metadata": {"subject": "M7"},
     "reprojection_error": 3.1,
     "frames_lifted": 3300,
     "pa_mpjpe": 0.061,
@@ -86,6 +89,8 @@ class ModelSummary(BaseModel):
     keypoints: int = Field(description="Keypoints per view.")
     config: FitConfig
     skeleton: Skeleton | None
+    tags: list[str]
+    metadata: dict[str, Any]
     reprojection_error: float | None = Field(
         None, description="Pixels, mean over the views of the fitted frames."
     )
@@ -122,6 +127,7 @@ class ModelSummary(BaseModel):
                 "weights_checksum": f"sha256:{record.weights_checksum}",
                 "training_curve": record.training_curve,
                 "findings": record.findings or [],
+                **labels_of(record),
                 **record.metrics,
             }
         )
@@ -146,27 +152,16 @@ class ModelPage(Page[ModelSummary]):
     model_config = page_of(ModelSummary)
 
 
-class ModelImport(BaseModel):
+class ModelImport(Labels):
     """What can be said of imported weights, over what the file says of itself."""
-
-    model_config = ConfigDict(extra="forbid")
 
     name: Name = "imported"
     skeleton: Skeleton | None = None
 
 
-@router.get("", responses=problems())
-def list_models(
-    store: StoreDep,
-    asked: Annotated[Asked, Depends(asked_of("mdl"))],
-) -> ModelPage:
-    """List models, newest first, without their training curves."""
-    return ModelPage.read(
-        store,
-        records.Model,
-        ModelSummary.of,
-        asked,
-    )
+add_list_routes(
+    router, records.Model, ModelPage, ModelSummary.of, prefix="mdl", delete=models.delete
+)
 
 
 @router.get("/{model_id}", responses=problems("not_found"))
@@ -286,6 +281,7 @@ def import_model(
         "training_curve": [point._asdict() for point in prior.curve],
         "metrics": known.metrics.model_dump(),
         "findings": dumped(prior.findings),
+        **said.columns(),
     }
     record = models.create(
         store,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fewview.calibration import Camera, read_cameras, rotation_matrix, write_cameras
-from fewview.commands.fit import read_config
+from fewview.commands.talking import fields_in
 
 from tests.client.conftest import Served
 from tests.client.test_cli import run as fewview
@@ -70,7 +70,8 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
         assert identifier in listed
         assert listed.startswith("id ")
         assert said(fewview(kind, "get", identifier, url))["id"] == identifier
-        assert said(fewview(kind, "delete", identifier, "--json", url)) == {"deleted": identifier}
+        gone = {"deleted": [identifier], "refused": []}
+        assert said(fewview(kind, "delete", identifier, "--json", url)) == gone
         assert identifier not in [i["id"] for i in said(fewview(kind, "list", "--json", url))]
 
 
@@ -118,6 +119,41 @@ def test_a_fit_is_told_a_calibration_file(served: Served, tmp_path: Path) -> Non
     assert "has no cameras" in refused(fewview(*words, str(tmp_path / "none.toml")), 2)
 
 
+def test_labels_choose_what_is_listed_changed_and_deleted(served: Served, tmp_path: Path) -> None:
+    file, url = tmp_path / "labelled.npz", f"--url={served.live.url}"
+    np.savez(file, keypoints=served.capture.keypoints[:8])
+    pilot = ("--tag=pilot", "--metadata", "subject=M7", "--metadata", "day=2")
+    made = [fewview("upload", str(file), *pilot, url).stdout.strip() for _ in range(2)]
+    other = fewview("upload", str(file), "--tag=other", url).stdout.strip()
+
+    def listed(*filters: str) -> list[str]:
+        return [item["id"] for item in said(fewview("datasets", "list", *filters, "--json", url))]
+
+    assert listed(*pilot) == made[::-1]
+    assert listed("--tag=other", "--name=labelled") == [other]
+    assert listed("--tag=pilot", "--after=2100-01-01") == []
+    assert "pilot" in fewview("datasets", "list", url).stdout
+    changed = fewview("datasets", "change", made[0], "--tag=kept", "--metadata=day=3", url)
+    assert changed.returncode == 0, changed.stderr
+    assert listed("--tag=kept", "--metadata=day=3") == [made[0]]
+
+    fit = said(fewview("fit", made[1], "--tag=pilot", "-c", "steps=100000", "--json", url))
+    assert (fit["tags"], fit["metadata"]) == (["pilot"], {})
+    kept = fewview("datasets", "delete", "--tag=pilot", "--yes", "--json", url)
+    assert kept.returncode == 1
+    assert json.loads(kept.stdout)["refused"][0]["id"] == made[1]
+    assert f"in use by {fit['id']}" in kept.stderr
+    fewview("fits", "cancel", fit["id"], url)
+    served.client.fits.delete_many(id=[fit["id"]], status=["cancelled"])
+
+    assert "--yes" in refused(fewview("datasets", "delete", "--metadata=day=3", url), 2)
+    assert "--tag" in refused(fewview("datasets", "delete", url), 2)
+    assert "status" in refused(fewview("datasets", "delete", "--status=failed", "-y", url), 2)
+    assert listed("--metadata=day=3") == [made[0]]
+    assert fewview("datasets", "delete", *made, other, url).returncode == 0
+    assert listed("--name=labelled") == []
+
+
 def test_what_is_wrong_is_a_line_on_stderr_and_a_status(served: Served, tmp_path: Path) -> None:
     url, nobody = f"--url={served.live.url}", f"--url=http://127.0.0.1:{free_port()}"
     assert "fewview serve" in refused(fewview("datasets", "list", nobody), 1)
@@ -135,8 +171,9 @@ def test_what_is_wrong_is_a_line_on_stderr_and_a_status(served: Served, tmp_path
 
 
 def test_configuration_is_json_or_words() -> None:
-    found = read_config(['{"steps": 5, "seed": 1}', "steps=7", "cameras=static", "calibration=[1]"])
+    texts = ['{"steps": 5, "seed": 1}', "steps=7", "cameras=static", "calibration=[1]"]
+    found = fields_in(texts, "--config")
     assert found == {"steps": 7, "seed": 1, "cameras": "static", "calibration": [1]}
     for wrong in ("steps", "[1]", "{", "=3"):
-        with pytest.raises(ValueError, match="key=value"):
-            read_config([wrong])
+        with pytest.raises(ValueError, match=r"--config.*key=value"):
+            fields_in([wrong], "--config")

@@ -23,9 +23,11 @@ from models.capture.synthetic import SyntheticCapture
 from service.http import errors
 from service.openapi import document
 from service.realtime import lift
-from service.resources import datasets, fits, health, lifts, models, reconstructions
+from service.resources import datasets, fits, health, lifts, lists, models, reconstructions
 from tests.service.conftest import SEEKING, Live, frames_of, to_npz
 
+# Where the forms of answers are.
+MODULES = (datasets, fits, reconstructions, models, lift, lifts, lists, health, errors)
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 
@@ -84,9 +86,13 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "create_fit",
         "create_lift",
         "delete_dataset",
+        "delete_datasets",
         "delete_fit",
+        "delete_fits",
         "delete_lift",
+        "delete_lifts",
         "delete_model",
+        "delete_models",
         "download_weights",
         "get_dataset",
         "get_fit",
@@ -159,7 +165,17 @@ def test_every_answer_has_an_example_that_fits_it(spec: dict[str, Any]) -> None:
     for name in named:
         kind = next(
             getattr(module, name)
-            for module in (datasets, fits, reconstructions, models, lift, lifts, health, errors)
+            for module in (
+                datasets,
+                fits,
+                reconstructions,
+                models,
+                lift,
+                lifts,
+                lists,
+                health,
+                errors,
+            )
             if hasattr(module, name)
         )
         TypeAdapter(kind).validate_python(schemas[name]["example"])

@@ -17,6 +17,7 @@ from models.settings.config import FitConfig
 from store import datasets, fits, jobs, lookup, models
 from store.capture import Capture
 from store.database import Store
+from store.labels import labels_of
 from store.records import FitJob, Model
 from tests.worker.conftest import (
     CONFIG,
@@ -45,7 +46,8 @@ def test_a_plain_producer_gets_record_progress_and_model(
     config: dict[str, Any],
 ) -> None:
     queue = Queue("fits", connection=redis, serializer=serializer)
-    job = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=config)
+    labels = {"tags": ["pilot"], "metadata": {"subject": "M7"}}
+    job = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=config, **labels)
     start_worker()
     wait_for(lambda: jobs.by_job(store, FitJob, job.id) is not None, "the job's record")
     known = jobs.by_job(store, FitJob, job.id)
@@ -58,6 +60,7 @@ def test_a_plain_producer_gets_record_progress_and_model(
     assert record.config == FitConfig.model_validate(config).model_dump(mode="json")
     assert record.model_id is not None
     model = lookup.get(store, Model, record.model_id)
+    assert labels_of(model) == labels_of(record) == labels
     prior = FittedPrior.from_bytes(store.objects.get(model.weights_key))
     assert prior.to_bytes() == fit_here(config).to_bytes()
 
@@ -206,6 +209,7 @@ def test_a_fit_whose_model_was_deleted_since_says_so(
             "invalid_arguments",
             "keypoints of this dataset have no names",
         ),
+        ({"tags": ["a "]}, "invalid_arguments", "tags/0: expected printable text"),
         ({"wrong": 1}, "invalid_arguments", "wrong: unknown field: expected some of dataset_id"),
         ({"name": datetime(2026, 1, 1, tzinfo=UTC)}, "invalid_arguments", "datetime"),
     ],
@@ -230,6 +234,8 @@ def test_a_job_that_can_never_run_says_why(
     assert record.error["code"] == code
     assert message in record.error["message"]
     assert "pydantic" not in record.error["message"]
+    (result,) = job.results()
+    assert result.exc_string == f"RuntimeError: {code}: {record.error['message']}"
 
 
 class Bomb:

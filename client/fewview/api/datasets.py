@@ -1,7 +1,7 @@
 """Datasets: captures, stored."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from os import PathLike
 from typing import Any
 
@@ -13,7 +13,7 @@ from fewview.api.forms import Dataset, form_in
 from fewview.api.lifting import identifier
 from fewview.api.operations import Driver, operation
 from fewview.api.steps import Request, Steps, once, path
-from fewview.api.stored import Stored
+from fewview.api.stored import Stored, labels
 from fewview.capture import Capture
 from fewview.errors import FewviewError
 
@@ -36,6 +36,7 @@ class Datasets(Stored[Driver, Dataset]):
         *,
         name: str | None = None,
         fps: float | None = None,
+        tags: Iterable[str] = (),
         metadata: Mapping[str, Any] | None = None,
     ) -> Steps[Dataset]:
         """Store a capture, in several requests if it is long.
@@ -48,8 +49,8 @@ class Datasets(Stored[Driver, Dataset]):
         fps
             Frames per second, if frames follow each other and the capture has no times: views
             that are out of step are then found.
-        metadata
-            Anything that is JSON, given back with the dataset.
+        tags, metadata
+            Words, and anything that is JSON, to find the dataset by.
 
         Raises
         ------
@@ -59,7 +60,7 @@ class Datasets(Stored[Driver, Dataset]):
             The capture cannot be used; ``errors`` say why.
         """
         capture = to_capture(capture)
-        said = {"fps": fps, "metadata": metadata, "image_sizes": capture.image_sizes}
+        said = labels(tags, metadata) | {"fps": fps, "image_sizes": capture.image_sizes}
         form = {key: json.dumps(value) for key, value in said.items() if value is not None}
         if name is not None:
             form["name"] = name

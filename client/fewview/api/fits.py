@@ -1,6 +1,6 @@
 """Fits: jobs that turn a dataset into a model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from typing import Any
 
@@ -12,6 +12,7 @@ from fewview.api.jobs import Jobs
 from fewview.api.lifting import Lift, identifier, room_query
 from fewview.api.operations import Driver, operation
 from fewview.api.steps import Request, Steps, once, path
+from fewview.api.stored import labels
 from fewview.calibration import Camera, as_config, read_cameras
 
 Calibration = str | PathLike[str] | Sequence[Camera | Mapping[str, Any] | None]
@@ -32,6 +33,8 @@ class Fits(Jobs[Driver, Fit]):
         name: str | None = None,
         from_model: Model | str | None = None,
         calibration: Calibration | None = None,
+        tags: Iterable[str] = (),
+        metadata: Mapping[str, Any] | None = None,
         **config: Any,
     ) -> Steps[Fit]:
         """Queue a fit of a dataset.
@@ -44,6 +47,8 @@ class Fits(Jobs[Driver, Fit]):
             What is known of the cameras, in the order of the views: a calibration file, or a list
             of :class:`~fewview.calibration.Camera` and of what the API takes; None where nothing
             is known. :func:`fewview.calibration.for_views` finds cameras by the views' names.
+        tags, metadata
+            Words, and anything that is JSON, to find the fit and its model by.
         config
             Fields of ``FitConfig`` in the API: ``steps``, ``cameras``, ``known_length`` and more.
 
@@ -58,7 +63,7 @@ class Fits(Jobs[Driver, Fit]):
         """
         if calibration is not None:
             config["calibration"] = told(calibration)
-        said = {
+        said = labels(tags, metadata) | {
             "dataset_id": identifier(dataset),
             "name": name,
             "from_model": None if from_model is None else identifier(from_model),

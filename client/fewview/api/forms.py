@@ -43,12 +43,33 @@ class Described:
         What the service calls it.
     raw
         All that the service told of it, which may be more than the fields here.
+    tags, metadata
+        What was said of it, to find it again.
     """
 
     id: str
     name: str
     created_at: datetime
     raw: dict[str, Any] = field(repr=False, compare=False)
+    tags: tuple[str, ...] = field(default=(), kw_only=True)
+    metadata: dict[str, Any] = field(default_factory=dict, kw_only=True)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """What was not deleted, and why."""
+
+    id: str
+    code: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class Deleted:
+    """Identifiers of what was deleted of many, and what was not."""
+
+    deleted: tuple[str, ...]
+    refused: tuple[Refusal, ...]
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,9 @@
 """Lifts: stored datasets of any length, lifted by all workers there are."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -13,6 +14,7 @@ from fewview.api.jobs import Jobs
 from fewview.api.lifting import Lift, identifier, up_in_json
 from fewview.api.operations import Driver, operation
 from fewview.api.steps import Request, Steps, once, path
+from fewview.api.stored import labels
 
 FORMATS = {".jsonl": "jsonl", ".ndjson": "jsonl", ".npz": "npz", ".safetensors": "safetensors"}
 
@@ -34,6 +36,8 @@ class Lifts(Jobs[Driver, LiftJob]):
         views: Iterable[int] | None = None,
         frame: str | None = None,
         up: ArrayLike | None = None,
+        tags: Iterable[str] = (),
+        metadata: Mapping[str, Any] | None = None,
     ) -> Steps[LiftJob]:
         """Queue the lift of a dataset.
 
@@ -45,6 +49,8 @@ class Lifts(Jobs[Driver, LiftJob]):
             Which views of the fit the dataset's are; None if they are all, or not said.
         frame, up
             The frame of reference of the result; see :meth:`~fewview.Client.lift`.
+        tags, metadata
+            Words, and anything that is JSON, to find the lift by.
 
         Raises
         ------
@@ -55,7 +61,7 @@ class Lifts(Jobs[Driver, LiftJob]):
         TooManyRequests
             Too many lifts wait.
         """
-        said = {
+        said = labels(tags, metadata) | {
             "model_id": identifier(model),
             "dataset_id": identifier(dataset),
             "name": name,

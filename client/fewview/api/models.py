@@ -1,14 +1,17 @@
 """Models: fitted priors, their cameras and their weights."""
 
+import json
+from collections.abc import Iterable, Mapping
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from fewview.api.downloads import download
 from fewview.api.forms import Cameras, Model, form_in
 from fewview.api.lifting import identifier
 from fewview.api.operations import Driver, operation
 from fewview.api.steps import Request, Steps, once, path
-from fewview.api.stored import Stored
+from fewview.api.stored import Stored, labels
 
 
 class Models(Stored[Driver, Model]):
@@ -42,7 +45,14 @@ class Models(Stored[Driver, Model]):
         return download(path("models", identifier(model), "weights"), Path(file), self._patience)
 
     @operation
-    def upload(self, file: str | PathLike[str], *, name: str | None = None) -> Steps[Model]:
+    def upload(
+        self,
+        file: str | PathLike[str],
+        *,
+        name: str | None = None,
+        tags: Iterable[str] = (),
+        metadata: Mapping[str, Any] | None = None,
+    ) -> Steps[Model]:
         """Store weights that were downloaded from this or another Fewview.
 
         Raises
@@ -50,12 +60,15 @@ class Models(Stored[Driver, Model]):
         InvalidRequest
             The file holds no weights.
         """
+        form = {key: json.dumps(value) for key, value in labels(tags, metadata).items()}
+        if name is not None:
+            form["name"] = name
+        content = Path(file).read_bytes()
         request = Request(
             "POST",
             "/models",
             form_in(Model),
-            params={"name": name},
-            headers={**once(), "Content-Type": "application/octet-stream"},
-            body={"content": Path(file).read_bytes()},
+            headers=once(),
+            body={"data": form, "files": {"file": ("model.safetensors", content)}},
         )
         return self._call(request)

@@ -1,8 +1,12 @@
 """What is stored and has an identifier: described, listed, renamed, deleted."""
 
+import json
+from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Generic, TypeVar
 
-from fewview.api.forms import Described, form_in, page_of
+import httpx2
+
+from fewview.api.forms import Deleted, Described, form_in, page_of, read
 from fewview.api.lifting import identifier
 from fewview.api.operations import Driver, Page, Resource, listing, operation
 from fewview.api.steps import Request, Steps, nothing, path
@@ -28,20 +32,25 @@ class Stored(Resource[Driver], Generic[Driver, S]):
         return self._call(self._get(identifier))
 
     @listing
-    def list(self, /, **filters: Any) -> Request[Page[S]]:
-        """Iterate over all, newest first.
+    def list(
+        self, /, *, metadata: Mapping[str, Any] | None = None, **filters: Any
+    ) -> Request[Page[S]]:
+        """Iterate over all, newest first, that the filters allow.
 
         Parameters
         ----------
+        metadata
+            What theirs says under keys of its first level: texts, numbers or truths.
         filters
-            Those of the API's query: ``name``, ``created_after`` (a datetime), of jobs ``status``
-            and more.
+            Those of the API's query: ``id``, ``tag`` (one or several), ``name``,
+            ``created_after`` (a datetime), of jobs ``status`` and more.
         """
-        return Request("GET", path(self._plural), page_of(self._form), params=filters)
+        query = filters | _metadata(metadata)
+        return Request("GET", path(self._plural), page_of(self._form), params=query)
 
     @operation
     def update(self, stored: S | str, /, **changes: Any) -> Steps[S]:
-        """Change what is said of one: its ``name``, and of datasets their ``metadata``.
+        """Change what is said of one: its ``name``, ``tags`` or ``metadata``.
 
         Raises
         ------
@@ -62,8 +71,49 @@ class Stored(Resource[Driver], Generic[Driver, S]):
         """
         return self._call(self._delete(identifier(stored)))
 
+    @operation
+    def delete_many(
+        self, /, *, metadata: Mapping[str, Any] | None = None, **filters: Any
+    ) -> Steps[Deleted]:
+        """Delete those that :meth:`list` gives with the same filters; what is in use stays.
+
+        Raises
+        ------
+        InvalidRequest
+            There is no filter, so that all would be deleted.
+        """
+        deleted: tuple[Any, ...] = ()
+        refused: tuple[Any, ...] = ()
+        query: dict[str, Any] = filters | _metadata(metadata)
+        while True:
+            request = Request("DELETE", path(self._plural), _answered, params=query)
+            some, cursor = yield from self._call(request)
+            deleted, refused = deleted + some.deleted, refused + some.refused
+            if cursor is None:
+                return Deleted(deleted, refused)
+            query["cursor"] = cursor
+
     def _get(self, identifier: str) -> Request[S]:
         return Request("GET", path(self._plural, identifier), form_in(self._form))
 
     def _delete(self, identifier: str) -> Request[None]:
         return Request("DELETE", path(self._plural, identifier), nothing)
+
+
+def labels(tags: Iterable[str], metadata: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return what is said of something as it is made, as it travels."""
+    return {"tags": list(tags), "metadata": dict(metadata or {})}
+
+
+def _metadata(said: Mapping[str, Any] | None) -> dict[str, str]:
+    """Return the query that asks for metadata: what is no text is written as JSON."""
+    return {
+        f"metadata.{key}": value if isinstance(value, str) else json.dumps(value)
+        for key, value in (said or {}).items()
+    }
+
+
+def _answered(response: httpx2.Response) -> tuple[Deleted, str | None]:
+    """Read what was deleted, and where it goes on."""
+    said = response.json()
+    return read(Deleted, said), said["next_cursor"]

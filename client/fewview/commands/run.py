@@ -12,9 +12,8 @@ import typer
 
 from fewview.commands.export import USUAL, Formats, LengthUnit, formats_in
 from fewview.commands.export import in_words as told_in_words
-from fewview.commands.fit import read_config
 from fewview.commands.reading import Files, Options, reading_files
-from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson
+from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, fields_in
 
 if TYPE_CHECKING:
     from fewview.animation import Unit
@@ -125,7 +124,7 @@ def _config(texts: list[str], known_length: str | None) -> dict[str, Any]:
     ValueError
         If one of them cannot be read; the message says which and how.
     """
-    config = read_config(texts)
+    config = fields_in(texts, "--config")
     if known_length is not None:
         parts = known_length.rsplit(",", 2)
         try:

@@ -1,44 +1,91 @@
-"""``fewview datasets``, ``fits``, ``models``, ``lifts``: what is stored, listed, told, deleted."""
+"""``fewview datasets``, ``fits``, ``models``, ``lifts``: listed, told, changed, deleted."""
 
 import json
+import sys
+from collections.abc import Sequence
+from datetime import datetime
 from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fewview.commands.talking import AsJson, Url, say, table, talking
+from fewview.commands.talking import (
+    FAILED,
+    AsJson,
+    Metadata,
+    Tags,
+    Url,
+    fields_in,
+    say,
+    table,
+    talking,
+)
 
 if TYPE_CHECKING:
     from fewview.client import Client
 
 # What a line of a list says besides id, name and when it was made.
 COLUMNS = {
-    "datasets": ("frames", "views", "keypoints"),
-    "fits": ("status", "frames", "model_id"),
-    "models": ("keypoints", "views", "reprojection_error"),
-    "lifts": ("status", "frames", "model_id"),
+    "datasets": ("frames", "views", "keypoints", "tags"),
+    "fits": ("status", "frames", "model_id", "tags"),
+    "models": ("keypoints", "views", "reprojection_error", "tags"),
+    "lifts": ("status", "frames", "model_id", "tags"),
 }
 JOBS = ("fits", "lifts")
+AT_ONCE = 200  # that one request may delete
+SHOWN = 20  # of those that are to be deleted
+
 Identifier = Annotated[str, typer.Argument(metavar="ID")]
+Name = Annotated[str | None, typer.Option(help="Those of this very name.")]
+WithTags = Annotated[
+    list[str] | None, typer.Option("--tag", help="Those with this tag; may repeat.")
+]
+WithMetadata = Annotated[
+    list[str] | None,
+    typer.Option("--metadata", help="Those that say so, such as `subject=M7`; may repeat."),
+]
+Before = Annotated[datetime | None, typer.Option(help="Those made before this moment, UTC.")]
+After = Annotated[datetime | None, typer.Option(help="Those made after this moment, UTC.")]
 
 
 def commands_of(kind: str) -> typer.Typer:
     """Return the commands on one kind of what is stored: ``datasets``, ``fits``, ..."""
-    one = kind.removesuffix("s")
-    app = typer.Typer(no_args_is_help=True, help=f"List, describe and delete {kind}.")
+    app = typer.Typer(no_args_is_help=True, help=f"List, describe, change and delete {kind}.")
+    _add_list(app, kind)
+    _add_commands_on_one(app, kind)
+    _add_delete(app, kind)
+    return app
 
+
+def _status_of(kind: str) -> Any:
+    """Return the option that chooses by status; what is no job has none, and no such filter."""
+    told = "`queued`, `running`, `succeeded`, `failed` or `cancelled`."
+    return Annotated[str | None, typer.Option(help=told, hidden=kind not in JOBS)]
+
+
+def _add_list(app: typer.Typer, kind: str) -> None:
     @app.command("list", help=f"List {kind}, newest first.")
     def list_stored(
         *,
-        name: Annotated[str | None, typer.Option(help="Those of this very name.")] = None,
+        name: Name = None,
+        tag: WithTags = None,
+        metadata: WithMetadata = None,
+        status: _status_of(kind) = None,  # type: ignore[valid-type]
+        before: Before = None,
+        after: After = None,
         most: Annotated[int, typer.Option(min=1, help="How many at most.")] = 50,
         url: Url = None,
         as_json: AsJson = False,
     ) -> None:
         with talking(url) as client:
-            items = islice(_part(client, kind).list(name=name, limit=min(most, 200)), most)
+            filters = _filters(name, tag, metadata, status, before, after)
+            items = islice(_part(client, kind).list(**filters, limit=min(most, 200)), most)
             told = [item.raw for item in items]
             typer.echo(json.dumps(told) if as_json else _lines(kind, told))
+
+
+def _add_commands_on_one(app: typer.Typer, kind: str) -> None:
+    one = kind.removesuffix("s")
 
     @app.command(help=f"Describe a {one}.")
     def get(identifier: Identifier, *, url: Url = None, as_json: AsJson = False) -> None:
@@ -46,11 +93,21 @@ def commands_of(kind: str) -> typer.Typer:
             told = _part(client, kind).get(identifier).raw
             say(told, json.dumps(told, indent=2), as_json=as_json)
 
-    @app.command(help=f"Delete a {one}.")
-    def delete(identifier: Identifier, *, url: Url = None, as_json: AsJson = False) -> None:
+    @app.command(help=f"Change what is said of a {one}; what is not named stays as it is.")
+    def change(
+        identifier: Identifier,
+        *,
+        name: Annotated[str | None, typer.Option(help="Its new name.")] = None,
+        tag: Tags = None,
+        metadata: Metadata = None,
+        url: Url = None,
+        as_json: AsJson = False,
+    ) -> None:
         with talking(url) as client:
-            _part(client, kind).delete(identifier)
-            say({"deleted": identifier}, f"deleted {identifier}", as_json=as_json)
+            said = fields_in(metadata, "--metadata") if metadata else None
+            changes = {"name": name, "tags": tag or None, "metadata": said}
+            told = _part(client, kind).update(identifier, **changes).raw
+            say(told, f"changed {identifier}", as_json=as_json)
 
     if kind in JOBS:
 
@@ -60,7 +117,83 @@ def commands_of(kind: str) -> typer.Typer:
                 told = _part(client, kind).cancel(identifier).raw
                 say(told, f"cancelled {identifier}", as_json=as_json)
 
-    return app
+
+def _add_delete(app: typer.Typer, kind: str) -> None:
+    @app.command(help=f"Delete {kind}: those named, or those that the options choose.")
+    def delete(
+        identifiers: Annotated[list[str] | None, typer.Argument(metavar="[ID]...")] = None,
+        *,
+        name: Name = None,
+        tag: WithTags = None,
+        metadata: WithMetadata = None,
+        status: _status_of(kind) = None,  # type: ignore[valid-type]
+        before: Before = None,
+        after: After = None,
+        yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask first.")] = False,
+        url: Url = None,
+        as_json: AsJson = False,
+    ) -> None:
+        with talking(url) as client:
+            filters = _filters(name, tag, metadata, status, before, after)
+            if any(filters.values()):
+                chosen = _chosen(client, kind, {"id": identifiers, **filters}, ask=not yes)
+            elif identifiers:
+                chosen = identifiers
+            else:
+                raise ValueError(f"name the {kind} to delete, or choose them, as with --tag")
+            _delete(client, kind, chosen, as_json=as_json)
+
+
+def _filters(
+    name: str | None,
+    tags: list[str] | None,
+    metadata: list[str] | None,
+    status: str | None,
+    before: datetime | None,
+    after: datetime | None,
+) -> dict[str, Any]:
+    return {
+        "name": name,
+        "tag": tags or None,
+        "metadata": fields_in(metadata, "--metadata") or None,
+        "status": status,
+        "created_before": before,
+        "created_after": after,
+    }
+
+
+def _chosen(client: "Client", kind: str, filters: dict[str, Any], *, ask: bool) -> list[str]:
+    """Return the identifiers of what is to be deleted, once somebody has seen and confirmed it.
+
+    Raises
+    ------
+    ValueError
+        Nobody can be asked.
+    """
+    told = [item.raw for item in _part(client, kind).list(**filters, limit=AT_ONCE)]
+    if ask and told:
+        if not sys.stdin.isatty():
+            raise ValueError(f"this would delete {len(told)} {kind}: say --yes if it shall")
+        typer.echo(_lines(kind, told[:SHOWN]), err=True)
+        typer.confirm(f"Delete these {len(told)} {kind}?", abort=True, err=True)
+    return [item["id"] for item in told]
+
+
+def _delete(client: "Client", kind: str, identifiers: Sequence[str], *, as_json: bool) -> None:
+    """Delete these, and say what could not be; exit status 1 if there is any."""
+    deleted: list[str] = []
+    refused: list[dict[str, str]] = []
+    for start in range(0, len(identifiers), AT_ONCE):
+        some = identifiers[start : start + AT_ONCE]
+        answer = _part(client, kind).delete_many(id=some)
+        deleted += answer.deleted
+        refused += [vars(refusal) for refusal in answer.refused]
+    words = f"deleted {', '.join(deleted) or 'nothing'}"
+    say({"deleted": deleted, "refused": refused}, words, as_json=as_json)
+    for refusal in refused:
+        typer.echo(f"fewview: {refusal['id']}: {refusal['detail']}", err=True)
+    if refused:
+        raise typer.Exit(FAILED)
 
 
 def _part(client: "Client", kind: str) -> Any:
@@ -79,6 +212,8 @@ def _lines(kind: str, told: list[dict[str, Any]]) -> str:
 
 
 def _short(value: Any) -> str:
-    if value is None:
+    if value is None or value == []:
         return "-"
+    if isinstance(value, list):
+        return " ".join(value)
     return f"{value:.2f}" if isinstance(value, float) else str(value)

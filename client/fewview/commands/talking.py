@@ -26,6 +26,10 @@ Url = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Say it for machines.")]
+Tags = Annotated[list[str] | None, typer.Option(help="A word to find it by; may repeat.")]
+Metadata = Annotated[
+    list[str] | None, typer.Option(help="`key=value` or JSON to find it by; may repeat.")
+]
 
 
 @contextmanager
@@ -59,6 +63,38 @@ def capture_in(files: Sequence[Path], reading: "ReadingOptions") -> "Capture":
     for note in capture.notes:
         typer.echo(note, err=True)
     return capture
+
+
+def fields_in(texts: Sequence[str] | None, option: str) -> dict[str, Any]:
+    """Return the fields in JSON objects and in ``key=value``, later ones over earlier.
+
+    A value that is JSON is read as such, else it is a word, as in ``cameras=static``.
+
+    Raises
+    ------
+    ValueError
+        A text is neither; it names the option that had it.
+    """
+    fields: dict[str, Any] = {}
+    for text in texts or ():
+        key, equals, value = text.partition("=")
+        if not text.lstrip().startswith("{") and key and equals:
+            fields[key.strip()] = _value(value)
+            continue
+        try:
+            fields |= json.loads(text)
+        except (ValueError, TypeError) as error:
+            raise ValueError(
+                f"{option}: expected a JSON object or key=value, got {text!r}"
+            ) from error
+    return fields
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
 
 
 def say(result: Mapping[str, Any], words: str, *, as_json: bool) -> None:

@@ -5,7 +5,17 @@ from typing import Annotated
 import typer
 
 from fewview.commands.reading import Files, Options, reading_files
-from fewview.commands.talking import AsJson, Url, capture_in, findings_in, say, talking
+from fewview.commands.talking import (
+    AsJson,
+    Metadata,
+    Tags,
+    Url,
+    capture_in,
+    fields_in,
+    findings_in,
+    say,
+    talking,
+)
 
 
 @reading_files
@@ -14,6 +24,8 @@ def upload(
     files: Files,
     *,
     name: Annotated[str | None, typer.Option(help="Of the dataset; else that of a file.")] = None,
+    tag: Tags = None,
+    metadata: Metadata = None,
     url: Url = None,
     as_json: AsJson = False,
 ) -> None:
@@ -21,8 +33,13 @@ def upload(
     with talking(url) as client:
         reading = options()
         capture = capture_in(files, reading)
-        name = name or files[0].stem[:200]
-        dataset = client.datasets.create(capture, name=name, fps=reading.fps)
+        dataset = client.datasets.create(
+            capture,
+            name=name or files[0].stem[:200],
+            fps=reading.fps,
+            tags=tag or (),
+            metadata=fields_in(metadata, "--metadata"),
+        )
         for line in findings_in(dataset.raw):
             typer.echo(line, err=True)
         say(dataset.raw, dataset.id, as_json=as_json)

@@ -60,6 +60,16 @@ def test_what_was_finished_is_served_as_it_was(folder: Path, served: Live) -> No
     assert served.get(fit)["dataset_id"] == seen["id"]
 
 
+def test_what_it_held_takes_tags_and_metadata(served: Live) -> None:
+    for kind, name in (("datasets", "figure"), ("fits", "done"), ("models", "done")):
+        path = named(served, kind, name)
+        assert served.get(path)["tags"] == []
+        said = {"tags": ["old"], "metadata": {"from": "before"}}
+        assert served.http.patch(path, json=said).status_code == 200
+        (found,) = served.get(f"/{kind}?tag=old&metadata.from=before")["items"]
+        assert found["id"] in path
+
+
 def test_its_model_lifts_and_its_reconstruction_is_refined_otherwise(
     folder: Path, served: Live
 ) -> None:

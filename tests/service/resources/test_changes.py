@@ -1,4 +1,7 @@
-"""PATCH: names, and the metadata of datasets."""
+"""PATCH: names, tags, metadata."""
+
+import json
+from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
@@ -38,6 +41,12 @@ def test_what_cannot_be_changed_is_refused(api: TestClient, urls: list[str]) -> 
             ({"name": "n" * 201}, "/name"),
             ({"name": 5}, "/name"),
             ({"nam": "x"}, "/nam"),
+            ({"tags": ["a"] * 33}, "/tags"),
+            ({"tags": ["t" * 65]}, "/tags/0"),
+            ({"tags": ["a", " b"]}, "/tags/1"),
+            ({"tags": ["a\nb"]}, "/tags/0"),
+            ({"tags": "a"}, "/tags"),
+            ({"metadata": {"text": "x" * 70_000}}, "/metadata"),
             ({"name": "new", "status": "running"}, "/status"),
             ([], ""),
         ):
@@ -46,17 +55,33 @@ def test_what_cannot_be_changed_is_refused(api: TestClient, urls: list[str]) -> 
         problem(api.patch(url, content=b"x", headers=BYTES), 415, "unsupported_media_type")
         problem(api.patch(f"{url}x", json={"name": "x"}), 404, "not_found")
         assert api.get(url).json() == before
-    problem(api.patch(urls[1], json={"metadata": {}}), 422, "invalid_input", "/metadata")
 
 
-def test_metadata_of_a_dataset(api: TestClient, urls: list[str]) -> None:
-    url = urls[0]
-    changed = api.patch(url, json={"metadata": {"day": None, "b": {"c": [1]}}}).json()
-    assert changed["metadata"] == {"day": None, "b": {"c": [1]}}
-    assert api.patch(url, json={"name": "n"}).json() == changed | {"name": "n"}
-    assert api.patch(url, json={"metadata": {}}).json()["metadata"] == {}
-    large = api.patch(url, json={"metadata": {"text": "x" * 70_000}})
-    problem(large, 422, "invalid_input", "/metadata")
+def test_tags_and_metadata_are_replaced(api: TestClient, urls: list[str]) -> None:
+    for url in urls:
+        said = {"tags": ["pilot", "left hand"], "metadata": {"day": None, "b": {"c": [1]}}}
+        changed = api.patch(url, json=said | {"tags": ["pilot", "left hand", "pilot"]}).json()
+        assert {key: changed[key] for key in said} == said
+        assert api.patch(url, json={"name": "n"}).json() == changed | {"name": "n"}
+        assert api.patch(url, json={"tags": ["ä"], "metadata": None}).json()["tags"] == ["ä"]
+        emptied = api.patch(url, json={"tags": [], "metadata": {}}).json()
+        assert emptied == api.get(url).json() == changed | {"name": "n", "tags": [], "metadata": {}}
+
+
+def test_they_are_told_as_something_is_made(api: TestClient, model: str, weights: bytes) -> None:
+    said: dict[str, Any] = {"tags": ["pilot"], "metadata": {"subject": "M7"}}
+    dataset = make_dataset(api, frames=1, **said)
+    fit = api.post("/fits", json={"dataset_id": dataset["id"], **said})
+    lift = api.post("/lifts", json={"dataset_id": dataset["id"], "model_id": model, **said})
+    form = {key: json.dumps(value) for key, value in said.items()}
+    copy = api.post("/models", data=form, files={"file": ("w", weights)})
+    assert api.delete(copy.headers["Location"]).status_code == 204
+    for made in (dataset, fit.json(), lift.json(), copy.json()):
+        assert {key: made[key] for key in said} == said
+    for job in (fit, lift):
+        assert api.post(f"{job.headers['Location']}/cancel").json()["tags"] == ["pilot"]
+    wrong = api.post("/fits", json={"dataset_id": dataset["id"], "tags": [""]})
+    problem(wrong, 422, "invalid_input", "/tags/0")
 
 
 def test_followers_of_a_job_see_its_new_name(api: TestClient, urls: list[str]) -> None:

@@ -85,3 +85,108 @@ def test_lists_of_models_show_no_training_curves(api: TestClient, model: str) ->
     shown = api.get(f"/models/{model}").json()
     assert shown.pop("training_curve")
     assert shown in api.get("/models?limit=200").json()["items"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_tags_and_metadata_filter(
+    api: TestClient, make: Callable[[str, str], dict[str, Any]], kind: str
+) -> None:
+    labels: list[dict[str, Any]] = [
+        {"tags": ["a", "b c"], "metadata": {"subject": "M7", "day": 2, "ok": True, "x.y": "ä"}},
+        {"tags": ["a"], "metadata": {"subject": "M7", "day": "2", "ok": 1, "deep": {"day": 2}}},
+        {"tags": ["A", 'a"b'], "metadata": {"subject": "m7", "day": 2.5, "ok": False}},
+        {},
+    ]
+    made = [make(kind, "labelled")["id"] for _ in labels]
+    for identifier, said in zip(made, labels, strict=True):
+        assert api.patch(f"/{kind}/{identifier}", json=said).status_code == 200
+    first, second, third, _ = made
+
+    for query, expected in (
+        ({"tag": "a"}, [second, first]),
+        ({"tag": ["a", "b c"]}, [first]),
+        ({"tag": ["b c", "A"]}, []),
+        ({"tag": 'a"b'}, [third]),
+        ({"metadata.subject": "M7"}, [second, first]),
+        ({"metadata.day": "2"}, [second, first]),
+        ({"metadata.day": "2.5"}, [third]),
+        ({"metadata.ok": "true"}, [first]),
+        ({"metadata.ok": "false"}, [third]),
+        ({"metadata.ok": "1"}, [second]),
+        ({"metadata.x.y": "ä"}, [first]),
+        ({"metadata.deep.day": "2"}, []),
+        ({"metadata.subject": "M7", "tag": "b c"}, [first]),
+        ({"id": [third, first, "none"]}, [third, first]),
+        ({"id": [third, first], "tag": "A"}, [third]),
+    ):
+        assert identifiers(api, kind, name="labelled", **query) == expected, query
+
+
+def test_filters_are_bounded(api: TestClient) -> None:
+    for query, pointer in (
+        ({"tag": [f"t{n}" for n in range(9)]}, "/tag"),
+        ({"tag": ""}, "/tag/0"),
+        ({"id": ["x"] * 201}, "/id"),
+        ({f"metadata.{n}": "1" for n in range(9)}, "/metadata"),
+        ({"metadata.a": "1" * 1001}, "/metadata.a"),
+        ({"metadata": "a"}, "/metadata"),
+        ({"meta.a": "1"}, "/meta.a"),
+    ):
+        problem(api.get("/datasets", params=query), 422, "invalid_input", pointer)
+    made = make_dataset(api, frames=1)["id"]
+    other = api.get(f"/datasets/{made}", params={"metadata.a": "1"})
+    problem(other, 422, "invalid_input", "/metadata.a")
+
+
+def deleted(api: TestClient, kind: str, **query: Any) -> dict[str, Any]:
+    response = api.delete(f"/{kind}", params=query)
+    assert response.status_code == 200, response.text
+    found: dict[str, Any] = response.json()
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_are_deleted_at_once(
+    api: TestClient, make: Callable[[str, str], dict[str, Any]], kind: str
+) -> None:
+    made = [make(kind, f"doomed {kind}")["id"] for _ in range(5)]
+    kept = make(kind, "kept")["id"]
+    some = deleted(api, kind, id=[made[0], made[1], made[0]])
+    assert some == {"deleted": [made[1], made[0]], "refused": [], "next_cursor": None}
+    again = deleted(api, kind, id=[made[0], kept], name=f"doomed {kind}")
+    assert again["deleted"] == []
+    assert [(item["id"], item["code"]) for item in again["refused"]] == [
+        (made[0], "not_found"),
+        (kept, "not_found"),
+    ]
+    page = deleted(api, kind, name=f"doomed {kind}", limit=2)
+    assert page["deleted"] == [made[4], made[3]]
+    rest = deleted(api, kind, name=f"doomed {kind}", cursor=page["next_cursor"])
+    assert rest == {"deleted": [made[2]], "refused": [], "next_cursor": None}
+    assert identifiers(api, kind, name=f"doomed {kind}") == []
+    assert api.get(f"/{kind}/{kept}").status_code == 200
+
+
+@pytest.mark.usefixtures("unchanged")
+def test_nothing_is_deleted_without_a_filter(api: TestClient) -> None:
+    for kind in KINDS:
+        for query in ({}, {"limit": 200}):
+            problem(api.delete(f"/{kind}", params=query), 422, "invalid_input", "/id")
+        problem(api.delete(f"/{kind}?nam=x"), 422, "invalid_input", "/nam")
+
+
+def test_what_is_in_use_is_not_deleted(api: TestClient) -> None:
+    free, used = (make_dataset(api, frames=1, tags=["bulk"])["id"] for _ in range(2))
+    fit = api.post("/fits", json={"dataset_id": used, "tags": ["bulk"]}).json()["id"]
+    for kind, gone, stays, word in (
+        ("datasets", [free], used, "in use"),
+        ("fits", [], fit, "cancel it first"),
+    ):
+        answer = deleted(api, kind, tag="bulk")
+        assert answer["deleted"] == gone
+        (refusal,) = answer["refused"]
+        assert (refusal["id"], refusal["code"]) == (stays, "conflict")
+        assert word in refusal["detail"]
+    api.post(f"/fits/{fit}/cancel")
+    assert deleted(api, "fits", tag="bulk", status="cancelled")["deleted"] == [fit]
+    assert deleted(api, "datasets", tag="bulk")["deleted"] == [used]

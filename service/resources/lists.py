@@ -1,0 +1,274 @@
+"""What is stored as lists: filtered, continued by a cursor, deleted many at a time."""
+
+from collections.abc import Awaitable, Callable
+from datetime import UTC, datetime
+from typing import Annotated, Any, Generic, NamedTuple, Self, TypeVar
+
+from fastapi import APIRouter, Depends, Query, Request
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.http.dependencies import FREE_QUERY, StoreDep
+from service.http.errors import invalid, problems
+from service.wire.schemas import Name
+from store import lookup
+from store.database import Store
+from store.errors import ConflictError, NotFoundError
+from store.labels import Tag
+from store.lookup import Filters, Resource
+
+Item = TypeVar("Item", bound=BaseModel)
+Columns = dict[str, str | None]
+
+MOST_LISTED = 200
+MOST_LABELS = 8  # tags, and keys of metadata, to filter by
+LONGEST_VALUE = 1000
+
+_MOMENT = "ISO 8601, UTC unless it names another zone."
+
+# Parameters of names that are not known beforehand, as OpenAPI says them: an object whose members
+# are parameters of their own.
+_METADATA_QUERY = {
+    "name": FREE_QUERY,
+    "in": "query",
+    "style": "form",
+    "explode": True,
+    "description": f"`?{FREE_QUERY}.subject=M7`: those whose metadata says this under this key of "
+    f"its first level; numbers, `true` and `false` as in JSON. {MOST_LABELS} keys at most.",
+    "schema": {
+        "type": "object",
+        "propertyNames": {"pattern": rf"^{FREE_QUERY}\."},
+        "additionalProperties": {"type": "string", "maxLength": LONGEST_VALUE},
+    },
+}
+
+
+class Asked(NamedTuple):
+    """What of a list is asked for."""
+
+    limit: int
+    cursor: str | None
+    filters: Filters
+
+
+class Refusal(BaseModel):
+    """What was not deleted, and why."""
+
+    id: str
+    code: str = Field(description="`conflict` or `not_found`.")
+    detail: str
+
+
+class Deleted(BaseModel):
+    """What was deleted of those that were asked for, and what was not."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "deleted": ["ds_01m7yspdypmt22jq6npfg62xe5"],
+                "refused": [
+                    {
+                        "id": "ds_01m7yspf3gqz6cz1v8e7ch3y7c",
+                        "code": "conflict",
+                        "detail": "Dataset 'ds_01m7yspf3gqz6cz1v8e7ch3y7c' is in use by "
+                        "fit_01m7yspf3gqz6cz1v8e7ch3y7c: cancel these fits or wait for them to "
+                        "end.",
+                    }
+                ],
+                "next_cursor": "ds_01m7yspf3gqz6cz1v8e7ch3y7c",
+            }
+        }
+    )
+
+    deleted: list[str]
+    refused: list[Refusal]
+    next_cursor: str | None = Field(
+        description="Where it goes on if there are more: send the same again with this `cursor`."
+    )
+
+
+def page_of(item: type[BaseModel]) -> ConfigDict:
+    """Return the configuration of a page's model: an example made of one item's."""
+    extra = item.model_config.get("json_schema_extra")
+    assert isinstance(extra, dict)  # noqa: S101
+    return ConfigDict(
+        json_schema_extra={"example": {"items": [extra["example"]], "next_cursor": None}}
+    )
+
+
+class Page(BaseModel, Generic[Item]):
+    """Items of a list, and where it goes on."""
+
+    items: list[Item]
+    next_cursor: str | None
+
+    @classmethod
+    def read(
+        cls,
+        store: Store,
+        kind: type[Resource],
+        to_wire: Callable[[Resource], Item],
+        asked: Asked,
+    ) -> Self:
+        """Return the page that is asked for."""
+        found, cursor = _found(store, kind, asked)
+        return cls(items=[to_wire(record) for record in found], next_cursor=cursor)
+
+
+async def no_columns() -> Columns:
+    """Return the columns that a list without filters of its own is asked for: none."""
+    return {}
+
+
+def add_list_routes(
+    router: APIRouter,
+    kind: type[Resource],
+    page: type[Page[Any]],
+    to_wire: Callable[[Resource], BaseModel],
+    *,
+    prefix: str,
+    delete: Callable[[Store, str], None],
+    columns: Callable[..., Awaitable[Columns]] = no_columns,
+) -> None:
+    """Add the list of what is stored of a kind, and the deletion of what it shows.
+
+    Parameters
+    ----------
+    page, to_wire
+        The JSON form of a page, and what makes that of an item of a record.
+    prefix
+        Of the identifiers.
+    delete
+        Deletes one; raises ``ConflictError`` if it is in use.
+    columns
+        A dependency: what columns of the record must hold, by the names of the query.
+    """
+    nouns = f"{kind.noun}s"
+    asked_for = Depends(_asked_of(prefix, columns))
+    extra = {"parameters": [_METADATA_QUERY]}
+
+    @router.get(
+        "",
+        name=f"list_{nouns}",
+        response_model=page,
+        description=f"List {nouns}, newest first. Those that all filters allow are shown.",
+        responses=problems(),
+        openapi_extra=extra,
+    )
+    def list_resources(store: StoreDep, asked: Annotated[Asked, asked_for]) -> Any:
+        return page.read(store, kind, to_wire, asked)
+
+    @router.delete(
+        "",
+        name=f"delete_{nouns}",
+        response_model=Deleted,
+        description=f"Delete the {nouns} that the list with the same query shows: those of some "
+        "`id`, say, or of a `tag`. Without any filter nothing is deleted. What is in use stays, "
+        "and is named in `refused`.",
+        responses=problems(),
+        openapi_extra=extra,
+    )
+    def delete_resources(store: StoreDep, asked: Annotated[Asked, asked_for]) -> Any:
+        if not asked.filters:
+            raise invalid(
+                "/id", f"expected a filter, such as id, name or tag: this would delete all {nouns}"
+            )
+        return _delete(store, kind, asked, delete)
+
+
+def _asked_of(
+    prefix: str, columns: Callable[..., Awaitable[Columns]]
+) -> Callable[..., Awaitable[Asked]]:
+    """Return the dependency that reads the query of a list."""
+
+    async def read_query(
+        request: Request,
+        equal: Annotated[Columns, Depends(columns)],
+        limit: Annotated[int, Query(ge=1, le=MOST_LISTED, description="Items on a page.")] = 50,
+        cursor: Annotated[
+            str | None,
+            Query(
+                pattern=f"^{prefix}_[0-9a-z]{{26}}$",
+                description="`next_cursor` of the page before; leave out for the first.",
+            ),
+        ] = None,
+        identifiers: Annotated[
+            list[Annotated[str, Field(max_length=200)]],
+            Query(alias="id", max_length=MOST_LISTED, description="These; may be repeated."),
+        ] = [],  # noqa: B006 (nobody changes it)
+        name: Annotated[Name | None, Query(description="Those of this very name.")] = None,
+        tags: Annotated[
+            list[Tag],
+            Query(
+                alias="tag",
+                max_length=MOST_LABELS,
+                description="Those with this tag; may be repeated, for those with all of them.",
+            ),
+        ] = [],  # noqa: B006
+        created_before: Annotated[
+            datetime | None, Query(description=f"Those made before this moment: {_MOMENT}")
+        ] = None,
+        created_after: Annotated[
+            datetime | None, Query(description=f"Those made after this moment: {_MOMENT}")
+        ] = None,
+    ) -> Asked:
+        filters = Filters(
+            ids=identifiers,
+            created_before=_seconds(created_before),
+            created_after=_seconds(created_after),
+            tags=tags,
+            metadata=_metadata_in(request),
+            equal={"name": name, **equal},
+        )
+        return Asked(MOST_LISTED if identifiers else limit, cursor, filters)
+
+    return read_query
+
+
+def _metadata_in(request: Request) -> dict[str, str]:
+    start = f"{FREE_QUERY}."
+    found = {
+        name.removeprefix(start): value
+        for name, value in request.query_params.items()
+        if name.startswith(start)
+    }
+    if len(found) > MOST_LABELS:
+        raise invalid(f"/{FREE_QUERY}", f"expected {MOST_LABELS} keys at most, got {len(found)}")
+    for key, value in found.items():
+        if len(value) > LONGEST_VALUE:
+            raise invalid(f"/{start}{key[:100]}", f"expected {LONGEST_VALUE} characters at most")
+    return found
+
+
+def _found(store: Store, kind: type[Resource], asked: Asked) -> tuple[list[Resource], str | None]:
+    """Return the records of a page, and where the next begins."""
+    found = lookup.page(store, kind, asked.filters, limit=asked.limit + 1, after=asked.cursor)
+    page = found[: asked.limit]
+    return page, page[-1].id if len(found) > asked.limit else None
+
+
+def _delete(
+    store: Store, kind: type[Resource], asked: Asked, delete: Callable[[Store, str], None]
+) -> Deleted:
+    found, cursor = _found(store, kind, asked)
+    known: list[str] = [record.id for record in found]
+    answer = Deleted(deleted=[], refused=[], next_cursor=cursor)
+    for identifier in known:
+        try:
+            delete(store, identifier)
+            answer.deleted.append(identifier)
+        except ConflictError as error:
+            answer.refused.append(Refusal(id=identifier, code="conflict", detail=str(error)))
+        except NotFoundError:  # somebody else was faster
+            answer.deleted.append(identifier)
+    answer.refused += [
+        Refusal(id=wanted, code="not_found", detail=f"The query finds no {kind.noun} of this id.")
+        for wanted in dict.fromkeys(asked.filters.ids)
+        if wanted not in known
+    ]
+    return answer
+
+
+def _seconds(moment: datetime | None) -> float | None:
+    if moment is None:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
