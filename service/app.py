@@ -21,6 +21,7 @@ from starlette.responses import Response
 
 from service.http import errors
 from service.http.dependencies import refuse_unknown_query
+from service.http.faults import Faults
 from service.http.head import Head
 from service.http.limits import BodyLimit
 from service.http.operations import registered_schemas
@@ -104,6 +105,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.add_middleware(Head)
     if settings.allowed_origins:
+        app.add_middleware(Faults)
         app.add_middleware(
             CORSMiddleware,
             allow_origins=settings.allowed_origins,

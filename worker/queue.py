@@ -6,7 +6,7 @@ import logging
 import pickle
 from typing import Any
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, RedisDsn
 from redis import Redis
 from redis.backoff import ExponentialWithJitterBackoff
 from redis.exceptions import RedisError
@@ -29,6 +29,7 @@ FIT_JOB = "worker.jobs.fit"
 LIFT_JOB = "worker.jobs.lift"
 HELP_JOB = "worker.jobs.help_lift"
 
+START_PATIENCE_SECONDS = 3.0
 RESULT_SECONDS = 24 * 3600
 FAILURE_SECONDS = 7 * 24 * 3600
 
@@ -100,6 +101,18 @@ def connect(url: str, *, retries: int, timeout_seconds: float = 5.0) -> Redis:
         socket_timeout=timeout_seconds,
         health_check_interval=30,
     )
+
+
+def check_reachable(url: RedisDsn) -> None:
+    """Raise ``ValueError`` if Redis does not answer now, in words for whoever starts something."""
+    try:
+        with connect(str(url), retries=0, timeout_seconds=START_PATIENCE_SECONDS) as connection:
+            connection.ping()
+    except RedisError as error:
+        raise ValueError(
+            f"Redis at {url.host}:{url.port} cannot be reached ({error}): start it, or say where "
+            "it is with --redis-url."
+        ) from error
 
 
 def open_queue(connection: Redis) -> Queue:

@@ -27,6 +27,7 @@ from worker.queue import (
     RESULT_SECONDS,
     KnownJob,
     PlainDataSerializer,
+    check_reachable,
     connect,
 )
 from worker.reconciler import Reconciler
@@ -178,10 +179,11 @@ def run(settings: WorkerSettings) -> None:
     Raises
     ------
     ValueError
-        If the settings name no Redis.
+        If the settings name no Redis, or one that does not answer as the worker starts.
     """
     if settings.redis_url is None:
         raise ValueError("A worker needs FEWVIEW_REDIS_URL, for example redis://localhost:6379/0.")
+    check_reachable(settings.redis_url)
     stopping = False
     while not stopping:
         try:

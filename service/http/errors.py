@@ -229,7 +229,8 @@ def _of_outage(part: str) -> Callable[[Exception], ApiError]:
     return to_api_error
 
 
-def _of_bug(_error: Exception) -> ApiError:
+def of_bug(_error: Exception) -> ApiError:
+    """Return the error of what nobody foresaw; it tells nothing of it."""
     return ApiError(
         "internal_error",
         "This is a fault in Fewview; its log says more.",
@@ -257,7 +258,7 @@ TRANSLATIONS: dict[type[Exception], Callable[[Any], ApiError]] = {
     OperationalError: _of_outage("records"),
     ObjectStoreError: _of_outage("objects"),
     redis.exceptions.RedisError: _of_outage("queue"),
-    Exception: _of_bug,
+    Exception: of_bug,
 }
 
 

