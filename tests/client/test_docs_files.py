@@ -65,17 +65,3 @@ def test_everything_shown_runs_in_its_order(
     np.testing.assert_allclose(
         np.nanmean(errors, axis=1), lift.reprojection_errors[there, 0], atol=0.02
     )
-
-
-@pytest.mark.parametrize("fixture", ["resting", "plain", "fisheye"])
-@pytest.mark.parametrize("refine", ["off", "auto", "full"])
-def test_formulae_give_the_errors_that_lifts_say(fixture: str, refine: str) -> None:
-    lift, keypoints = lift_of(fixture, refine)
-    shown: dict[str, Any] = {"lift": lift, "keypoints": keypoints}
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Mean of empty slice")
-        exec(blocks(HEADINGS[2])[0], shown)  # noqa: S102  # it is ours
-        found = np.nanmean(shown["errors"], axis=-1)
-    there = (lift.camera_models >= 0) & np.isfinite(found)
-    assert there.sum() > 20
-    np.testing.assert_allclose(found[there], lift.reprojection_errors[there], atol=0.02)
