@@ -159,7 +159,7 @@ def _aligned(
     """Return which frame (N, K) of each view stands in each frame, -1 for none, and times."""
     if align == "time":
         return _by_time(views, fps, notes)
-    numbers = _numbers(views, notes)
+    numbers = common_numbers(views, notes)
     together = np.unique(np.concatenate(numbers))
     rows = np.full((len(together), len(views)), -1)
     for v, own in enumerate(numbers):
@@ -174,7 +174,7 @@ def _aligned(
     return rows, _own_times(views, rows)
 
 
-def _numbers(views: list[View], notes: list[str]) -> list[Int64]:
+def common_numbers(views: list[View], notes: list[str]) -> list[Int64]:
     """Return frame numbers (N,) that mean the same in all views."""
     numbers = [view.numbers for view in views]
     first = [int(own[0]) for own in numbers]

@@ -1,4 +1,4 @@
-"""One person of those that a camera detected, followed over the frames."""
+"""One person of those that cameras detected, followed over the frames, the same in all."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from fewview.capture import Float32
 from fewview.errors import FormatError
+from fewview.readers.combining import common_numbers
+from fewview.readers.matching import SURE, Track, same_people
 from fewview.readers.views import Int64, View
 from fewview.reading_options import Person
 
@@ -16,7 +18,7 @@ NEAR, WIDENING, FAR = 0.75, 0.05, 2.0  # of a body's size: a step, more for each
 
 
 @dataclass
-class Track:
+class Followed:
     """Somebody who is followed.
 
     Attributes
@@ -55,24 +57,12 @@ def pick(views: Sequence[View], person: Person | Sequence[Person]) -> tuple[list
         else view
         for view in views
     ]
-    if all(view.people is not None for view in views):
+    several = any(view.keypoints.shape[1] > 1 for view in views)
+    if not several:
+        views = [replace(v, people=("",)) if v.people is None else v for v in views]
+    if not several or (person != "auto" and all(view.people is not None for view in views)):
         return _by_name(views, person)
-    chosen, notes = [], []
-    for view in views:
-        if view.people is not None or view.keypoints.shape[1] == 1:
-            names = view.people or ("0",)
-            (one,), said = _by_name([replace(view, people=names)], person)
-            notes += said
-        else:
-            one, said_of_one = _followed(view, person)
-            notes.append(said_of_one)
-        chosen.append(one)
-    if sum(view.keypoints.shape[1] > 1 for view in views) > 1:
-        notes.append(
-            "people were followed in each camera on its own: see that all show the same one, or "
-            "choose with person="
-        )
-    return chosen, notes
+    return _matched(views, person)
 
 
 def _known(views: Sequence[View], name: str) -> bool:
@@ -147,38 +137,120 @@ def _with(view: View, places: Int64, name: str) -> View:
     return replace(view, keypoints=keypoints, confidence=confidence, people=(name,))
 
 
-def _followed(view: View, person: Person) -> tuple[View, str]:
-    """Follow people from frame to frame and pick one: seen most, or mostly at a place in lists."""
-    tracks, amount = follow(view), seen(view)
-    much = [float(amount[t.frames, t.places].sum()) for t in tracks]
-    order = sorted(range(len(tracks)), key=lambda i: -much[i])
-    if person != "auto":
-        if not str(person).isdigit():
-            raise FormatError(f"{view.name}: people have no names there; choose one by a number")
-        order = [i for i in order if _place(tracks[i].places) == int(person)]
-        if not order:
-            raise FormatError(
-                f"{view.name}: nobody is number {person} for long; at most "
-                f"{view.keypoints.shape[1]} people are detected at once"
+def _matched(views: Sequence[View], person: Person) -> tuple[list[View], list[str]]:
+    """Follow people in each camera, find who is the same in all, and pick one."""
+    tracks = _tracks(views)
+    if len({view.keypoints.shape[2] for view in views}) == 1:
+        people, sureness = same_people(tracks, len(views))
+    else:
+        people, sureness = [[i] for i in range(len(tracks))], {}
+    sure = _sureness(people[0], tracks, sureness, len(views)) if people else 0.0
+    if sure < SURE and all(view.people is not None for view in views):
+        return _by_name(views, person)
+    if person != "auto" and not str(person).isdigit():
+        raise FormatError(f"person {person!r}: people have no names there; choose by a number")
+    number = 0 if person == "auto" else int(person)
+    if number >= len(people):
+        raise FormatError(f"there is no person {number}; {len(people)} were found")
+    who = people[number]
+    chosen, notes = [], []
+    for v, view in enumerate(views):
+        mine = [tracks[i] for i in who if tracks[i].view == v]
+        if not mine:  # nothing tells who it is there
+            others = [t for t in tracks if t.view == v]
+            mine = sorted(others, key=lambda track: -track.amount)[number : number + 1]
+        places = np.full(len(view.keypoints), -1)
+        for track in mine:
+            places[track.rows] = track.places
+        chosen.append(_with(view, places, "0"))
+        notes.append(_said_of(view, places))
+    return chosen, [*notes, *_certainty(views, tracks, who, sureness)]
+
+
+def _tracks(views: Sequence[View]) -> list[Track]:
+    """Return everybody who is seen in each camera, under numbers that mean the same in all."""
+    tracks = []
+    for v, (view, numbers) in enumerate(zip(views, common_numbers(list(views), []), strict=True)):
+        amount = seen(view)
+        if view.people is None:
+            found = [(np.array(one.frames), np.array(one.places)) for one in follow(view)]
+        else:
+            rows = [np.flatnonzero(amount[:, place] > 0) for place in range(amount.shape[1])]
+            found = [(own, np.full(len(own), place)) for place, own in enumerate(rows)]
+        tracks += [
+            Track(
+                v,
+                rows,
+                places,
+                numbers[rows],
+                view.keypoints[rows, places].astype(np.float64),
+                float(amount[rows, places].sum()),
             )
-    track = tracks[order[0]]
-    present = int((amount.max(-1) > 0).sum())
-    said = (
+            for rows, places in found
+            if len(rows)
+        ]
+    return tracks
+
+
+def _sureness(
+    who: Sequence[int], tracks: Sequence[Track], sureness: dict[tuple[int, int], float], views: int
+) -> float:
+    """Return how sure it is that somebody is the same in all cameras: the weakest of the links.
+
+    Of all links, the surest that join the cameras count.
+    """
+    joined = {v: {v} for v in range(views)}
+    for (i, j), sure in sorted(sureness.items(), key=lambda each: -each[1]):
+        one, other = (joined[tracks[k].view] for k in (i, j))
+        if i in who and j in who and one is not other:
+            one |= other
+            joined |= dict.fromkeys(other, one)
+            if len(one) == views:
+                return sure
+    return 0.0
+
+
+def _said_of(view: View, places: Int64) -> str:
+    shown = int((places >= 0).sum())
+    named = view.people is not None and len(set(places[places >= 0].tolist())) == 1
+    if named and view.people is not None and view.people[places.max()]:
+        return f"{view.name}: {view.people[places.max()]!r} was taken, in {shown} frames"
+    present = int((seen(view).max(-1) > 0).sum())
+    return (
         f"{view.name}: up to {view.keypoints.shape[1]} people at once; one was followed through "
-        f"{len(track.frames)} of the {present} frames that show anybody"
+        f"{shown} of the {present} frames that show anybody"
     )
-    places = np.full(len(view.keypoints), -1)
-    places[track.frames] = track.places
-    return _with(view, places, "0"), said
 
 
-def _place(places: list[int]) -> int:
-    return int(np.bincount(places).argmax())
+def _certainty(
+    views: Sequence[View],
+    tracks: Sequence[Track],
+    who: Sequence[int],
+    sureness: dict[tuple[int, int], float],
+) -> list[str]:
+    """Return a sentence on how sure it is that all cameras show the same person."""
+    if len(views) < 2:
+        return []
+    found = {tracks[i].view for i in who}
+    unsure = sorted({views[v].name for v in range(len(views)) if v not in found})
+    remedy = "see that all show the same one, or choose for each camera, as in person=[0, 1, 0]"
+    if unsure:
+        return [f"who is the same person in {', '.join(unsure)} cannot be known: {remedy}"]
+    least = _sureness(who, tracks, sureness, len(views))
+    if least < SURE:
+        return [
+            "that all cameras show the same person is not sure: another choice fits "
+            f"{1 - least:.0%} as well; {remedy}"
+        ]
+    return [
+        "all cameras show the same person, as their epipolar geometry says: the next best choice "
+        f"fits {1 - least:.0%} as well"
+    ]
 
 
-def follow(view: View) -> list[Track]:
+def follow(view: View) -> list[Followed]:
     """Link the people of each frame to those before them: nearest first, keypoint by keypoint."""
-    tracks: list[Track] = []
+    tracks: list[Followed] = []
     present = seen(view) > 0
     for frame, keypoints in enumerate(view.keypoints):
         free = [int(place) for place in np.flatnonzero(present[frame])]
@@ -196,20 +268,20 @@ def follow(view: View) -> list[Track]:
                 free.remove(place)
                 _extend(alive[i], keypoints[place], frame, place)
         for place in free:
-            track = Track(keypoints[place].copy())
+            track = Followed(keypoints[place].copy())
             _extend(track, keypoints[place], frame, place)
             tracks.append(track)
     return tracks
 
 
-def _extend(track: Track, keypoints: Float32, frame: int, place: int) -> None:
+def _extend(track: Followed, keypoints: Float32, frame: int, place: int) -> None:
     known = np.isfinite(keypoints).all(-1)
     track.last[known] = keypoints[known]
     track.frames.append(frame)
     track.places.append(place)
 
 
-def _distance(track: Track, keypoints: Float32, frame: int) -> float | None:
+def _distance(track: Followed, keypoints: Float32, frame: int) -> float | None:
     """Return how far off somebody is, in sizes of the body; None if too far."""
     known = np.isfinite(track.last).all(-1)
     here = np.isfinite(keypoints).all(-1)

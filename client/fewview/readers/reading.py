@@ -39,8 +39,9 @@ def read(
     format
         Name of the format (`fewview.readers.registry.NAMES`); None to find out from the content.
     person
-        Of several people or animals: "auto" for the one that is seen most, followed over time; a
-        number for a place in the file's lists; a name for a track or individual.
+        Of several people or animals: "auto" for the one that is seen most; a number for a place
+        among those with names, else for a rank, 0 for who is seen most; a name for a track or
+        individual; a list or "0,1,0" for each camera on its own.
     min_confidence
         Detections that are less sure are gaps.
     skeleton
