@@ -29,14 +29,14 @@ from service.http.uploads import LARGE_AT_A_TIME
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
-from service.resources import datasets, fits, health, lifts, models, reconstructions
+from service.resources import captures, datasets, fits, health, lifts, models, reconstructions
 from service.settings import Settings
 from store.database import Store
 from worker.process import die_with_parent
 from worker.queue import connect, open_queue
 
 # Lifts come first: routes are tried in this order, and nothing else is in such a hurry.
-RESOURCES = (lift, stream, datasets, fits, reconstructions, models, lifts, health)
+RESOURCES = (lift, stream, datasets, captures, fits, reconstructions, models, lifts, health)
 
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 

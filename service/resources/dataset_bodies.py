@@ -16,6 +16,7 @@ from service.wire.detector_files import DetectorReading, asked_of, holds_arrays,
 from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, TIMES, Name
 from service.wire.skeletons import Skeleton
 from store.capture import Capture
+from store.capture_files import UNKNOWN_SIZE
 from store.datasets import Description
 from store.labels import Labels
 
@@ -158,6 +159,8 @@ def _described_in(found: Arrays) -> dict[str, Any]:
     for key in ("image_sizes", "view_names"):
         if key in found:
             said[key] = _listed(found, key)
+    if isinstance(said.get("image_sizes"), list):
+        said["image_sizes"] = [None if s == UNKNOWN_SIZE else s for s in said["image_sizes"]]
     if "fps" in found:
         fps = found["fps"]
         said["fps"] = fps.item() if fps.size == 1 else _listed(found, "fps")

@@ -54,7 +54,7 @@ class FitCreate(Labels):
                 "config": {
                     "seed": 1,
                     "cameras": "static",
-                    "known_length": {"keypoints": ["left_hip", "left_knee"], "length": 0.26},
+                    "known_length": {"keypoints": [2, 3], "length": 0.26},
                 },
             }
         },

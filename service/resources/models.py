@@ -268,20 +268,22 @@ def import_model(
         prior = FittedPrior.from_bytes(weights)
     except WeightsError as error:
         raise ApiError("malformed_body", f"These are no weights of a model: {error}") from error
-    skeleton = said.skeleton or known.skeleton
-    if skeleton is not None:
-        skeleton.check(prior.keypoints_per_frame)
+    known = known.model_copy(
+        update={field: getattr(said, field) for field in said.model_fields_set}
+    )
+    if known.skeleton is not None:
+        known.skeleton.check(prior.keypoints_per_frame)
     columns: dict[str, Any] = {
-        "name": said.name if "name" in said.model_fields_set else known.name or said.name,
+        "name": known.name or said.name,
         "views": known.views,
         "frames": known.frames,
         "keypoints": prior.keypoints_per_frame,
         "config": prior.config.model_dump(mode="json"),
-        "skeleton": None if skeleton is None else skeleton.model_dump(),
+        "skeleton": known.skeleton and known.skeleton.model_dump(),
         "training_curve": [point._asdict() for point in prior.curve],
         "metrics": known.metrics.model_dump(),
         "findings": dumped(prior.findings),
-        **said.columns(),
+        **known.columns(),
     }
     record = models.create(
         store,

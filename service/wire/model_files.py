@@ -16,6 +16,7 @@ from service.http.errors import from_validation
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
 from store import records
+from store.labels import Labels, labels_of
 
 ENTRY = "model"  # in the metadata of a file
 ALIGNMENT = 8  # bytes, of what follows the header
@@ -34,10 +35,10 @@ class Figures(BaseModel):
     pck_threshold: Figure = None
 
 
-class Description(BaseModel):
+class Description(Labels):
     """What is known of a model and not in its weights. What is not known here is ignored."""
 
-    model_config = ConfigDict(strict=True)
+    model_config = ConfigDict(strict=True, extra="ignore")
 
     name: Name | None = None
     views: Annotated[int, Field(ge=1, le=MAX_VIEWS)] | None = None
@@ -48,9 +49,9 @@ class Description(BaseModel):
     @classmethod
     def of(cls, model: records.Model) -> Self:
         """Return what the record of a model says."""
-        return cls.model_validate(
-            {field: getattr(model, field) for field in cls.model_fields}, strict=False
-        )
+        fields = ("name", "views", "frames", "skeleton", "metrics")
+        said = {field: getattr(model, field) for field in fields} | labels_of(model)
+        return cls.model_validate(said, strict=False)
 
 
 def described(weights: bytes, description: Description) -> bytes:

@@ -65,6 +65,15 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
     assert len(read_cameras(calibration)) == 3
     assert "anipose" in refused(fewview("cameras", model, "-o", str(out / "a.obj"), url), 2)
 
+    assert fewview("datasets", "download", dataset, "-o", str(out / "a.npz"), url).returncode == 0
+    again = fewview("upload", str(out / "a.npz"), "--json", url)
+    stored = served.client.datasets.get(dataset)
+    assert said(again)["checksum"] == stored.checksum
+    assert said(again)["image_sizes"] == stored.raw["image_sizes"]
+    weights = str(out / "copy.safetensors")
+    assert said(fewview("models", "download", model, "-o", weights, "--json", url))
+    assert served.client.models.upload(weights).name == "walk"
+
     for kind, identifier in (("datasets", dataset), ("models", model)):
         listed = fewview(kind, "list", url).stdout
         assert identifier in listed

@@ -93,6 +93,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "delete_lifts",
         "delete_model",
         "delete_models",
+        "download_capture",
         "download_weights",
         "get_dataset",
         "get_fit",

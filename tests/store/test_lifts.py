@@ -11,6 +11,7 @@ import pytest
 from safetensors.numpy import load
 
 from store import datasets, housekeeping, lift_chunks, lifts, lookup, models
+from store.array_files import LaidOutFile
 from store.capture import Capture
 from store.crc import combine
 from store.database import Store
@@ -18,7 +19,7 @@ from store.datasets import Description
 from store.errors import ConflictError, LeaseLostError, LiftError, NotFoundError, QueueFullError
 from store.jobs import MAX_CRASHES
 from store.lift_chunks import Helper
-from store.lift_files import ResultFile, ResultFormat, result_file
+from store.lift_files import ResultFormat, result_file
 from store.records import LiftChunk, LiftJob
 
 FRAMES, CHUNK = 12, 5
@@ -267,7 +268,7 @@ def test_frames_are_read_without_the_others(store: Store, start: int, stop: int)
         datasets.load_frames(store, dataset.id, start, 13)
 
 
-def result(store: Store, lift: LiftJob, wanted: ResultFormat) -> ResultFile:
+def result(store: Store, lift: LiftJob, wanted: ResultFormat) -> LaidOutFile:
     helper = join(lift)
     while (chunk := lift_chunks.claim(store, helper)) is not None:
         finish(store, helper, chunk)

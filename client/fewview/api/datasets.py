@@ -3,12 +3,14 @@
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fewview.api.arrays import to_npz
+from fewview.api.downloads import download
 from fewview.api.forms import Dataset, form_in
 from fewview.api.lifting import identifier
 from fewview.api.operations import Driver, operation
@@ -93,6 +95,20 @@ class Datasets(Stored[Driver, Dataset]):
         for part in parts(to_capture(capture)):
             described = yield from self._call(_append(identifier(dataset), part))
         return described
+
+    @operation
+    def download(self, dataset: Dataset | str, file: str | PathLike[str]) -> Steps[Path]:
+        """Download a dataset's capture into an npz file; what broke off goes on where it was.
+
+        It holds what was uploaded, to the last bit: :func:`fewview.read` reads it.
+
+        Raises
+        ------
+        NotFound
+            There is no such dataset.
+        """
+        where = path("datasets", identifier(dataset), "capture")
+        return download(where, Path(file), self._patience)
 
 
 def to_capture(source: Source) -> Capture:

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from datetime import datetime
 from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -31,10 +32,15 @@ COLUMNS = {
     "models": ("keypoints", "views", "reprojection_error", "tags"),
     "lifts": ("status", "frames", "model_id", "tags"),
 }
+FILES = {
+    "datasets": "the capture of a dataset, an npz file",
+    "models": "a model with all that is known of it, a safetensors file",
+    "lifts": "all lifted frames: .jsonl, .npz or .safetensors",
+}
 JOBS = ("fits", "lifts")
 AT_ONCE = 200  # that one request may delete
 SHOWN = 20  # of those that are to be deleted
-
+Output = Annotated[Path, typer.Option("--output", "-o", help="The file to write.")]
 Identifier = Annotated[str, typer.Argument(metavar="ID")]
 Name = Annotated[str | None, typer.Option(help="Those of this very name.")]
 WithTags = Annotated[
@@ -108,6 +114,16 @@ def _add_commands_on_one(app: typer.Typer, kind: str) -> None:
             changes = {"name": name, "tags": tag or None, "metadata": said}
             told = _part(client, kind).update(identifier, **changes).raw
             say(told, f"changed {identifier}", as_json=as_json)
+
+    if kind in FILES:
+
+        @app.command(help=f"Download {FILES[kind]}; what broke off goes on where it was.")
+        def download(
+            identifier: Identifier, *, output: Output, url: Url = None, as_json: AsJson = False
+        ) -> None:
+            with talking(url) as client:
+                file = str(_part(client, kind).download(identifier, output))
+                say({"file": file}, f"wrote {file}", as_json=as_json)
 
     if kind in JOBS:
 

@@ -203,12 +203,15 @@ def test_weights_travel(
         assert client.get(f"/models/{found['id']}").json() == found
 
 
+LABELS = {"tags": ["pilot"], "metadata": {"subject": ["M7"]}}
+
+
 def test_a_model_travels_with_all_that_is_known_of_it(
     live: Live, fitted: dict[str, Any], api: TestClient
 ) -> None:
     """It is named after the fit: an export says what is so now."""
     url = f"/models/{fitted['model_id']}"
-    named = live.http.patch(url, json={"name": "Maki 猕猴"}).json()
+    named = live.http.patch(url, json={"name": "Maki 猕猴"} | LABELS).json()
     file = live.http.get(f"{url}/weights")
     made = api.post("/models", content=file.content, headers=BYTES).json()
     links = {"id", "created_at", "fit_id", "dataset_id"}
@@ -241,6 +244,7 @@ def test_what_a_file_says_of_its_model_is_checked(api: TestClient, weights: byte
         ('{"name": ["a"]}', "/name"),
         (f'{{"name": "{"a" * 201}"}}', "/name"),
         ('{"metrics": {"pck": "much"}}', "/metrics/pck"),
+        ('{"tags": [" "]}', "/tags/0"),
         ('{"metrics": {"pa_mpjpe": NaN}}', "/metrics/pa_mpjpe"),
         ('{"skeleton": {"edges": [[0, 1, 2]]}}', "/skeleton/edges/0"),
         ('{"skeleton": {"edges": [[0, 99]]}}', "/skeleton/edges/0"),

@@ -74,7 +74,10 @@ def read(source: Source) -> list[View]:
             people=("",),
             keypoint_names=None if names is None else tuple(map(str, names)),
             edges=_edges(arrays),
-            image_size=None if sizes is None else (int(sizes[v, 0]), int(sizes[v, 1])),
+            # An array cannot leave out the size of one view: 0 is unknown.
+            image_size=(int(sizes[v, 0]), int(sizes[v, 1]))
+            if sizes is not None and sizes[v].all()
+            else None,
             times=None if times is None else times if times.ndim == 1 else times[:, v],
             points3d=None if truth is None else truth.astype(np.float32),
             pixels_from_zero=True,
