@@ -4,11 +4,11 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from models.settings.times import MAX_FPS, check_rate
 from service.http.errors import invalid
-from service.http.uploads import Upload
+from service.http.uploads import HOW_TO_SEND_FILES, Upload
 from service.settings import Settings
 from service.wire.arrays import Arrays
 from service.wire.captures import read_arrays, to_capture
@@ -22,6 +22,7 @@ from store.labels import Labels
 
 CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d", "times"})
 DESCRIPTION_ARRAYS = frozenset({"keypoint_names", "edges", "image_sizes", "fps", "view_names"})
+OF_DETECTORS = {"people", "annotations", "instance_info", "landmarks"}  # fields of their JSON
 MAX_LISTED = 10_000  # values of an array that describes
 
 ViewName = Annotated[str, Field(min_length=1, max_length=200)]
@@ -117,6 +118,15 @@ class DatasetCreate(DatasetDescription, Frames):
         },
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_file(cls, value: Any) -> Any:
+        """Say how a detector's JSON is sent, which many post as it is."""
+        told = value.keys() if isinstance(value, dict) else set()
+        if isinstance(value, list) or told & OF_DETECTORS:
+            raise ValueError(f"expected an object with `keypoints`. {HOW_TO_SEND_FILES}")
+        return value
+
 
 class DatasetForm(DetectorReading, DatasetDescription):
     """What can be said beside files in a form."""
@@ -132,7 +142,9 @@ def read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capt
     """
     if upload.is_json:
         body = upload.json(DatasetCreate)
-        return (capture := _capture_of(body, settings)), body.describe(capture)
+        notes: list[str] = []
+        capture = _capture_of(body, settings, notes)
+        return capture, replace(body.describe(capture), notes=notes)
     said: dict[str, Any] = {"name": name} if name is not None else {}
     reading, upload = asked_of(upload)
     if upload.files and (reading or not holds_arrays(upload)):
@@ -145,7 +157,7 @@ def read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capt
         found = read_arrays(upload, settings, CAPTURE_ARRAYS | DESCRIPTION_ARRAYS)
         said |= _described_in(found)
         notes = []
-    capture = _capture_in(found, settings)
+    capture = _capture_in(found, settings, notes)
     description = upload.form(DatasetDescription, said).describe(capture)
     return capture, replace(description, notes=notes)
 
@@ -181,13 +193,20 @@ def read_frames(upload: Upload, settings: Settings) -> Capture:
     return _capture_in(read_arrays(upload, settings, CAPTURE_ARRAYS), settings)
 
 
-def _capture_of(body: Frames, settings: Settings) -> Capture:
-    return to_capture(body.keypoints, body.confidence, body.points3d, body.times, settings=settings)
+def _capture_of(body: Frames, settings: Settings, notes: list[str] | None = None) -> Capture:
+    return to_capture(
+        body.keypoints,
+        body.confidence,
+        body.points3d,
+        body.times,
+        settings=settings,
+        notes=notes,
+    )
 
 
-def _capture_in(found: Arrays, settings: Settings) -> Capture:
+def _capture_in(found: Arrays, settings: Settings, notes: list[str] | None = None) -> Capture:
     others = (found.get(name) for name in ("confidence", "points3d", "times"))
-    return to_capture(_required(found), *others, settings=settings)
+    return to_capture(_required(found), *others, settings=settings, notes=notes)
 
 
 def _listed(found: Arrays, name: str) -> Any:

@@ -115,7 +115,7 @@ def _from_npy(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
         raise ApiError(
             "malformed_body",
             f"The array {name!r} of the .npz file holds pickled objects, which are never read. "
-            "Save numbers only: numpy.savez(file, keypoints=keypoints.astype('float32')).",
+            "Save numbers, as in keypoints.astype('float32'), and text as numpy.array(names, str).",
         )
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > size:
         raise ValueError(f"the array {name!r} is cut short")

@@ -1,8 +1,10 @@
 """Captures in requests: nested lists or arrays in, a checked capture out."""
 
 import numpy as np
+from fewview.readers.combining import SLIGHTLY_ABOVE
 from numpy.typing import NDArray
 
+from models.settings.keypoints import MIN_KEYPOINTS
 from service.http.errors import invalid
 from service.http.uploads import Upload
 from service.settings import Settings
@@ -24,8 +26,13 @@ def to_capture(
     settings: Settings,
     keypoints_field: str = "keypoints",
     expected_keypoints: int | None = None,
+    notes: list[str] | None = None,
 ) -> Capture:
-    """Check nested lists or arrays against the limits and return the capture they make."""
+    """Check nested lists or arrays against the limits and return the capture they make.
+
+    Confidences a little above 1, such as peaks between the pixels of a heatmap, are clipped;
+    `notes` get a sentence on that.
+    """
     sizes = (None, None, expected_keypoints, 2)
     limit = settings.max_body_bytes
     try:
@@ -35,11 +42,25 @@ def to_capture(
         for axis, count, allowed in zip(POINT_AXES, shape, most, strict=False):
             if count > allowed:
                 raise CaptureError("keypoints", f"expected at most {allowed} {axis}, got {count}")
+        if shape[2] < MIN_KEYPOINTS:
+            raise CaptureError(
+                "keypoints",
+                f"expected {MIN_KEYPOINTS} to {settings.max_keypoints} keypoints, got {shape[2]}",
+            )
+        if shape[3] == 3:
+            raise CaptureError(
+                "keypoints",
+                "expected x and y of each keypoint, got three numbers; if the third is its "
+                f"confidence, send {keypoints_field}[..., :2] as `{keypoints_field}` and "
+                f"{keypoints_field}[..., 2] as `confidence`",
+            )
         return Capture.checked(
             pixels,
             None
             if confidence is None
-            else _array(confidence, "confidence", POINT_AXES[:3], shape[:3], limit),
+            else _clipped(
+                _array(confidence, "confidence", POINT_AXES[:3], shape[:3], limit), notes
+            ),
             None
             if points3d is None
             else _array(points3d, "points3d", TRUTH_AXES, (shape[0], shape[2], 3), limit),
@@ -48,6 +69,15 @@ def to_capture(
     except CaptureError as error:
         name = keypoints_field if error.field == "keypoints" else error.field
         raise invalid(f"/{name}", str(error)) from error
+
+
+def _clipped(confidence: NDArray[np.float32], notes: list[str] | None) -> NDArray[np.float32]:
+    highest = float(np.fmax.reduce(confidence, axis=None, initial=0.0))
+    if not 1 < highest <= SLIGHTLY_ABOVE:
+        return confidence
+    if notes is not None:
+        notes.append(f"confidences up to {highest:.3f} were clipped to 1")
+    return np.minimum(confidence, np.float32(1))
 
 
 def read_arrays(upload: Upload, settings: Settings, known: frozenset[str]) -> Arrays:

@@ -23,11 +23,16 @@ class Skeleton(BaseModel):
     def check(self, keypoints: int) -> None:
         """Raise ``ApiError`` if this is no skeleton of so many keypoints."""
         names = self.keypoint_names
-        if names is not None and (len(names) != keypoints or len(set(names)) != keypoints):
+        if names is not None and len(names) != keypoints:
             raise invalid(
                 "/skeleton/keypoint_names",
-                f"expected {keypoints} different names, got {len(names)} of which "
-                f"{len(set(names))} differ",
+                f"expected {keypoints} names, one for each keypoint, got {len(names)}",
+            )
+        if names is not None and len(set(names)) != keypoints:
+            twice = next(name for place, name in enumerate(names) if name in names[:place])
+            raise invalid(
+                "/skeleton/keypoint_names",
+                f"expected different names, but {twice!r} is there {names.count(twice)} times",
             )
         for index, (a, b) in enumerate(self.edges):
             if a == b or max(a, b) >= keypoints:

@@ -82,6 +82,7 @@ class Dataset(Described):
     missing_fraction: tuple[float, ...]
     checksum: str
     findings: tuple[Finding, ...] = ()
+    view_names: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True)

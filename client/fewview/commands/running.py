@@ -100,22 +100,23 @@ def described_by(client: Client, fit: Fit) -> Capture:
     """Return a capture without frames that says what the service knows of a fit's capture."""
     model = client.models.get(str(fit.model_id))
     skeleton, views = model.skeleton or {}, model.views or 0
-    names, sizes = skeleton.get("keypoint_names"), _sizes(client, fit)
+    names, said = skeleton.get("keypoint_names"), _dataset(client, fit)
+    cameras, sizes = said.get("view_names"), said.get("image_sizes")
     return Capture(
         keypoints=np.empty((0, views, model.keypoints, 2), np.float32),
         keypoint_names=names and tuple(names),
         edges=tuple((first, second) for first, second in skeleton.get("edges") or ()),
-        view_names=tuple(f"view{view}" for view in range(views)),
-        image_sizes=sizes,
+        view_names=tuple(cameras or (f"view{view}" for view in range(views))),
+        image_sizes=sizes and tuple(size and (size[0], size[1]) for size in sizes),
     )
 
 
-def _sizes(client: Client, fit: Fit) -> tuple[tuple[int, int] | None, ...] | None:
+def _dataset(client: Client, fit: Fit) -> dict[str, Any]:
+    """Return what is said of a fit's dataset, nothing if it is gone."""
     try:
-        said = client.datasets.get(fit.dataset_id).raw.get("image_sizes")
+        return client.datasets.get(fit.dataset_id).raw
     except NotFound:
-        return None
-    return said and tuple(size and (size[0], size[1]) for size in said)
+        return {}
 
 
 def export(

@@ -102,7 +102,8 @@ def _named(view: View, skeleton: str | None, notes: list[str]) -> View:
         return replace(view, keypoint_names=known.names, edges=known.edges)
     if candidates:
         said = (
-            f"{count} keypoints without names: {' or '.join(candidates)}; say which with skeleton="
+            f"{count} keypoints without names, which may be {' or '.join(candidates)}: say which, "
+            f"as in skeleton={candidates[0]!r} (--skeleton {candidates[0]})"
         )
         if said not in notes:
             notes.append(said)

@@ -55,6 +55,15 @@ def test_zip_files_that_are_not_to_be_unpacked(
         fewview.read(whole)
 
 
+def test_names_of_views_are_in_what_convert_writes(tmp_path: Path) -> None:
+    folders = [
+        files.openpose(tmp_path / name, [[body] for body in files.walk(6, 25)])
+        for name in ("left", "right")
+    ]
+    np.savez(tmp_path / "both.npz", allow_pickle=False, **fewview.read(folders).arrays())
+    assert fewview.read(tmp_path / "both.npz").view_names == ("left", "right")
+
+
 def test_what_a_reader_has_to_trust_is_not_read_of_strangers(tmp_path: Path) -> None:
     c3d = tmp_path / "a.c3d"
     c3d.write_bytes(b"\x02\x50" + bytes(1024))

@@ -255,3 +255,61 @@ def test_times_that_cannot_be_are_refused(
     body = {"keypoints": frames_of(arrays["keypoints"]), **said}
     answer = api.post("/datasets", content=orjson.dumps(body), headers=JSON)
     problem(answer, 422, "invalid_input", pointer)
+
+
+def test_confidences_a_little_above_1_are_clipped_and_that_is_said(api: TestClient) -> None:
+    keypoints = np.random.default_rng(1).uniform(0, 900, (6, 2, 5, 2))
+    confidence = np.full((6, 2, 5), 0.9)
+    confidence[0, 0, 0] = 1.0
+    expected = api.post(
+        "/datasets", content=to_npz(keypoints=keypoints, confidence=confidence), headers=BYTES
+    ).json()
+    confidence[0, 0, 0] = 1.0992
+    body = {"keypoints": keypoints.tolist(), "confidence": confidence.tolist()}
+    for answer in (
+        api.post("/datasets", json=body),
+        api.post(
+            "/datasets", content=to_npz(keypoints=keypoints, confidence=confidence), headers=BYTES
+        ),
+    ):
+        assert answer.status_code == 201, answer.text
+        assert answer.json()["notes"] == ["confidences up to 1.099 were clipped to 1"]
+    assert expected["notes"] == []
+    assert answer.json()["missing_fraction"] == expected["missing_fraction"]
+
+
+def test_names_of_views_are_kept(api: TestClient) -> None:
+    keypoints = np.random.default_rng(1).uniform(0, 900, (6, 2, 5, 2))
+    names = ["left", "right"]
+    body = to_npz(keypoints=keypoints, view_names=np.array(names))
+    sent = api.post("/datasets", content=body, headers=BYTES).json()
+    posted = api.post("/datasets", json={"keypoints": keypoints.tolist(), "view_names": names})
+    for made in (sent, posted.json()):
+        assert api.get(f"/datasets/{made['id']}").json()["view_names"] == names
+    wrong = {"keypoints": keypoints.tolist(), "view_names": [*names, "top"]}
+    problem(api.post("/datasets", json=wrong), 422, "invalid_input", "/view_names")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "status", "said"),
+    [
+        ({"keypoints": np.zeros((2, 2, 3, 2))}, 422, "4 to 32 keypoints, got 3"),
+        ({"keypoints": np.zeros((2, 2, 5, 3))}, 422, "keypoints[..., 2] as `confidence`"),
+        (
+            {"keypoints": np.ones((2, 2, 4, 2)), "keypoint_names": np.array(["a", "b", "c", "a"])},
+            422,
+            "'a' is there 2 times",
+        ),
+        (
+            {"keypoints": np.ones((2, 2, 4, 2)), "keypoint_names": np.array([*"abcd"], object)},
+            400,
+            "numpy.array(names, str)",
+        ),
+    ],
+)
+def test_what_is_refused_says_how_to_mend_it(
+    api: TestClient, arrays: dict[str, Any], status: int, said: str
+) -> None:
+    answer = api.post("/datasets", content=to_npz(**arrays), headers=BYTES)
+    assert answer.status_code == status
+    assert said in answer.json()["detail"]

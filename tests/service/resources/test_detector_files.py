@@ -180,6 +180,10 @@ def test_bodies_that_should_be_files_say_how_to_send_them(api: TestClient, table
         said = problem(answer, 400, "malformed_body")
         assert what in said
         assert "curl -F files=@cam1.csv" in said
+    of_detectors: list[Any] = [{"people": []}, [{"image_id": 1, "keypoints": [1, 2, 3]}]]
+    for body in of_detectors:
+        answer = api.post("/datasets", json=body)
+        assert "-F files=@" in problem(answer, 422, "invalid_input")
     answer = api.post("/datasets", content=b"a,b", headers={"Content-Type": "text/csv"})
     assert "-F files=@" in problem(answer, 415, "unsupported_media_type")
 
