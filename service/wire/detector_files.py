@@ -54,8 +54,8 @@ class DetectorReading(BaseModel):
         description="Of `files`: whether frames of the same number (`index`) or of the nearest "
         "`time` belong together.",
     )
-    skeleton_name: Annotated[str, _one_of(*SKELETONS)] = Field(
-        "", description="Of `files`: names the keypoints, such as `body-25b`."
+    skeleton_name: str = Field(
+        "", description=f"Of `files`: names the keypoints: {', '.join(SKELETONS)}."
     )
 
 

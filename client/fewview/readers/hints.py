@@ -36,6 +36,8 @@ def looks_like(source: Source) -> str:
 
 
 def _of_text(source: Source) -> str:
+    if source.is_toml:
+        return f"a TOML file, such as of a calibration, without keypoints. {_DO}"
     if source.json is not None:
         return _of_json(source.json)
     if source.lines:

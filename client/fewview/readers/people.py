@@ -163,7 +163,8 @@ def _matched(views: Sequence[View], person: Person) -> tuple[list[View], list[st
         for track in mine:
             places[track.rows] = track.places
         chosen.append(_with(view, places, "0"))
-        notes.append(_said_of(view, places))
+        if view.keypoints.shape[1] > 1:
+            notes.append(_said_of(view, places))
     return chosen, [*notes, *_certainty(views, tracks, who, sureness)]
 
 

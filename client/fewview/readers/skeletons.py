@@ -147,6 +147,10 @@ SKELETONS = {
 }
 
 
+def _plain(name: str) -> str:
+    return "".join(filter(str.isalnum, name.lower()))
+
+
 def skeleton_of(
     count: int, name: str | None, meant: tuple[str, ...] = ()
 ) -> tuple[Skeleton | None, tuple[str, ...]]:
@@ -165,7 +169,7 @@ def skeleton_of(
         If there is no skeleton of this name, or it has another count.
     """
     if name is not None:
-        found = SKELETONS.get(name.lower().replace("_", "-"))
+        found = next((one for each, one in SKELETONS.items() if _plain(each) == _plain(name)), None)
         if found is None:
             raise FormatError(f"there is no skeleton {name!r}; there are {', '.join(SKELETONS)}")
         if len(found.names) != count:

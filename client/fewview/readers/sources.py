@@ -1,6 +1,7 @@
 """What is at a path: a file, or the files of one camera's frames; looked into once, with bounds."""
 
 import json
+import re
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -49,6 +50,12 @@ class Source:
         """Whether a file (no frames) begins with these bytes."""
         return not self.frames and self.head.startswith(magic)
 
+    @property
+    def is_toml(self) -> bool:
+        """Whether it begins with the heading of a table of TOML, as calibrations do."""
+        first = next((line.strip() for line in self.lines if line.strip()), "")
+        return re.fullmatch(r"\[[A-Za-z_][\w.]*\]", first) is not None
+
     @cached_property
     def json(self) -> Any:
         """The JSON of the file, or of its first frame; None if it is none.
@@ -59,7 +66,7 @@ class Source:
             If it looks like JSON, and is too large or broken.
         """
         start = self.head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
-        if start not in (b"{", b"["):
+        if start not in (b"{", b"[") or self.is_toml:
             return None
         if self.frames:
             return load_json(self.frames[0], MAX_FRAME)

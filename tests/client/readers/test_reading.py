@@ -131,6 +131,7 @@ def test_frames_are_aligned_by_time(tmp_path: Path) -> None:
         (b'{"a": 1}', "JSON with a"),
         (b'{"a": 1', "broken JSON"),
         (b"hello\n", "text that begins"),
+        (b"[cam_0]\nname = 'left'\n", "a TOML file"),
         (b"\x80\x04N.", "pickle"),
         (b"PK\x03\x04", "zip"),
     ],
@@ -170,6 +171,13 @@ def test_large_files_are_refused_before_they_are_read(
     (tmp_path / "a.json").write_text(json.dumps({"annotations": [0] * 1000}))
     with pytest.raises(FormatError, match="MiB"):
         fewview.read(tmp_path / "a.json")
+
+
+def test_skeletons_have_names_in_any_spelling(tmp_path: Path) -> None:
+    folder = files.openpose(tmp_path / "cam", [[body] for body in files.walk(4, 25)])
+    for name in ("body-25b", "BODY_25B", "body25b"):
+        assert "Head" in (fewview.read(folder, skeleton=name).keypoint_names or ())
+    assert "may be body-25 or body-25b" in said(fewview.read(folder))
 
 
 def test_skeletons() -> None:

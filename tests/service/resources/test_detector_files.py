@@ -89,12 +89,12 @@ def test_how_they_are_read_is_said_in_the_form(api: TestClient, tables: Parts) -
         ("format", "dlc"),
         ("min_confidence", "2"),
         ("align", "name"),
-        ("skeleton", "cat"),
         ("fps", "fast"),
     ):
         answer = api.post("/datasets", files=tables, data={field: wrong})
-        pointer = "/skeleton_name" if field == "skeleton" else f"/{field}"
-        problem(answer, 422, "invalid_input", pointer)
+        problem(answer, 422, "invalid_input", f"/{field}")
+    answer = api.post("/datasets", files=tables, data={"skeleton": "cat"})
+    assert "there is no skeleton 'cat'; there are coco-17" in refused(answer)
     answer = api.post("/datasets", files=tables, data={"min_confidense": "0.1"})
     problem(answer, 422, "invalid_input", "/min_confidense")
 
