@@ -1,6 +1,5 @@
 """The room of a model: the frame of reference of its cameras at rest, in which a subject moves."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -49,14 +48,13 @@ class Room:
         `not_in_room`; so do all where the views are not known.
         """
         count = arrays["scales"].shape[1]
-        rotations = np.full((count, 3, 3), np.nan)
-        translations = np.full((count, 3), np.nan)
-        if self.knows(views, count):
-            chosen = range(count) if views is None else views
-            rotations, translations = self.rotations[chosen], self.translations[chosen]
-        # A lift has the unit of its first view, which is the room's if that view rests.
-        lone = 1.0 if np.isfinite(translations[0]).all() else math.nan
-        placed = in_room(arrays, rotations, translations, lone)
+        if views is not None:
+            rotations, translations = self.rotations[views], self.translations[views]
+        elif self.knows(views, count):
+            rotations, translations = self.rotations, self.translations
+        else:
+            rotations, translations = np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan)
+        placed = in_room(arrays, rotations, translations)
         there, here = (
             np.asarray((found["camera_models"] >= 0).any(axis=1)) for found in (arrays, placed)
         )

@@ -58,7 +58,7 @@ def find_places(
     there = np.where(known[..., None], _turned_back(rig_turns, shifts), np.nan)
     here = _turned_back(rig_turns, rig_shifts)
     found, true = there[:, :, None] - there[:, None], here[:, None] - here[None]
-    lengths, true_lengths = np.linalg.norm(found, axis=-1), np.linalg.norm(true, axis=-1)
+    lengths, true_lengths = (np.sqrt(np.sum(steps * steps, -1)) for steps in (found, true))
     apart = true_lengths > 1e-9 * max(float(np.abs(here).max()), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         alike: Bool = (np.einsum("nuij,nvij->nuv", seen, seen) - 1) / 2 > AGREE
@@ -74,24 +74,44 @@ def find_places(
     scales = np.where(np.isnan(scales), lone, scales)
     count = trusted.sum(1).astype(np.float64)
     count[count == 0] = np.nan
-    mean_turn = np.where(trusted[..., None, None], seen, 0).sum(1) / count[:, None, None]
+    turn = np.where(trusted[..., None, None], seen, 0).sum(1) / count[:, None, None]
+    for _ in range(
+        2
+    ):  # to the nearest rotation (Newton and Schulz), which is 2 degrees off at most
+        turn = 1.5 * turn - 0.5 * turn @ turn.transpose(0, 2, 1) @ turn
     shift = np.where(trusted[..., None], scales[:, None, None] * there - here, 0).sum(1)
     return Places(
         scales,
-        nearest_rotation(mean_turn),
+        turn,
         shift / count[:, None],
         int((trusted.sum(1) < known.sum(1)).sum()),
     )
 
 
-def in_room(
-    lift: Mapping[str, Array], rig_turns: Float64, rig_shifts: Float64, lone: float
-) -> dict[str, Array]:
+def _places_by_first(
+    turns: Float64, shifts: Float64, known: Bool, rig_turns: Float64, rig_shifts: Float64
+) -> Places:
+    """Return the places of frames by the first view at rest that each shows, in the room's unit.
+
+    Views that were lifted with this rig say the same, each of them; in a stream every frame counts.
+    """
+    each, first = np.arange(len(known)), known.argmax(1)
+    turned_back = rig_turns[first].transpose(0, 2, 1)
+    there = shifts[each, first] - rig_shifts[first]
+    scales = np.where(known[each, first], 1.0, np.nan)
+    moved = (turned_back @ there[..., None])[..., 0]
+    return Places(scales, turned_back @ turns[each, first], moved, 0)
+
+
+def in_room(lift: Mapping[str, Array], rig_turns: Float64, rig_shifts: Float64) -> dict[str, Array]:
     """Return the arrays of a lift of N frames of K views, said in the room.
 
     Every frame has cameras of its own, so that points project to where they did: by `R X + t` and
     the lens in perspective, by `s (R X)_xy + t_xy` in weak perspective. In a frame without a place
     points and cameras are NaN, and `camera_models` -1.
+
+    A lift has the unit of its first view. If that rests it is the room's, and a frame is placed by
+    the first view at rest that it shows; if it moves, by all, whose baselines tell the unit.
 
     Parameters
     ----------
@@ -99,19 +119,14 @@ def in_room(
         Canonical, by the names that :class:`~fewview.Lift` has; others are left as they are.
     rig_turns, rig_shifts
         (K, 3, 3) and (K, 3) from the room to the cameras, NaN for those that move.
-    lone
-        As in :func:`find_places`.
     """
     turns, shifts = (np.asarray(lift[name], np.float64) for name in ("rotations", "translations"))
-    models, rests = lift["camera_models"], np.isfinite(rig_shifts).all(1)
-    places = find_places(
-        turns[:, rests],
-        shifts[:, rests],
-        models[:, rests] > 0,
-        rig_turns[rests],
-        rig_shifts[rests],
-        lone,
-    )
+    models, rests = lift["camera_models"], np.asarray(np.isfinite(rig_shifts).all(1))
+    poses = turns[:, rests], shifts[:, rests], models[:, rests] > 0
+    if rests[0]:
+        places = _places_by_first(*poses, rig_turns[rests], rig_shifts[rests])
+    else:
+        places = find_places(*poses, rig_turns[rests], rig_shifts[rests], lone=np.nan)
     somewhere = np.isfinite(places.scales + places.shifts[:, 0])
     size = np.where(somewhere, places.scales, np.nan)[:, None]
     scales = lift["scales"] / size
@@ -130,14 +145,6 @@ def in_room(
         **{name: array.astype(lift[name].dtype) for name, array in said.items()},
         "camera_models": np.where(somewhere[:, None], models, -1).astype(models.dtype),
     }
-
-
-def nearest_rotation(matrices: Float64) -> Float64:
-    """Return the rotations (..., 3, 3) nearest to matrices in the Frobenius norm; NaN of NaN."""
-    finite = np.asarray(np.isfinite(matrices).all((-2, -1)))[..., None, None]
-    u, _, vt = np.linalg.svd(np.where(finite, matrices, np.eye(3)))
-    u[..., -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
-    return np.where(finite, u @ vt, np.nan)
 
 
 def _turned_back(turns: Float64, vectors: Float64) -> Float64:

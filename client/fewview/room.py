@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fewview.calibration.camera import Camera
-from fewview.placing import find_places, nearest_rotation
+from fewview.placing import find_places
 from fewview.upright import Up, feet_of, find_up, floor_height, upright_axes
 
 if TYPE_CHECKING:
@@ -289,7 +289,7 @@ def _relative_pose(
     if not shared.any():
         return None
     relative = turns[shared, view] @ turns[shared, reference].transpose(0, 2, 1)
-    middle = nearest_rotation(np.median(relative, axis=0))
+    middle = _nearest_rotation(np.median(relative, axis=0))
     steps = shifts[shared, view] - np.einsum("ij,nj->ni", middle, shifts[shared, reference])
     step = np.median(steps, axis=0)
     # Angles by their chord, which is exact for small ones where an arc cosine is not.
@@ -322,3 +322,11 @@ def _upright(
     if not np.isfinite(height):
         return axes, np.zeros(3), notes
     return axes, np.array([0.0, height, 0.0]), [*notes, "y = 0 is the floor under the feet"]
+
+
+def _nearest_rotation(matrices: Float64) -> Float64:
+    """Return the rotations (..., 3, 3) nearest to matrices in the Frobenius norm; NaN of NaN."""
+    finite = np.asarray(np.isfinite(matrices).all((-2, -1)))[..., None, None]
+    u, _, vt = np.linalg.svd(np.where(finite, matrices, np.eye(3)))
+    u[..., -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
+    return np.where(finite, u @ vt, np.nan)

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from fewview.calibration import Camera
+from fewview.placing import in_room
 from fewview.room import Room, to_room
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
@@ -173,6 +175,46 @@ def test_a_ball_has_no_up() -> None:
     ball = np.random.default_rng(2).normal((0.0, 0.0, 9.0), size=(50, 20, 3))
     with pytest.raises(ValueError, match="stands out"):
         to_room(ball, np.eye(3)[None, None].repeat(50, 0), np.zeros((50, 1, 3)), up="auto")
+
+
+def test_frames_are_said_in_the_room_with_their_cameras(walk: Walk) -> None:
+    """By views at rest; by their baselines, where the first view moves and gives the unit."""
+    known = walk.room()
+    models, scales = walk.models, np.full((80, 3), 200.0)
+    models[4, 1], walk.translations[4, 1] = 0, (640, 512, np.nan)  # weak perspective among others
+    models[5], models[6, :2] = -1, -1
+    lift = {"points3d": walk.points3d, "rotations": walk.rotations, "scales": scales}
+    lift |= {"translations": walk.translations, "camera_models": models}
+    before = in_cameras(lift)
+    for first_moves in (False, True):
+        rig = known.rotations.copy(), known.translations.copy()
+        if first_moves:
+            rig[0][0] = rig[1][0] = np.nan
+            units = np.exp(np.random.default_rng(0).normal(0, 0.2, 80))
+            lift["points3d"] = walk.points3d * units[:, None, None]
+            lift["translations"] = walk.translations.copy()
+            deep = models != 0
+            lift["translations"][deep] = (walk.translations * units[:, None, None])[deep]
+            lift["scales"] = scales / units[:, None]
+        placed = in_room(lift, *rig)
+        nowhere = [4, 5, 6] if first_moves else [5]  # with one view at rest there is no baseline
+        there = np.delete(np.arange(80), nowhere)
+        np.testing.assert_allclose(placed["points3d"][there], walk.truth[there], atol=1e-9)
+        np.testing.assert_allclose(in_cameras(placed)[there], before[there], rtol=1e-6, atol=1e-6)
+        assert np.isnan(placed["points3d"][nowhere]).all()
+        assert np.isnan(placed["rotations"][nowhere]).all()
+        assert (placed["camera_models"][nowhere] == -1).all()
+
+
+def in_cameras(lift: dict[str, NDArray[Any]]) -> Float64:
+    """Return what (N, K, P, 2) each view's pixel depends on: x / z and y / z, or pixels if weak."""
+    turned = np.einsum("nkij,npj->nkpi", lift["rotations"], lift["points3d"])
+    shifts, scales = lift["translations"][:, :, None], lift["scales"][..., None, None]
+    deep = turned + shifts
+    weak = scales * turned[..., :2] + shifts[..., :2]
+    models = lift["camera_models"][..., None, None]
+    seen = np.where(models == 0, weak, deep[..., :2] / deep[..., 2:])
+    return np.where(models < 0, np.nan, seen)
 
 
 def test_a_real_lift_projects_back_from_the_room() -> None:

@@ -33,8 +33,8 @@ def export(
         chosen = formats_in(formats)
         output.mkdir(parents=True, exist_ok=True)
         done = client.fits.wait(fit)
-        capture = described_by(client, done)
-        told = export(client, done, capture, output, formats=chosen, fps=fps, unit=unit)
+        capture, rate = described_by(client, done)
+        told = export(client, done, capture, output, formats=chosen, fps=fps or rate, unit=unit)
         say(told, in_words(told), as_json=as_json)
 
 

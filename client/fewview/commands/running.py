@@ -96,19 +96,20 @@ def fitted(
         raise
 
 
-def described_by(client: Client, fit: Fit) -> Capture:
-    """Return a capture without frames that says what the service knows of a fit's capture."""
+def described_by(client: Client, fit: Fit) -> tuple[Capture, float | None]:
+    """Return a capture without frames that says what the service knows of a fit's, and its fps."""
     model = client.models.get(str(fit.model_id))
     skeleton, views = model.skeleton or {}, model.views or 0
     names, said = skeleton.get("keypoint_names"), _dataset(client, fit)
     cameras, sizes = said.get("view_names"), said.get("image_sizes")
-    return Capture(
+    capture = Capture(
         keypoints=np.empty((0, views, model.keypoints, 2), np.float32),
         keypoint_names=names and tuple(names),
         edges=tuple((first, second) for first, second in skeleton.get("edges") or ()),
         view_names=tuple(cameras or (f"view{view}" for view in range(views))),
         image_sizes=sizes and tuple(size and (size[0], size[1]) for size in sizes),
     )
+    return capture, said.get("fps")
 
 
 def _dataset(client: Client, fit: Fit) -> dict[str, Any]:
