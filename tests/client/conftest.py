@@ -11,6 +11,8 @@ from fewview.api.forms import Dataset, Fit
 from models.capture.synthetic import synthetic_capture
 from tests.service.conftest import CONFIG, Live, kill_service, start_service
 
+JOINTS = [f"{side}_{joint}" for joint in ("shoulder", "hip", "knee", "ankle") for side in "lr"]
+
 
 @dataclass(frozen=True)
 class Served:
@@ -34,7 +36,7 @@ def a_capture(frames: int = 60, seed: int = 5) -> Capture:
         seen.keypoints.astype(np.float32),
         confidence=seen.confidence.astype(np.float32),
         image_sizes=((1280, 1024), None, (1280, 1024)),
-        keypoint_names=tuple(f"k{index}" for index in range(seen.keypoints.shape[2])),
+        keypoint_names=(*JOINTS, *(f"k{index}" for index in range(8, seen.keypoints.shape[2]))),
     )
 
 

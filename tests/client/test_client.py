@@ -80,7 +80,7 @@ def test_a_dataset_is_stored_described_listed_extended_and_deleted(
     assert served.dataset.frames == len(capture.keypoints)
     assert served.dataset.raw["metadata"] == {"subject": "M7"}
     assert served.dataset.raw["image_sizes"] == [[1280, 1024], None, [1280, 1024]]
-    assert served.dataset.raw["skeleton"]["keypoint_names"][1] == "k1"
+    assert served.dataset.raw["skeleton"]["keypoint_names"][8] == "k8"
 
     monkeypatch.setattr(datasets, "PART_FRAMES", 25)  # in three requests
     other = client.datasets.create(capture, name="other", fps=50)

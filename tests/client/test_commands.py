@@ -61,6 +61,17 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
     with np.load(out / "animation.npz") as arrays:
         assert arrays["points"].shape == (60, served.capture.keypoints.shape[2], 3)
         assert arrays["fps"] == 25  # the dataset's
+        plain = arrays["points"]
+    tall = ["--height=1.8", "--formats=npz", "--json", url]
+    assert said(fewview("export", fit, "-o", str(out), *tall))["frames"] == 60
+    with np.load(out / "animation.npz") as arrays:
+        assert arrays["unit"] == "m"
+        joints = arrays["points"][:, :8].reshape(60, 4, 2, 3)
+        ratios = arrays["points"] / plain
+        np.testing.assert_allclose(ratios, ratios[0, 0, 0], rtol=1e-4)
+    trunk, legs = joints[:, 0].mean(1) - joints[:, 1].mean(1), np.diff(joints[:, 1:], axis=1)
+    chain = np.linalg.norm(trunk, axis=-1) + np.linalg.norm(legs, axis=-1).sum(1).mean(1)
+    assert np.quantile(chain, 0.8) == pytest.approx(0.779 * 1.8, rel=1e-3)
     calibration = out / "cameras.yml"
     assert fewview("cameras", model, "-o", str(calibration), url).returncode == 0
     assert len(read_cameras(calibration)) == 3

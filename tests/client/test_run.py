@@ -113,6 +113,7 @@ def test_what_is_asked_wrongly_is_said_in_one_line(files: list[str], tmp_path: P
     for words in (
         [*files, *out, "--known-length", "k0,nose,0.4"],
         [*files, *out, "--known-length", "k0,k1"],
+        [*files, *out, "--height", "1.7"],  # of no joints that are known
         [*files, *out, "--formats", "obj"],
         [*files, *out, "--calibration", rig],
         [str(tmp_path / "none.csv"), *out],

@@ -1,5 +1,6 @@
 """``fewview export``: what came of a fit, as files of other tools."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,6 +14,10 @@ LengthUnit = Annotated[
     Literal["m", "mm"] | None,
     typer.Option("--unit", help="Of the lengths, or of the calibration, that the fit was told."),
 ]
+Height = Annotated[
+    float | None,
+    typer.Option(min=1e-3, help="Of the body, in `--unit` or metres: scales roughly."),
+]
 Formats = Annotated[str, typer.Option(help="Formats of the animation, by commas.")]
 
 
@@ -23,6 +28,7 @@ def export(
     formats: Formats = USUAL,
     fps: Fps = None,
     unit: LengthUnit = None,
+    height: Height = None,
     url: Url = None,
     as_json: AsJson = False,
 ) -> None:
@@ -34,8 +40,31 @@ def export(
         output.mkdir(parents=True, exist_ok=True)
         done = client.fits.wait(fit)
         capture, rate = described_by(client, done)
-        told = export(client, done, capture, output, formats=chosen, fps=fps or rate, unit=unit)
+        check_height(height, capture.keypoint_names, done.config or {})
+        told = export(
+            client,
+            done,
+            capture,
+            output,
+            formats=chosen,
+            fps=fps or rate,
+            unit=unit,
+            height=height,
+        )
         say(told, in_words(told), as_json=as_json)
+
+
+def check_height(
+    height: float | None, names: Sequence[str] | None, config: Mapping[str, Any]
+) -> None:
+    """Raise ``ValueError`` if a height cannot be used, or a fit is told of a better unit."""
+    if height is not None:
+        from fewview.height import joints_of  # noqa: PLC0415 (commands load what they need)
+
+        joints_of(names)
+        poses = [camera for camera in config.get("calibration") or () if camera]
+        if config.get("known_length") or any(camera.get("translation") for camera in poses):
+            raise ValueError("--height: the fit is told a length or poses, which say it better")
 
 
 def formats_in(said: str) -> list[str]:

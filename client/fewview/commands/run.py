@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from fewview.commands.export import USUAL, Formats, LengthUnit, formats_in
+from fewview.commands.export import (
+    USUAL,
+    Formats,
+    Height,
+    LengthUnit,
+    check_height,
+    formats_in,
+)
 from fewview.commands.export import in_words as told_in_words
 from fewview.commands.reading import Files, Options, reading_files
 from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, fields_in
@@ -43,6 +50,7 @@ def run(
         typer.Option(help="Of Anipose, OpenCV or COLMAP; by the views' names, else in order."),
     ] = None,
     unit: LengthUnit = None,
+    height: Height = None,
     config: Annotated[
         list[str] | None,
         typer.Option("--config", "-c", help="Of the fit, as `fewview fit` takes it; may repeat."),
@@ -64,6 +72,7 @@ def run(
             cameras, note = for_views(read_cameras(calibration), views)
             told["calibration"] = [as_config(camera) for camera in cameras]
             capture = replace(capture, notes=(*capture.notes, note))
+        check_height(height, capture.keypoint_names, told)
         chosen = formats_in(formats)
         output.mkdir(parents=True, exist_ok=True)
     except (FewviewError, ValueError, OSError) as error:
@@ -73,7 +82,7 @@ def run(
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the service is stopped then, too
     try:
         unit = unit or (None if known_length is None else "m")
-        done = _run(capture, output, url, told, chosen, reading.fps, unit, quiet=as_json)
+        done = _run(capture, output, url, told, chosen, reading.fps, unit, height, quiet=as_json)
     except (FewviewError, OSError, ValueError) as error:
         _end(str(error), WRONGLY_ASKED if isinstance(error, InvalidRequest) else FAILED)
     except KeyboardInterrupt:
@@ -90,6 +99,7 @@ def _run(
     formats: list[str],
     fps: float | None,
     unit: "Unit | None",
+    height: float | None,
     *,
     quiet: bool,
 ) -> dict[str, Any]:
@@ -113,7 +123,9 @@ def _run(
                 config=config,
                 on_progress=bar.show,
             )
-        return export(client, fit, capture, folder, formats=formats, fps=fps, unit=unit)
+        return export(
+            client, fit, capture, folder, formats=formats, fps=fps, unit=unit, height=height
+        )
 
 
 def _config(texts: list[str], known_length: str | None) -> dict[str, Any]:

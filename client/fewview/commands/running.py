@@ -16,6 +16,7 @@ from fewview.calibration import write_cameras
 from fewview.capture import Capture
 from fewview.client import Client
 from fewview.errors import FewviewError, JobFailed, NotFound
+from fewview.height import scaled_to
 from fewview.products import animation_of, room_of
 from fewview.room import Room
 from fewview.writers import write
@@ -129,8 +130,9 @@ def export(
     formats: Sequence[str],
     fps: float | None,
     unit: Unit | None,
+    height: float | None = None,
 ) -> dict[str, Any]:
-    """Write all that came of a fit into a folder.
+    """Write all that came of a fit into a folder, scaled to the body's height if that is told.
 
     Returns
     -------
@@ -142,6 +144,11 @@ def export(
     lift = client.fits.reconstruction(fit)
     found = client.models.cameras(fit.model_id)
     room, said = room_of(lift, found, capture)
+    if height is not None:
+        if room is None:
+            raise ValueError(f"--height: {'; '.join(said)}")
+        room = scaled_to(room, height, capture.keypoint_names)
+        said, unit = [*said, room.notes[-1]], unit or "m"
     animation = animation_of(lift, room, capture, fps=fps, unit=unit)
     files = []
     for known in FORMATS:
