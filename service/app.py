@@ -29,14 +29,34 @@ from service.http.uploads import LARGE_AT_A_TIME
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
-from service.resources import captures, datasets, fits, health, lifts, models, reconstructions
+from service.resources import (
+    captures,
+    datasets,
+    evaluations,
+    fits,
+    health,
+    lifts,
+    models,
+    reconstructions,
+)
 from service.settings import Settings
 from store.database import Store
 from worker.process import die_with_parent
 from worker.queue import connect, open_queue
 
 # Lifts come first: routes are tried in this order, and nothing else is in such a hurry.
-RESOURCES = (lift, stream, datasets, captures, fits, reconstructions, models, lifts, health)
+RESOURCES = (
+    lift,
+    stream,
+    datasets,
+    captures,
+    fits,
+    reconstructions,
+    models,
+    lifts,
+    evaluations,
+    health,
+)
 
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 
@@ -71,6 +91,7 @@ def create_app(settings: Settings) -> FastAPI:
         )
         app.state.queue = open_queue(connection)
         app.state.large_uploads = asyncio.Semaphore(LARGE_AT_A_TIME)
+        app.state.evaluations = asyncio.Semaphore(LARGE_AT_A_TIME)
         app.state.streams = asyncio.Semaphore(settings.max_streams)
         app.state.engine = Engine(
             app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads

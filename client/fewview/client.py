@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from fewview.api.datasets import Datasets
 from fewview.api.drivers import Awaiting, Blocking
+from fewview.api.evaluations import Evaluations
 from fewview.api.fits import Fits
 from fewview.api.forms import Model
 from fewview.api.health import HealthChecks
@@ -32,7 +33,7 @@ class Api(Resource[Driver]):
     ----------
     url
         Where the service is.
-    datasets, fits, models, lifts, health
+    datasets, fits, models, lifts, evaluations, health
         What it has.
     """
 
@@ -43,6 +44,7 @@ class Api(Resource[Driver]):
         self.fits = Fits(driver)
         self.models = Models(driver)
         self.lifts = Lifts(driver)
+        self.evaluations = Evaluations(driver)
         self.health = HealthChecks(driver)
 
     @operation

@@ -104,28 +104,28 @@ def evaluate(
 
 def _measure(x: Float64, y: Float64, known: Bool) -> tuple[Float64, Float64]:
     """Return errors (N, P) with each frame aligned alone, and with all aligned together."""
-    alone = np.full(known.shape, np.nan)
-    for n in np.flatnonzero(known.any(1)):
-        seen = known[n]
-        moved = _aligned(x[n, seen], y[n, seen], by_size=True)
-        alone[n, seen] = np.linalg.norm(moved - y[n, seen], axis=-1)
-    together = np.full(known.shape, np.nan)
-    together[known] = np.linalg.norm(_aligned(x[known], y[known], by_size=False) - y[known], axis=1)
-    return alone, together
+    alone = _aligned(x, y, known, by_size=True)
+    one = (1, -1, 3)
+    together = _aligned(x.reshape(one), y.reshape(one), known.reshape(1, -1), by_size=False)
+    both = (np.linalg.norm(moved.reshape(y.shape) - y, axis=-1) for moved in (alone, together))
+    first, second = (np.where(known, errors, np.nan) for errors in both)
+    return first, second
 
 
-def _aligned(x: Float64, y: Float64, *, by_size: bool) -> Float64:
-    """Bring points x (M, 3) onto y (M, 3) by a similarity without reflection."""
-    mean_x, mean_y = x.mean(0), y.mean(0)
-    x, y = x - mean_x, y - mean_y
-    u, stretches, vt = np.linalg.svd(y.T @ x)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    power = float(np.square(x).sum())
-    if by_size:
-        scale = np.sqrt(np.square(y).sum() / power) if power > 0 else 1.0
-    else:
-        scale = float((stretches * signs).sum()) / power if power > 0 else 1.0
-    return np.asarray(scale * x @ (u * signs @ vt).T + mean_y, np.float64)
+def _aligned(x: Float64, y: Float64, known: Bool, *, by_size: bool) -> Float64:
+    """Bring points x (N, P, 3) onto y (N, P, 3), each N alone, by a similarity, not mirrored."""
+    seen = known[..., None]
+    count = np.maximum(seen.sum(1, keepdims=True), 1)
+    mean_x, mean_y = (np.where(seen, z, 0).sum(1, keepdims=True) / count for z in (x, y))
+    x, y = np.where(seen, x - mean_x, 0), np.where(seen, y - mean_y, 0)
+    u, stretches, vt = np.linalg.svd(y.mT @ x)
+    signs = np.ones_like(stretches)
+    signs[:, 2] = np.sign(np.linalg.det(u @ vt))
+    power = np.square(x).sum((1, 2))
+    size = np.sqrt(np.square(y).sum((1, 2)) * power) if by_size else (stretches * signs).sum(1)
+    scale = np.divide(size, power, out=np.ones_like(power), where=power > 0)
+    turned = x @ (u * signs[:, None] @ vt).mT
+    return np.asarray(scale[:, None, None] * turned + mean_y, np.float64)
 
 
 def _mean(errors: Float64, known: Bool) -> float:

@@ -99,12 +99,12 @@ def get_reconstruction(
     are lifted when asked for, by the fit's model, which takes longer.
     """
     if refine is None or refine == fit.config.get("refine", "off"):  # older fits refined nothing
-        found = _completed(load(fits.load_reconstruction(store, fit)))
+        found = stored_arrays(fit, store)
     else:
         found = _lift_again(fit, refine, store, engine, settings)
     direction = read_up(up)
     if is_room(frame, direction):
-        model_id = _model_of(fit)
+        model_id = model_of(fit)
         room = rooms.find(model_id, engine.prior(model_id), direction)
         found = room.place_arrays(found)
     about = {
@@ -116,6 +116,11 @@ def get_reconstruction(
     return arrays_response(
         request, found, about, findings, format=format, filename=f"{fit.id}-reconstruction"
     )
+
+
+def stored_arrays(fit: records.FitJob, store: StoreDep) -> Arrays:
+    """Return the reconstruction that a fit stored, in canonical frames."""
+    return _completed(load(fits.load_reconstruction(store, fit)))
 
 
 def _completed(arrays: Arrays) -> Arrays:
@@ -148,7 +153,7 @@ def _lift_again(
     ApiError
         422 if there are more frames than in one lift.
     """
-    model_id = _model_of(fit)
+    model_id = model_of(fit)
     if fit.frames > settings.max_frames:
         raise invalid(
             "/refine",
@@ -164,7 +169,8 @@ def _lift_again(
     return prior.lift(keypoints, confidence=confidence, refine=refine).arrays
 
 
-def _model_of(fit: records.FitJob) -> str:
+def model_of(fit: records.FitJob) -> str:
+    """Return the identifier of a fit's model; raise ``ConflictError`` if it has none."""
     if fit.model_id is None:
         raise ConflictError(
             f"Fit {fit.id!r} ({fit.status}) has no model to lift its frames with, nor its cameras: "

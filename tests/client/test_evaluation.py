@@ -1,10 +1,12 @@
 """Errors against a ground truth: those of the service, and such as are known beforehand."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fewview.calibration import Camera, rotation_matrix, write_cameras
 from fewview.evaluation import evaluate
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -78,6 +80,23 @@ def test_the_command(truth: Float64, tmp_path: Path) -> None:
     assert told["keypoint_names"][8] == "k8"
     assert told["thresholds"][-1] == 0.5
     assert "PA-MPJPE" in run("evaluate", *files).stdout
+    lens = np.array([[1000.0, 0, 640], [0, 1000, 512], [0, 0, 1]])
+    cameras = [
+        Camera(
+            name, lens, np.zeros(5), rotation_matrix([0, angle, 0]), np.array([0, 0, 4.0]), (9, 9)
+        )
+        for name, angle in (("left", 0.0), ("right", 1.0))
+    ]
+    expected = write_cameras(tmp_path / "truth.toml", cameras)
+    longer = replace(cameras[1], matrix=lens * [[1.02], [1.02], [1]], name="Right")
+    measured = write_cameras(tmp_path / "found.yml", [longer, cameras[0]])
+    words = ("evaluate", str(measured), "--cameras", str(expected))
+    assert "+2.00 +2.00 %" in run(*words).stdout
+    one, other = json.loads(run(*words, "--json").stdout)["cameras"]
+    assert (one["name"], other["name"]) == ("right", "left")  # matched by their names
+    assert one["focal"] == pytest.approx([2, 2])
+    assert one["rotation"] == pytest.approx(0, abs=1e-6)
+    assert "--cameras" in run("evaluate", files[0]).stderr
     refused = run("evaluate", files[0], str(tmp_path / "none.npz"))
     assert refused.returncode == 2
     assert refused.stderr.count("\n") == 1

@@ -23,11 +23,31 @@ from models.capture.synthetic import SyntheticCapture
 from service.http import errors
 from service.openapi import document
 from service.realtime import lift
-from service.resources import datasets, fits, health, lifts, lists, models, reconstructions
+from service.resources import (
+    datasets,
+    evaluations,
+    fits,
+    health,
+    lifts,
+    lists,
+    models,
+    reconstructions,
+)
 from tests.service.conftest import SEEKING, Live, frames_of, to_npz
 
 # Where the forms of answers are.
-MODULES = (datasets, fits, reconstructions, models, lift, lifts, lists, health, errors)
+MODULES = (
+    datasets,
+    evaluations,
+    fits,
+    reconstructions,
+    models,
+    lift,
+    lifts,
+    lists,
+    health,
+    errors,
+)
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 
@@ -95,6 +115,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "delete_models",
         "download_capture",
         "download_weights",
+        "evaluate",
         "get_dataset",
         "get_fit",
         "get_lift",
@@ -164,21 +185,7 @@ def test_every_answer_has_an_example_that_fits_it(spec: dict[str, Any]) -> None:
                 named.add(body["schema"]["$ref"].rpartition("/")[2])
     assert len(named) > 10
     for name in named:
-        kind = next(
-            getattr(module, name)
-            for module in (
-                datasets,
-                fits,
-                reconstructions,
-                models,
-                lift,
-                lifts,
-                lists,
-                health,
-                errors,
-            )
-            if hasattr(module, name)
-        )
+        kind = next(getattr(module, name) for module in MODULES if hasattr(module, name))
         TypeAdapter(kind).validate_python(schemas[name]["example"])
 
 

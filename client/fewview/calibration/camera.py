@@ -12,6 +12,9 @@ Float64 = NDArray[np.float64]
 FISHEYE_COEFFICIENTS = 4
 PINHOLE_COEFFICIENTS = (5, 8)  # as many as OpenCV takes: k1, k2, p1, p2, k3; k4, k5, k6
 
+STRAIGHTENING_ROUNDS = 100
+STRAIGHT = 1e-7  # error of a direction that is found
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -107,6 +110,20 @@ class Camera:
         bent = self._bend(room[..., :2] / depth[..., None])
         pixels: Float64 = bent @ self.matrix[:2, :2].T + self.matrix[:2, 2]
         return pixels
+
+    def straighten(self, pixels: ArrayLike) -> Float64:
+        """Return the directions (..., 2) at depth 1, in the camera's axes, that pixels show.
+
+        Source: `cv2.undistortPoints`, whose fixed point it finds by the same iteration. NaN where
+        that does not settle, as beyond the edge of what the lens can show.
+        """
+        shown = np.asarray(pixels, dtype=np.float64) - self.matrix[:2, 2]
+        bent = shown @ np.linalg.inv(self.matrix[:2, :2]).T
+        directions = bent.copy()
+        for _ in range(STRAIGHTENING_ROUNDS):
+            directions = directions + (bent - self._bend(directions))
+        off = np.linalg.norm(self._bend(directions) - bent, axis=-1, keepdims=True)
+        return np.where(off < STRAIGHT, directions, np.nan)
 
     def _bend(self, directions: Float64) -> Float64:
         """Return the directions (..., 2) at depth 1 as the lens bends them."""

@@ -15,9 +15,15 @@ WORST = 5  # keypoints that are listed
 
 
 def evaluate(
-    points: Annotated[Path, typer.Argument(help="npz with `points` or `points3d` (N, P, 3).")],
-    truth: Annotated[Path, typer.Argument(help="npz with the same of the truth.")],
+    found: Annotated[
+        Path,
+        typer.Argument(help="npz with `points` or `points3d` (N, P, 3); else a calibration."),
+    ],
+    truth: Annotated[Path | None, typer.Argument(help="npz with the same of the truth.")] = None,
     *,
+    cameras: Annotated[
+        Path | None, typer.Option(help="Compare the cameras in FOUND with this calibration.")
+    ] = None,
     reach: Annotated[
         float | None, typer.Option(help="Largest threshold of PCK, in the truth's unit.")
     ] = None,
@@ -26,19 +32,54 @@ def evaluate(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Measure structures: PA-MPJPE, MPJPE, PCK with its area, per keypoint and per frame."""
-    from fewview.evaluation import evaluate  # noqa: PLC0415 (commands load what they need)
+    """Measure structures (PA-MPJPE, MPJPE, PCK), or cameras, against a truth."""
+    from fewview.errors import FewviewError  # noqa: PLC0415 (commands load what they need)
 
     try:
-        found, names = _read(points)
-        expected, others = _read(truth)
-        figures = evaluate(found, expected, reach=reach, mirrored_too=mirrored_too)
-    except (OSError, ValueError) as error:
+        if cameras is not None:
+            told, words = _cameras(found, cameras)
+        elif truth is not None:
+            told, words = _structures(found, truth, reach, mirrored_too=mirrored_too)
+        else:
+            raise ValueError("name the truth: a second npz, or --cameras and a calibration")
+    except (OSError, ValueError, FewviewError) as error:
         typer.echo(f"fewview evaluate: {' '.join(str(error).split())}", err=True)
         raise typer.Exit(WRONGLY_ASKED) from None
+    say(told, words, as_json=as_json)
+
+
+def _structures(
+    found: Path, truth: Path, reach: float | None, *, mirrored_too: bool
+) -> tuple[dict[str, Any], str]:
+    from fewview.evaluation import evaluate  # noqa: PLC0415
+
+    points, names = _read(found)
+    expected, others = _read(truth)
+    figures = evaluate(points, expected, reach=reach, mirrored_too=mirrored_too)
     named = names or others or [str(p) for p in range(len(figures.per_keypoint))]
-    told: dict[str, Any] = figures.plain() | {"keypoint_names": named}
-    say(told, in_words(figures, named), as_json=as_json)
+    return figures.plain() | {"keypoint_names": named}, in_words(figures, named)
+
+
+def _cameras(found: Path, expected: Path) -> tuple[dict[str, Any], str]:
+    from fewview.calibration import compare_cameras, for_views, read_cameras  # noqa: PLC0415
+
+    cameras = read_cameras(found)
+    calibration, _ = for_views(read_cameras(expected), [camera.name for camera in cameras])
+    told = [error.plain() for error in compare_cameras(cameras, calibration)]
+    rows = [("camera", "rotation", "direction", "centre", "focal x, y", "principal point")]
+    for one in told:
+        known = one["rotation"] is not None
+        rows.append(
+            (
+                one["name"],
+                f"{one['rotation']:.2f} deg" if known else "-",
+                f"{one['direction']:.2f} deg" if known else "-",
+                f"{one['centre']:.4g}" if known else "-",
+                "{:+.2f} {:+.2f} %".format(*one["focal"]),
+                f"{one['principal_point']:.1f} px",
+            )
+        )
+    return {"cameras": told}, table(rows)
 
 
 def in_words(figures: "Evaluation", names: list[str]) -> str:

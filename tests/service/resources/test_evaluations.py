@@ -1,0 +1,117 @@
+"""POST /evaluations: figures of structures and cameras that are known beforehand."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from fewview import Client
+from fewview.evaluation import evaluate
+from starlette.testclient import TestClient
+
+from models.capture.synthetic import SyntheticCapture, synthetic_capture
+from tests.service.conftest import Live, frames_of, make_dataset, problem
+
+
+def figures(client: Any, **asked: Any) -> dict[str, Any]:
+    response = client.post("/evaluations", json=asked)
+    assert response.status_code == 200, response.text
+    found: dict[str, Any] = response.json()
+    return found
+
+
+def lists(points: np.ndarray[Any, Any]) -> list[Any]:
+    return [
+        [None if np.isnan(point).any() else point.tolist() for point in frame] for frame in points
+    ]
+
+
+def test_points_that_are_sent_are_measured(api: TestClient) -> None:
+    rng = np.random.default_rng(0)
+    truth = rng.standard_normal((20, 9, 3))
+    points = truth + 0.1 * rng.standard_normal(truth.shape)
+    points[rng.random(points.shape[:2]) < 0.1] = np.nan
+    told = figures(api, points=lists(points), truth=lists(truth), reach=0.5)
+    expected = evaluate(points, truth, reach=0.5).plain()
+    assert told.keys() == expected.keys() | {"keypoint_names", "cameras", "triangulation"}
+    for name, value in expected.items():
+        if isinstance(value, list):
+            np.testing.assert_allclose(told[name], value, rtol=1e-4)
+        else:
+            assert told[name] == pytest.approx(value, rel=1e-4), name
+    assert (told["keypoint_names"], told["cameras"], told["triangulation"]) == (None, None, None)
+
+    mirrored = figures(api, points=lists(-points), truth=lists(truth))
+    assert not mirrored["mirrored"]
+    assert mirrored["pa_mpjpe"] > 3 * told["pa_mpjpe"]
+    forgiven = figures(api, points=lists(-points), truth=lists(truth), mirrored_too=True)
+    assert forgiven["mirrored"]
+    assert forgiven["pa_mpjpe"] == pytest.approx(told["pa_mpjpe"])
+
+
+def test_what_cannot_be_measured_is_refused(api: TestClient) -> None:
+    some = np.random.default_rng(0).standard_normal((2, 4, 3)).tolist()
+    dataset = make_dataset(api, frames=2)["id"]
+    for asked, pointer in (
+        ({}, "/fit_id"),
+        ({"points": some, "fit_id": "fit_a"}, "/fit_id"),
+        ({"points": some}, "/truth"),
+        ({"points": some, "dataset_id": dataset}, "/truth"),
+        ({"points": some, "truth": some[:1]}, "/points"),
+        ({"points": [[[0, 0]]], "truth": some}, "/points"),
+        ({"points": some, "truth": [[None] * 4] * 2}, "/points"),
+        ({"points": some, "truth": some, "reach": 0}, "/reach"),
+        ({"points": some, "truth": some, "triangulate": "found"}, "/triangulate"),
+        ({"points": [some[0]] * 401, "truth": [some[0]] * 401}, "/truth"),
+    ):
+        problem(api.post("/evaluations", json=asked), 422, "invalid_input", pointer)
+    for asked in ({"fit_id": "fit_none"}, {"points": some, "dataset_id": "ds_none"}):
+        problem(api.post("/evaluations", json=asked), 404, "not_found")
+
+
+def test_known_cameras_triangulate_beside_it(api: TestClient) -> None:
+    lens = {"fx": 1000.0, "cx": 640.0, "cy": 512.0}
+    turns = [np.eye(3), np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])]
+    rng = np.random.default_rng(2)
+    truth = rng.uniform(-1, 1, (6, 7, 3))
+    seen = np.stack([truth @ turn.T + (0, 0, 5) for turn in turns], 1)
+    pixels = 1000 * seen[..., :2] / seen[..., 2:] + (640, 512)
+    body = {"keypoints": frames_of(pixels), "points3d": truth.tolist()}
+    made = api.post("/datasets", json=body).json()["id"]
+    cameras: list[dict[str, Any]] = [
+        {"intrinsics": lens, "rotation": turn.tolist(), "translation": [0, 0, 5]} for turn in turns
+    ]
+    asked = {"points": (truth + 0.2).tolist(), "dataset_id": made, "calibration": cameras}
+    told = figures(api, **asked, triangulate="calibration")
+    assert told["triangulation"]["mpjpe"] < 1e-3
+    assert told["triangulation"]["auc"] > 0.98
+    assert told["mpjpe"] == pytest.approx(0, abs=1e-4)  # a shift is no error
+    for broken in (cameras[:1], [cameras[0], {"intrinsics": {"fx": 1000.0}}], [None, None]):
+        refused = api.post(
+            "/evaluations", json=asked | {"calibration": broken, "triangulate": "calibration"}
+        )
+        assert refused.status_code == 422, refused.text
+
+
+def test_a_fit_is_measured_against_its_dataset(
+    live: Live, fitted: dict[str, Any], capture: SyntheticCapture
+) -> None:
+    model = live.get(f"/models/{fitted['model_id']}")
+    told = figures(live.http, fit_id=fitted["id"], mirrored_too=True, reach=0.2)
+    assert told["pa_mpjpe"] == pytest.approx(model["pa_mpjpe"], rel=1e-4)
+    assert told["pck"][-1] == pytest.approx(model["pck"], abs=1e-3)
+    assert told["frames"] == len(capture.keypoints)
+    assert len(told["per_keypoint"]) == capture.keypoints.shape[2]
+    lens = {"intrinsics": {"fx": 1000.0, "cx": 640.0, "cy": 512.0}}
+    with Client(live.url) as client:
+        compared = client.evaluations.create(fitted["id"], calibration=[lens] * 3)["cameras"]
+        points = client.fits.reconstruction(fitted["id"]).points3d.copy()
+        points[3, 2] = np.nan
+        sent = client.evaluations.create(points=points, truth=capture.points3d)
+    found = live.get(f"/models/{model['id']}/cameras")["views"]
+    for view, camera in zip(found, compared, strict=True):
+        assert camera["focal"] == pytest.approx([focal / 10 - 100 for focal in view["focal"]])
+        assert camera["rotation"] is None
+    assert sent["per_keypoint"] == pytest.approx(told["per_keypoint"], rel=0.2)
+    other = synthetic_capture(frames=4, views=3, seed=8)
+    wrong = {"fit_id": fitted["id"], "truth": other.points3d.tolist()}
+    problem(live.http.post("/evaluations", json=wrong), 422, "invalid_input", "/truth")
