@@ -22,6 +22,7 @@ from service.settings import Settings
 from service.wire.arrays import Arrays
 
 LONGEST_NAME = 100  # of a file, or of a camera named after it
+LONGEST_NOTE, MOST_NOTES = 1000, 100
 
 
 def _one_of(*known: str) -> AfterValidator:
@@ -135,18 +136,25 @@ def read_files(
                 Path(folder, names[-1]).write_bytes(file.data)
             found = read_apart(Path(folder), names, options, max_bytes=settings.max_body_bytes)
     except FormatError as error:
-        raise invalid("/files", str(error)) from error
+        raise invalid("/files", _text(str(error), LONGEST_NOTE)) from error
     arrays = {
         name: array
         for name in ("keypoints", "confidence", "points3d", "times")
         if (array := getattr(found, name)) is not None
     }
-    told: dict[str, Any] = {"view_names": [n[:LONGEST_NAME] for n in found.view_names or ()]}
+    told: dict[str, Any] = {
+        "view_names": [_text(name, LONGEST_NAME) for name in found.view_names or ()]
+    }
     if found.keypoint_names is not None or found.edges is not None:
         told["skeleton"] = {"keypoint_names": found.keypoint_names, "edges": found.edges or ()}
     if found.image_sizes is not None:
         told["image_sizes"] = found.image_sizes
-    return Read(arrays, told, list(found.notes))
+    return Read(arrays, told, [_text(note, LONGEST_NOTE) for note in found.notes[:MOST_NOTES]])
+
+
+def _text(told: str, longest: int) -> str:
+    """Return text that a file had a say in, of bounded length, without halves of characters."""
+    return told[:longest].encode(errors="replace").decode()
 
 
 def _name(told: str, taken: list[str]) -> str:

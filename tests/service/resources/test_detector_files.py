@@ -160,6 +160,28 @@ def test_hostile_and_broken_files_are_named(api: TestClient, tables: Parts, tmp_
         assert "fewview-" not in said, said  # the service's own folder
 
 
+def test_text_of_files_cannot_break_the_answer(api: TestClient) -> None:
+    """Halves of characters cannot be sent, and names may be of any length."""
+
+    def coco(*names: str) -> bytes:
+        values = [coordinate for k in range(len(names)) for coordinate in (9.0 * k, 5.0, 2)]
+        content = {
+            "images": [{"id": n, "file_name": f"{n}.png"} for n in (1, 2)],
+            "categories": [{"keypoints": names, "skeleton": []}],
+            "annotations": [{"image_id": n, "keypoints": values} for n in (1, 2)],
+        }
+        return json.dumps(content).encode()
+
+    for odd in ("\ud800", "n" * 100_000):
+        sent = parts(a_json=coco(*NAMES, odd), b_json=coco(*NAMES))
+        made = send(api, sent)
+        assert made["keypoints"] == len(NAMES)
+        assert any(note.startswith("a: ") for note in made["notes"])
+        assert len(str(made)) < 5000
+        answer = api.post("/datasets", files=parts(a_json=coco(*NAMES, odd), c_json=coco(odd)))
+        assert answer.status_code == 422, answer.text
+
+
 @pytest.mark.usefixtures("unchanged")
 def test_how_many_and_how_much_is_bounded(api: TestClient, tables: Parts, tmp_path: Path) -> None:
     answer = api.post("/datasets", files=[tables[0]] * 5)  # the service takes 4 views
