@@ -4,8 +4,10 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import fewview
 import numpy as np
 import pytest
+from fewview import Animation
 from fewview.calibration import Camera, rotation_matrix, write_cameras
 from fewview.evaluation import evaluate
 from numpy.typing import NDArray
@@ -97,6 +99,11 @@ def test_the_command(truth: Float64, tmp_path: Path) -> None:
     assert one["focal"] == pytest.approx([2, 2])
     assert one["rotation"] == pytest.approx(0, abs=1e-6)
     assert "--cameras" in run("evaluate", files[0]).stderr
-    refused = run("evaluate", files[0], str(tmp_path / "none.npz"))
-    assert refused.returncode == 2
-    assert refused.stderr.count("\n") == 1
+    written = fewview.write(tmp_path / "found.safetensors", Animation(moved(truth)))
+    again = json.loads(run("evaluate", str(written), files[1], "--json").stdout)
+    assert again["pa_mpjpe"] == pytest.approx(0, abs=1e-9)
+    (tmp_path / "broken.safetensors").write_bytes(written.read_bytes()[:60])
+    for name in ("none.npz", "broken.safetensors"):
+        refused = run("evaluate", files[0], str(tmp_path / name))
+        assert refused.returncode == 2
+        assert refused.stderr.count("\n") == 1

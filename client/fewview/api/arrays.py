@@ -34,9 +34,11 @@ def to_npz(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     return buffer.getvalue()
 
 
-def to_safetensors(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return arrays of numbers as the bytes of a safetensors file."""
-    header: dict[str, Any] = {}
+def to_safetensors(
+    arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, str] | None = None
+) -> bytes:
+    """Return arrays of numbers, and what is said of them, as the bytes of a safetensors file."""
+    header: dict[str, Any] = {"__metadata__": dict(metadata)} if metadata else {}
     bodies, end = [], 0
     for name, array in arrays.items():
         body = np.ascontiguousarray(array).tobytes()

@@ -41,8 +41,18 @@ class Models(Stored[Driver, Model]):
 
     @operation
     def download(self, model: Model | str, file: str | PathLike[str]) -> Steps[Path]:
-        """Download a model's weights into a file; what broke off goes on where it was."""
-        return download(path("models", identifier(model), "weights"), Path(file), self._patience)
+        """Download a model into a file; what broke off goes on where it was.
+
+        All that is known of it, as safetensors; a file that ends in ``.onnx`` gets its network.
+
+        Raises
+        ------
+        Conflict
+            The network cannot be said as ONNX.
+        """
+        file = Path(file)
+        part = "network" if file.suffix.lower() == ".onnx" else "weights"
+        return download(path("models", identifier(model), part), file, self._patience)
 
     @operation
     def upload(

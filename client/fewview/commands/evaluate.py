@@ -1,5 +1,6 @@
 """``fewview evaluate``: structures against a ground truth."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,16 +11,18 @@ from fewview.commands.talking import WRONGLY_ASKED, AsJson, say, table
 if TYPE_CHECKING:
     from fewview.evaluation import Evaluation
 
-NAMES = ("points", "points3d")  # of the array in an npz
+NAMES = ("points", "points3d")  # of the array in a file
 WORST = 5  # keypoints that are listed
 
 
 def evaluate(
     found: Annotated[
         Path,
-        typer.Argument(help="npz with `points` or `points3d` (N, P, 3); else a calibration."),
+        typer.Argument(
+            help="npz or safetensors with `points` or `points3d` (N, P, 3); else a calibration."
+        ),
     ],
-    truth: Annotated[Path | None, typer.Argument(help="npz with the same of the truth.")] = None,
+    truth: Annotated[Path | None, typer.Argument(help="The same of the truth.")] = None,
     *,
     cameras: Annotated[
         Path | None, typer.Option(help="Compare the cameras in FOUND with this calibration.")
@@ -103,24 +106,38 @@ def in_words(figures: "Evaluation", names: list[str]) -> str:
 
 
 def _read(path: Path) -> tuple[Any, list[str] | None]:
-    """Return the structures in an npz, and the names of their keypoints, if it has them.
+    """Return the structures in a file, and the names of their keypoints, if it has them.
 
     Raises
     ------
     ValueError
-        If it is no npz with structures.
+        If it is no npz or safetensors with structures.
     """
+    arrays, keypoint_names = _arrays(path)
+    for name in NAMES:
+        if name in arrays:
+            return arrays[name], keypoint_names
+    raise ValueError(f"{path}: expected an array `points` or `points3d`, it has {list(arrays)}")
+
+
+def _arrays(path: Path) -> tuple[dict[str, Any], list[str] | None]:
+    """Return the arrays in a file, and the names of its keypoints."""
     import zipfile  # noqa: PLC0415
 
     import numpy as np  # noqa: PLC0415
 
+    from fewview.api.arrays import read_safetensors  # noqa: PLC0415
+
+    if path.suffix.lower() == ".safetensors":
+        try:
+            arrays, about = read_safetensors(path.read_bytes())
+            return arrays, json.loads(about.get("keypoint_names", "null"))
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ValueError(f"{path}: no safetensors file ({error})") from error
     if not zipfile.is_zipfile(path):
         path.stat()  # a file that is not there says so
-        raise ValueError(f"{path}: expected an .npz file")
-    with np.load(path, allow_pickle=False) as arrays:
-        for name in NAMES:
-            if name in arrays:
-                known = "keypoint_names" in arrays
-                return arrays[name], arrays["keypoint_names"].tolist() if known else None
-        listed = ", ".join(arrays.files)
-    raise ValueError(f"{path}: expected an array `points` or `points3d`, it has {listed}")
+        raise ValueError(f"{path}: expected an .npz or .safetensors file")
+    with np.load(path, allow_pickle=False) as file:
+        arrays = dict(file)
+    names = arrays.get("keypoint_names")
+    return arrays, None if names is None else names.tolist()

@@ -34,7 +34,7 @@ COLUMNS = {
 }
 FILES = {
     "datasets": "the capture of a dataset, an npz file",
-    "models": "a model with all that is known of it, a safetensors file",
+    "models": "a model with all that is known of it: .safetensors; its network: .onnx",
     "lifts": "all lifted frames: .jsonl, .npz or .safetensors",
 }
 JOBS = ("fits", "lifts")

@@ -1,9 +1,12 @@
 """BVH, a skeleton in motion, where the edges join all keypoints as one tree.
 
-Joints move by position channels, not by rotations, so bones may change their length and forward
-kinematics gives every point back. A joint's three channels are its place relative to its parent;
-they stand in place of its OFFSET, which is the median over the frames (as Blender reads them; a
-tool that adds both is wrong here, and one that reads only rotations sees a still figure).
+The root has channels of position and rotation, every other joint those of rotation alone, as tools
+for animation expect. Bones are rigid: a bone's OFFSET has its median length over the frames, and a
+joint with several bones keeps the angles between them that suit all frames best. So a point is off
+by as much as the bones between it and the root differ from that.
+
+Rotations are relative to the parent and, about a single bone, have no twist: the shortest turn from
+the bone at rest. Written are degrees about Z, X and Y: R = Rz Rx Ry.
 
 BVH has no missing points: gaps are bridged in a straight line and held at both ends, and a keypoint
 that is never seen lies on its parent. The unit is that of the points; the rate is constant.
@@ -19,12 +22,13 @@ from numpy.typing import NDArray
 
 from fewview.animation import Animation
 from fewview.errors import FormatError
+from fewview.writers.bones import angles_of, posed
 from fewview.writers.numbers import demand_even
 
 Float64 = NDArray[np.float64]
 
 ROOT = re.compile(r"pelvis|mid_?hip|hips|root|hip", re.IGNORECASE)
-CHANNELS = "CHANNELS 3 Xposition Yposition Zposition"
+ROTATION = "Zrotation Xrotation Yrotation"
 
 
 def write(path: Path, animation: Animation) -> None:
@@ -44,17 +48,16 @@ def write(path: Path, animation: Animation) -> None:
         raise FormatError("no point of the animation was ever seen")
     parents = _parents(animation)
     places = filled(animation.points, parents)
-    local = places.copy()
-    for joint, parent in parents.items():
-        if parent is not None:
-            local[:, joint] -= places[:, parent]
+    offsets, turns = posed(places, parents)
     lines = ["HIERARCHY"]
     order: list[int] = []
-    _write_joint(lines, order, next(iter(parents)), parents, names, np.median(local, axis=0))
-    lines += ["MOTION", f"Frames: {len(local)}", f"Frame Time: {1 / animation.rate:.9g}"]
+    root = next(iter(parents))
+    _write_joint(lines, order, root, parents, names, offsets)
+    lines += ["MOTION", f"Frames: {len(places)}", f"Frame Time: {1 / animation.rate:.9g}"]
+    angles = angles_of(turns)[:, order].reshape(len(places), -1)
     lines += [
         " ".join(f"{number:.9g}" for number in frame)
-        for frame in local[:, order].reshape(len(local), -1).tolist()
+        for frame in np.hstack([places[:, root], angles]).tolist()
     ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
@@ -141,7 +144,8 @@ def _write_joint(
     pad = "  " * depth
     offset = " ".join(f"{number:.9g}" for number in (offsets[joint] if depth else np.zeros(3)))
     lines += [f"{pad}{'JOINT' if depth else 'ROOT'} {names[joint]}", f"{pad}{{"]
-    lines += [f"{pad}  OFFSET {offset}", f"{pad}  {CHANNELS}"]
+    channels = f"3 {ROTATION}" if depth else f"6 Xposition Yposition Zposition {ROTATION}"
+    lines += [f"{pad}  OFFSET {offset}", f"{pad}  CHANNELS {channels}"]
     children = [child for child, parent in parents.items() if parent == joint]
     for child in children:
         _write_joint(lines, order, child, parents, names, offsets, depth + 1)

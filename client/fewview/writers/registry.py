@@ -27,6 +27,7 @@ FORMATS = (
     Format("c3d", ".c3d", "c3d", "markers for biomechanics"),
     Format("jsonl", ".jsonl", "json_lines", "JSON lines, one a frame"),
     Format("npz", ".npz", "npz", "arrays for NumPy"),
+    Format("safetensors", ".safetensors", "safetensors", "arrays for any language"),
     Format("bvh", ".bvh", "bvh", "skeleton for animation, where edges form a tree"),
     Format("glb", ".glb", "glb", "glTF 2.0: animated points and sticks, for viewers and Blender"),
     Format("parquet", ".parquet", "parquet", "table with a row for each point (needs pyarrow)"),

@@ -10,6 +10,7 @@ import pytest
 from fewview import Animation, write
 from fewview.errors import FormatError
 from fewview.writers import FORMATS
+from safetensors import safe_open
 
 
 def test_a_wide_table(tmp_path: Path, animation: Animation) -> None:
@@ -57,6 +58,20 @@ def test_arrays(tmp_path: Path, animation: Animation) -> None:
         again = Animation(**{name: arrays[name][()] for name in arrays if name != "unit"})
         assert str(arrays["unit"]) == "m"
     assert (again.names, again.edges) == (animation.names, animation.edges)
+
+
+def test_safetensors(tmp_path: Path, animation: Animation) -> None:
+    with safe_open(write(tmp_path / "a.safetensors", animation), "numpy") as file:
+        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        about = file.metadata()
+    np.testing.assert_array_equal(arrays["points"], animation.points)
+    assert about.pop("unit") == "m"
+    again = Animation(**arrays, **{name: json.loads(text) for name, text in about.items()})
+    assert (again.names, again.edges, again.fps) == (animation.names, animation.edges, 25)
+    timed = replace(animation, fps=None, times=np.arange(12.0) ** 2, keypoint_names=None)
+    with safe_open(write(tmp_path / "a.safetensors", timed), "numpy") as file:
+        np.testing.assert_array_equal(file.get_tensor("times"), timed.times)
+        assert set(file.metadata()) == {"unit"}
 
 
 def test_parquet(tmp_path: Path, animation: Animation) -> None:

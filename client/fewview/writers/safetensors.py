@@ -1,0 +1,27 @@
+"""safetensors: `points` (N, P, 3) float64, NaN where missing, `times` (N,), `edges` (E, 2).
+
+What are no arrays is in the metadata, as JSON where it is no text: `unit`, `fps`, `keypoint_names`.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from fewview.animation import Animation
+from fewview.api.arrays import to_safetensors
+
+
+def write(path: Path, animation: Animation) -> None:
+    """Write an animation as arrays."""
+    arrays = {"points": animation.points}
+    if animation.times is not None:
+        arrays["times"] = animation.times
+    if animation.edges:
+        arrays["edges"] = np.array(animation.edges)
+    about = {} if animation.unit is None else {"unit": str(animation.unit)}
+    if animation.fps is not None:
+        about["fps"] = json.dumps(float(animation.fps))
+    if animation.keypoint_names is not None:
+        about["keypoint_names"] = json.dumps(animation.keypoint_names)
+    path.write_bytes(to_safetensors(arrays, about))
