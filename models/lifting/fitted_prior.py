@@ -19,7 +19,7 @@ from models.lifting.lift import Lift
 from models.network.answers import Answers, make_answers
 from models.network.feed_forward import feed_forward
 from models.network.priors.registry import lay_out, parameter_shapes
-from models.network.settling import SETTLE_ALL
+from models.network.settling import SETTLE_ALL, SettlingPolicy
 from models.numerics.tensor_files import (
     Arrays,
     Shapes,
@@ -92,6 +92,17 @@ class FittedPrior:
         return (*self.capture.findings, *(() if found is None else found.findings))
 
     @property
+    def denoises(self) -> bool:
+        """Whether noise is removed from keypoints before the network sees them."""
+        return self._denoiser is not None
+
+    @property
+    def settling(self) -> SettlingPolicy:
+        """Which frames of a lift are settled after the network."""
+        found = self._self_calibration
+        return SETTLE_ALL if found is None else found.settling
+
+    @property
     def weights(self) -> Arrays:
         """The weights of the network, by name; not to be changed."""
         return self._arrays
@@ -154,8 +165,6 @@ class FittedPrior:
         before = make_answers(0, count, points)
         if previous is not None:
             before = Answers(*previous.of_keypoints(self.capture.known))
-        found = self._self_calibration
-        policy = SETTLE_ALL if found is None else found.settling
 
         def lift_part(part: slice) -> None:
             here = part.start, part.stop
@@ -163,7 +172,7 @@ class FittedPrior:
                 self._network,
                 observations,
                 self.foreshortening,
-                policy,
+                self.settling,
                 self.capture.usual,
                 *here,
                 answers,

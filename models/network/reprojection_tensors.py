@@ -2,7 +2,8 @@
 
 On the CPU the same is compiled: `reprojection_kernels` with `models.optics.weak_perspective`, whose
 words say what is computed and why. Tests hold each function here equal to its compiled twin, values
-and gradients.
+and gradients. They are exported to ONNX as well (`models.lifting.onnx_file`), whose tracer does not
+know every operation: not `mT`, `diagonal` or `torch.linalg.solve`.
 """
 
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from torch import Tensor
 from models.numerics.normalisation import LEAST_MEAN_SQUARE
 from models.numerics.rotations import PARALLEL, ZERO_LENGTH
 from models.numerics.rotations import TINY as TINY_SQUARE
+from models.numerics.tensor_systems import solve_symmetric
 from models.optics.weak_perspective import RIDGE, TINY
 
 
@@ -48,7 +50,7 @@ def normalise(points: Tensor) -> Tensor:
 
 def project(points: Tensor, cameras: WeakPerspective) -> Tensor:
     """Project points (..., P, 3) to the image (..., P, 2): w = s (R X)_xy + t, paper eq. 1."""
-    xy = points @ cameras.rotations[..., :2, :].mT
+    xy = points @ cameras.rotations[..., :2, :].transpose(-1, -2)
     return cameras.scales[..., None, None] * xy + cameras.translations[..., None, :]
 
 
@@ -70,7 +72,7 @@ def nearest_rotations(matrices: Tensor) -> Tensor:
     x = ((c + det) * first - b * second) / (trace * det)
     y = ((a + det) * second - b * first) / (trace * det)
     nearest = torch.stack((x, y, normal / det), -2)
-    if parallel.any():
+    if torch.onnx.is_in_onnx_export() or parallel.any():
         nearest = torch.where(parallel[..., None], _nearest_to_parallel(rows.detach()), nearest)
     return nearest.to(matrices.dtype)
 
@@ -113,17 +115,18 @@ def solve_cameras(
     points, image = points - points_mean[..., None, :], image - image_mean[..., None, :]
     weighted_image = share * image  # (..., P, 2)
 
-    scatter = (share * points).mT @ points  # (..., 3, 3)
-    cross = points.mT @ weighted_image  # (..., 3, 2)
-    variance = scatter.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None] + TINY
+    scatter = (share * points).transpose(-1, -2) @ points  # (..., 3, 3)
+    cross = points.transpose(-1, -2) @ weighted_image  # (..., 3, 2)
+    variance = (share * points.square()).sum((-2, -1))[..., None, None] + TINY
     spread = (weighted_image * image).sum((-2, -1))[..., None, None]
     ridge = RIDGE * variance
     pull = ridge * (spread / variance + TINY).sqrt()
     eye = torch.eye(3, dtype=points.dtype, device=points.device)
-    affine = torch.linalg.solve(scatter + ridge * eye, cross + pull * guesses[..., :2, :].mT)
-    rotations = nearest_rotations(affine.mT)
+    pulled = cross + pull * guesses[..., :2, :].transpose(-1, -2)
+    affine = solve_symmetric(scatter + ridge * eye, pulled)
+    rotations = nearest_rotations(affine.transpose(-1, -2))
 
-    axes = rotations[..., :2, :].mT  # (..., 3, 2)
+    axes = rotations[..., :2, :].transpose(-1, -2)  # (..., 3, 2)
     # Sums over the points are products with their scatter: |X axes|^2 = axes^T scatter axes.
     scales = (cross * axes).sum((-2, -1)) / (((scatter @ axes) * axes).sum((-2, -1)) + TINY)
     offset = (points_mean[..., None, :] @ axes)[..., 0, :]

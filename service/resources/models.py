@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import dumped
 from models.lifting.fitted_prior import FittedPrior
+from models.lifting.onnx_file import onnx_file
 from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
 from service.http.dependencies import (
@@ -235,6 +236,27 @@ def download_weights(model_id: Identifier, store: StoreDep, request: Request) ->
         media_type=OCTETS,
         filename=f"{record.id}.safetensors",
     )
+
+
+@router.get(
+    "/{model_id}/network",
+    response_class=Response,
+    responses=problems("not_found", "conflict", "range_not_satisfiable")
+    | binary_responses("The network as an ONNX file.", OCTETS),
+)
+def download_network(model_id: Identifier, engine: EngineDep, request: Request) -> Response:
+    """Download a model's feed-forward network as ONNX, which takes seconds to make.
+
+    From `keypoints` (N, K, P, 2) in pixels, NaN where not observed, and `confidence` (N, K, P) it
+    computes `points3d` (N, P, 3), `rotations` (N, K, 3, 3), `scales` (N, K) and `translations`
+    (N, K, 2) in pixels, NaN where there is no answer: what `POST /lift` answers with `refine: off`.
+    Perspective is not in it. A model that removes noise before its network has none (409).
+    """
+    try:
+        content = onnx_file(engine.prior(model_id))
+    except ValueError as error:
+        raise ApiError("conflict", str(error)) from error
+    return bytes_response(request, content, media_type=OCTETS, filename=f"{model_id}.onnx")
 
 
 @router.post(

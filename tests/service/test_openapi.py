@@ -114,6 +114,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "delete_model",
         "delete_models",
         "download_capture",
+        "download_network",
         "download_weights",
         "evaluate",
         "get_dataset",

@@ -128,16 +128,16 @@ class HierarchicalPrior(Prior):
         # One ISTA step per layer, paper eq. "encoder": Psi_l = ReLU(D_l^T Psi_{l-1}; lambda_l).
         # The six numbers of an atom's 2x3 block are rows of their own, so that a layer is one
         # product; addmm with relu_ halves the memory traffic that dominates on a CPU.
-        rows = views.mT.reshape(-1, self.keypoints)  # (2 M, P)
+        rows = views.transpose(-1, -2).reshape(-1, self.keypoints)  # (2 M, P)
         threshold = self.encoder_thresholds[0].repeat(3)
         block = torch.relu_(torch.addmm(-threshold, rows, self.first))  # (2 M, 3 B_1)
-        block = block.reshape(6 * len(views), self.sizes[0])  # (6 M, B_1)
+        block = block.reshape(6 * views.shape[0], self.sizes[0])  # (6 M, B_1)
         for dictionary, threshold in zip(
             self.dictionaries, self.encoder_thresholds[1:], strict=True
         ):
             block = torch.relu_(torch.addmm(-threshold, block, dictionary))  # (6 M, B_l)
         # Rotation factorisation: one linear layer reads the unrotated code, one the rotation.
-        flat = block.reshape(len(views), 6 * block.shape[-1])  # (M, 6 B_L)
+        flat = block.reshape(views.shape[0], 6 * block.shape[-1])  # (M, 6 B_L)
         return self.unrotate(flat), self.rotate(flat).reshape(-1, 2, 3)
 
     def decode(self, code: Tensor) -> Tensor:

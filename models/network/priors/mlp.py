@@ -134,10 +134,10 @@ class MlpPrior(Prior):
 
     def encode(self, views: Tensor) -> tuple[Tensor, Tensor]:
         """Codes (M, B) of M normalised views (M, P, 2), and matrices (M, 2, 3) near rotations."""
-        state = self.entry(views.flatten(1))  # (M, W)
+        state, width = self.entry(views.flatten(1)), self.sizes.width  # (M, W)
         for first, second in zip(self.blocks[::2], self.blocks[1::2], strict=True):
-            state = state + second(gelu(first(_normalised(state))))
-        state = _normalised(state)
+            state = state + second(gelu(first(_normalised(state, width))))
+        state = _normalised(state, width)
         return self.unrotate(state), self.rotate(state).reshape(-1, 2, 3)
 
     def decode(self, code: Tensor) -> Tensor:
@@ -181,5 +181,5 @@ class MlpPrior(Prior):
         )
 
 
-def _normalised(rows: Tensor) -> Tensor:
-    return layer_norm(rows, rows.shape[-1:], eps=EPSILON)
+def _normalised(rows: Tensor, width: int) -> Tensor:
+    return layer_norm(rows, (width,), eps=EPSILON)

@@ -2,9 +2,11 @@
 
 import io
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnxruntime
 import orjson
 import pytest
 from safetensors.numpy import load, save
@@ -33,6 +35,8 @@ from tests.service.conftest import (
     to_npz,
     to_safetensors,
 )
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 
 def lift(client: Any, model: str, capture: SyntheticCapture) -> Any:
@@ -201,6 +205,26 @@ def test_weights_travel(
         client = api if found["skeleton"] else live.http
         assert lift(client, found["id"], capture).json()["frames"] == answer
         assert client.get(f"/models/{found['id']}").json() == found
+
+
+def test_the_network_is_downloaded_as_onnx(
+    api: TestClient, weights: bytes, capture: SyntheticCapture
+) -> None:
+    model = api.post("/models", content=weights, headers=BYTES).json()["id"]
+    file = api.get(f"/models/{model}/network")
+    assert f"{model}.onnx" in file.headers["content-disposition"]
+    network = onnxruntime.InferenceSession(file.content)
+    keypoints = capture.keypoints[:9].astype(np.float32)  # frame 7 lacks a view
+    given = {"keypoints": keypoints, "confidence": np.ones(keypoints.shape[:3], np.float32)}
+    (points,) = network.run(["points3d"], given)
+    body = {"model": model, "frames": frames_of(keypoints), "refine": "off"}
+    answer = api.post("/lift", content=orjson.dumps(body), headers=JSON).json()["frames"]
+    np.testing.assert_allclose(points, [frame["points3d"] for frame in answer], atol=1e-4)
+
+    noisy = (FIXTURES / "denoised.safetensors").read_bytes()
+    model = api.post("/models", content=noisy, headers=BYTES).json()["id"]
+    assert "denoising" in problem(api.get(f"/models/{model}/network"), 409, "conflict")
+    problem(api.get("/models/mdl_none/network"), 404, "not_found")
 
 
 LABELS = {"tags": ["pilot"], "metadata": {"subject": ["M7"]}}
