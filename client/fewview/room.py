@@ -289,7 +289,7 @@ def _relative_pose(
     if not shared.any():
         return None
     relative = turns[shared, view] @ turns[shared, reference].transpose(0, 2, 1)
-    middle = _nearest_rotation(np.median(relative, axis=0))
+    middle = nearest_rotation(np.median(relative, axis=0))
     steps = shifts[shared, view] - np.einsum("ij,nj->ni", middle, shifts[shared, reference])
     step = np.median(steps, axis=0)
     # Angles by their chord, which is exact for small ones where an arc cosine is not.
@@ -324,7 +324,7 @@ def _upright(
     return axes, np.array([0.0, height, 0.0]), [*notes, "y = 0 is the floor under the feet"]
 
 
-def _nearest_rotation(matrices: Float64) -> Float64:
+def nearest_rotation(matrices: Float64) -> Float64:
     """Return the rotations (..., 3, 3) nearest to matrices in the Frobenius norm; NaN of NaN."""
     finite = np.asarray(np.isfinite(matrices).all((-2, -1)))[..., None, None]
     u, _, vt = np.linalg.svd(np.where(finite, matrices, np.eye(3)))
