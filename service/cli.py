@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from pydantic_settings import CliApp, SettingsConfigDict
 
 from service.settings import Settings
+from store.errors import StoreError
 from worker.settings import WorkerSettings
 
 ENVIRONMENT_HELP = """
@@ -75,7 +76,7 @@ def work(arguments: list[str]) -> None:
     os.environ |= settings.to_environment()  # jobs run in processes that read them there
     try:
         run(settings)
-    except ValueError as error:
+    except (ValueError, StoreError) as error:
         print(f"fewview worker: {error}", file=sys.stderr)
         sys.exit(2)
 

@@ -1,16 +1,15 @@
 """Attempts: what the process that runs a fit may write, for as long as it holds the lease."""
 
-import time
 from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
-from store import fits, lookup, models
+from store import clock, fits, keys, lookup, models
 from store.database import Store
+from store.disposal import condemn, discard
 from store.errors import LeaseLostError
-from store.ids import new_id
 from store.records import FitJob
 
 
@@ -33,8 +32,8 @@ class Attempt:
 
 def claim(store: Store, fit_id: str, *, lease_seconds: float) -> Attempt | None:
     """Take a queued fit, or one whose holder's lease has run out; None if neither is so."""
-    now = time.time()
     with store.writing() as session:
+        now = clock.read(session)
         number = session.scalar(
             update(FitJob)
             .where(
@@ -63,7 +62,7 @@ def beat(store: Store, attempt: Attempt, progress: dict[str, Any] | None) -> boo
     LeaseLostError
         If another attempt or a terminal state has taken this one's place.
     """
-    values: dict[str, Any] = {"lease_expires_at": time.time() + attempt.lease_seconds}
+    values: dict[str, Any] = {"lease_expires_at": clock.now() + attempt.lease_seconds}
     if progress is not None:
         values |= {"progress": progress, "revision": FitJob.revision + 1}
     with store.writing() as session:
@@ -73,16 +72,16 @@ def beat(store: Store, attempt: Attempt, progress: dict[str, Any] | None) -> boo
 
 def save_checkpoint(store: Store, attempt: Attempt, data: bytes) -> None:
     """Replace the fit's checkpoint; raise ``LeaseLostError`` if this attempt is stale."""
-    key = f"fits/{attempt.fit_id}/{new_id('checkpoint')}.safetensors"
+    key = keys.of_checkpoint(attempt.fit_id)
     store.objects.put(key, data)
     try:
         with store.writing() as session:
             old = session.scalar(select(FitJob.checkpoint_key).where(FitJob.id == attempt.fit_id))
             _write(session, attempt, {"checkpoint_key": key})
     except LeaseLostError:
-        store.objects.delete(key)
+        discard(store, key)
         raise
-    store.objects.delete(old)
+    discard(store, old)
 
 
 def load_checkpoint(store: Store, fit_id: str) -> bytes | None:
@@ -117,7 +116,7 @@ def succeed(
     fit = lookup.get(store, FitJob, attempt.fit_id)
     said = {"name": fit.name, "tags": fit.tags, "user_metadata": fit.user_metadata}
     model = models.new_record(store, weights, fit_id=fit.id, **said, **describe)
-    reconstruction_key = f"fits/{fit.id}/{new_id('reconstruction')}.safetensors"
+    reconstruction_key = keys.of_reconstruction(fit.id)
     store.objects.put(reconstruction_key, reconstruction)
     try:
         with store.writing() as session:
@@ -134,9 +133,9 @@ def succeed(
                 },
             )
     except LeaseLostError:
-        store.objects.delete(model.weights_key, reconstruction_key)
+        discard(store, model.weights_key, reconstruction_key)
         raise
-    store.objects.delete(fit.checkpoint_key)
+    discard(store, fit.checkpoint_key)
     return model.id
 
 
@@ -146,8 +145,9 @@ def end(
     """End the attempt's fit as ``failed`` or ``cancelled``."""
     with store.writing() as session:
         key = session.scalar(select(FitJob.checkpoint_key).where(FitJob.id == attempt.fit_id))
+        condemned = condemn(session, [key])
         _write(session, attempt, fits.ended(status) | {"error": error})
-    store.objects.delete(key)
+    discard(store, *condemned)
 
 
 def release(store: Store, attempt: Attempt) -> None:
@@ -178,7 +178,7 @@ def give_up(store: Store, attempt: Attempt, why: str) -> None:
         fit = lookup.lock(session, FitJob, attempt.fit_id)
         if fit.attempt != attempt.number or fit.status != "running":
             raise _lost(attempt)
-        fits.lose(fit, time.time(), "internal_error", why)
+        fits.lose(session, fit, clock.read(session), "internal_error", why)
 
 
 def _write(session: Session, attempt: Attempt, values: dict[str, Any]) -> float | None:

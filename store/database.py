@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 from sqlalchemy.pool import NullPool
 from sqlalchemy.schema import CreateColumn
 
+from store import deployment
 from store.errors import StoreError
 from store.objects import Objects
 from store.records import Record
@@ -22,19 +23,24 @@ _BUSY_TIMEOUT_MS = 20_000
 class Store:
     """Records and objects of one deployment. Safe to share between threads, never across a fork."""
 
-    def __init__(self, settings: StoreSettings, *, pooled: bool = True) -> None:
+    def __init__(self, settings: StoreSettings, *, forks: bool = False) -> None:
         """Open records and objects, making folders, tables and nullable columns that are missing.
 
-        Raises ``StoreError`` for records of another version of Fewview that differ in more.
+        Raises ``StoreError`` for records of another version of Fewview that differ in more, and
+        ``DeploymentError`` for records and objects that do not belong together.
 
         Parameters
         ----------
-        pooled
-            Keep connections open between uses. A process that forks must not: SQLite drops the
-            locks of a file when any inherited descriptor of it is closed.
+        forks
+            This process will fork. Then it keeps no connection open between uses, for SQLite drops
+            the locks of a file when any inherited descriptor of it is closed; and it may not touch
+            the objects, whose threads would not live on in the fork, so another process must have
+            opened the store before.
         """
-        self.engine = _open_records(settings.resolved_database_url, pooled=pooled)
+        self.engine = _open_records(settings.resolved_database_url, pooled=not forks)
         self.objects = Objects(settings.resolved_store_url)
+        if not forks:
+            self.identity = deployment.agree(self.writing, self.objects)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:

@@ -11,9 +11,10 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from models.settings.times import check_rate
-from store import dataset_findings, jobs
+from store import dataset_findings, jobs, keys
 from store.capture import Capture, Float64, concatenate, extend_checksum
 from store.database import Store
+from store.disposal import condemn, discard
 from store.errors import CaptureError, NotFoundError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
@@ -78,7 +79,7 @@ def create(
             session.add(Chunk(dataset_id=dataset_id, first_frame=0, frames=capture.frames, key=key))
             remember(session, idempotency, dataset_id)
     if earlier is not None:
-        store.objects.delete(key)
+        discard(store, key)
         return get(store, Dataset, earlier)
     return dataset
 
@@ -142,7 +143,7 @@ def append(
                     remember(session, idempotency, dataset_id)
     finally:
         if not appended:
-            store.objects.delete(key)
+            discard(store, key)
     return get(store, Dataset, dataset_id)
 
 
@@ -275,16 +276,17 @@ def delete(store: Store, dataset_id: str) -> None:
     with store.writing() as session:
         for column in (FitJob.dataset_id, LiftJob.dataset_id):
             jobs.refuse_if_used(session, "Dataset", column, dataset_id)
-        keys = session.scalars(select(Chunk.key).where(Chunk.dataset_id == dataset_id)).all()
+        chunks = session.scalars(select(Chunk.key).where(Chunk.dataset_id == dataset_id)).all()
         gone = session.execute(
             sql_delete(Dataset).where(Dataset.id == dataset_id).returning(Dataset.id)
         ).first()
         if gone is None:
             raise NotFoundError("dataset", dataset_id)
-    store.objects.delete(*keys)
+        condemned = condemn(session, chunks)
+    discard(store, *condemned)
 
 
 def _put_chunk(store: Store, dataset_id: str, capture: Capture) -> str:
-    key = f"datasets/{dataset_id}/{new_id('chunk')}.safetensors"
+    key = keys.of_chunk(dataset_id)
     store.objects.put(key, capture.to_bytes())
     return key

@@ -8,6 +8,7 @@ StoreError
 │   ├── ConfigError        a configuration that its dataset does not allow
 │   ├── SourceError        a model that a fit of its dataset cannot start from
 │   └── LiftError          a dataset, or views of it, that the model cannot lift
+├── DeploymentError        records and objects that do not belong together
 ├── QueueFullError         as many fits, or lifts, wait as may
 ├── KeyReusedError         an idempotency key came back with another request
 └── LeaseLostError         a stale attempt tried to write; its work belongs to another by now
@@ -16,6 +17,10 @@ StoreError
 
 class StoreError(Exception):
     """Base of the store's errors."""
+
+
+class DeploymentError(StoreError):
+    """Records and objects do not belong together: nothing may be served or deleted."""
 
 
 class NotFoundError(StoreError):

@@ -9,7 +9,6 @@ Only the attempt that holds the lease may write; terminal states are never left.
 work to workers and nothing more: what it says of a job is never asked.
 """
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,8 +18,9 @@ from sqlalchemy.orm import Session
 from models.settings.calibration import Keypoint
 from models.settings.config import FitConfig, warm
 from models.settings.priors import ARCHITECTURE
-from store import jobs
+from store import clock, jobs
 from store.database import Store
+from store.disposal import condemn
 from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
 from store.idempotency import Idempotency
 from store.labels import Labels
@@ -172,15 +172,15 @@ def cancel(store: Store, fit_id: str) -> FitJob:
     ConflictError
         If it has ended otherwise.
     """
-    now = time.time()
     with store.writing() as session:
         fit = jobs.lock_to_cancel(session, FitJob, fit_id)
+        now = clock.read(session)
         if fit.status != "cancelled" and fit.cancel_requested_at is None:
             fit.cancel_requested_at = now
             fit.revision += 1
         abandoned = fit.lease_expires_at is not None and fit.lease_expires_at < now
         if fit.status == "queued" or (fit.status == "running" and abandoned):
-            _end(fit, "cancelled", now)
+            _end(session, fit, "cancelled", now)
     return fit
 
 
@@ -190,17 +190,18 @@ def recover(store: Store) -> list[FitJob]:
     A fit whose lease ran out is queued again, or cancelled if that was asked, or failed if it has
     taken down too many workers.
     """
-    now = time.time()
-    lost = (FitJob.status == "running") & (FitJob.lease_expires_at < now)
+    lost = (FitJob.status == "running") & (FitJob.lease_expires_at < clock.now())
     queued = select(FitJob).where(FitJob.status == "queued").order_by(FitJob.id)
     with store.reading() as session:  # the common case takes no write lock
         any_lost = session.scalar(select(FitJob.id).where(lost).limit(1)) is not None
     if any_lost:
         with store.writing() as session:
+            now = clock.read(session)
             for fit in session.scalars(
                 select(FitJob).where(lost).with_for_update(skip_locked=True)
             ):
                 lose(
+                    session,
                     fit,
                     now,
                     "worker_lost",
@@ -211,7 +212,7 @@ def recover(store: Store) -> list[FitJob]:
         return list(session.scalars(queued))
 
 
-def lose(fit: FitJob, now: float, code: str, why: str) -> None:
+def lose(session: Session, fit: FitJob, now: float, code: str, why: str) -> None:
     """Queue a fit again whose attempt died or met an error; cancel it if that was asked.
 
     One that has had too many such attempts fails, with ``code`` and with ``why`` in its message.
@@ -220,9 +221,9 @@ def lose(fit: FitJob, now: float, code: str, why: str) -> None:
     fit.revision += 1
     fit.lease_expires_at = None
     if fit.cancel_requested_at is not None:
-        _end(fit, "cancelled", now)
+        _end(session, fit, "cancelled", now)
     elif fit.crashes >= jobs.MAX_CRASHES:
-        _end(fit, "failed", now)
+        _end(session, fit, "failed", now)
         fit.error = {"code": code, "message": f"Tried {fit.crashes} times: {why}"}
     else:
         fit.status = "queued"
@@ -236,21 +237,15 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
     bool
         Whether it was taken; whoever runs it must then be stopped.
     """
-    now = time.time()
+    mine = (FitJob.job_id == job_id) & (FitJob.status == "running")
+    heeds_not = FitJob.cancel_requested_at <= clock.now() - patience_seconds
     with store.reading() as session:
-        asked = session.scalar(
-            select(FitJob.cancel_requested_at).where(
-                FitJob.job_id == job_id, FitJob.status == "running"
-            )
-        )
-    if asked is None or now - asked < patience_seconds:
-        return False
+        if session.scalar(select(FitJob.id).where(mine, heeds_not)) is None:
+            return False
     with store.writing() as session:
+        condemn(session, session.scalars(select(FitJob.checkpoint_key).where(mine)))
         taken = session.execute(
-            update(FitJob)
-            .where(FitJob.job_id == job_id, FitJob.status == "running")
-            .values(**ended("cancelled"))
-            .returning(FitJob.id)
+            update(FitJob).where(mine).values(**ended("cancelled")).returning(FitJob.id)
         ).first()
     return taken is not None
 
@@ -272,16 +267,17 @@ def ended(status: str) -> dict[str, Any]:
     """Return the columns of a fit that ends now. It needs its checkpoint no more."""
     return {
         "status": status,
-        "finished_at": time.time(),
+        "finished_at": clock.now(),
         "lease_expires_at": None,
         "checkpoint_key": None,
         "revision": FitJob.revision + 1,
     }
 
 
-def _end(fit: FitJob, status: str, now: float) -> None:
+def _end(session: Session, fit: FitJob, status: str, now: float) -> None:
+    condemn(session, [fit.checkpoint_key])
     fit.status, fit.finished_at = status, now
-    fit.lease_expires_at = fit.checkpoint_key = None  # the sweep removes the checkpoint itself
+    fit.lease_expires_at = fit.checkpoint_key = None
 
 
 def load_reconstruction(store: Store, fit: FitJob) -> bytes:

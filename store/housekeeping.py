@@ -1,41 +1,105 @@
 """Removing what a crash left behind."""
 
+import logging
 import time
+from typing import NamedTuple
 
-from sqlalchemy import delete, select
+from sqlalchemy import delete, insert, select, update
 
+from store import clock, deployment
 from store.database import Store
-from store.records import Chunk, FitJob, IdempotencyKey, LiftChunk, Model
+from store.records import (
+    Chunk,
+    CondemnedObject,
+    Deployment,
+    FitJob,
+    IdempotencyKey,
+    LiftChunk,
+    Model,
+)
 
+logger = logging.getLogger(__name__)
+
+SWEEP_SECONDS = 3600.0
 ORPHAN_SECONDS = 3600.0  # an object this old belongs to no write still under way
+GRACE_SECONDS = 24 * 3600.0  # from an orphan's being noticed to its end
 KEY_SECONDS = 24 * 3600.0
+LARGEST_SHARE = 0.1  # of all objects: crashes do not leave more, wrong records would
+FEW = 20  # whatever share that is
+KEYS = (
+    Chunk.key,
+    FitJob.checkpoint_key,
+    FitJob.reconstruction_key,
+    LiftChunk.arrays_key,
+    LiftChunk.lines_key,
+    Model.weights_key,
+)
 
 
-def sweep(store: Store, *, orphan_seconds: float = ORPHAN_SECONDS) -> int:
-    """Delete objects that no record points to, and idempotency keys a day old.
+class Swept(NamedTuple):
+    """How many objects a sweep condemned, and how many it deleted, partial ones among them."""
 
-    Returns
-    -------
-    int
-        How many objects were deleted, whole and partial.
+    condemned: int
+    deleted: int
+
+
+def sweep(
+    store: Store,
+    *,
+    orphan_seconds: float = ORPHAN_SECONDS,
+    grace_seconds: float = GRACE_SECONDS,
+) -> Swept:
+    """Condemn objects that no record points to; delete those that were condemned long enough ago.
+
+    What a record points to again by then is left alone. Idempotency keys a day old go, too.
+
+    Raises
+    ------
+    DeploymentError
+        If the objects are not those of these records any more.
     """
+    deployment.check(store.objects, store.identity)
     # List before reading the records: an object written meanwhile is not in the list.
     old = time.time() - orphan_seconds
-    candidates = {key for key, written_at in store.objects.list() if written_at < old}
-    with store.reading() as session:
-        for column in (
-            Chunk.key,
-            FitJob.checkpoint_key,
-            FitJob.reconstruction_key,
-            LiftChunk.arrays_key,
-            LiftChunk.lines_key,
-            Model.weights_key,
-        ):
-            candidates.difference_update(session.scalars(select(column)))
-    store.objects.delete(*candidates)
-    partial = store.objects.delete_partial(old)
+    written = dict(store.objects.list())
     with store.writing() as session:
+        time_now = clock.read(session)
+        due = {one.key: one.due_at for one in session.scalars(select(CondemnedObject))}
+        orphans = {key for key, at in written.items() if at < old or key in due}
+        for column in KEYS:
+            orphans.difference_update(session.scalars(select(column)))
+        new = orphans - due.keys()
+        if len(new) > max(FEW, LARGEST_SHARE * len(written)):
+            logger.error(
+                "No record knows %d of %d objects: that is more than crashes leave, so none of "
+                "them is condemned. Are these the records of %s?",
+                len(new),
+                len(written),
+                store.objects.url,
+            )
+            new = set()
+        if new:
+            logger.warning("No record knows %d objects: they are deleted in a day", len(new))
+            rows = [{"key": key, "due_at": time_now + grace_seconds} for key in sorted(new)]
+            session.execute(insert(CondemnedObject), rows)
+            due |= dict.fromkeys(new, time_now + grace_seconds)
+        ended = {key for key, at in due.items() if key in orphans and at <= time_now}
+        for key in (due.keys() - orphans) | ended:
+            session.execute(delete(CondemnedObject).where(CondemnedObject.key == key))
         session.execute(
-            delete(IdempotencyKey).where(IdempotencyKey.created_at < time.time() - KEY_SECONDS)
+            delete(IdempotencyKey).where(IdempotencyKey.created_at < time_now - KEY_SECONDS)
         )
-    return len(candidates) + partial
+    store.objects.delete(*ended)
+    return Swept(len(new), len(ended) + store.objects.delete_partial(old))
+
+
+def take_turn(store: Store) -> bool:
+    """Return whether a sweep is due, for one caller among all workers: the others hear no."""
+    with store.writing() as session:
+        taken = session.execute(
+            update(Deployment)
+            .where(Deployment.next_sweep_at.is_(None) | (Deployment.next_sweep_at < clock.now()))
+            .values(next_sweep_at=clock.now() + SWEEP_SECONDS)
+            .returning(Deployment.id)
+        ).first()
+    return taken is not None

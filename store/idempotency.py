@@ -1,10 +1,10 @@
 """Idempotency keys: a request that is sent twice makes one thing."""
 
-import time
 from dataclasses import dataclass
 
 from sqlalchemy.orm import Session
 
+from store import clock
 from store.errors import KeyReusedError
 from store.records import IdempotencyKey
 
@@ -58,6 +58,6 @@ def remember(session: Session, request: Idempotency | None, resource_id: str) ->
                 key=request.key,
                 fingerprint=request.fingerprint,
                 resource_id=resource_id,
-                created_at=time.time(),
+                created_at=clock.now(),
             )
         )

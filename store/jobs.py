@@ -12,6 +12,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from store.database import Store
+from store.disposal import condemn, discard
 from store.errors import ConflictError, QueueFullError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
@@ -133,9 +134,9 @@ def delete(
             raise ConflictError(
                 f"{kind.noun.capitalize()} {identifier!r} is {job.status}: cancel it first."
             )
-        keys = forget(session, job)
+        keys = condemn(session, forget(session, job))
         session.delete(job)
-    store.objects.delete(*keys)
+    discard(store, *keys)
 
 
 def refuse_if_used(session: Session, what: str, column: Any, identifier: str) -> None:

@@ -1,6 +1,5 @@
 """Chunks of a lift: what a helper may write, for as long as it holds the lease of a chunk."""
 
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -9,8 +8,9 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from models.findings.finding import Finding, dumped, merged
-from store import jobs, lifts
+from store import clock, jobs, keys, lifts
 from store.database import Store
+from store.disposal import discard
 from store.errors import LeaseLostError
 from store.ids import new_id
 from store.lift_files import Layout, pack
@@ -47,20 +47,20 @@ def claim(store: Store, helper: Helper) -> LiftChunk | None:
     The first claim starts the lift. A lift fails when one of its chunks has taken down too many
     workers.
     """
-    now = time.time()
-    keys: list[str] = []
+    condemned: list[str] = []
     with store.writing() as session:
         lift = _running(session, helper.lift_id)
         if lift is None:
             return None
+        now = clock.read(session)
         chunk = session.scalar(
             select(LiftChunk)
-            .where(LiftChunk.lift_id == lift.id, *lifts.claimable(now))
+            .where(LiftChunk.lift_id == lift.id, *lifts.claimable())
             .order_by(LiftChunk.first_frame)
             .limit(1)
         )
         if chunk is not None and chunk.lease_expires_at is not None:  # its worker died
-            keys = _lose(session, lift, chunk, "worker_lost", "its worker died each time")
+            condemned = _lose(session, lift, chunk, "worker_lost", "its worker died each time")
         if chunk is not None and lift.status in ("queued", "running"):
             chunk.holder, chunk.lease_expires_at = helper.token, now + helper.lease_seconds
             if lift.status == "queued":
@@ -68,7 +68,7 @@ def claim(store: Store, helper: Helper) -> LiftChunk | None:
                 lift.revision += 1
         else:
             chunk = None
-    store.objects.delete(*keys)
+    discard(store, *condemned)
     return chunk
 
 
@@ -80,7 +80,6 @@ def beat(store: Store, helper: Helper, _progress: object = None) -> None:
     LeaseLostError
         If the lift has ended, or was deleted.
     """
-    now = time.time()
     mine = (
         (LiftChunk.lift_id == helper.lift_id)
         & (LiftChunk.holder == helper.token)
@@ -88,16 +87,15 @@ def beat(store: Store, helper: Helper, _progress: object = None) -> None:
     )
     with store.reading() as session:  # the common case takes no write lock
         status = session.scalar(select(LiftJob.status).where(LiftJob.id == helper.lift_id))
-        until = session.scalar(select(func.min(LiftChunk.lease_expires_at)).where(mine))
+        left = session.scalar(
+            select(func.min(LiftChunk.lease_expires_at) - clock.now()).where(mine)
+        )
     if status is None or status in jobs.TERMINAL:
         raise LeaseLostError(f"Lift {helper.lift_id} has ended.")
-    if until is not None and until - now < 0.75 * helper.lease_seconds:
+    if left is not None and left < 0.75 * helper.lease_seconds:
         with store.writing() as session:
-            session.execute(
-                update(LiftChunk)
-                .where(mine)
-                .values(lease_expires_at=time.time() + helper.lease_seconds)
-            )
+            until = clock.now() + helper.lease_seconds
+            session.execute(update(LiftChunk).where(mine).values(lease_expires_at=until))
 
 
 def finish(
@@ -126,9 +124,7 @@ def finish(
         If the chunk is no longer this helper's.
     """
     packed = pack(arrays)
-    folder = f"lifts/{helper.lift_id}"
-    arrays_key = f"{folder}/{new_id('arrays')}.safetensors"
-    lines_key = f"{folder}/{new_id('lines')}.jsonl"
+    arrays_key, lines_key = keys.of_lifted(helper.lift_id)
     done = False
     try:
         store.objects.put(arrays_key, packed.data)
@@ -137,14 +133,14 @@ def finish(
             lift, mine = _held(session, helper, chunk)
             mine.arrays_key, mine.lines_key = arrays_key, lines_key
             mine.lines_bytes, mine.checksums = len(lines), packed.checksums
-            mine.finished_at, mine.holder, mine.lease_expires_at = time.time(), None, None
+            mine.finished_at, mine.holder, mine.lease_expires_at = clock.read(session), None, None
             earlier = (Finding.model_validate(finding) for finding in lift.findings or [])
             lift.findings = dumped(merged((*earlier, *findings)))
             _count(session, lift, mine, packed.layout)
         done = True
     finally:
         if not done:
-            store.objects.delete(arrays_key, lines_key)
+            discard(store, arrays_key, lines_key)
     return lift
 
 
@@ -190,18 +186,18 @@ def give_up(store: Store, helper: Helper, chunk: LiftChunk, why: str) -> None:
     """
     with store.writing() as session:
         lift, mine = _held(session, helper, chunk)
-        keys = _lose(session, lift, mine, "internal_error", why)
-    store.objects.delete(*keys)
+        condemned = _lose(session, lift, mine, "internal_error", why)
+    discard(store, *condemned)
 
 
 def fail(store: Store, helper: Helper, code: str, message: str) -> None:
     """End the lift as failed; nothing happens if it has ended already."""
-    keys: list[str] = []
+    condemned: list[str] = []
     with store.writing() as session:
         lift = _running(session, helper.lift_id)
         if lift is not None:
-            keys = lifts.end(session, lift, "failed", {"code": code, "message": message})
-    store.objects.delete(*keys)
+            condemned = lifts.end(session, lift, "failed", {"code": code, "message": message})
+    discard(store, *condemned)
 
 
 def _lose(session: Session, lift: LiftJob, chunk: LiftChunk, code: str, why: str) -> list[str]:

@@ -7,16 +7,16 @@
 helper's consent: the writes of a chunk count only while its lift is running.
 """
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
+from sqlalchemy import ColumnElement, select
 from sqlalchemy import delete as sql_delete
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from store import jobs
+from store import clock, jobs
 from store.database import Store
+from store.disposal import condemn, discard
 from store.errors import LiftError
 from store.idempotency import Idempotency
 from store.labels import Labels
@@ -128,9 +128,11 @@ def _check(views: list[int] | None, dataset: Dataset, model: Model) -> None:
 def helped(store: Store, job_id: str) -> LiftJob | None:
     """Return the lift that a queue job asked for, or helps with; or None."""
     with store.reading() as session:
-        return session.scalar(
-            select(LiftJob).where((LiftJob.job_id == job_id) | (LiftJob.id == helped_by(job_id)))
-        )
+        return session.scalar(select(LiftJob).where(_asked_by(job_id)))
+
+
+def _asked_by(job_id: str) -> ColumnElement[bool]:
+    return (LiftJob.job_id == job_id) | (LiftJob.id == helped_by(job_id))
 
 
 def waiting_job(lift: LiftJob) -> str:
@@ -154,18 +156,14 @@ def call_next(store: Store, lift_id: str, job_id: str) -> LiftJob | None:
             return None
         lift.helpers += 1
         unclaimed = session.scalar(
-            select(LiftChunk.first_frame)
-            .where(LiftChunk.lift_id == lift_id, *claimable(time.time()))
-            .limit(1)
+            select(LiftChunk.first_frame).where(LiftChunk.lift_id == lift_id, *claimable()).limit(1)
         )
     return None if unclaimed is None else lift
 
 
 def recover(store: Store) -> list[LiftJob]:
     """Return the lifts that have chunks for a helper to do, oldest first."""
-    chunks = select(LiftChunk.first_frame).where(
-        LiftChunk.lift_id == LiftJob.id, *claimable(time.time())
-    )
+    chunks = select(LiftChunk.first_frame).where(LiftChunk.lift_id == LiftJob.id, *claimable())
     active = LiftJob.status.in_(("queued", "running"))
     with store.reading() as session:
         return list(
@@ -173,9 +171,9 @@ def recover(store: Store) -> list[LiftJob]:
         )
 
 
-def claimable(now: float) -> tuple[Any, ...]:
-    """Return the conditions of a chunk that anyone may do at a time (epoch seconds)."""
-    free = LiftChunk.lease_expires_at.is_(None) | (LiftChunk.lease_expires_at < now)
+def claimable() -> tuple[Any, ...]:
+    """Return the conditions of a chunk that anyone may do now."""
+    free = LiftChunk.lease_expires_at.is_(None) | (LiftChunk.lease_expires_at < clock.now())
     return LiftChunk.finished_at.is_(None), free
 
 
@@ -194,7 +192,7 @@ def cancel(store: Store, lift_id: str) -> LiftJob:
         lift = jobs.lock_to_cancel(session, LiftJob, lift_id)
         if lift.status != "cancelled":
             keys = end(session, lift, "cancelled")
-    store.objects.delete(*keys)
+    discard(store, *keys)
     return lift
 
 
@@ -205,10 +203,10 @@ def end(
 
     Only a lift that succeeded keeps its chunks.
     """
-    lift.status, lift.error, lift.finished_at = status, error, time.time()
+    lift.status, lift.error, lift.finished_at = status, error, clock.read(session)
     lift.seconds_left = None
     lift.revision += 1
-    return [] if status == "succeeded" else _drop_chunks(session, lift)
+    return [] if status == "succeeded" else condemn(session, _drop_chunks(session, lift))
 
 
 def _drop_chunks(session: Session, lift: LiftJob) -> list[str]:
@@ -225,12 +223,10 @@ def was_cancelled(store: Store, job_id: str, *, patience_seconds: float) -> bool
 
     Whoever runs it must then be stopped.
     """
-    lift = helped(store, job_id)
-    return (
-        lift is not None
-        and lift.status == "cancelled"
-        and time.time() - (lift.finished_at or 0) > patience_seconds
-    )
+    with store.reading() as session:
+        cancelled = (_asked_by(job_id)) & (LiftJob.status == "cancelled")
+        long_ago = LiftJob.finished_at < clock.now() - patience_seconds
+        return session.scalar(select(LiftJob.id).where(cancelled, long_ago)) is not None
 
 
 def delete(store: Store, lift_id: str) -> None:

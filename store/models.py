@@ -7,8 +7,9 @@ from typing import Any
 
 from sqlalchemy import bindparam, select, update
 
-from store import jobs
+from store import jobs, keys
 from store.database import Store
+from store.disposal import condemn, discard
 from store.errors import NotFoundError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
@@ -19,7 +20,7 @@ from store.records import FitJob, LiftJob, Model
 def new_record(store: Store, weights: bytes, **columns: Any) -> Model:
     """Store the weights and return the model's record, not yet written."""
     model_id = new_id("mdl")
-    key = f"models/{model_id}/weights.safetensors"
+    key = keys.of_weights(model_id)
     store.objects.put(key, weights)
     return Model(
         id=model_id,
@@ -46,7 +47,7 @@ def create(
             session.add(model)
             remember(session, idempotency, model.id)
     if earlier is not None:
-        store.objects.delete(model.weights_key)
+        discard(store, model.weights_key)
         return get(store, Model, earlier)
     return model
 
@@ -90,5 +91,6 @@ def delete(store: Store, model_id: str) -> None:
         jobs.refuse_if_used(session, "Model", LiftJob.model_id, model_id)
         model = lock(session, Model, model_id)
         session.execute(update(FitJob).where(FitJob.model_id == model_id).values(model_id=None))
+        condemned = condemn(session, [model.weights_key])
         session.delete(model)
-    store.objects.delete(model.weights_key)
+    discard(store, *condemned)

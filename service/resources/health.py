@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from typing import Literal
 
@@ -14,6 +15,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.http.dependencies import QueueDep, StoreDep
 from service.http.errors import ApiError, problems
+from store import deployment
+from store.errors import DeploymentError
 
 router = APIRouter(tags=["health"])
 
@@ -86,7 +89,7 @@ def check_ready(store: StoreDep, queue: QueueDep) -> Readiness:
     parts: dict[str, Callable[[], object]] = {
         "queue": queue.connection.ping,
         "records": store.check_records,
-        "objects": store.objects.check,
+        "objects": partial(deployment.check, store.objects, store.identity),
     }
     checks: dict[str, Check] = {}
     failures: list[tuple[str, str]] = []
@@ -96,6 +99,8 @@ def check_ready(store: StoreDep, queue: QueueDep) -> Readiness:
             reach()
         except (redis.exceptions.RedisError, SQLAlchemyError, ObjectStoreError, OSError) as error:
             failures.append((f"/{name}", f"cannot be reached: {error}"[:300]))
+        except DeploymentError as error:
+            failures.append((f"/{name}", str(error)[:300]))
         else:
             checks[name] = Check(milliseconds=round(1000 * (time.perf_counter() - started), 3))
     if failures:

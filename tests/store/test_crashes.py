@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from store import datasets, housekeeping, lookup
+from store import datasets, housekeeping, keys, lookup
 from store.capture import extend_checksum
 from store.database import Store
+from store.ids import new_id
 from store.records import Dataset
 
 WRITER = """
@@ -25,6 +26,7 @@ from store.settings import StoreSettings
 
 store = Store(StoreSettings(data_dir=Path(sys.argv[1])))
 capture = Capture.checked(np.random.default_rng(0).normal(size=(200, 4, 31, 2)))
+datasets.create(store, capture, Description("first"))
 print("ready", flush=True)
 while True:
     dataset = datasets.create(store, capture, Description("a"))
@@ -52,7 +54,7 @@ def test_killed_writers_leave_whole_datasets_and_orphans_that_are_swept(
         assert capture.frames == dataset.frames
         assert extend_checksum("", capture) == dataset.checksum
         assert np.isfinite(capture.keypoints).all()
-    housekeeping.sweep(store, orphan_seconds=-1)
+    housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1)
     chunks = sum(dataset.frames // 200 for dataset in stored)
     assert len(list(store.objects.list())) == chunks
     for dataset in stored:
@@ -62,25 +64,26 @@ def test_killed_writers_leave_whole_datasets_and_orphans_that_are_swept(
 def test_a_killed_put_leaves_no_object_and_its_part_is_swept(store: Store, tmp_path: Path) -> None:
     code = (
         "import sys; from store.objects import Objects; objects = Objects(sys.argv[1]);"
-        "data = bytes(200_000_000); print('ready', flush=True); objects.put('a/big', data)"
+        "data = bytes(200_000_000); print('ready', flush=True); objects.put(sys.argv[2], data)"
     )
-    command = [sys.executable, "-c", code, store.objects.url]
+    key = keys.of_chunk(new_id("ds"))
+    command = [sys.executable, "-c", code, store.objects.url, key]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:
         assert writer.stdout is not None
         writer.stdout.readline()
-        while not list(tmp_path.glob("objects/a/*")):
+        while not list(tmp_path.glob("objects/datasets/*/*")):
             time.sleep(0.001)
         writer.kill()
-    left = list(tmp_path.glob("objects/a/*"))
+    left = list(tmp_path.glob("objects/datasets/*/*"))
     assert left
     assert list(store.objects.list()) == []
-    assert housekeeping.sweep(store) == 0  # it might still be under way
-    assert housekeeping.sweep(store, orphan_seconds=-1) == len(left)
-    assert list(tmp_path.glob("objects/a/*")) == []
+    assert housekeeping.sweep(store) == (0, 0)  # it might still be under way
+    assert housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1) == (0, len(left))
+    assert list(tmp_path.glob("objects/datasets/*/*")) == []
 
 
 def test_sweeping_keeps_young_objects(store: Store) -> None:
-    store.objects.put("datasets/ds_x/chunk_x.safetensors", b"being written")
-    assert housekeeping.sweep(store) == 0
-    assert housekeeping.sweep(store, orphan_seconds=-1) == 1
+    store.objects.put(keys.of_chunk(new_id("ds")), b"being written")
+    assert housekeeping.sweep(store) == (0, 0)
+    assert housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1) == (1, 1)
     assert list(store.objects.list()) == []

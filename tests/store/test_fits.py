@@ -242,7 +242,7 @@ def test_whoever_ends_a_fit_its_checkpoint_goes(store: Store, fit: FitJob) -> No
     attempts.save_checkpoint(store, attempt, b"half")
     fits.cancel(store, fit.id)
     assert fits.enforce_cancel(store, fit.job_id, patience_seconds=0)
-    housekeeping.sweep(store, orphan_seconds=-1)
+    housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1)
     assert objects(store) == {"chunk"}
 
 

@@ -88,7 +88,7 @@ def test_helpers_share_the_chunks_and_the_last_ends_the_lift(store: Store, lift:
     assert (ended.status, ended.frames_done, ended.seconds_left) == ("succeeded", 12, None)
     assert lift.revision < half.revision < ended.revision
     assert len(objects(store)) == 6
-    assert housekeeping.sweep(store, orphan_seconds=-1) == 0
+    assert housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1) == (0, 0)
     lifts.delete(store, lift.id)
     assert objects(store) == []
 

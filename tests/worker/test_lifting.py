@@ -224,7 +224,7 @@ def test_who_is_killed_loses_one_chunk_and_nothing_is_done_twice(
     assert before.items() <= after.items()
     assert sum(chunk.crashes for chunk in chunks) <= 1
     assert_is_the_lift_of(store, lift, frames, prior)
-    housekeeping.sweep(store, orphan_seconds=-1)
+    housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1)
     left = [key for key, _ in store.objects.list() if key.startswith("lifts/")]
     assert len(left) == 2 * lift.chunks
 
@@ -262,7 +262,7 @@ def test_cancelling_frees_the_worker_and_leaves_nothing(
     horse = work_horse(worker)
     assert lifts.cancel(store, lift.id).status == "cancelled"
     wait_for(lambda: not is_alive(horse), "the work-horse to end", 4)
-    housekeeping.sweep(store, orphan_seconds=-1)  # what it was writing just then
+    housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1)  # what it was writing just then
     assert not [key for key, _ in store.objects.list() if key.startswith("lifts/")]
     succeeded(store, make_lift(CHUNK, refine="off"))
 

@@ -70,7 +70,7 @@ def assert_as_if_nothing_had_happened(store: Store, fit: FitJob, undisturbed: by
     weights = store.objects.get(lookup.get(store, Model, record.model_id).weights_key)
     assert weights == undisturbed
     # A kill between writing a checkpoint and recording it leaves an object, which the sweep takes.
-    housekeeping.sweep(store, orphan_seconds=-1)
+    housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1)
     kinds = {key.split("/")[2].partition("_")[0] for key, _ in store.objects.list()}
     assert kinds == {"chunk", "weights.safetensors", "reconstruction"}
 

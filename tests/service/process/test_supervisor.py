@@ -121,7 +121,7 @@ def test_the_api_is_killed_in_the_middle_of_an_upload(start: Start) -> None:
         items = http.get("/datasets").json()["items"]
         assert [item["id"] for item in items] == [kept]
         assert http.get(f"/datasets/{kept}").json()["frames"] == 60
-        files = [p for p in (live.data_dir / "objects").rglob("*") if p.is_file()]
+        files = [p for p in (live.data_dir / "objects" / "datasets").rglob("*") if p.is_file()]
         assert len(files) == 1
         again = http.post("/datasets", content=body, headers=BYTES)
         assert again.status_code == 201

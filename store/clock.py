@@ -1,0 +1,34 @@
+"""The time of the records: one clock for all hosts that share them.
+
+Leases, and whatever else one host writes and another compares, are told by it, so a host whose own
+clock is wrong harms nothing.
+"""
+
+from typing import Any
+
+from sqlalchemy import Float, select
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.orm import Session
+from sqlalchemy.sql.functions import FunctionElement
+
+
+class now(FunctionElement[float]):  # noqa: N801 (used as SQL's functions are)
+    """The seconds since the epoch (UTC) by the clock of the database, in any statement."""
+
+    type = Float(53)
+    inherit_cache = True
+
+
+@compiles(now, "sqlite")
+def _in_sqlite(_element: now, _compiler: Any, **_options: Any) -> str:
+    return "((julianday('now') - 2440587.5) * 86400.0)"
+
+
+@compiles(now)
+def _in_sql(_element: now, _compiler: Any, **_options: Any) -> str:
+    return "extract(epoch from clock_timestamp())::float8"
+
+
+def read(session: Session) -> float:
+    """Return what :class:`now` is."""
+    return float(session.scalars(select(now())).one())

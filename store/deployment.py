@@ -1,0 +1,99 @@
+"""The identity of a deployment, which its records and its objects both carry.
+
+Objects without the records that know them look like garbage, and records without their objects like
+losses. So nothing is read, served or deleted before both have said that they belong together.
+"""
+
+import json
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from store.errors import DeploymentError
+from store.ids import new_id
+from store.objects import Objects
+from store.records import Chunk, Dataset, Deployment, FitJob, LiftJob, Model
+
+MARK = "deployment.json"
+
+
+def agree(writing: Callable[[], AbstractContextManager[Session]], objects: Objects) -> str:
+    """Return the identity of the deployment that records and objects are of.
+
+    Where both are new, or were written before there were identities, they get one.
+
+    Parameters
+    ----------
+    writing
+        Gives a session that holds the write lock of the records.
+
+    Raises
+    ------
+    DeploymentError
+        If they are of different deployments, or only one of them is new.
+    """
+    with writing() as session:  # of several processes that start together, one goes first
+        if session.scalar(select(Deployment)) is None:
+            _refuse_strangers(session, objects)
+            session.add(Deployment(id=new_id("dep"), created_at=time.time()))
+    with writing() as session:
+        deployment = session.scalars(select(Deployment)).one()
+        marked = _marked(objects)
+        if marked is None and deployment.marked_at is None:
+            mark = json.dumps({"deployment": deployment.id})
+            objects.put(MARK, mark.encode())
+        elif marked != deployment.id:
+            raise DeploymentError(
+                f"The records are of deployment {deployment.id}, but the objects in "
+                f"{objects.url} are of {marked or 'none'}: is FEWVIEW_DATABASE_URL or "
+                "FEWVIEW_STORE_URL missing or wrong?"
+            )
+        deployment.marked_at = deployment.marked_at or time.time()
+    return deployment.id
+
+
+def check(objects: Objects, identity: str) -> None:
+    """Raise ``DeploymentError`` unless the objects are still those of a deployment."""
+    if _marked(objects) != identity:
+        raise DeploymentError(f"The objects in {objects.url} are not those of {identity} any more.")
+
+
+def _marked(objects: Objects) -> str | None:
+    try:
+        return str(json.loads(objects.get(MARK))["deployment"])
+    except FileNotFoundError:
+        return None
+    except (ValueError, TypeError, KeyError) as error:
+        raise DeploymentError(
+            f"{MARK} in {objects.url} cannot be read: restore it from a backup of the objects."
+        ) from error
+
+
+def _refuse_strangers(session: Session, objects: Objects) -> None:
+    """Raise where records without an identity and objects were not written together."""
+    marked = _marked(objects)
+    if marked is not None:
+        raise DeploymentError(
+            f"The objects in {objects.url} belong to other records (deployment {marked}): is "
+            "FEWVIEW_DATABASE_URL missing or wrong? To start anew, choose another "
+            "FEWVIEW_STORE_URL."
+        )
+    kinds = (Dataset, FitJob, LiftJob, Model)
+    if not any(session.scalar(select(kind.id).limit(1)) for kind in kinds):
+        if next(objects.list(), None) is not None:
+            raise DeploymentError(
+                f"There are objects in {objects.url}, but the records are empty: is "
+                "FEWVIEW_DATABASE_URL missing or wrong? To start anew, choose another "
+                "FEWVIEW_STORE_URL."
+            )
+        return
+    for column in (Chunk.key, Model.weights_key):
+        key = session.scalar(select(column).limit(1))
+        if key is not None and not objects.has(key):
+            raise DeploymentError(
+                f"The records know {key}, which is not in {objects.url}: is FEWVIEW_STORE_URL "
+                "missing or wrong?"
+            )

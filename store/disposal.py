@@ -1,0 +1,34 @@
+"""Deleting objects whose records are gone. What fails is left to the sweep, and harms nobody."""
+
+import logging
+from collections.abc import Iterable
+
+from obstore.exceptions import BaseError as ObjectStoreError
+from sqlalchemy import insert
+from sqlalchemy.orm import Session
+
+from store import clock
+from store.database import Store
+from store.records import CondemnedObject
+
+logger = logging.getLogger(__name__)
+
+
+def condemn(session: Session, keys: Iterable[str | None]) -> list[str]:
+    """Have the next sweep delete objects, if this transaction is committed; return their keys.
+
+    For what a user deletes: it goes even if this process dies before :func:`discard`.
+    """
+    known = [key for key in keys if key is not None]
+    if known:
+        due = clock.read(session)
+        session.execute(insert(CondemnedObject), [{"key": key, "due_at": due} for key in known])
+    return known
+
+
+def discard(store: Store, *keys: str | None) -> None:
+    """Delete objects that no record points to, or that none will."""
+    try:
+        store.objects.delete(*(key for key in keys if key is not None))
+    except (ObjectStoreError, OSError):
+        logger.warning("Objects are left to the sweep: %s", keys, exc_info=True)
