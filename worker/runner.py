@@ -21,8 +21,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from store import fits, housekeeping, jobs, lifts
 from store.database import Store
-from store.records import FitJob, LiftJob
 from store.errors import StoreError
+from store.records import FitJob, LiftJob
 from worker.process import die_with_parent
 from worker.queue import (
     FAILURE_SECONDS,
