@@ -24,6 +24,8 @@ class Capture:
         (N, P, 3): the truth, where there is one; it serves evaluation only.
     times
         (N,) or (N, K) seconds, rising.
+    fps
+        Frames per second, where frames follow each other at this rate.
     keypoint_names, edges
         The skeleton: P names, and (first, second) keypoints that are joined.
     view_names
@@ -42,6 +44,7 @@ class Capture:
     edges: tuple[tuple[int, int], ...] | None = None
     view_names: tuple[str, ...] | None = None
     image_sizes: tuple[tuple[int, int] | None, ...] | None = None
+    fps: float | None = None
     notes: tuple[str, ...] = field(default=(), compare=False)
 
     @property
@@ -66,6 +69,7 @@ class Capture:
             "confidence": self.confidence,
             "points3d": self.points3d,
             "times": self.times,
+            "fps": self.fps,
             "keypoint_names": self.keypoint_names,
             "edges": self.edges,
             "view_names": self.view_names,

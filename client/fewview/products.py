@@ -39,7 +39,7 @@ def room_of(lift: Lift, cameras: Cameras, capture: Capture) -> tuple[Room | None
 
 
 def animation_of(
-    lift: Lift, room: Room | None, capture: Capture, *, fps: float | None, unit: Unit | None
+    lift: Lift, room: Room | None, capture: Capture, *, unit: Unit | None
 ) -> Animation:
     """Return the frames as an animation, in the room if there is one."""
     times = capture.times
@@ -48,7 +48,7 @@ def animation_of(
     return Animation(
         points=np.asarray(lift.points3d if room is None else room.points, np.float64),
         unit=unit,
-        fps=fps,
+        fps=capture.fps,
         times=times,
         keypoint_names=capture.keypoint_names,
         edges=capture.edges or (),

@@ -106,7 +106,7 @@ def read_files(
     asked
         Fields of `DetectorReading`, as text.
     fps
-        Frames per second, by which frames may be aligned.
+        Frames per second, where the files tell no times.
     image_sizes
         (width, height) in pixels of each view, None where unknown.
 
@@ -126,7 +126,7 @@ def read_files(
             min_confidence=said.min_confidence,
             skeleton=said.skeleton_name or None,
             align=said.align,
-            fps=fps if said.align == "time" else None,
+            fps=fps,
             image_size=[(w, h) for w, h in filter(None, image_sizes or ())] or None,
         )
         with TemporaryDirectory(prefix="fewview-") as folder:
@@ -143,7 +143,8 @@ def read_files(
         if (array := getattr(found, name)) is not None
     }
     told: dict[str, Any] = {
-        "view_names": [_text(name, LONGEST_NAME) for name in found.view_names or ()]
+        "fps": found.fps,
+        "view_names": [_text(name, LONGEST_NAME) for name in found.view_names or ()],
     }
     if found.keypoint_names is not None or found.edges is not None:
         told["skeleton"] = {"keypoint_names": found.keypoint_names, "edges": found.edges or ()}

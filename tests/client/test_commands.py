@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,8 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
     again = fewview("upload", str(out / "a.npz"), "--json", url)
     stored = served.client.datasets.get(dataset)
     assert said(again)["checksum"] == stored.checksum
-    assert said(again)["image_sizes"] == stored.raw["image_sizes"]
+    for field in ("image_sizes", "fps", "has_times"):
+        assert said(again)[field] == stored.raw[field]
     weights = str(out / "copy.safetensors")
     assert said(fewview("models", "download", model, "-o", weights, "--json", url))
     assert served.client.models.upload(weights).name == "walk"
@@ -117,13 +119,28 @@ def test_a_fit_is_told_a_calibration_file(served: Served, tmp_path: Path) -> Non
         | {"distortion": [0.1, -0.05, 0, 0, 0]},
         "rotation": turn.tolist(),
     }
+    # Cameras of a file belong to the views of their names, and it may have more of them.
+    named = replace(served.capture, view_names=("c2", "c0", "c1"))
+    shuffled = served.client.datasets.create(named, name="shuffled")
+    four = write_cameras(tmp_path / "four.yml", [*cameras, replace(cameras[0], name="c3")])
+    url = f"--url={served.live.url}"
+    more = ("-c", "steps=100000", "--json", url, "--calibration")
+    ran = fewview("fit", shuffled.id, *more, str(four))
+    assert "the views' names" in ran.stderr
+    for fit in (
+        said(ran),
+        served.client.fits.create(shuffled, calibration=four, steps=100_000).raw,
+    ):
+        kept = fit["config"]["calibration"]
+        assert [view["translation"][0] for view in kept] == [2, 0, 1]
+        served.client.fits.cancel(fit["id"])
+
     entries = [by_hand | {"translation": [view, 0, 4]} for view in range(3)]
     made = [
         served.client.fits.create(served.dataset, calibration=told, steps=100_000).raw
         for told in (entries, file, cameras, str(file))
     ]
-    url = f"--url={served.live.url}"
-    words = ("fit", served.dataset.id, "-c", "steps=100000", "--json", url, "--calibration")
+    words = ("fit", served.dataset.id, *more)
     made.append(said(fewview(*words, str(file))))
     for fit in made:
         assert fit["config"] == made[0]["config"]
@@ -135,7 +152,7 @@ def test_a_fit_is_told_a_calibration_file(served: Served, tmp_path: Path) -> Non
     assert all(by_hand["intrinsics"].items() <= view["intrinsics"].items() for view in kept)
 
     write_cameras(tmp_path / "two.yml", cameras[:2])
-    assert "expected 3, got 2" in refused(fewview(*words, str(tmp_path / "two.yml")), 2)
+    assert "has 2 cameras" in refused(fewview(*words, str(tmp_path / "two.yml")), 2)
     (tmp_path / "none.toml").write_text("a = 1")
     assert "has no cameras" in refused(fewview(*words, str(tmp_path / "none.toml")), 2)
 

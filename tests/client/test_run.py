@@ -111,7 +111,8 @@ def test_what_is_asked_wrongly_is_said_in_one_line(files: list[str], tmp_path: P
     two = [Camera(f"c{v}", np.eye(3)) for v in range(2)]
     rig = str(write_cameras(tmp_path / "two.yml", two))
     for words in (
-        [*files, *out, "--known-length", "k0,nose,0.4"],
+        [*files, *out, "--known-length", "k0,k16,0.4"],
+        [*files, *out, "--known-length", "0,16,0.4"],
         [*files, *out, "--known-length", "k0,k1"],
         [*files, *out, "--height", "1.7"],  # of no joints that are known
         [*files, *out, "--formats", "obj"],
@@ -123,3 +124,6 @@ def test_what_is_asked_wrongly_is_said_in_one_line(files: list[str], tmp_path: P
         assert refused.returncode == (1 if "--url" in words else 2)
         assert len(refused.stderr.splitlines()) == 1
         assert refused.stderr.startswith("fewview run: ")
+        if "--known-length" in words:  # before a service is started
+            assert "--known-length" in refused.stderr
+            assert not (tmp_path / "fewview-data").exists()

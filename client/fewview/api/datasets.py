@@ -49,7 +49,7 @@ class Datasets(Stored[Driver, Dataset]):
             A :class:`~fewview.Capture`, a file that :func:`fewview.read` reads, or keypoints
             (N, K, P, 2) in pixels, NaN where not observed.
         fps
-            Frames per second, if frames follow each other and the capture has no times: views
+            Frames per second, if frames follow each other and the capture does not say: views
             that are out of step are then found.
         tags, metadata
             Words, and anything that is JSON, to find the dataset by.
@@ -62,7 +62,10 @@ class Datasets(Stored[Driver, Dataset]):
             The capture cannot be used; ``errors`` say why.
         """
         capture = to_capture(capture)
-        said = labels(tags, metadata) | {"fps": fps, "image_sizes": capture.image_sizes}
+        said = labels(tags, metadata) | {
+            "fps": fps or capture.fps,
+            "image_sizes": capture.image_sizes,
+        }
         form = {key: json.dumps(value) for key, value in said.items() if value is not None}
         if name is not None:
             form["name"] = name
@@ -125,7 +128,8 @@ def to_capture(source: Source) -> Capture:
 def parts(capture: Capture) -> Iterator[dict[str, NDArray[Any]]]:
     """Cut a capture's arrays into parts of a size to send; the first also describes it."""
     arrays = capture.arrays()
-    arrays.pop("image_sizes", None)  # which the form tells, unknown ones too
+    for name in ("image_sizes", "fps"):  # which the form tells
+        arrays.pop(name, None)
     framed = {name: arrays.pop(name) for name in OF_FRAMES if name in arrays}
     bytes_each = sum(array.nbytes for array in framed.values()) // max(1, capture.frames)
     length = min(PART_FRAMES, max(1, PART_BYTES // max(1, bytes_each)))

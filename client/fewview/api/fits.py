@@ -13,7 +13,7 @@ from fewview.api.lifting import Lift, identifier, room_query
 from fewview.api.operations import Driver, operation
 from fewview.api.steps import Request, Steps, once, path
 from fewview.api.stored import labels
-from fewview.calibration import Camera, as_config, read_cameras
+from fewview.calibration import Camera, as_config, read_for_views
 
 Calibration = str | PathLike[str] | Sequence[Camera | Mapping[str, Any] | None]
 
@@ -44,9 +44,11 @@ class Fits(Jobs[Driver, Fit]):
         from_model
             A model of the same keypoints whose weights are the first ones.
         calibration
-            What is known of the cameras, in the order of the views: a calibration file, or a list
-            of :class:`~fewview.calibration.Camera` and of what the API takes; None where nothing
-            is known. :func:`fewview.calibration.for_views` finds cameras by the views' names.
+            What is known of the cameras: a calibration file, whose cameras are those with the
+            names of the dataset's views (:func:`fewview.calibration.for_views`), or else in their
+            order; or a list in the order of the views, of
+            :class:`~fewview.calibration.Camera` and of what the API takes, None where nothing is
+            known.
         tags, metadata
             Words, and anything that is JSON, to find the fit and its model by.
         config
@@ -55,14 +57,21 @@ class Fits(Jobs[Driver, Fit]):
         Raises
         ------
         FormatError
-            The calibration cannot be read.
+            The calibration cannot be read, or its cameras do not fit the views.
         InvalidRequest
             The configuration is wrong, or not one for this dataset; ``errors`` say where.
         TooManyRequests
             Too many fits wait.
         """
+        if isinstance(calibration, str | PathLike):
+            where = path("datasets", identifier(dataset))
+            stored = yield from self._call(Request("GET", where, form_in(Dataset)))
+            calibration, _ = read_for_views(calibration, stored.view_names, stored.views)
         if calibration is not None:
-            config["calibration"] = told(calibration)
+            config["calibration"] = [
+                as_config(camera) if isinstance(camera, Camera) else camera
+                for camera in calibration
+            ]
         said = labels(tags, metadata) | {
             "dataset_id": identifier(dataset),
             "name": name,
@@ -70,8 +79,10 @@ class Fits(Jobs[Driver, Fit]):
             "config": config or None,
         }
         body = {key: value for key, value in said.items() if value is not None}
-        return self._call(
-            Request("POST", "/fits", form_in(Fit), headers=once(), body={"json": body})
+        return (
+            yield from self._call(
+                Request("POST", "/fits", form_in(Fit), headers=once(), body={"json": body})
+            )
         )
 
     @operation
@@ -108,9 +119,3 @@ class Fits(Jobs[Driver, Fit]):
                 headers=headers,
             )
         )
-
-
-def told(calibration: Calibration) -> list[Any]:
-    """Return a calibration as the API takes it, an entry for each view."""
-    cameras = read_cameras(calibration) if isinstance(calibration, str | PathLike) else calibration
-    return [as_config(camera) if isinstance(camera, Camera) else camera for camera in cameras]

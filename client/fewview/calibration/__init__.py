@@ -3,7 +3,7 @@
 from fewview.calibration.camera import Camera, from_model, rotation_matrix, rotation_vector
 from fewview.calibration.comparing import CameraError, compare_cameras
 from fewview.calibration.files import FORMATS, read_cameras, write_cameras
-from fewview.calibration.told import as_config, for_views
+from fewview.calibration.told import as_config, for_views, read_for_views
 
 __all__ = [
     "FORMATS",
@@ -14,6 +14,7 @@ __all__ = [
     "for_views",
     "from_model",
     "read_cameras",
+    "read_for_views",
     "rotation_matrix",
     "rotation_vector",
     "write_cameras",

@@ -2,10 +2,32 @@
 
 import re
 from collections.abc import Sequence
+from os import PathLike
 from typing import Any
 
 from fewview.calibration.camera import Camera
+from fewview.calibration.files import read_cameras
 from fewview.errors import FormatError
+
+
+def read_for_views(
+    file: str | PathLike[str], names: Sequence[str] | None, views: int
+) -> tuple[list[Camera], str]:
+    """Return a calibration file's cameras of a capture's views, as `for_views` does.
+
+    Parameters
+    ----------
+    names
+        Of the views; None where they have none, and their order counts.
+    views
+        How many there are.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or its cameras do not fit the views.
+    """
+    return for_views(read_cameras(file), names or [f"view {view + 1}" for view in range(views)])
 
 
 def for_views(cameras: Sequence[Camera], names: Sequence[str]) -> tuple[list[Camera], str]:

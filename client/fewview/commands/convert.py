@@ -51,9 +51,9 @@ def summary(capture: "Capture") -> dict[str, Any]:
     Returns
     -------
     dict
-        ``frames``, ``keypoints`` (a count), ``keypoint_names``, ``edges``, ``times`` (seconds from
-        first to last, None without), ``cameras`` with ``name``, ``image_size`` and ``gaps`` (the
-        share of keypoints that it does not show), and ``notes``.
+        ``frames``, ``keypoints`` (a count), ``keypoint_names``, ``edges``, ``fps``, ``times``
+        (seconds from first to last, None without), ``cameras`` with ``name``, ``image_size`` and
+        ``gaps`` (the share of keypoints that it does not show), and ``notes``.
     """
     seen = capture.observed().mean(axis=(0, 2)) if capture.frames else [0.0] * capture.views
     names = capture.view_names or tuple(f"view {v + 1}" for v in range(capture.views))
@@ -64,6 +64,7 @@ def summary(capture: "Capture") -> dict[str, Any]:
         "keypoints": int(capture.keypoints.shape[2]),
         "keypoint_names": capture.keypoint_names and list(capture.keypoint_names),
         "edges": capture.edges and [list(edge) for edge in capture.edges],
+        "fps": capture.fps,
         "times": None if times is None else [float(times.min()), float(times.max())],
         "cameras": [
             {"name": name, "image_size": size and list(size), "gaps": round(1 - float(share), 4)}
@@ -82,6 +83,8 @@ def in_words(understood: dict[str, Any]) -> str:
         f"frames     {understood['frames']}",
         f"keypoints  {understood['keypoints']} ({listed}), {len(understood['edges'] or ())} edges",
     ]
+    if understood["fps"]:
+        lines.append(f"fps        {understood['fps']:g}")
     if understood["times"]:
         first, last = understood["times"]
         lines.append(f"times      {first:.3f} to {last:.3f} s")

@@ -1,6 +1,7 @@
 """``fewview export``: what came of a fit, as files of other tools."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -39,7 +40,8 @@ def export(
         chosen = formats_in(formats)
         output.mkdir(parents=True, exist_ok=True)
         done = client.fits.wait(fit)
-        capture, rate = described_by(client, done)
+        capture = described_by(client, done)
+        capture = replace(capture, fps=fps or capture.fps)
         check_height(height, capture.keypoint_names, done.config or {})
         told = export(
             client,
@@ -47,7 +49,6 @@ def export(
             capture,
             output,
             formats=chosen,
-            fps=fps or rate,
             unit=unit,
             height=height,
         )

@@ -19,7 +19,7 @@ from fewview.commands.talking import (
 
 CalibrationFile = Annotated[
     Path | None,
-    typer.Option(help="Of Anipose, OpenCV or COLMAP; its cameras in the order of the views."),
+    typer.Option(help="Of Anipose, OpenCV or COLMAP; by the views' names, else in order."),
 ]
 
 
@@ -42,10 +42,15 @@ def fit(
     as_json: AsJson = False,
 ) -> None:
     """Queue a fit of a dataset; says its id, or with --follow that of its model."""
+    from fewview.calibration import read_for_views  # noqa: PLC0415 (commands load what they need)
+
     with talking(url) as client:
         fields = fields_in(config, "--config")
         if calibration is not None:
-            fields["calibration"] = calibration
+            stored = client.datasets.get(dataset)
+            known, note = read_for_views(calibration, stored.view_names, stored.views)
+            fields["calibration"] = known
+            typer.echo(note, err=True)
         made = client.fits.create(
             dataset,
             name=name,

@@ -3,8 +3,10 @@
 import json
 import signal
 import sys
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -19,6 +21,7 @@ from fewview.commands.export import (
     formats_in,
 )
 from fewview.commands.export import in_words as told_in_words
+from fewview.commands.fit import CalibrationFile
 from fewview.commands.reading import Files, Options, reading_files
 from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, fields_in
 
@@ -45,10 +48,7 @@ def run(
         str | None,
         typer.Option(help="`FIRST,SECOND,METRES`: two keypoints and how far they are apart."),
     ] = None,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(help="Of Anipose, OpenCV or COLMAP; by the views' names, else in order."),
-    ] = None,
+    calibration: CalibrationFile = None,
     unit: LengthUnit = None,
     height: Height = None,
     config: Annotated[
@@ -58,18 +58,18 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Read, upload, fit, and write animation, cameras and model; again, it goes on where it was."""
-    from fewview.calibration import as_config, for_views, read_cameras  # noqa: PLC0415
+    from fewview.calibration import as_config, read_for_views  # noqa: PLC0415
     from fewview.commands.convert import in_words, summary  # noqa: PLC0415 (what it needs)
     from fewview.errors import FewviewError, InvalidRequest  # noqa: PLC0415
     from fewview.readers import read_with  # noqa: PLC0415
 
     try:
-        reading = options()
-        capture = read_with(files, reading)
+        capture = read_with(files, options())
         told = _config(config or [], known_length)
+        if known_length is not None:
+            _check_keypoints(told["known_length"]["keypoints"], capture)
         if calibration is not None:
-            views = capture.view_names or [str(view) for view in range(capture.views)]
-            cameras, note = for_views(read_cameras(calibration), views)
+            cameras, note = read_for_views(calibration, capture.view_names, capture.views)
             told["calibration"] = [as_config(camera) for camera in cameras]
             capture = replace(capture, notes=(*capture.notes, note))
         check_height(height, capture.keypoint_names, told)
@@ -82,7 +82,7 @@ def run(
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the service is stopped then, too
     try:
         unit = unit or (None if known_length is None else "m")
-        done = _run(capture, output, url, told, chosen, reading.fps, unit, height, quiet=as_json)
+        done = _run(capture, output, url, told, chosen, unit, height, quiet=as_json)
     except (FewviewError, OSError, ValueError) as error:
         _end(str(error), WRONGLY_ASKED if isinstance(error, InvalidRequest) else FAILED)
     except KeyboardInterrupt:
@@ -97,7 +97,6 @@ def _run(
     url: str | None,
     config: dict[str, Any],
     formats: list[str],
-    fps: float | None,
     unit: "Unit | None",
     height: float | None,
     *,
@@ -108,7 +107,7 @@ def _run(
     from fewview.commands.running import Notes, digest_of, export, fitted  # noqa: PLC0415
     from fewview.embedded import running_service  # noqa: PLC0415
 
-    notes = Notes.of(folder, digest_of(capture, config, fps, url))
+    notes = Notes.of(folder, digest_of(capture, config, url))
     data = folder / "fewview-data"
     service = running_service(data=data) if url is None else nullcontext(url)
     with service as address, Client(address) as client:
@@ -119,13 +118,10 @@ def _run(
                 folder,
                 notes,
                 name=folder.absolute().name,
-                fps=fps,
                 config=config,
                 on_progress=bar.show,
             )
-        return export(
-            client, fit, capture, folder, formats=formats, fps=fps, unit=unit, height=height
-        )
+        return export(client, fit, capture, folder, formats=formats, unit=unit, height=height)
 
 
 def _config(texts: list[str], known_length: str | None) -> dict[str, Any]:
@@ -150,6 +146,23 @@ def _config(texts: list[str], known_length: str | None) -> dict[str, Any]:
         pair = [int(part) if part.isdecimal() else part for part in (first, second)]
         config["known_length"] = {"keypoints": pair, "length": length}
     return config
+
+
+def _check_keypoints(pair: Sequence[int | str], capture: "Capture") -> None:
+    """Raise ``ValueError`` if a known length is told of keypoints that are not in the capture."""
+    names, count = capture.keypoint_names or (), capture.keypoints.shape[2]
+    for keypoint in pair:
+        if isinstance(keypoint, int) and keypoint >= count:
+            raise ValueError(f"--known-length: expected keypoints 0 to {count - 1}, got {keypoint}")
+        if isinstance(keypoint, str) and not names:
+            raise ValueError(
+                f"--known-length: the keypoints have no names, so there is no {keypoint!r}: say "
+                "which skeleton they are with --skeleton, or count from 0"
+            )
+        if isinstance(keypoint, str) and keypoint not in names:
+            near = get_close_matches(keypoint, names, n=1)
+            known = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
+            raise ValueError(f"--known-length: there is no keypoint {keypoint!r}; {known}")
 
 
 def _end(message: str, status: int) -> NoReturn:

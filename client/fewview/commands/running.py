@@ -68,7 +68,6 @@ def fitted(
     notes: Notes,
     *,
     name: str,
-    fps: float | None,
     config: Mapping[str, Any],
     on_progress: Callable[[Fit], object],
 ) -> Fit:
@@ -85,7 +84,7 @@ def fitted(
         if notes.dataset_id is None or not _is_there(
             lambda: client.datasets.get(str(notes.dataset_id))
         ):
-            notes.dataset_id = client.datasets.create(capture, name=name, fps=fps).id
+            notes.dataset_id = client.datasets.create(capture, name=name).id
             notes.keep(folder)
         notes.fit_id = client.fits.create(notes.dataset_id, name=name, **config).id
         notes.keep(folder)
@@ -97,20 +96,20 @@ def fitted(
         raise
 
 
-def described_by(client: Client, fit: Fit) -> tuple[Capture, float | None]:
-    """Return a capture without frames that says what the service knows of a fit's, and its fps."""
+def described_by(client: Client, fit: Fit) -> Capture:
+    """Return a capture without frames that says what the service knows of a fit's."""
     model = client.models.get(str(fit.model_id))
     skeleton, views = model.skeleton or {}, model.views or 0
     names, said = skeleton.get("keypoint_names"), _dataset(client, fit)
     cameras, sizes = said.get("view_names"), said.get("image_sizes")
-    capture = Capture(
+    return Capture(
         keypoints=np.empty((0, views, model.keypoints, 2), np.float32),
         keypoint_names=names and tuple(names),
         edges=tuple((first, second) for first, second in skeleton.get("edges") or ()),
         view_names=tuple(cameras or (f"view{view}" for view in range(views))),
         image_sizes=sizes and tuple(size and (size[0], size[1]) for size in sizes),
+        fps=said.get("fps"),
     )
-    return capture, said.get("fps")
 
 
 def _dataset(client: Client, fit: Fit) -> dict[str, Any]:
@@ -128,7 +127,6 @@ def export(
     folder: Path,
     *,
     formats: Sequence[str],
-    fps: float | None,
     unit: Unit | None,
     height: float | None = None,
 ) -> dict[str, Any]:
@@ -149,7 +147,7 @@ def export(
             raise ValueError(f"--height: {'; '.join(said)}")
         room = scaled_to(room, height, capture.keypoint_names)
         said, unit = [*said, room.notes[-1]], unit or "m"
-    animation = animation_of(lift, room, capture, fps=fps, unit=unit)
+    animation = animation_of(lift, room, capture, unit=unit)
     files = []
     for known in FORMATS:
         if known.name in formats:

@@ -31,12 +31,10 @@ def upload(
 ) -> None:
     """Store the keypoints of all cameras as a dataset; says its id."""
     with talking(url) as client:
-        reading = options()
-        capture = capture_in(files, reading)
+        capture = capture_in(files, options())
         dataset = client.datasets.create(
             capture,
             name=name or files[0].stem[:200],
-            fps=reading.fps,
             tags=tag or (),
             metadata=fields_in(metadata, "--metadata"),
         )

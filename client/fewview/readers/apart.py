@@ -126,6 +126,7 @@ def _read(names: list[str], options: ReadingOptions, max_bytes: int) -> None:
         "edges": capture.edges,
         "view_names": capture.view_names,
         "image_sizes": capture.image_sizes,
+        "fps": capture.fps,
         "notes": capture.notes,
     }
     Path("out", OTHERS).write_text(json.dumps(others))

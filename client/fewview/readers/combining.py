@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,7 @@ def combined(
     notes += [f"{view.name}: {note}" for view in views for note in view.notes]
     views = [_named(view, skeleton, notes) for view in views]
     views = _common_keypoints(views, notes)
+    fps = fps or _common_rate(views)
     rows, times = _aligned(views, align, fps, notes)
     first = views[0]
     shape = (len(rows), len(views), first.keypoints.shape[2])
@@ -85,6 +87,7 @@ def combined(
         next((view.edges for view in views if view.edges is not None), None),
         tuple(view.name for view in views),
         sizes if any(sizes) else None,
+        fps,
         tuple(notes),
     )
 
@@ -119,7 +122,7 @@ def _common_keypoints(views: list[View], notes: list[str]) -> list[View]:
             raise FormatError(
                 "the cameras have "
                 + ", ".join(f"{view.name} {view.keypoints.shape[2]}" for view in views)
-                + " keypoints, and not all have names to match them by; say skeleton="
+                + " keypoints, and not all have names to match them by; say skeleton= (--skeleton)"
             )
         known = next((each for each in names if each is not None), None)
         return [replace(view, keypoint_names=known) for view in views]
@@ -170,9 +173,11 @@ def _aligned(
             notes.append(
                 f"{view.name}: has {len(own)} of the {len(together)} frames; the others are gaps"
             )
-    if fps is not None:
-        return rows, (together - together[0]) / fps
-    return rows, _own_times(views, rows)
+    times = _own_times(views, rows)
+    if fps is None or times is not None:
+        return rows, times
+    even = bool((np.diff(together) == 1).all())  # then the rate says it all
+    return rows, None if even else (together - together[0]) / fps
 
 
 def common_numbers(views: list[View], notes: list[str]) -> list[Int64]:
@@ -190,6 +195,21 @@ def common_numbers(views: list[View], notes: list[str]) -> list[Int64]:
         + "), so each camera's first frame was taken for the same"
     )
     return [own - start for own, start in zip(numbers, first, strict=True)]
+
+
+def _common_rate(views: list[View]) -> float | None:
+    """Return the frames per second that all views tell.
+
+    Raises
+    ------
+    FormatError
+        If they cannot be.
+    """
+    rates = {view.fps for view in views}
+    for rate in rates:
+        if rate is not None and not 0 < rate < inf:
+            raise FormatError(f"`fps` is {rate}, not above 0")
+    return rates.pop() if len(rates) == 1 else None
 
 
 def _own_times(views: list[View], rows: Int64) -> Float64 | None:
@@ -210,10 +230,12 @@ def _by_time(
     for view in views:
         if view.times is not None:
             clocks.append(view.times)
-        elif fps is not None:
-            clocks.append(view.numbers / fps)
+        elif rate := fps or view.fps:
+            clocks.append(view.numbers / rate)
         else:
-            raise FormatError(f"{view.name}: tells no times to align by; say fps, or align='index'")
+            raise FormatError(
+                f"{view.name}: tells no times to align by; say fps (--fps), or align='index'"
+            )
     if any(np.any(np.diff(clock) <= 0) for clock in clocks):
         raise FormatError("times must rise from frame to frame to align by them")
     reference = max(clocks, key=len)

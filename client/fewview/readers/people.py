@@ -234,7 +234,10 @@ def _certainty(
         return []
     found = {tracks[i].view for i in who}
     unsure = sorted({views[v].name for v in range(len(views)) if v not in found})
-    remedy = "see that all show the same one, or choose for each camera, as in person=[0, 1, 0]"
+    remedy = (
+        "see that all show the same one, or choose for each camera, as in person=[0, 1, 0] "
+        "(--person 0,1,0)"
+    )
     if unsure:
         return [f"who is the same person in {', '.join(unsure)} cannot be known: {remedy}"]
     least = _sureness(who, tracks, sureness, len(views))

@@ -116,7 +116,8 @@ def _sized(views: list[View], asked: Size | Sequence[Size] | None) -> list[View]
             if size is None:
                 raise FormatError(
                     f"{view.name}: coordinates are shares of the image's width and height, and its "
-                    "size is not in the file; say image_size=(width, height)"
+                    "size is not in the file; say image_size=(width, height), or --image-size "
+                    "WIDTHxHEIGHT"
                 )
             keypoints = keypoints * np.array(size, np.float32)
         out.append(replace(view, keypoints=keypoints, image_size=size))

@@ -31,7 +31,7 @@ class View:
     people
         M names of those who keep their place in all frames; None where a frame lists its people
         in any order.
-    keypoint_names, edges, image_size, times, points3d
+    keypoint_names, edges, image_size, times, fps, points3d
         As in `Capture`, of this view; `points3d` (N, P, 3).
     skeletons
         Names of skeletons that this format means by their counts of keypoints.
@@ -52,6 +52,7 @@ class View:
     edges: Edges | None = None
     image_size: tuple[int, int] | None = None
     times: Float64 | None = None
+    fps: float | None = None
     points3d: Float32 | None = None
     skeletons: tuple[str, ...] = ()
     shares: bool = False

@@ -104,7 +104,8 @@ def _parents(animation: Animation) -> dict[int, int | None]:
     if len(set(pieces)) > 1:
         apart = ", ".join(names[joint] for joint in range(count) if pieces[joint] != pieces[0])
         raise FormatError(
-            f"BVH needs edges that join all keypoints, {apart} are apart from {names[0]}"
+            f"BVH needs edges that join all keypoints, {apart} are apart from {names[0]}; "
+            "--skeleton tells edges, and so do the files of some detectors"
         )
     walks = [_walk(near, joint) for joint in range(count)]
     depths = [depth for _, depth in walks]

@@ -76,7 +76,7 @@ def test_mediapipe(tmp_path: Path) -> None:
     path.write_text(json.dumps({"width": 640, "height": 480, "fps": 10, "frames": frames}))
     told = fewview.read(path)
     np.testing.assert_array_equal(told.keypoints, capture.keypoints)
-    assert told.times is not None
+    assert (told.fps, told.times) == (10, None)
     assert told.image_sizes == ((640, 480),)
 
 

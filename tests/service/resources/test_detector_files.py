@@ -77,7 +77,8 @@ def test_tables_of_two_cameras(api: TestClient, tables: Parts) -> None:
     both = np.stack([LEFT, RIGHT], 1).astype(np.float32)
     np.savez(buffer, keypoints=both[..., :2], confidence=both[..., 2])
     posted = api.post("/datasets", files={"file": ("capture.npz", buffer.getvalue())})
-    assert posted.json()["checksum"] == made["checksum"]
+    assert posted.json()["checksum"] == made["checksum"]  # by its fps, and no times
+    assert not made["has_times"]
 
 
 def test_how_they_are_read_is_said_in_the_form(api: TestClient, tables: Parts) -> None:

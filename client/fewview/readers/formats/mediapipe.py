@@ -41,15 +41,14 @@ def read(source: Source) -> list[View]:
     told = content if isinstance(content, dict) else {}
     width, height = (told.get(key, told.get(f"image_{key}")) for key in ("width", "height"))
     fps = told.get("fps")
-    numbers = np.arange(len(frames))
     return [
         View(
             source.name,
             keypoints,
-            numbers,
+            np.arange(len(frames)),
             confidence,
             image_size=(int(width), int(height)) if width and height else None,
-            times=numbers / float(fps) if fps else None,
+            fps=float(fps) if fps else None,
             shares=bool(np.nanmax(np.abs(keypoints)) <= SHARES),
             notes=("landmarks without a visibility have the confidence 1",)
             if np.isnan(confidence[np.isfinite(keypoints[..., 0])]).all()

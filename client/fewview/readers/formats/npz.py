@@ -54,7 +54,7 @@ def read(source: Source) -> list[View]:
         )
     n, k, p, _ = keypoints.shape
     _check(source, arrays, n, k, p)
-    times = _times(source, arrays, n)
+    times = arrays["times"].astype(np.float64) if "times" in arrays else None
     sizes, names = arrays.get("image_sizes"), arrays.get("keypoint_names")
     views, confidence, truth = (
         arrays.get("view_names"),
@@ -79,6 +79,7 @@ def read(source: Source) -> list[View]:
             if sizes is not None and sizes[v].all()
             else None,
             times=None if times is None else times if times.ndim == 1 else times[:, v],
+            fps=float(arrays["fps"].reshape(-1)[0]) if "fps" in arrays else None,
             points3d=None if truth is None else truth.astype(np.float32),
             pixels_from_zero=True,
         )
@@ -134,14 +135,3 @@ def _edges(arrays: Arrays) -> tuple[tuple[int, int], ...] | None:
     if edges is None or edges.dtype.kind not in "iu" or edges.ndim != 2 or edges.shape[1] != 2:
         return None
     return tuple((int(a), int(b)) for a, b in edges)
-
-
-def _times(source: Source, arrays: Arrays, n: int) -> NDArray[np.float64] | None:
-    if "times" in arrays:
-        return arrays["times"].astype(np.float64)
-    if "fps" not in arrays:
-        return None
-    fps = float(arrays["fps"].reshape(-1)[0])
-    if not fps > 0:
-        raise FormatError(f"{source}: `fps` is {fps}, not above 0")
-    return np.arange(n) / fps
