@@ -274,8 +274,9 @@ def delete(store: Store, dataset_id: str) -> None:
         If a fit or a lift of it is queued or running.
     """
     with store.writing() as session:
-        for column in (FitJob.dataset_id, LiftJob.dataset_id):
-            jobs.refuse_if_used(session, "Dataset", column, dataset_id)
+        refuse = partial(jobs.refuse_if_used, session, "Dataset", dataset_id)
+        refuse(FitJob, FitJob.dataset_id == dataset_id)
+        refuse(LiftJob, LiftJob.dataset_id == dataset_id)
         chunks = session.scalars(select(Chunk.key).where(Chunk.dataset_id == dataset_id)).all()
         gone = session.execute(
             sql_delete(Dataset).where(Dataset.id == dataset_id).returning(Dataset.id)

@@ -26,7 +26,7 @@ from store.idempotency import Idempotency
 from store.labels import Labels
 from store.lookup import lock
 from store.mistakes import unknown
-from store.records import Dataset, FitJob, Model
+from store.records import Dataset, FitJob, LiftJob, Model
 
 
 def create(
@@ -253,10 +253,13 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
 def delete(store: Store, fit_id: str) -> None:
     """Delete a fit that has ended, and its reconstruction; its model stays.
 
-    Raises as :func:`store.jobs.delete` does.
+    Raises as :func:`store.jobs.delete` does, and ``ConflictError`` while a lift finds up or the
+    floor of its room in the reconstruction: its parts would be in different rooms.
     """
 
     def forget(session: Session, fit: FitJob) -> list[str]:
+        of_model = LiftJob.model_id == fit.model_id
+        jobs.refuse_if_used(session, "Fit", fit_id, LiftJob, of_model, LiftJob.up.is_not(None))
         session.execute(update(Model).where(Model.fit_id == fit_id).values(fit_id=None))
         return [key for key in (fit.reconstruction_key, fit.checkpoint_key) if key is not None]
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from sqlalchemy import func, select
+from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
 from store.database import Store
@@ -139,22 +139,22 @@ def delete(
     discard(store, *keys)
 
 
-def refuse_if_used(session: Session, what: str, column: Any, identifier: str) -> None:
-    """Raise ``ConflictError`` if a job that has not ended needs what ``column`` names.
+def refuse_if_used(
+    session: Session, what: str, identifier: str, kind: type[Job], *uses: ColumnElement[bool]
+) -> None:
+    """Raise ``ConflictError`` if a job that has not ended uses something.
 
     Parameters
     ----------
-    what
-        The kind of thing that is to be deleted, for the message.
-    column
-        ``FitJob.dataset_id``, ``LiftJob.model_id``, ...
+    what, identifier
+        What is to be deleted, for the message.
+    kind, uses
+        Jobs of this kind use it of which all these conditions hold.
     """
-    kind = column.class_
-    busy = session.scalars(
-        select(kind.id).where(column == identifier, kind.status.not_in(TERMINAL))
-    ).all()
+    query = select(kind.id).where(*uses, kind.status.not_in(TERMINAL)).limit(5)
+    busy = session.scalars(query).all()
     if busy:
         raise ConflictError(
-            f"{what} {identifier!r} is in use by {', '.join(busy[:5])}: cancel these "
+            f"{what} {identifier!r} is in use by {', '.join(busy)}: cancel these "
             f"{kind.noun}s or wait for them to end."
         )

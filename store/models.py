@@ -88,7 +88,7 @@ def delete(store: Store, model_id: str) -> None:
         If a lift with it is queued or running.
     """
     with store.writing() as session:
-        jobs.refuse_if_used(session, "Model", LiftJob.model_id, model_id)
+        jobs.refuse_if_used(session, "Model", model_id, LiftJob, LiftJob.model_id == model_id)
         model = lock(session, Model, model_id)
         session.execute(update(FitJob).where(FitJob.model_id == model_id).values(model_id=None))
         condemned = condemn(session, [model.weights_key])

@@ -145,7 +145,7 @@ def test_the_client_knows_no_floor_and_is_known_for_its_cameras_and_rooms_alone(
             assert not {parts(name)[0] for name in named} & {*FLOORS, "torch", "numba"}, file
     for module in modules():
         used = {parts(name) for name in imports(module) if parts(name)[0] == "fewview"}
-        known = {"calibration", "errors", "evaluation", "readers", "reading_options"}
+        known = {"calibration", "capture", "errors", "evaluation", "readers", "reading_options"}
         allowed = known if module.startswith("service.wire.") else set()
         if module == "worker.rooms":
             allowed = {"placing", "room"}

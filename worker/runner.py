@@ -180,6 +180,8 @@ class JobWorker(Worker):
 
 def _sweep(settings: WorkerSettings, parent: int) -> None:
     die_with_parent(parent)
+    for number in (signal.SIGINT, signal.SIGTERM):  # which the worker takes for itself
+        signal.signal(number, signal.SIG_DFL)
     try:
         housekeeping.sweep(Store(settings))
     except (StoreError, SQLAlchemyError, ObjectStoreError, OSError):

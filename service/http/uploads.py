@@ -64,8 +64,11 @@ class Upload:
 
     @property
     def is_large(self) -> bool:
-        """Whether to work on it takes so much that large ones take turns."""
-        return len(self.data) >= LARGE_BYTES or sum(len(f.data) for f in self.files) >= LARGE_BYTES
+        """Whether to work on it takes so much that large ones take turns.
+
+        A form of files may be small, and yet be read for minutes, in a process of its own.
+        """
+        return len(self.data) >= LARGE_BYTES or len(self.files) > 0
 
     def fingerprint(self) -> str:
         """Return a digest of everything in the body."""

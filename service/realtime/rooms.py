@@ -1,5 +1,7 @@
 """The rooms of models, found once and kept."""
 
+import threading
+
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.rooms import Up
 from service.http.errors import invalid
@@ -10,11 +12,15 @@ MOST = 256  # rooms kept at once, of a few hundred bytes each
 
 
 class Rooms:
-    """What is known of the rooms of models that were asked for. Safe to use from many threads."""
+    """What is known of the rooms of models that were asked for. Safe to use from many threads.
+
+    A room stays what it was when the fit is deleted, whose frames told up and the floor.
+    """
 
     def __init__(self, store: Store) -> None:
         self._store = store
         self._found: dict[tuple[str, Up | None], Room] = {}
+        self._finding = threading.Lock()  # for which a whole reconstruction may be read
 
     def find(self, model_id: str, prior: FittedPrior, up: Up | None) -> Room:
         """Return the room of a model as :func:`worker.rooms.find_room` does; it may take a while.
@@ -26,10 +32,13 @@ class Rooms:
         """
         room = self.remembered(model_id, prior, up)
         if room is None:
-            room = find_room(self._store, model_id, prior.cameras, up)
-            if len(self._found) >= MOST:
-                self._found.clear()
-            self._found[model_id, up] = room
+            with self._finding:
+                room = self.remembered(model_id, prior, up)
+                if room is None:
+                    room = find_room(self._store, model_id, prior.cameras, up)
+                    if len(self._found) >= MOST:
+                        self._found.clear()
+                    self._found[model_id, up] = room
         return room
 
     def remembered(self, model_id: str, prior: FittedPrior, up: Up | None) -> Room | None:

@@ -74,7 +74,7 @@ class Version(BaseModel):
 @router.get("/version", responses=problems())
 def get_version() -> Version:
     """Tell the versions of the service and of its API."""
-    return Version(service=version("fewview"), api=API_VERSION)
+    return Version(service=version("fewview-server"), api=API_VERSION)
 
 
 @router.get("/health/live", responses=problems())

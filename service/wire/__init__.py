@@ -4,6 +4,8 @@
     Arrays from and to bytes, and from nested lists.
 ``captures``
     Keypoints of a request, checked against the limits.
+``detector_files``, ``reading_apart``
+    Files as detectors write them, read in a process of its own.
 ``schemas``, ``skeletons``, ``cameras``
     The JSON forms of keypoints and lifts, of skeletons, and of a model's cameras.
 ``representations``

@@ -5,12 +5,12 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
+from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal, NamedTuple
 
 from fewview.errors import FormatError
-from fewview.readers.apart import read_apart
 from fewview.readers.registry import NAMES
 from fewview.readers.skeletons import SKELETONS
 from fewview.reading_options import ReadingOptions
@@ -20,8 +20,9 @@ from service.http.errors import from_validation, invalid
 from service.http.uploads import Upload
 from service.settings import Settings
 from service.wire.arrays import Arrays
+from service.wire.reading_apart import OUT, read_apart
 
-LONGEST_NAME = 100  # of a file, or of a camera named after it
+LONGEST_NAME = 100  # bytes of a file's name, characters of a camera's that is named after it
 LONGEST_NOTE, MOST_NOTES = 1000, 100
 
 
@@ -160,6 +161,7 @@ def _text(told: str, longest: int) -> str:
 
 def _name(told: str, taken: list[str]) -> str:
     """Return a file's name without a folder, and without what a name should not have."""
-    name = re.sub(r"[^\w.() +-]", "_", re.split(r"[/\\]", told)[-1]).lstrip(". ")
-    name = name[-LONGEST_NAME:] or "file"
-    return name if name not in taken and name != "out" else f"{len(taken)}_{name}"
+    plain = re.sub(r"[^\w.() +-]", "_", re.split(r"[/\\]", told)[-1]).lstrip(". ")
+    plain = plain.encode()[-LONGEST_NAME:].decode(errors="ignore") or "file"
+    numbered = (f"{number}_{plain}" for number in count(1))
+    return next(name for name in chain([plain], numbered) if name not in (OUT, *taken))

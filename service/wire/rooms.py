@@ -15,8 +15,9 @@ FRAME_OF_REFERENCE = (
 UP = (
     "Of frame `room`: has its y axis point up, and its origin on the floor if keypoints are named "
     "as feet. A vector (x, y, z) in the room as it is without, or `auto`: found from the frames "
-    "of the fit. Without it the room is the first resting camera's (x right, y down, z forward), "
-    "or that of the poses which the fit was told."
+    "of the fit. An imported model has none, nor has one whose fit was deleted: then `up` must be "
+    "a vector, and there is no floor. Without `up` the room is the first resting camera's (x "
+    "right, y down, z forward), or that of the poses which the fit was told."
 )
 UP_QUERY = f"{UP} In a query: `up=auto` or `up=0,-1,0`."
 FrameQuery = Annotated[FrameOfReference | None, Query(description=FRAME_OF_REFERENCE)]

@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from models.settings.config import WARM_STEPS, FitConfig
-from store import attempts, datasets, fits, housekeeping, lookup, models
+from store import attempts, datasets, fits, housekeeping, lifts, lookup, models
 from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
@@ -286,3 +286,14 @@ def test_deleting_a_fit_keeps_its_model(store: Store, fit: FitJob) -> None:
     fits.delete(store, fit.id)
     assert lookup.get(store, Model, model_id).fit_id is None
     assert "reconstruction" not in objects(store)
+
+
+def test_a_lift_in_its_room_keeps_a_fit(store: Store, fit: FitJob) -> None:
+    model_id = succeed(store, claim(store, fit))
+    asked: dict[str, Any] = {"model_id": model_id, "dataset_id": fit.dataset_id, "chunk_frames": 5}
+    lifts.create(store, name="canonical", **asked)
+    lift = lifts.create(store, name="upright", frame="room", up=[0, -1, 0], **asked)
+    with pytest.raises(ConflictError, match=rf"{fit.id}.*in use by {lift.id}: cancel"):
+        fits.delete(store, fit.id)
+    lifts.cancel(store, lift.id)
+    fits.delete(store, fit.id)

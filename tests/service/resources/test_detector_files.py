@@ -2,7 +2,9 @@
 
 import io
 import json
+import os
 import pickle
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +13,11 @@ import httpx2
 import numpy as np
 import pytest
 from fewview.errors import FormatError
-from fewview.readers.apart import read_apart
 from fewview.reading_options import ReadingOptions
 from starlette.testclient import TestClient
 
+from service.wire import reading_apart
+from service.wire.reading_apart import read_apart
 from tests.client.readers import files
 from tests.service.conftest import problem, zip_of
 
@@ -224,6 +227,39 @@ def test_reading_that_takes_too_long_or_ends_its_process_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table(tmp_path / "a.csv", LEFT)
-    monkeypatch.setattr("fewview.readers.apart.SECONDS", 0.001)
+    monkeypatch.setattr(reading_apart, "SECONDS", 0.001)
     with pytest.raises(FormatError, match=r"a\.csv: took more than"):
         read_apart(tmp_path, ["a.csv"], ReadingOptions(), max_bytes=2**20)
+
+
+def test_names_may_be_long_and_the_same(api: TestClient, tables: Parts) -> None:
+    left, right = (data for _, (_, data) in tables)
+    for names in (["漢" * 200, "漢" * 200 + ".csv"], ["a", "2_a", "a"], ["out", "..", "../.."]):
+        sent = [("files", (name, (left, right)[n % 2])) for n, name in enumerate(names)]
+        made = send(api, sent)
+        assert made["views"] == len(names)
+        assert len(set(made["view_names"])) == len(names)
+
+
+def test_files_of_strangers_are_not_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table(tmp_path / "numpy.py", LEFT)
+    monkeypatch.setattr(sys, "path", ["", *sys.path])  # as of `python -c`
+    assert read_apart(tmp_path, ["numpy.py"], ReadingOptions(), max_bytes=2**20).frames == 12
+
+
+def test_what_was_unpacked_goes_even_if_reading_hangs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary, folder = tmp_path / "temporary", tmp_path / "folder"
+    temporary.mkdir()
+    folder.mkdir()
+    (folder / "a.zip").write_bytes(openpose(LEFT))
+    os.mkfifo(folder / "b")  # which nobody writes to
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    monkeypatch.setattr(reading_apart, "SECONDS", 3)
+    with pytest.raises(FormatError, match="took more than"):
+        read_apart(folder, ["a.zip", "b"], ReadingOptions(), max_bytes=2**20)
+    assert list(folder.glob("fewview-*"))
+    assert not list(temporary.iterdir())

@@ -64,4 +64,4 @@ def test_lost_objects_and_records_are_named(tmp_path: Path, valkey: ValkeyServer
 
 
 def test_versions(api: TestClient) -> None:
-    assert api.get("/version").json() == {"service": version("fewview"), "api": 1}
+    assert api.get("/version").json() == {"service": version("fewview-server"), "api": 1}

@@ -6,6 +6,7 @@ libraries below them are written in C. What happens there ends the child, and no
 
 import io
 import json
+import logging
 import os
 import resource
 import subprocess
@@ -16,16 +17,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from fewview.capture import Capture
 from fewview.errors import FormatError
 from fewview.reading_options import ReadingOptions
 
+from worker.process import die_with_parent, python
+
+logger = logging.getLogger(__name__)
+
 MEMORY = 3 * 2**30  # bytes of addresses, what Python and its libraries take among them
 SECONDS = 120
-CAPTURE, OTHERS = "capture.npz", "others.json"
+OUT, CAPTURE, OTHERS = "out", "capture.npz", "others.json"
+LONGEST_LOG = 2000  # characters
 # OpenBLAS sets addresses aside for each thread.
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+OURS = "FEWVIEW_"  # settings, passwords among them, which are no business of the child's
 
 
 def read_apart(
@@ -47,18 +53,27 @@ def read_apart(
     FormatError
         As `fewview.read`, and if reading takes too much memory or time, or ends the process.
     """
-    out = folder / "out"
+    out = folder / OUT
     out.mkdir()
-    told = {"names": list(names), "options": asdict(options), "max_bytes": max_bytes}
-    # The paths are those of this process: a child with -P would not find what tests import.
-    code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main()"
+    told = {
+        "names": list(names),
+        "options": asdict(options),
+        "max_bytes": max_bytes,
+        "parent": os.getpid(),
+    }
+    # The paths are those of this process: a child with -P would not find what tests import. Whole
+    # ones, for in the child's working directory lie the files of strangers.
+    places = [str(Path(place).resolve()) for place in sys.path]
+    code = f"import sys; sys.path[:] = {places!r}; from {__name__} import main; main()"
+    others = {name: value for name, value in os.environ.items() if not name.startswith(OURS)}
     try:
         done = subprocess.run(  # noqa: S603 (our own program; what is told comes as data)
-            [sys.executable, "-P", "-c", code],
+            python("-c", code),
             input=json.dumps(told).encode(),
             capture_output=True,
             cwd=folder,
-            env={**os.environ, **ONE_THREAD},
+            # What the child unpacks goes with the folder, even if it is killed.
+            env=others | ONE_THREAD | {"TMPDIR": str(folder)},
             timeout=SECONDS,
             check=False,
         )
@@ -68,6 +83,8 @@ def read_apart(
         return _capture(out)
     if done.returncode == 1 and done.stdout:
         raise FormatError(done.stdout.decode(errors="replace"))
+    said = done.stderr.decode(errors="replace")[-LONGEST_LOG:]
+    logger.warning("Reading files ended with status %d: %s", done.returncode, said)
     raise FormatError(
         f"{', '.join(names)}: broken, or too much: reading ended without an answer "
         f"(status {done.returncode})"
@@ -92,6 +109,7 @@ def _tuples(value: Any) -> Any:
 def main() -> None:
     """Read what standard input tells into the folder ``out``; exit status 1 with what is wrong."""
     told = json.loads(sys.stdin.buffer.read())
+    die_with_parent(told["parent"])
     for limit, most in (
         (resource.RLIMIT_AS, MEMORY),
         (resource.RLIMIT_CPU, SECONDS),
@@ -120,7 +138,7 @@ def _read(names: list[str], options: ReadingOptions, max_bytes: int) -> None:
             f"{size:,} bytes, more than the {max_bytes:,} that are taken at a time; send them in "
             "parts"
         )
-    np.savez(Path("out", CAPTURE), allow_pickle=False, **arrays)
+    np.savez(Path(OUT, CAPTURE), allow_pickle=False, **arrays)
     others = {
         "keypoint_names": capture.keypoint_names,
         "edges": capture.edges,
@@ -129,4 +147,4 @@ def _read(names: list[str], options: ReadingOptions, max_bytes: int) -> None:
         "fps": capture.fps,
         "notes": capture.notes,
     }
-    Path("out", OTHERS).write_text(json.dumps(others))
+    Path(OUT, OTHERS).write_text(json.dumps(others))
