@@ -44,7 +44,7 @@ def a_capture(frames: int = 60, seed: int = 5) -> Capture:
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     live = start_service(tmp_path_factory.mktemp("client"), "--lift-chunk-frames=16")
     try:
-        with Client(live.url, timeout=120) as client:
+        with Client(live.url, timeout=300) as client:
             capture = a_capture()
             dataset = client.datasets.create(capture, name="figure", metadata={"subject": "M7"})
             fit = client.fits.wait(client.fits.create(dataset, **CONFIG))

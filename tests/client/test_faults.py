@@ -74,7 +74,7 @@ def test_a_service_that_comes_back_is_reached(served: Served, kind: str) -> None
     def come_back() -> None:
         time.sleep(1)
         with line.open():
-            done.wait(60)
+            done.wait(300)
 
     service = threading.Thread(target=come_back)
     service.start()

@@ -92,7 +92,7 @@ def test_it_goes_on_where_it_was_stopped(files: list[str], tmp_path: Path) -> No
             assert time.monotonic() < deadline
             time.sleep(0.05)
         process.send_signal(signal.SIGTERM)  # Ctrl-C is ignored in the background
-        _, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=300)
     assert process.returncode == 130, said
     assert "goes on" in said
     before = json.loads(notes.read_text())

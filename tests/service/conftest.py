@@ -96,7 +96,7 @@ def problem(response: httpx2.Response, status: int, code: str, pointer: str | No
     return str(body["detail"])
 
 
-def wait_for(found: Callable[[], Any], what: str, seconds: float = 60) -> Any:
+def wait_for(found: Callable[[], Any], what: str, seconds: float = 300) -> Any:
     deadline = time.monotonic() + seconds
     while not (value := found()):
         assert time.monotonic() < deadline, f"waited {seconds} s for {what}"
@@ -193,7 +193,7 @@ def served(settings: Settings) -> Iterator[httpx2.Client]:
         thread.start()
         url = f"http://127.0.0.1:{listener.getsockname()[1]}"
         try:
-            with httpx2.Client(base_url=url, timeout=60, trust_env=False) as http:
+            with httpx2.Client(base_url=url, timeout=300, trust_env=False) as http:
                 yield http
         finally:
             server.should_exit = True

@@ -266,7 +266,7 @@ def test_a_generated_client_does_the_whole_job(
 
         config = wire.FitConfig.from_dict(SEEKING)
         fit = call("fits.create_fit", body=wire.FitCreate(dataset_id=dataset.id, config=config))
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 300
         while fit.status in (wire.JobStatus.QUEUED, wire.JobStatus.RUNNING):
             assert time.monotonic() < deadline
             time.sleep(0.1)
@@ -299,7 +299,7 @@ def test_a_generated_client_does_the_whole_job(
         asked = wire.LiftCreate(model_id=model.id, dataset_id=dataset.id, refine=off)
         job = call("lifts.create_lift", body=asked)
         while job.status in (wire.JobStatus.QUEUED, wire.JobStatus.RUNNING):
-            assert time.monotonic() < deadline + 60
+            assert time.monotonic() < deadline + 300
             time.sleep(0.1)
             job = call("lifts.get_lift", job.id)
         assert job.progress.frames_done == 60

@@ -37,7 +37,7 @@ def test_a_forgotten_setting_of_the_records_is_refused_and_harms_nothing(
         env=os.environ | forgotten,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
     )
     assert refused.returncode == 2, refused

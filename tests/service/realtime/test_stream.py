@@ -37,7 +37,7 @@ def test_answers_are_those_of_a_lift_in_the_order_and_form_of_the_frames(
         for n, keypoints in enumerate(capture.keypoints):
             socket.send((as_json if n % 2 else as_bytes)(1000 + n, keypoints))
         for n, known in enumerate(expected):
-            message = socket.recv(timeout=60)
+            message = socket.recv(timeout=300)
             if n % 2:
                 answer = read_json(message)
                 assert answer["sequence"] == 1000 + n
@@ -60,7 +60,7 @@ def test_views_and_confidence(http: httpx2.Client, model: str, capture: Syntheti
     with started(http, model, views=[2, 0]) as socket:
         for n in range(3):
             socket.send(as_bytes(n, keypoints[n], confidence[n]))
-            sequence, _, points, views, _ = read_bytes(socket.recv(timeout=60))
+            sequence, _, points, views, _ = read_bytes(socket.recv(timeout=300))
             assert sequence == n
             check(points, views, expected[n])
             socket.send(
@@ -72,7 +72,7 @@ def test_views_and_confidence(http: httpx2.Client, model: str, capture: Syntheti
                     }
                 ).decode()
             )
-            answer = read_json(socket.recv(timeout=60))
+            answer = read_json(socket.recv(timeout=300))
             np.testing.assert_allclose(answer["frame"]["points3d"], points, rtol=1e-3, atol=1e-4)
 
 
@@ -82,13 +82,13 @@ def test_a_frame_that_shows_too_little_says_so(
     nothing = np.full_like(capture.keypoints[0], np.nan)
     with started(http, model) as socket:
         socket.send(as_bytes(5, nothing))
-        sequence, flags, points, views, seen = read_bytes(socket.recv(timeout=60))
+        sequence, flags, points, views, seen = read_bytes(socket.recv(timeout=300))
         assert (sequence, flags) == (5, 0)
         assert np.isnan(points).all()
         assert (views["camera"] == -1).all()
         assert not seen.any()
         socket.send(as_json(6, nothing))
-        assert read_json(socket.recv(timeout=60))["frame"]["status"] == "too_few_keypoints"
+        assert read_json(socket.recv(timeout=300))["frame"]["status"] == "too_few_keypoints"
 
 
 def test_with_continuity_a_frame_may_start_from_the_one_before(
@@ -107,7 +107,7 @@ def test_with_continuity_a_frame_may_start_from_the_one_before(
             for n, keypoints in enumerate(frames):
                 socket.send((as_json if n == 5 else as_bytes)(n, keypoints))
             for n in range(len(frames)):
-                message = socket.recv(timeout=60)
+                message = socket.recv(timeout=300)
                 if n == 5:
                     continued.append(read_json(message)["continued"])
                     continue
@@ -137,7 +137,7 @@ def test_streams_do_not_mix(http: httpx2.Client, model: str, capture: SyntheticC
                 for n in range(start, start + 50):
                     socket.send(as_bytes(n, capture.keypoints[n % 60]))
                 for n in range(start, start + 50):
-                    sequence, _, points, views, _ = read_bytes(socket.recv(timeout=60))
+                    sequence, _, points, views, _ = read_bytes(socket.recv(timeout=300))
                     assert sequence == n
                     check(points, views, expected[n % 60])
         except Exception as error:  # noqa: BLE001 - for the main thread to show
@@ -163,7 +163,7 @@ def test_all_frames_are_answered_however_fast_they_come(
     with started(http, model, refine="off") as socket:
         sender = threading.Thread(target=flood, args=(socket, capture.keypoints, count))
         sender.start()
-        answers = [read_bytes(socket.recv(timeout=60))[0] for _ in range(count)]
+        answers = [read_bytes(socket.recv(timeout=300))[0] for _ in range(count)]
         sender.join()
     assert answers == list(range(count))
 
@@ -176,7 +176,7 @@ def test_stale_frames_are_dropped_and_told(
     with started(http, model, refine="full", on_overload="latest") as socket:
         flood(socket, capture.keypoints, count)
         while count - 1 not in answered:
-            message = socket.recv(timeout=60)
+            message = socket.recv(timeout=300)
             if isinstance(message, str):
                 notice = StreamDropped.model_validate_json(message)
                 assert notice.type == "dropped"
@@ -237,9 +237,9 @@ def test_a_bad_frame_is_told_and_the_stream_goes_on(
         socket.send(as_bytes(1, capture.keypoints[0, :2]))
         socket.send(orjson.dumps(message).decode() if isinstance(message, dict) else message)
         socket.send(as_bytes(2, capture.keypoints[1, :2]))
-        assert read_bytes(socket.recv(timeout=60))[0] == 1
-        error = StreamError.model_validate_json(socket.recv(timeout=60))
+        assert read_bytes(socket.recv(timeout=300))[0] == 1
+        error = StreamError.model_validate_json(socket.recv(timeout=300))
         assert (error.type, error.code, error.sequence) == ("error", code, sequence)
         assert [item.pointer for item in error.errors] == ([] if pointer is None else [pointer])
         assert error.detail
-        assert read_bytes(socket.recv(timeout=60))[0] == 2
+        assert read_bytes(socket.recv(timeout=300))[0] == 2

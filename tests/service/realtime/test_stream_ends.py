@@ -36,9 +36,9 @@ from tests.service.realtime.conftest import (
 
 def ending(socket: ClientConnection) -> tuple[StreamError, int]:
     """Return the last message of a stream and its close code."""
-    error = StreamError.model_validate_json(socket.recv(timeout=60))
+    error = StreamError.model_validate_json(socket.recv(timeout=300))
     with pytest.raises(ConnectionClosed) as closed:
-        socket.recv(timeout=60)
+        socket.recv(timeout=300)
     assert closed.value.rcvd is not None
     assert error.sequence is None
     return error, closed.value.rcvd.code
@@ -75,7 +75,7 @@ def test_a_bad_start_ends_the_stream(
 def test_the_start_says_what_was_understood(http: httpx2.Client, model: str) -> None:
     with opened(http) as socket:
         socket.send(orjson.dumps({"model": model, "views": [2, 0]}).decode())
-        ready = orjson.loads(socket.recv(timeout=60))
+        ready = orjson.loads(socket.recv(timeout=300))
     assert ready["views"] == [2, 0]
     assert ready["refine"] == "auto"  # the fit's
     assert ready["on_overload"] == "all"
@@ -90,7 +90,7 @@ def test_a_model_that_is_deleted_ends_its_streams(
     made = http.post("/models", content=weights, headers=BYTES).json()["id"]
     with started(http, made) as socket:
         socket.send(as_bytes(1, capture.keypoints[0]))
-        assert read_bytes(socket.recv(timeout=60))[0] == 1
+        assert read_bytes(socket.recv(timeout=300))[0] == 1
         assert http.delete(f"/models/{made}").status_code == 204
         socket.send(as_bytes(2, capture.keypoints[0]))
         error, closed = ending(socket)
@@ -101,7 +101,7 @@ def test_messages_are_bounded(http: httpx2.Client, model: str) -> None:
     with started(http, model) as socket:
         socket.send(b"\1" + b"\0" * 256 * 1024)
         with pytest.raises(ConnectionClosed) as closed:
-            socket.recv(timeout=60)
+            socket.recv(timeout=300)
     assert closed.value.rcvd is not None
     assert closed.value.rcvd.code == 1009
 
@@ -154,7 +154,7 @@ def test_the_service_closes_its_streams_as_it_stops(settings: Settings, model: s
         with served(settings) as http:
             socket = stack.enter_context(started(http, model))
         with pytest.raises(ConnectionClosed) as closed:
-            socket.recv(timeout=60)
+            socket.recv(timeout=300)
     assert closed.value.rcvd is not None
     assert closed.value.rcvd.code == 1012
 
