@@ -20,7 +20,7 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import Response
 
 from service.http import errors
-from service.http.dependencies import refuse_unknown_query
+from service.http.dependencies import refuse_foreign_bodies, refuse_unknown_query
 from service.http.faults import Faults
 from service.http.head import Head
 from service.http.limits import BodyLimit
@@ -91,7 +91,7 @@ def create_app(settings: Settings) -> FastAPI:
         )
         app.state.queue = open_queue(connection)
         app.state.large_uploads = asyncio.Semaphore(LARGE_AT_A_TIME)
-        app.state.evaluations = asyncio.Semaphore(LARGE_AT_A_TIME)
+        app.state.calculations = asyncio.Semaphore(LARGE_AT_A_TIME)
         app.state.streams = asyncio.Semaphore(settings.max_streams)
         app.state.engine = Engine(
             app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
@@ -112,7 +112,7 @@ def create_app(settings: Settings) -> FastAPI:
         generate_unique_id_function=_operation_id,
         docs_url=None,
         redoc_url=None,
-        dependencies=[Depends(refuse_unknown_query)],
+        dependencies=[Depends(refuse_foreign_bodies), Depends(refuse_unknown_query)],
     )
     app.state.settings = settings
     for module in RESOURCES:

@@ -12,6 +12,7 @@ from rq import Queue
 from starlette.requests import HTTPConnection
 
 from service.http.errors import of_mistakes
+from service.http.origins import refuse_foreign
 from service.settings import Settings
 from store.database import Store
 from store.mistakes import MOST, Mistake, pointer, unknown
@@ -36,6 +37,12 @@ async def get_queue(request: Request) -> Queue:
     """Return the queue that carries fits."""
     queue: Queue = request.app.state.queue
     return queue
+
+
+async def refuse_foreign_bodies(connection: HTTPConnection) -> None:
+    """Refuse what a script of another web page sends; before a DELETE browsers ask anyway."""
+    if connection.scope.get("method") in ("POST", "PATCH"):
+        refuse_foreign(connection)
 
 
 async def refuse_unknown_query(connection: HTTPConnection) -> None:

@@ -54,7 +54,13 @@ PROBLEMS = {
 }
 
 # What can be wrong with a body that carries arrays.
-BODY_PROBLEMS = ("malformed_body", "body_too_large", "unsupported_media_type", "overloaded")
+BODY_PROBLEMS = (
+    "malformed_body",
+    "origin_not_allowed",
+    "body_too_large",
+    "unsupported_media_type",
+    "overloaded",
+)
 
 
 class FieldError(BaseModel):

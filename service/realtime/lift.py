@@ -155,14 +155,17 @@ def _understand(
 
 
 class DirectRoute(APIRoute):
-    """Calls its endpoint with the request alone where there is no query: half of FastAPI's time."""
+    """Calls its endpoint with the request alone where nothing is to be checked before.
+
+    That saves half of FastAPI's time: where there is no query, and no web page that asks.
+    """
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return the function that answers a request."""
         solve, endpoint = super().get_route_handler(), self.endpoint
 
         async def handle(request: Request) -> Response:
-            if request.scope["query_string"]:
+            if request.scope["query_string"] or "origin" in request.headers:
                 return await solve(request)
             answer: Response = await endpoint(request)
             return answer

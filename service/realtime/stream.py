@@ -4,7 +4,6 @@ import asyncio
 import logging
 from collections import deque
 from contextlib import suppress
-from urllib.parse import urlsplit
 
 import orjson
 from fastapi import APIRouter, WebSocket
@@ -16,6 +15,7 @@ from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift
 from service.http.errors import PROBLEMS, ApiError, FieldError, from_validation, invalid, problems
 from service.http.operations import register
+from service.http.origins import refuse_foreign
 from service.realtime.engine import Engine
 from service.realtime.frames import check_views
 from service.realtime.rooms import Rooms
@@ -107,20 +107,11 @@ async def stream(websocket: WebSocket) -> None:
 
 
 def _refusal(websocket: WebSocket, places: asyncio.Semaphore) -> ApiError | None:
-    """Return why the handshake is refused, if it is.
-
-    Browsers ask nobody before a script of any web page opens a WebSocket, but name its origin;
-    other clients name none.
-    """
-    settings: Settings = websocket.app.state.settings
-    origin = websocket.headers.get("origin")
-    own = origin is None or urlsplit(origin).netloc == websocket.headers.get("host")
-    if not own and not {"*", origin} & {*settings.allowed_origins}:
-        return ApiError(
-            "origin_not_allowed",
-            f"Scripts of {origin!r:.200} may not open streams here; FEWVIEW_CORS_ORIGINS tells "
-            "the origins that may.",
-        )
+    """Return why the handshake is refused, if it is."""
+    try:
+        refuse_foreign(websocket)
+    except ApiError as error:
+        return error
     if places.locked():
         return ApiError(
             "overloaded",

@@ -89,7 +89,7 @@ class EvaluationCreate(BaseModel):
 
 async def take_turn(request: Request, upload: UploadBody) -> AsyncIterator[Upload]:
     """Have a few evaluations at a time: each may hold hundreds of megabytes."""
-    async with request.app.state.evaluations:
+    async with request.app.state.calculations:
         yield upload
 
 

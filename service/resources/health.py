@@ -1,5 +1,6 @@
 """Health: which version is this, is the process up, and can it reach its parts."""
 
+import logging
 import time
 from collections.abc import Callable
 from functools import partial
@@ -18,6 +19,7 @@ from service.http.errors import ApiError, problems
 from store import deployment
 from store.errors import DeploymentError
 
+logger = logging.getLogger(__name__)
 router = APIRouter(tags=["health"])
 
 API_VERSION = 1  # grows when clients must change; what is only added leaves it
@@ -98,9 +100,11 @@ def check_ready(store: StoreDep, queue: QueueDep) -> Readiness:
         try:
             reach()
         except (redis.exceptions.RedisError, SQLAlchemyError, ObjectStoreError, OSError) as error:
-            failures.append((f"/{name}", f"cannot be reached: {error}"[:300]))
+            logger.warning("%s cannot be reached: %s", name, error)
+            failures.append((f"/{name}", "cannot be reached; the log says why"))
         except DeploymentError as error:
-            failures.append((f"/{name}", str(error)[:300]))
+            logger.error("%s", error)
+            failures.append((f"/{name}", "not those of the records; the log says more"))
         else:
             checks[name] = Check(milliseconds=round(1000 * (time.perf_counter() - started), 3))
     if failures:

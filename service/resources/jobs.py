@@ -109,7 +109,7 @@ def add_job_routes(
         name=f"delete_{noun}",
         status_code=status.HTTP_204_NO_CONTENT,
         description=words.delete,
-        responses=problems("not_found", "conflict"),
+        responses=problems("origin_not_allowed", "not_found", "conflict"),
     )
     def delete_job(job: Annotated[Job, found], store: StoreDep) -> None:
         delete(store, job.id)

@@ -1,9 +1,10 @@
 """Models: fitted priors, to read, download, import and delete."""
 
+from collections.abc import AsyncIterator
 from datetime import datetime
 from typing import Annotated, Any, Self
 
-from fastapi import APIRouter, Query, Request, Response, status
+from fastapi import APIRouter, Depends, Query, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import dumped
@@ -238,8 +239,15 @@ def download_weights(model_id: Identifier, store: StoreDep, request: Request) ->
     )
 
 
+async def take_turn(request: Request) -> AsyncIterator[None]:
+    """Have a few networks made at a time, so that threads are left for others."""
+    async with request.app.state.calculations:
+        yield
+
+
 @router.get(
     "/{model_id}/network",
+    dependencies=[Depends(take_turn, scope="function")],
     response_class=Response,
     responses=problems("not_found", "conflict", "range_not_satisfiable")
     | binary_responses("The network as an ONNX file.", OCTETS),

@@ -22,6 +22,18 @@ def test_closed_by_default(api: TestClient) -> None:
     problem(api.options("/datasets", headers=ASKING), 405, "method_not_allowed")
 
 
+def test_a_foreign_page_can_post_nothing(api: TestClient, model: str, unchanged: None) -> None:
+    """Browsers ask nobody before they send a form, or a POST without a body."""
+    form = {"file": ("capture.npz", b"PK")}
+    for origin in (PAGE, "null", "http://[", "http://testserver:81"):
+        asking = {"Origin": origin}
+        for path in ("/datasets", "/models", "/lift", f"/lift?model={model}", "/evaluations"):
+            problem(api.post(path, files=form, headers=asking), 403, "origin_not_allowed")
+        problem(api.post("/fits/fit_none/cancel", headers=asking), 403, "origin_not_allowed")
+    own = api.post("/models", files=form, headers={"Origin": "http://testserver"})
+    problem(own, 400, "malformed_body")
+
+
 @pytest.mark.parametrize(
     ("told", "open_to_all"), [(f"http://localhost:3000, {PAGE}", False), ("*", True)]
 )
