@@ -67,9 +67,9 @@ def find_places(
     chosen = alike.sum(2).argmax(1)  # the first of equals
     each = np.arange(frames)
     trusted = alike[each, chosen]
-    scales = _nanmedian(ratios[each, chosen])
+    scales = row_medians(ratios[each, chosen])
     if lone is None:
-        usual = float(_nanmedian(scales[None])[0])
+        usual = float(row_medians(scales[None])[0])
         lone = usual if np.isfinite(usual) else 1.0
     scales = np.where(np.isnan(scales), lone, scales)
     count = trusted.sum(1).astype(np.float64)
@@ -152,7 +152,7 @@ def _turned_back(turns: Float64, vectors: Float64) -> Float64:
     return np.asarray((vectors[..., None, :] @ turns)[..., 0, :], dtype=np.float64)
 
 
-def _nanmedian(values: Float64) -> Float64:
+def row_medians(values: Float64) -> Float64:
     """Return the medians (N,) of the finite numbers of rows (N, M), NaN where there are none."""
     count = np.isfinite(values).sum(1)
     if not count.any():

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fewview.capture import Float32
 from fewview.errors import FormatError
+from fewview.placing import row_medians
 from fewview.readers.combining import common_numbers
 from fewview.readers.matching import SURE, Track, same_people
 from fewview.readers.views import Int64, View
@@ -255,26 +256,22 @@ def _certainty(
 def follow(view: View) -> list[Followed]:
     """Link the people of each frame to those before them: nearest first, keypoint by keypoint."""
     tracks: list[Followed] = []
+    alive: list[Followed] = []
     present = seen(view) > 0
     for frame, keypoints in enumerate(view.keypoints):
-        free = [int(place) for place in np.flatnonzero(present[frame])]
-        alive = [track for track in tracks if frame - track.frames[-1] <= MEMORY]
-        pairs = sorted(
-            (distance, i, place)
-            for i, track in enumerate(alive)
-            for place in free
-            if (distance := _distance(track, keypoints[place], frame)) is not None
-        )
+        free = dict.fromkeys(np.flatnonzero(present[frame]).tolist())
+        alive = [track for track in alive if frame - track.frames[-1] <= MEMORY]
         taken: set[int] = set()
-        for _, i, place in pairs:
+        for i, place in _near(alive, keypoints, list(free), frame):
             if place in free and i not in taken:
                 taken.add(i)
-                free.remove(place)
+                del free[place]
                 _extend(alive[i], keypoints[place], frame, place)
         for place in free:
             track = Followed(keypoints[place].copy())
             _extend(track, keypoints[place], frame, place)
             tracks.append(track)
+            alive.append(track)
     return tracks
 
 
@@ -285,15 +282,33 @@ def _extend(track: Followed, keypoints: Float32, frame: int, place: int) -> None
     track.places.append(place)
 
 
-def _distance(track: Followed, keypoints: Float32, frame: int) -> float | None:
-    """Return how far off somebody is, in sizes of the body; None if too far."""
-    known = np.isfinite(track.last).all(-1)
-    here = np.isfinite(keypoints).all(-1)
-    both = known & here
-    size = float(np.ptp(track.last[known], axis=0).max()) or 1.0
-    if both.any():
-        gap = float(np.median(np.linalg.norm(track.last[both] - keypoints[both], axis=-1)))
-    else:
-        gap = float(np.linalg.norm(track.last[known].mean(0) - keypoints[here].mean(0)))
-    reach = min(FAR, NEAR + WIDENING * (frame - track.frames[-1] - 1))
-    return gap / size if gap <= reach * size else None
+def _near(
+    tracks: Sequence[Followed], keypoints: Float32, places: Sequence[int], frame: int
+) -> list[tuple[int, int]]:
+    """Return which of T tracks may go on at which of M places of a frame, the nearest first.
+
+    Near is in sizes of the body: the median over the keypoints that both have, else from centre to
+    centre.
+    """
+    if not tracks or not places:
+        return []
+    last = np.stack([track.last for track in tracks])  # (T, P, 2)
+    here = keypoints[places]  # (M, P, 2)
+    sizes = np.fmax.reduce(last, axis=1) - np.fmin.reduce(last, axis=1)
+    size = sizes.max(-1)
+    size[size == 0] = 1
+    apart = np.linalg.norm(last[:, None] - here, axis=-1)  # (T, M, P)
+    gaps = row_medians(apart.reshape(-1, apart.shape[-1])).reshape(apart.shape[:2])
+    for i, m in np.argwhere(np.isnan(gaps)):
+        gaps[i, m] = np.linalg.norm(_centre(last[i]) - _centre(here[m]))
+    lost = np.array([frame - track.frames[-1] - 1 for track in tracks])
+    reach = np.minimum(FAR, NEAR + WIDENING * lost)
+    distances = gaps / size[:, None]
+    pairs = np.argwhere(distances <= reach[:, None])
+    order = np.argsort(distances[tuple(pairs.T)], kind="stable")
+    return [(i, places[m]) for i, m in pairs[order].tolist()]
+
+
+def _centre(keypoints: Float32) -> Float32:
+    centre: Float32 = keypoints[np.isfinite(keypoints).all(-1)].mean(0)
+    return centre
