@@ -23,11 +23,22 @@ class DeploymentError(StoreError):
     """Records and objects do not belong together: nothing may be served or deleted."""
 
 
+KINDS = {"ds": "dataset", "fit": "fit", "mdl": "model", "lift": "lift"}  # by their identifiers
+
+
 class NotFoundError(StoreError):
     """No record of this kind has this identifier."""
 
     def __init__(self, kind: str, identifier: str) -> None:
-        super().__init__(f"There is no {kind} {identifier!r}; it may have been deleted.")
+        other = KINDS.get(identifier.partition("_")[0])
+        begin = next((f"{prefix}_" for prefix, known in KINDS.items() if known == kind), "")
+        if other == kind:
+            why = "it may have been deleted"
+        elif other is not None:
+            why = f"this is the identifier of a {other}"
+        else:
+            why = f"identifiers begin with {begin}"
+        super().__init__(f"There is no {kind} {identifier!r}; {why}.")
         self.kind = kind
         self.identifier = identifier
 

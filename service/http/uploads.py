@@ -94,10 +94,13 @@ class Upload:
         except ValidationError as error:
             raise from_validation(error, model) from error
 
-    def form(self, model: type[Body], extra: dict[str, Any]) -> Body:
+    def form(
+        self, model: type[Body], extra: dict[str, Any], kind: type[BaseModel] | None = None
+    ) -> Body:
         """Return the form's text fields as ``model``, with ``extra`` where they are silent.
 
-        A field that is not a plain string in ``model`` is read as JSON.
+        A field that is not a plain string in ``model`` is read as JSON. One that is not known is
+        answered with those of ``kind``, which may be more than the model's.
         """
         values = dict(extra)
         for name, text in self.fields.items():
@@ -109,7 +112,7 @@ class Upload:
         try:
             return model.model_validate(values)
         except ValidationError as error:
-            raise from_validation(error, model) from error
+            raise from_validation(error, kind or model) from error
 
 
 async def read_upload(request: Request) -> AsyncIterator[Upload]:
@@ -166,10 +169,11 @@ async def read_body(request: Request, *, max_files: int = 1) -> Upload:
                     "safetensors or npz (application/octet-stream), or the frames in parts.",
                 )
         return Upload(b"".join(pieces), is_json=True)
+    hint = HOW_TO_SEND_FILES if max_files > 1 else "JSON: curl -H 'Content-Type: application/json'"
     raise ApiError(
         "unsupported_media_type",
         f"expected Content-Type application/json, application/octet-stream (npz or safetensors) "
-        f"or multipart/form-data, got {media_type or 'none'!r}. {HOW_TO_SEND_FILES}",
+        f"or multipart/form-data, got {media_type or 'none'!r}. {hint}",
     )
 
 

@@ -148,7 +148,7 @@ def read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capt
     said: dict[str, Any] = {"name": name} if name is not None else {}
     reading, upload = asked_of(upload)
     if upload.files and (reading or not holds_arrays(upload)):
-        known = upload.form(DatasetDescription, said)
+        known = upload.form(DatasetDescription, said, DatasetForm)
         found, told, notes = read_files(
             upload, reading, settings, fps=known.fps, image_sizes=known.image_sizes
         )
@@ -158,7 +158,7 @@ def read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capt
         said |= _described_in(found)
         notes = []
     capture = _capture_in(found, settings, notes)
-    description = upload.form(DatasetDescription, said).describe(capture)
+    description = upload.form(DatasetDescription, said, DatasetForm).describe(capture)
     return capture, replace(description, notes=notes)
 
 

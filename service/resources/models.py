@@ -188,7 +188,8 @@ def get_model_cameras(
         Query(
             description="`json`, or the calibration file of another tool: `anipose` (TOML), "
             "`opencv` (YAML) or `colmap` (its text files in a zip). Cameras that move have no "
-            "pose there. Anipose and COLMAP need the dataset's image sizes."
+            "pose there. They are called as the dataset's views. Anipose and COLMAP need its image "
+            "sizes."
         ),
     ] = "json",
 ) -> Response | ModelCameras:
@@ -200,7 +201,7 @@ def get_model_cameras(
     if format == "json":
         return cameras
     try:
-        file = calibration_file(cameras, format, _image_sizes(store, model_id))
+        file = calibration_file(cameras, format, *_names_and_sizes(store, model_id))
     except ValueError as error:
         raise ApiError("conflict", f"{error}; format=json says all that is known") from error
     return bytes_response(
@@ -208,14 +209,19 @@ def get_model_cameras(
     )
 
 
-def _image_sizes(store: Store, model_id: str) -> list[tuple[int, int] | None] | None:
-    """Return (width, height) of the views, None where the dataset does not say or is gone."""
+def _names_and_sizes(
+    store: Store, model_id: str
+) -> tuple[list[str] | None, list[tuple[int, int] | None] | None]:
+    """Return names and (width, height) of the views, None where no dataset says them."""
     dataset_id = lookup.get(store, records.Model, model_id).dataset_id
+    if dataset_id is None:
+        return None, None
     try:
-        sizes = dataset_id and lookup.get(store, records.Dataset, dataset_id).image_sizes
+        dataset = lookup.get(store, records.Dataset, dataset_id)
     except NotFoundError:
-        return None
-    return [None if size is None else (size[0], size[1]) for size in sizes] if sizes else None
+        return None, None
+    sizes = [None if size is None else (size[0], size[1]) for size in dataset.image_sizes or ()]
+    return dataset.view_names or None, sizes or None
 
 
 @router.get(

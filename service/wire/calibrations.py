@@ -1,6 +1,7 @@
 """The cameras of a model as calibration files of other tools."""
 
 import io
+import re
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -40,12 +41,17 @@ class CalibrationFile(NamedTuple):
 
 
 def calibration_file(
-    cameras: ModelCameras, format: str, sizes: Sequence[Size | None] | None
+    cameras: ModelCameras,
+    format: str,
+    names: Sequence[str] | None,
+    sizes: Sequence[Size | None] | None,
 ) -> CalibrationFile:
     """Return the cameras as a file; COLMAP's three text files are in a zip.
 
     Parameters
     ----------
+    names
+        Of the views; None, or some that are alike, for view0, view1, ...
     sizes
         (width, height) of each view in pixels, None where unknown.
 
@@ -59,7 +65,11 @@ def calibration_file(
     kind = KINDS[format]
     with TemporaryDirectory() as folder:
         target = Path(folder, "colmap" if format == "colmap" else kind.filename)
-        found = from_model(cameras.model_dump(mode="json"), sizes=sizes)
+        if names and len(set(names)) < len(names):
+            names = None
+        if names and format == "colmap":  # which knows no blanks
+            names = [re.sub(r"\s", "_", name) for name in names]
+        found = from_model(cameras.model_dump(mode="json"), names, sizes)
         write_cameras(target, found, format)
         content = _zipped(target) if format == "colmap" else target.read_bytes()
     return CalibrationFile(content, kind.filename, kind.media_type)

@@ -86,7 +86,11 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
         assert said(again)[field] == stored.raw[field]
     weights = str(out / "copy.safetensors")
     assert said(fewview("models", "download", model, "-o", weights, "--json", url))
-    assert served.client.models.upload(weights).name == "walk"
+    uploaded = fewview("models", "upload", weights, "--tag=copy", url).stdout.strip()
+    copy = served.client.models.get(uploaded)
+    assert (copy.name, copy.tags) == ("walk", ("copy",))
+    lost = refused(fewview("models", "upload", str(out / "lost.safetensors"), url), 2)
+    assert "lost.safetensors: No such file" in lost
 
     for kind, identifier in (("datasets", dataset), ("models", model)):
         listed = fewview(kind, "list", url).stdout
@@ -138,7 +142,7 @@ def test_a_fit_is_told_a_calibration_file(served: Served, tmp_path: Path) -> Non
     entries = [by_hand | {"translation": [view, 0, 4]} for view in range(3)]
     made = [
         served.client.fits.create(served.dataset, calibration=told, steps=100_000).raw
-        for told in (entries, file, cameras, str(file))
+        for told in ([e | {"rotation": turn} for e in entries], file, cameras, str(file))
     ]
     words = ("fit", served.dataset.id, *more)
     made.append(said(fewview(*words, str(file))))

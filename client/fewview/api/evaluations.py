@@ -1,18 +1,15 @@
 """Evaluations: structures and cameras against a truth, computed by the service."""
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fewview.api.forms import Dataset, Fit
+from fewview.api.calibrations import Calibration, told
+from fewview.api.forms import Dataset, Fit, form_in
 from fewview.api.lifting import identifier
 from fewview.api.operations import Driver, Resource, operation
-from fewview.api.steps import Request, Steps
-from fewview.calibration import Camera, as_config
-
-Calibration = Sequence[Camera | Mapping[str, Any] | None]
+from fewview.api.steps import Request, Steps, path
 
 
 class Evaluations(Resource[Driver]):
@@ -28,7 +25,10 @@ class Evaluations(Resource[Driver]):
         dataset: Dataset | str | None = None,
         truth: ArrayLike | None = None,
         calibration: Calibration | None = None,
-        **options: Any,
+        frame: str | None = None,
+        reach: float | None = None,
+        mirrored_too: bool = False,
+        triangulate: str | None = None,
     ) -> Steps[dict[str, Any]]:
         """Measure a fit's structures, or others, and return the figures as the API words them.
 
@@ -39,27 +39,36 @@ class Evaluations(Resource[Driver]):
         dataset
             One with a ground truth; None: that of the fit.
         calibration
-            True cameras of the views, as :func:`fewview.calibration.read_cameras` gives them.
-        options
-            ``frame``, ``reach``, ``mirrored_too``, ``triangulate``: as in the API.
+            True cameras of the fit's views: a file or a list, as :meth:`Fits.create` takes it.
+        frame, reach, mirrored_too, triangulate
+            As in the API.
 
         Raises
         ------
         InvalidRequest
             These cannot be compared; ``errors`` say why.
         """
+        if calibration is not None and fit is not None:
+            of = yield from self._call(Request("GET", path("fits", identifier(fit)), form_in(Fit)))
+            calibration = yield from told(self._call, calibration, of.dataset_id)
         said = {
             "fit_id": None if fit is None else identifier(fit),
             "dataset_id": None if dataset is None else identifier(dataset),
             "points": None if points is None else _listed(points),
             "truth": None if truth is None else _listed(truth),
-            "calibration": calibration
-            and [as_config(view) if isinstance(view, Camera) else view for view in calibration],
-            **options,
+            "calibration": calibration,
+            "frame": frame,
+            "reach": reach,
+            "mirrored_too": mirrored_too,
+            "triangulate": triangulate,
         }
         body = {key: value for key, value in said.items() if value is not None}
-        return self._call(
-            Request("POST", "/evaluations", lambda told: dict(told.json()), body={"json": body})
+        return (
+            yield from self._call(
+                Request(
+                    "POST", "/evaluations", lambda answer: dict(answer.json()), body={"json": body}
+                )
+            )
         )
 
 

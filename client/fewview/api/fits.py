@@ -1,21 +1,18 @@
 """Fits: jobs that turn a dataset into a model."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from os import PathLike
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from numpy.typing import ArrayLike
 
 from fewview.api.arrays import SAFETENSORS
+from fewview.api.calibrations import Calibration, told
 from fewview.api.forms import Dataset, Fit, Model, form_in
 from fewview.api.jobs import Jobs
 from fewview.api.lifting import Lift, identifier, room_query
 from fewview.api.operations import Driver, operation
 from fewview.api.steps import Request, Steps, once, path
 from fewview.api.stored import labels
-from fewview.calibration import Camera, as_config, read_for_views
-
-Calibration = str | PathLike[str] | Sequence[Camera | Mapping[str, Any] | None]
 
 
 class Fits(Jobs[Driver, Fit]):
@@ -63,15 +60,9 @@ class Fits(Jobs[Driver, Fit]):
         TooManyRequests
             Too many fits wait.
         """
-        if isinstance(calibration, str | PathLike):
-            where = path("datasets", identifier(dataset))
-            stored = yield from self._call(Request("GET", where, form_in(Dataset)))
-            calibration, _ = read_for_views(calibration, stored.view_names, stored.views)
         if calibration is not None:
-            config["calibration"] = [
-                as_config(camera) if isinstance(camera, Camera) else camera
-                for camera in calibration
-            ]
+            known = yield from told(self._call, calibration, identifier(dataset))
+            config["calibration"] = known
         said = labels(tags, metadata) | {
             "dataset_id": identifier(dataset),
             "name": name,

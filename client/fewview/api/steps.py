@@ -5,6 +5,7 @@ An operation is a generator. It yields a step, gets back what came of it, and re
 itself, so that the same code serves clients that block and clients that await.
 """
 
+import json
 import uuid
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from typing import Any, Generic, TypeVar
 from urllib.parse import quote
 
 import httpx2
+import numpy as np
 
 T = TypeVar("T")
 
@@ -32,7 +34,8 @@ class Request(Generic[T]):
     params
         The query; None is left out, a tuple is repeated, moments are written as ISO 8601.
     body
-        ``json``, ``content``, or ``files`` and ``data``, as httpx2 takes them.
+        ``json``, ``content``, or ``files`` and ``data``, as httpx2 takes them; arrays of NumPy in
+        ``json`` are lists.
     read
         Makes the result of a successful response.
     """
@@ -51,9 +54,17 @@ class Request(Generic[T]):
             for name, value in self.params.items()
             if value is not None
         }
-        return http.build_request(
-            self.method, self.path, params=params, headers=self.headers, **self.body
-        )
+        headers, body = dict(self.headers), dict(self.body)
+        if "json" in body:
+            body["content"] = json.dumps(body.pop("json"), default=_plain, allow_nan=False)
+            headers["Content-Type"] = "application/json"
+        return http.build_request(self.method, self.path, params=params, headers=headers, **body)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"expected what JSON can say, got {type(value).__name__}")
 
 
 @dataclass(frozen=True)

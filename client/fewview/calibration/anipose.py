@@ -75,7 +75,10 @@ def write(path: Path, cameras: Sequence[Camera]) -> None:
         if camera.vector is None or camera.translation is None:
             raise FormatError(f"camera {camera.name!r} has no pose, which this format needs")
         if camera.size is None:
-            raise FormatError(f"camera {camera.name!r} has no image size, which this format needs")
+            raise FormatError(
+                f"camera {camera.name!r} has no image size, which this format needs: "
+                "tell it with the capture (image_sizes, --image-size)"
+            )
         values = {
             "name": camera.name,
             "size": list(camera.size),

@@ -129,7 +129,10 @@ def write(path: Path, cameras: Sequence[Camera]) -> None:
 def _model(camera: Camera) -> str:
     """Return MODEL, WIDTH, HEIGHT and PARAMS, of the least model that says all."""
     if camera.size is None:
-        raise FormatError(f"camera {camera.name!r} has no image size, which COLMAP needs")
+        raise FormatError(
+            f"camera {camera.name!r} has no image size, which COLMAP needs: tell it with "
+            "the capture (image_sizes, --image-size)"
+        )
     if camera.matrix[0, 1]:
         raise FormatError(f"camera {camera.name!r} has skew, which COLMAP's models have not")
     (fx, _, cx), (_, fy, cy) = camera.matrix[:2]

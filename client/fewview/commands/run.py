@@ -23,7 +23,7 @@ from fewview.commands.export import (
 from fewview.commands.export import in_words as told_in_words
 from fewview.commands.fit import CalibrationFile
 from fewview.commands.reading import Files, Options, reading_files
-from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, fields_in
+from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, fields_in, in_short
 
 if TYPE_CHECKING:
     from fewview.animation import Unit
@@ -71,12 +71,17 @@ def run(
         if calibration is not None:
             cameras, note = read_for_views(calibration, capture.view_names, capture.views)
             told["calibration"] = [as_config(camera) for camera in cameras]
-            capture = replace(capture, notes=(*capture.notes, note))
+            sizes = capture.image_sizes or tuple(camera.size for camera in cameras)
+            capture = replace(
+                capture,
+                image_sizes=sizes if any(sizes) else None,
+                notes=(*capture.notes, note),
+            )
         check_height(height, capture.keypoint_names, told)
         chosen = formats_in(formats)
         output.mkdir(parents=True, exist_ok=True)
     except (FewviewError, ValueError, OSError) as error:
-        _end(str(error), WRONGLY_ASKED)
+        _end(in_short(error), WRONGLY_ASKED)
     if not as_json:
         typer.echo(in_words(summary(capture)))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the service is stopped then, too
@@ -84,7 +89,7 @@ def run(
         unit = unit or (None if known_length is None else "m")
         done = _run(capture, output, url, told, chosen, unit, height, quiet=as_json)
     except (FewviewError, OSError, ValueError) as error:
-        _end(str(error), WRONGLY_ASKED if isinstance(error, InvalidRequest) else FAILED)
+        _end(in_short(error), WRONGLY_ASKED if isinstance(error, InvalidRequest) else FAILED)
     except KeyboardInterrupt:
         _end("stopped; the same command goes on where it was", INTERRUPTED)
     understood = {"understood": summary(capture)}
@@ -138,6 +143,8 @@ def _config(texts: list[str], known_length: str | None) -> dict[str, Any]:
         try:
             first, second, metres = parts
             length = float(metres)
+            if not length > 0:
+                raise ValueError
         except ValueError as error:
             raise ValueError(
                 f"--known-length {known_length}: expected FIRST,SECOND,METRES, such as "
@@ -166,5 +173,5 @@ def _check_keypoints(pair: Sequence[int | str], capture: "Capture") -> None:
 
 
 def _end(message: str, status: int) -> NoReturn:
-    typer.echo(f"fewview run: {' '.join(message.split())}", err=True)
+    typer.echo(f"fewview run: {message}", err=True)
     sys.exit(status)

@@ -60,7 +60,25 @@ def commands_of(kind: str) -> typer.Typer:
     _add_list(app, kind)
     _add_commands_on_one(app, kind)
     _add_delete(app, kind)
+    if kind == "models":
+        app.command()(upload)
     return app
+
+
+def upload(
+    file: Annotated[Path, typer.Argument(help="A file that `download`, `export` or `run` wrote.")],
+    *,
+    name: Annotated[str | None, typer.Option(help="Of the model; else that in the file.")] = None,
+    tag: Tags = None,
+    metadata: Metadata = None,
+    url: Url = None,
+    as_json: AsJson = False,
+) -> None:
+    """Store a model from a file; says its id."""
+    with talking(url) as client:
+        said = fields_in(metadata, "--metadata")
+        made = client.models.upload(file, name=name, tags=tag or (), metadata=said)
+        say(made.raw, made.id, as_json=as_json)
 
 
 def _status_of(kind: str) -> Any:

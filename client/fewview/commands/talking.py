@@ -42,11 +42,18 @@ def talking(url: str | None) -> Iterator["Client"]:
             yield client
     except (FewviewError, ValueError, OSError) as error:
         status = WRONGLY_ASKED if isinstance(error, ASKED_WRONGLY) else FAILED
-        typer.echo(f"fewview: {' '.join(str(error).split())}", err=True)
+        typer.echo(f"fewview: {in_short(error)}", err=True)
         raise typer.Exit(status) from None
     except KeyboardInterrupt:
         typer.echo("fewview: interrupted; what the service was asked for goes on", err=True)
         raise typer.Exit(INTERRUPTED) from None
+
+
+def in_short(error: Exception) -> str:
+    """Return what went wrong in one line; of a file, which one."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())
 
 
 def capture_in(files: Sequence[Path], reading: "ReadingOptions") -> "Capture":

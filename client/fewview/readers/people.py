@@ -106,7 +106,8 @@ def _by_name(views: Sequence[View], person: Person) -> tuple[list[View], list[st
     elif str(person).isdigit() and int(person) < len(names):
         name = names[int(person)]
     else:
-        raise FormatError(f"there is no person {person!r}; there are {', '.join(names) or 'none'}")
+        there = f"there are {', '.join(names)}" if any(names) else "there is one, without a name"
+        raise FormatError(f"there is no person {person!r}; {there}")
     share = totals[name] / max(sum(totals.values()), 1e-9)
     notes = []
     if len(names) > 1:

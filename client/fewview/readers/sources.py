@@ -88,7 +88,7 @@ class Source:
             with h5py.File(self.path, "r") as file:
                 return {name: "pandas_type" in file[name].attrs for name in file}
         except (OSError, KeyError, RuntimeError) as error:
-            raise FormatError(f"{self}: a broken HDF5 file ({error})") from error
+            raise FormatError(f"{self}: no HDF5 file, or a broken one ({error})") from error
 
     @cached_property
     def lines(self) -> list[str]:

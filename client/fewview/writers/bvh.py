@@ -86,6 +86,9 @@ def filled(points: Float64, parents: dict[int, int | None]) -> Float64:
 def _parents(animation: Animation) -> dict[int, int | None]:
     """Return the parent of every keypoint, each after its parent, the root first.
 
+    Of edges that close a circle, such as both hips to the pelvis and to each other, the last is
+    left out.
+
     The root is a hip by its name, or else the middle of the tree.
     """
     names, count = animation.names, animation.points.shape[1]
@@ -93,10 +96,7 @@ def _parents(animation: Animation) -> dict[int, int | None]:
     pieces = list(range(count))  # which keypoints hang together so far
     for first, second in dict.fromkeys((min(edge), max(edge)) for edge in animation.edges):
         if pieces[first] == pieces[second]:
-            raise FormatError(
-                f"BVH needs edges that form a tree: {names[first]} and {names[second]} close a "
-                "circle; leave that edge out"
-            )
+            continue  # it closes a circle, and those before it join the same keypoints
         joined, taken = pieces[first], pieces[second]
         pieces = [joined if piece == taken else piece for piece in pieces]
         near[first].append(second)

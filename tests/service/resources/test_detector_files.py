@@ -100,7 +100,8 @@ def test_how_they_are_read_is_said_in_the_form(api: TestClient, tables: Parts) -
     answer = api.post("/datasets", files=tables, data={"skeleton": "cat"})
     assert "there is no skeleton 'cat'; there are coco-17" in refused(answer)
     answer = api.post("/datasets", files=tables, data={"min_confidense": "0.1"})
-    problem(answer, 422, "invalid_input", "/min_confidense")
+    said = problem(answer, 422, "invalid_input", "/min_confidense")
+    assert "did you mean 'min_confidence'" in said
 
 
 def test_a_zip_file_is_a_folder_of_frames(api: TestClient) -> None:

@@ -1,10 +1,12 @@
 """POST /evaluations: figures of structures and cameras that are known beforehand."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from fewview import Client
+from fewview.calibration import Camera, write_cameras
 from fewview.evaluation import evaluate
 from starlette.testclient import TestClient
 
@@ -93,7 +95,7 @@ def test_known_cameras_triangulate_beside_it(api: TestClient) -> None:
 
 
 def test_a_fit_is_measured_against_its_dataset(
-    live: Live, fitted: dict[str, Any], capture: SyntheticCapture
+    live: Live, fitted: dict[str, Any], capture: SyntheticCapture, tmp_path: Path
 ) -> None:
     model = live.get(f"/models/{fitted['model_id']}")
     told = figures(live.http, fit_id=fitted["id"], mirrored_too=True, reach=0.2)
@@ -104,6 +106,14 @@ def test_a_fit_is_measured_against_its_dataset(
     lens = {"intrinsics": {"fx": 1000.0, "cx": 640.0, "cy": 512.0}}
     with Client(live.url) as client:
         compared = client.evaluations.create(fitted["id"], calibration=[lens] * 3)["cameras"]
+        file = write_cameras(
+            tmp_path / "rig.yml",
+            [
+                Camera(f"c{v}", np.array([[1000, 0, 640], [0, 1000, 512], [0, 0, 1]]))
+                for v in range(3)
+            ],
+        )
+        by_file = client.evaluations.create(fitted["id"], calibration=file)["cameras"]
         points = client.fits.reconstruction(fitted["id"]).points3d.copy()
         points[3, 2] = np.nan
         sent = client.evaluations.create(points=points, truth=capture.points3d)
@@ -111,6 +121,7 @@ def test_a_fit_is_measured_against_its_dataset(
     for view, camera in zip(found, compared, strict=True):
         assert camera["focal"] == pytest.approx([focal / 10 - 100 for focal in view["focal"]])
         assert camera["rotation"] is None
+    assert by_file == compared
     assert sent["per_keypoint"] == pytest.approx(told["per_keypoint"], rel=0.2)
     other = synthetic_capture(frames=4, views=3, seed=8)
     wrong = {"fit_id": fitted["id"], "truth": other.points3d.tolist()}

@@ -306,6 +306,10 @@ def test_a_model_that_no_fit_of_the_dataset_can_start_from_is_named(
     before = api.get("/fits?limit=200").json()
     body = {"dataset_id": make_dataset(api)["id"], "from_model": model}
     problem(api.post("/fits", json=body | {"from_model": "mdl_gone"}), 404, "not_found")
+    other = api.post("/fits", json=body | {"dataset_id": "mdl_gone"})
+    assert "of a model" in problem(other, 404, "not_found")
+    other = api.post("/fits", json=body | {"dataset_id": "walk.csv"})
+    assert "begin with ds_" in problem(other, 404, "not_found")
     problem(api.post("/fits", json=body | {"from_model": 7}), 422, "invalid_input", "/from_model")
     frames = {"keypoints": np.ones((2, 2, 9, 2)).tolist()}
     other = api.post("/datasets", json=frames).json()["id"]

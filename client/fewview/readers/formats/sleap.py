@@ -132,7 +132,7 @@ def _opened(source: Source) -> Any:
     try:
         return h5py.File(source.path, "r")
     except OSError as error:
-        raise FormatError(f"{source}: a broken HDF5 file ({error})") from error
+        raise FormatError(f"{source}: no HDF5 file, or a broken one ({error})") from error
 
 
 def _texts(dataset: Any) -> list[str]:
