@@ -12,6 +12,7 @@ from redis.backoff import ExponentialWithJitterBackoff
 from redis.exceptions import RedisError
 from redis.retry import Retry
 from rq import Queue
+from rq.exceptions import NoSuchJobError
 from rq.job import Job
 
 from models.settings.config import FitConfig, Index, Refine
@@ -66,12 +67,30 @@ class _PlainDataUnpickler(pickle.Unpickler):
 
 
 class KnownJob(Job):
-    """A job that may call the functions named here and nothing else: no others, no callbacks."""
+    """A job that may call the functions named here and nothing else.
+
+    It runs no callback, calls no webhook, and whatever a producer wrote can be read: what makes no
+    sense becomes a job that asks for nothing, which is refused as others are.
+    """
 
     success_callback = failure_callback = stopped_callback = None
+    unreadable: str | None = None
+
+    def restore(self, raw_data: Any) -> None:
+        """Take over what Redis holds of the job."""
+        try:
+            super().restore(raw_data)
+        except NoSuchJobError:
+            raise
+        except Exception as error:  # noqa: BLE001 (any, for anyone may have written it)
+            super().restore({b"data": b"", b"origin": QUEUE.encode()})
+            self.unreadable = f"This job cannot be read: {error}"
+        self.webhooks = []
 
     def check_function(self) -> None:
-        """Raise ``ValueError`` if the job asks for another function."""
+        """Raise ``ValueError`` if the job asks for another function, or cannot be read."""
+        if self.unreadable is not None:
+            raise ValueError(self.unreadable)
         if self.func_name not in (FIT_JOB, LIFT_JOB, HELP_JOB) or self.instance is not None:
             raise ValueError(
                 f"This queue runs {FIT_JOB!r} and {LIFT_JOB!r} only, not {self.func_name!r}."

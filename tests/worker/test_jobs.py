@@ -1,6 +1,9 @@
 """The queue's contract, as any RQ producer meets it."""
 
+import threading
 from datetime import UTC, datetime
+from functools import partial
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +11,9 @@ import numpy as np
 import pytest
 from redis import Redis
 from rq import Callback, Queue
+from rq.job import Job
 from rq.serializers import JSONSerializer
+from rq.webhook import Webhook
 from safetensors.numpy import load
 
 from models.capture.metrics import pa_mpjpe, pck
@@ -188,54 +193,116 @@ def test_a_fit_whose_model_was_deleted_since_says_so(
     assert source in error["message"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        ({"from_model": "mdl_gone"}, "model_not_found", "mdl_gone"),
-        ({"from_model": 7}, "invalid_arguments", "from_model"),
-        ({"config": {"budget_s": 0}}, "invalid_arguments", "budget_s"),
-        ({"dataset_id": "ds_gone"}, "dataset_not_found", "ds_gone"),
-        ({"dataset_id": 7}, "invalid_arguments", "dataset_id: Input should be a valid string"),
-        ({"config": {"steps": 0}}, "invalid_arguments", "steps"),
-        (
-            {"config": {"stepz": 5}},
-            "invalid_arguments",
-            "config/stepz: unknown field: did you mean 'steps'?",
-        ),
-        ({"config": {"calibration": [None]}}, "invalid_arguments", "expected 3, got 1"),
-        ({"config": {"handedness": [0, 1, 2, 16]}}, "invalid_arguments", "keypoints below 16"),
-        (
-            {"config": {"handedness": ["nose", 0, 1, 2]}},
-            "invalid_arguments",
-            "keypoints of this dataset have no names",
-        ),
-        ({"tags": ["a "]}, "invalid_arguments", "tags/0: expected printable text"),
-        ({"wrong": 1}, "invalid_arguments", "wrong: unknown field: expected some of dataset_id"),
-        ({"name": datetime(2026, 1, 1, tzinfo=UTC)}, "invalid_arguments", "datetime"),
-    ],
-)
-def test_a_job_that_can_never_run_says_why(
+NEVER_RUN: list[tuple[dict[str, object], str, str]] = [
+    ({"from_model": "mdl_gone"}, "model_not_found", "mdl_gone"),
+    ({"from_model": 7}, "invalid_arguments", "from_model"),
+    ({"config": {"budget_s": 0}}, "invalid_arguments", "budget_s"),
+    ({"dataset_id": "ds_gone"}, "dataset_not_found", "ds_gone"),
+    ({"dataset_id": 7}, "invalid_arguments", "dataset_id: Input should be a valid string"),
+    ({"config": {"steps": 0}}, "invalid_arguments", "steps"),
+    (
+        {"config": {"stepz": 5}},
+        "invalid_arguments",
+        "config/stepz: unknown field: did you mean 'steps'?",
+    ),
+    ({"config": {"calibration": [None]}}, "invalid_arguments", "expected 3, got 1"),
+    ({"config": {"handedness": [0, 1, 2, 16]}}, "invalid_arguments", "keypoints below 16"),
+    (
+        {"config": {"handedness": ["nose", 0, 1, 2]}},
+        "invalid_arguments",
+        "keypoints of this dataset have no names",
+    ),
+    ({"tags": ["a "]}, "invalid_arguments", "tags/0: expected printable text"),
+    ({"wrong": 1}, "invalid_arguments", "wrong: unknown field: expected some of dataset_id"),
+    ({"name": datetime(2026, 1, 1, tzinfo=UTC)}, "invalid_arguments", "datetime"),
+]
+
+
+def has_failed(job: Job) -> bool:
+    return bool(job.is_failed)
+
+
+def test_jobs_that_can_never_run_say_why(
     store: Store,
     redis: Redis,
     dataset_id: str,
     start_worker: StartWorker,
-    arguments: dict[str, object],
-    code: str,
-    message: str,
+    subtests: pytest.Subtests,
 ) -> None:
     queue = Queue("fits", connection=redis)
-    job = queue.enqueue("worker.jobs.fit", **{"dataset_id": dataset_id, **arguments})
-    start_worker()
-    wait_for(lambda: bool(job.is_failed), "the job to fail")
-    record = jobs.by_job(store, FitJob, job.id)
+    asked = [
+        queue.enqueue("worker.jobs.fit", **{"dataset_id": dataset_id, **arguments})
+        for arguments, _, _ in NEVER_RUN
+    ]
+    start_worker()  # one for all: the next job is taken whatever became of the one before
+    for job, (arguments, code, message) in zip(asked, NEVER_RUN, strict=True):
+        with subtests.test(arguments=arguments):
+            wait_for(partial(has_failed, job), "the job to fail")
+            record = jobs.by_job(store, FitJob, job.id)
+            assert record is not None
+            assert record.error is not None
+            assert record.status == "failed"
+            assert record.error["code"] == code
+            assert message in record.error["message"]
+            assert "pydantic" not in record.error["message"]
+            (result,) = job.results()
+            assert result.exc_string == f"RuntimeError: {code}: {record.error['message']}"
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("status", "bogus"),
+        ("created_at", "yesterday"),
+        ("timeout", "1 sigh"),
+        ("data", b"\x80\xff"),
+    ],
+)
+def test_a_job_that_cannot_be_read_stops_no_worker(
+    store: Store,
+    redis: Redis,
+    dataset_id: str,
+    start_worker: StartWorker,
+    field: str,
+    value: str | bytes,
+) -> None:
+    queue = Queue("fits", connection=redis)
+    unreadable = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id)
+    redis.hset(unreadable.key, field, value)
+    good = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=BRIEF)
+    worker = start_worker()
+    wait_for(lambda: bool(good.is_finished), "the job behind it to succeed")
+    assert worker.poll() is None
+    record = jobs.by_job(store, FitJob, unreadable.id)
     assert record is not None
-    assert record.error is not None
     assert record.status == "failed"
-    assert record.error["code"] == code
-    assert message in record.error["message"]
-    assert "pydantic" not in record.error["message"]
-    (result,) = job.results()
-    assert result.exc_string == f"RuntimeError: {code}: {record.error['message']}"
+    assert record.error is not None
+    assert record.error["code"] == "invalid_arguments"
+    assert "cannot be read" in record.error["message"] or field == "data"
+
+
+def test_no_worker_calls_a_webhook(
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
+) -> None:
+    called = threading.Event()
+
+    class Receiver(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            called.set()
+            self.send_response(204)
+            self.end_headers()
+
+    with HTTPServer(("127.0.0.1", 0), Receiver) as receiver:
+        threading.Thread(target=receiver.serve_forever, daemon=True).start()
+        webhooks = [Webhook(f"http://127.0.0.1:{receiver.server_port}/", "finished", method="POST")]
+        queue = Queue("fits", connection=redis)
+        job = queue.enqueue(
+            "worker.jobs.fit", dataset_id=dataset_id, config=BRIEF, webhooks=webhooks
+        )
+        start_worker()
+        wait_for(lambda: bool(job.is_finished), "the job to succeed")
+        assert not called.wait(0.5)
+        receiver.shutdown()
 
 
 class Bomb:
