@@ -9,6 +9,7 @@ Only the attempt that holds the lease may write; terminal states are never left.
 work to workers and nothing more: what it says of a job is never asked.
 """
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,6 +28,8 @@ from store.labels import Labels
 from store.lookup import lock
 from store.mistakes import unknown
 from store.records import Dataset, FitJob, LiftJob, Model
+
+PROMPT_SECONDS = 1.0  # records that take longer are not as they should be
 
 
 def create(
@@ -184,22 +187,29 @@ def cancel(store: Store, fit_id: str) -> FitJob:
     return fit
 
 
-def recover(store: Store) -> list[FitJob]:
+def recover(store: Store, *, expired: bool = True) -> list[FitJob]:
     """Deal with fits whose attempt died; return all queued fits, oldest first.
 
     A fit whose lease ran out is queued again, or cancelled if that was asked, or failed if it has
     taken down too many workers.
+
+    Parameters
+    ----------
+    expired
+        Whether a lease that ran out tells a death. It does not where the records were away until
+        just now: nobody could keep a lease.
     """
     lost = (FitJob.status == "running") & (FitJob.lease_expires_at < clock.now())
     queued = select(FitJob).where(FitJob.status == "queued").order_by(FitJob.id)
     with store.reading() as session:  # the common case takes no write lock
         any_lost = session.scalar(select(FitJob.id).where(lost).limit(1)) is not None
     if any_lost:
-        with store.writing() as session:
+        asked_at = time.monotonic()
+        with store.writing() as session:  # who holds a lease may have to wait as long as this
+            counts = expired and time.monotonic() - asked_at < PROMPT_SECONDS
             now = clock.read(session)
-            for fit in session.scalars(
-                select(FitJob).where(lost).with_for_update(skip_locked=True)
-            ):
+            dead = select(FitJob).where(lost).with_for_update(skip_locked=True)
+            for fit in session.scalars(dead) if counts else ():
                 lose(
                     session,
                     fit,
@@ -215,9 +225,13 @@ def recover(store: Store) -> list[FitJob]:
 def lose(session: Session, fit: FitJob, now: float, code: str, why: str) -> None:
     """Queue a fit again whose attempt died or met an error; cancel it if that was asked.
 
-    One that has had too many such attempts fails, with ``code`` and with ``why`` in its message.
+    One that has had too many such attempts, none of which got further than the one before, fails,
+    with ``code`` and with ``why`` in its message.
     """
-    fit.crashes += 1
+    step = (fit.progress or {}).get("step", 0)
+    got_further = fit.crashed_at_step is not None and step > fit.crashed_at_step
+    fit.crashes = 1 if got_further else fit.crashes + 1
+    fit.crashed_at_step = step
     fit.revision += 1
     fit.lease_expires_at = None
     if fit.cancel_requested_at is not None:

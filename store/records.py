@@ -101,7 +101,8 @@ class FitJob(Job, Record):
     progress: Mapped[dict[str, Any] | None]
     cancel_requested_at: Mapped[float | None]
     attempt: Mapped[int] = mapped_column(default=0)
-    crashes: Mapped[int] = mapped_column(default=0)
+    crashes: Mapped[int] = mapped_column(default=0)  # with no step done between them
+    crashed_at_step: Mapped[int | None]
     lease_expires_at: Mapped[float | None]
     checkpoint_key: Mapped[str | None]
     reconstruction_key: Mapped[str | None]

@@ -32,6 +32,7 @@ from store.errors import LeaseLostError
 from store.records import Dataset, FitJob, Model
 from worker.heartbeat import Heartbeat
 from worker.outcomes import Outcomes, recorded
+from worker.patience import OUTAGES, is_outage, patiently
 from worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
@@ -64,12 +65,12 @@ def run_attempt(
 
 def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerSettings) -> None:
     started = time.monotonic()
-    fit = lookup.get(store, FitJob, attempt.fit_id)
-    dataset = lookup.get(store, Dataset, fit.dataset_id)
+    waiting = partial(patiently, hurry=lambda: heartbeat.leave or heartbeat.lost)
+    fit, dataset, capture, checkpoint = waiting(partial(_load, store, attempt))
     config = FitConfig.model_validate(fit.config)
-    capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
-    checkpoint = attempts.load_checkpoint(store, fit.id)
-    source = None if fit.from_model is None else partial(_load, store, fit.from_model)
+    source: Callable[[], FittedPrior] | None = None
+    if fit.from_model is not None:
+        source = partial(waiting, partial(_load_prior, store, fit.from_model))
     device = _device(settings, capture, config)
     times = datasets.times_of(dataset, capture)
     trainer = _resume(capture, times, dataset.image_sizes, config, source, checkpoint, device)
@@ -97,14 +98,15 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
             return
         now = time.monotonic()
         if now >= next_checkpoint:
-            attempts.save_checkpoint(store, attempt, trainer.checkpoint())
+            _save_checkpoint(store, attempt, trainer.checkpoint())
             took = time.monotonic() - now
             next_checkpoint = now + max(settings.checkpoint_seconds, CHECKPOINT_SHARE * took)
 
     prior = trainer.result()
     lift = _reconstruct(prior, capture, times, stopped)
     if lift is not None:
-        attempts.succeed(
+        succeed = partial(
+            attempts.succeed,
             store,
             attempt,
             weights=prior.to_bytes(),
@@ -122,6 +124,7 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
                 "findings": dumped(prior.findings),
             },
         )
+        waiting(succeed)
         log_findings(logger, f"Fit {fit.id}", prior.findings)
 
 
@@ -153,7 +156,24 @@ def _device(settings: WorkerSettings, capture: Capture, config: FitConfig) -> st
     return "cuda" if pays and torch.cuda.is_available() else "cpu"
 
 
-def _load(store: Store, model_id: str) -> FittedPrior:
+def _load(store: Store, attempt: Attempt) -> tuple[FitJob, Dataset, Capture, bytes | None]:
+    fit = lookup.get(store, FitJob, attempt.fit_id)
+    dataset = lookup.get(store, Dataset, fit.dataset_id)
+    capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
+    return fit, dataset, capture, attempts.load_checkpoint(store, fit.id)
+
+
+def _save_checkpoint(store: Store, attempt: Attempt, checkpoint: bytes) -> None:
+    """Save a checkpoint, unless records or objects are away: the next will do as well."""
+    try:
+        attempts.save_checkpoint(store, attempt, checkpoint)
+    except OUTAGES as error:
+        if not is_outage(error):
+            raise
+        logger.warning("Fit %s goes on without a checkpoint: %s", attempt.fit_id, error)
+
+
+def _load_prior(store: Store, model_id: str) -> FittedPrior:
     return FittedPrior.from_bytes(models.load_weights(store, lookup.get(store, Model, model_id)))
 
 

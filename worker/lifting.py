@@ -20,6 +20,7 @@ from store.lift_chunks import Helper
 from store.records import Dataset, LiftChunk, LiftJob, Model
 from worker.heartbeat import Heartbeat
 from worker.outcomes import Outcomes, recorded
+from worker.patience import patiently
 from worker.rooms import Room, find_room
 from worker.settings import WorkerSettings
 from worker.time_slice import TimeSlice
@@ -50,6 +51,7 @@ def do_chunks(
         if chunk is not None:
             lift_chunks.give_up(store, helper, chunk, why)
 
+    waiting = partial(patiently, hurry=lambda: heartbeat.leave or heartbeat.lost)
     outcomes = Outcomes(
         fail=partial(lift_chunks.fail, store, helper),
         try_again=try_again,
@@ -57,13 +59,13 @@ def do_chunks(
         unusable="invalid_arguments",
     )
     with recorded(helper.lift_id, outcomes):
-        prior = _load_prior(store, helper.lift_id)
-        room = _find_room(store, helper.lift_id, prior)
+        prior = waiting(partial(_load_prior, store, helper.lift_id))
+        room = waiting(partial(_find_room, store, helper.lift_id, prior))
         while chunk is not None:
-            _do(store, helper, chunk, heartbeat, prior, room)
+            waiting(partial(_do, store, helper, chunk, heartbeat, prior, room))
             if heartbeat.lost or heartbeat.leave or time_slice.is_over():
                 return
-            chunk = lift_chunks.claim(store, helper)
+            chunk = waiting(partial(lift_chunks.claim, store, helper))
 
 
 def _load_prior(store: Store, lift_id: str) -> FittedPrior:

@@ -42,6 +42,11 @@ class Reconciler:
         self._queue: Queue = open_queue(connection)
         self._lost_since: dict[str, float] = {}
         self._known: set[str] = set()
+        self._steady_since = time.monotonic()
+
+    def unsettle(self) -> None:
+        """Note that the records are away: for the time of a lease no lease that ran out counts."""
+        self._steady_since = time.monotonic()
 
     def step(self) -> None:
         """Adopt jobs without a record; queue again the work that no job carries.
@@ -55,7 +60,11 @@ class Reconciler:
                 self._adopt(job_id)
         self._known.intersection_update(waiting)  # bounded by the queue's length
         now = time.monotonic()
-        work: dict[str, FitJob | LiftJob] = {fit.job_id: fit for fit in fits.recover(self._store)}
+        expired = now - self._steady_since > self._settings.lease_seconds
+        queued = fits.recover(self._store, expired=expired)
+        if time.monotonic() - now > fits.PROMPT_SECONDS:
+            self.unsettle()
+        work: dict[str, FitJob | LiftJob] = {fit.job_id: fit for fit in queued}
         work |= {lifts.waiting_job(lift): lift for lift in lifts.recover(self._store)}
         lost = work.keys() - set(waiting)
         self._lost_since = {job_id: self._lost_since.get(job_id, now) for job_id in lost}

@@ -99,6 +99,7 @@ class JobWorker(Worker):
                 self.kill_horse()
             self._sweep_if_due()
         except SQLAlchemyError:
+            self._reconciler.unsettle()
             logger.exception("The records cannot be reached")
 
     def _sweep_if_due(self) -> None:

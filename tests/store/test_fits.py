@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from models.settings.config import WARM_STEPS, FitConfig
-from store import attempts, datasets, fits, housekeeping, lifts, lookup, models
+from store import attempts, datasets, fits, housekeeping, jobs, lifts, lookup, models
 from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
@@ -297,3 +297,17 @@ def test_a_lift_in_its_room_keeps_a_fit(store: Store, fit: FitJob) -> None:
         fits.delete(store, fit.id)
     lifts.cancel(store, lift.id)
     fits.delete(store, fit.id)
+
+
+def test_a_fit_that_gets_further_each_time_is_tried_on(store: Store, fit: FitJob) -> None:
+    def crash_at(step: int) -> FitJob:
+        attempt = claim(store, fit)
+        attempts.beat(store, attempt, {"step": step})
+        attempts.give_up(store, attempt, "killed")
+        return lookup.get(store, FitJob, fit.id)
+
+    for step in range(10, 10 * jobs.MAX_CRASHES, 10):
+        assert crash_at(step).status == "queued"
+    for _ in range(jobs.MAX_CRASHES - 2):
+        assert crash_at(step).status == "queued"
+    assert crash_at(step - 1).status == "failed"

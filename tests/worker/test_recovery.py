@@ -4,8 +4,8 @@ import os
 import signal
 import sqlite3
 import subprocess
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, closing, contextmanager
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -130,25 +130,12 @@ def checkpoints_cannot_be_recorded(settings: WorkerSettings) -> Iterator[None]:
         records.execute("DROP TRIGGER outage")
 
 
-@contextmanager
-def checkpoints_cannot_be_stored(settings: WorkerSettings) -> Iterator[None]:
-    """Have a file stand where the folder of the fits' objects belongs."""
-    folder = settings.data_dir / "objects" / "fits"
-    folder.rename(settings.data_dir / "away")
-    folder.touch()
-    yield
-    folder.unlink()
-    (settings.data_dir / "away").rename(folder)
-
-
-@pytest.mark.parametrize("outage", [checkpoints_cannot_be_recorded, checkpoints_cannot_be_stored])
-def test_records_or_objects_are_away_for_a_while(
+def test_records_refuse_what_an_attempt_writes(
     store: Store,
     settings: WorkerSettings,
     queued: FitJob,
     undisturbed: bytes,
     start_worker: StartWorker,
-    outage: Callable[[WorkerSettings], AbstractContextManager[None]],
 ) -> None:
     def ended() -> bool:
         fit = lookup.get(store, FitJob, queued.id)
@@ -159,7 +146,7 @@ def test_records_or_objects_are_away_for_a_while(
     wait_for(
         lambda: lookup.get(store, FitJob, queued.id).checkpoint_key is not None, "a checkpoint"
     )
-    with outage(settings):
+    with checkpoints_cannot_be_recorded(settings):
         wait_for(ended, "the attempt to end")
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
 

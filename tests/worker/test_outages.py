@@ -1,0 +1,92 @@
+"""Records and objects that go away for a while end no fit and no lift."""
+
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing, contextmanager
+from pathlib import Path
+
+import pytest
+from redis import Redis
+
+from store import fits, lookup
+from store.database import Store
+from store.records import FitJob
+from tests.worker.conftest import StartWorker, wait_for_step, wait_until
+from worker import patience
+from worker.queue import enqueue, open_queue
+
+SLOW = {"steps": 600, "dictionary_sizes": [64, 16], "refine": "off"}
+
+
+@contextmanager
+def objects_away(store: Store) -> Iterator[None]:
+    """Have nothing but errors from the objects."""
+    folder = Path(store.objects.url.removeprefix("file://"))
+    kept = folder.with_name("objects.away")
+    folder.rename(kept)
+    folder.write_text("no folder")
+    try:
+        yield
+    finally:
+        folder.unlink()
+        kept.rename(folder)
+
+
+@contextmanager
+def records_away(store: Store) -> Iterator[None]:
+    """Hold the records' lock, longer than anyone waits for it."""
+    assert store.engine.url.database is not None
+    with closing(sqlite3.connect(store.engine.url.database, isolation_level=None)) as holder:
+        holder.execute("BEGIN IMMEDIATE")
+        yield
+        holder.execute("ROLLBACK")
+
+
+@pytest.mark.parametrize(("away", "seconds"), [(objects_away, 3.0), (records_away, 22.0)])
+def test_a_fit_outlives_an_outage(
+    store: Store,
+    redis: Redis,
+    dataset_id: str,
+    start_worker: StartWorker,
+    away: Callable[[Store], AbstractContextManager[None]],
+    seconds: float,
+) -> None:
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=SLOW)
+    enqueue(open_queue(redis), fit)
+    start_worker()
+    wait_for_step(store, fit.id, 20)
+    with away(store):
+        time.sleep(seconds)
+    ended = wait_until(store, fit.id, "succeeded", "failed")
+    assert ended.error is None
+    assert ended.crashes == 0
+    assert ended.model_id is not None
+    assert lookup.get(store, FitJob, fit.id).reconstruction_key is not None
+
+
+def test_what_is_no_outage_is_not_waited_out() -> None:
+    def missing() -> None:
+        raise FileNotFoundError
+
+    def wrong() -> None:
+        raise ValueError
+
+    for work, kind in ((missing, FileNotFoundError), (wrong, ValueError)):
+        with pytest.raises(kind):
+            patience.patiently(work, hurry=lambda: False)
+
+
+def test_an_outage_that_does_not_end_is_given_up() -> None:
+    tries = 0
+
+    def away() -> None:
+        nonlocal tries
+        tries += 1
+        raise OSError("no space left")
+
+    with pytest.raises(OSError, match="no space"):
+        patience.patiently(away, hurry=lambda: False, seconds=0.3)
+    assert tries > 2
+    with pytest.raises(OSError, match="no space"):
+        patience.patiently(away, hurry=lambda: True)
