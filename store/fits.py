@@ -205,9 +205,10 @@ def recover(store: Store, *, expired: bool = True) -> list[FitJob]:
         any_lost = session.scalar(select(FitJob.id).where(lost).limit(1)) is not None
     if any_lost:
         asked_at = time.monotonic()
-        with store.writing() as session:  # who holds a lease may have to wait as long as this
+        with store.writing() as session:
+            now = clock.read(session)  # begins the transaction
+            # Who holds a lease may have had to wait as long as this.
             counts = expired and time.monotonic() - asked_at < PROMPT_SECONDS
-            now = clock.read(session)
             dead = select(FitJob).where(lost).with_for_update(skip_locked=True)
             for fit in session.scalars(dead) if counts else ():
                 lose(

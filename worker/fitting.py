@@ -68,9 +68,7 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
     waiting = partial(patiently, hurry=lambda: heartbeat.leave or heartbeat.lost)
     fit, dataset, capture, checkpoint = waiting(partial(_load, store, attempt))
     config = FitConfig.model_validate(fit.config)
-    source: Callable[[], FittedPrior] | None = None
-    if fit.from_model is not None:
-        source = partial(waiting, partial(_load_prior, store, fit.from_model))
+    source = partial(waiting, partial(_load_prior, store, fit))
     device = _device(settings, capture, config)
     times = datasets.times_of(dataset, capture)
     trainer = _resume(capture, times, dataset.image_sizes, config, source, checkpoint, device)
@@ -173,8 +171,12 @@ def _save_checkpoint(store: Store, attempt: Attempt, checkpoint: bytes) -> None:
         logger.warning("Fit %s goes on without a checkpoint: %s", attempt.fit_id, error)
 
 
-def _load_prior(store: Store, model_id: str) -> FittedPrior:
-    return FittedPrior.from_bytes(models.load_weights(store, lookup.get(store, Model, model_id)))
+def _load_prior(store: Store, fit: FitJob) -> FittedPrior | None:
+    """Load the prior that a fit starts with, None if it starts with none."""
+    if fit.from_model is None:
+        return None
+    model = lookup.get(store, Model, fit.from_model)
+    return FittedPrior.from_bytes(models.load_weights(store, model))
 
 
 def _resume(
@@ -182,7 +184,7 @@ def _resume(
     times: Float64 | None,
     image_sizes: list[Any] | None,
     config: FitConfig,
-    source: Callable[[], FittedPrior] | None,
+    source: Callable[[], FittedPrior | None],
     checkpoint: bytes | None,
     device: str,
 ) -> Trainer:
@@ -201,7 +203,7 @@ def _resume(
             return make(checkpoint=checkpoint)
         except WeightsError:
             logger.exception("The checkpoint cannot be used: starting anew")
-    return make(start=None if source is None else source())
+    return make(start=source())
 
 
 def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]:
