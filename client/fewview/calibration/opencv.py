@@ -23,24 +23,34 @@ from fewview.errors import FormatError
 
 Float64 = NDArray[np.float64]
 
+# Whatever their case, and underscores in them; among them those of OpenCV's samples and tutorials,
+# of ROS and of the Panoptic Studio.
 NAMES = {
-    "matrix": ("camera_matrix", "cameraMatrix", "matrix", "K", "M", "intrinsic_matrix"),
+    "matrix": ("cameramatrix", "matrix", "k", "m", "mtx", "intrinsicmatrix"),
     "distortion": (
-        "distortion_coefficients",
-        "distCoeffs",
-        "dist_coeffs",
+        "distortioncoefficients",
+        "distcoeffs",
+        "distcoeff",
+        "distcoefs",
+        "distcoef",
         "distortions",
         "distortion",
-        "D",
+        "dist",
+        "d",
     ),
-    "rotation": ("rotation", "rotation_matrix", "R", "rvec"),
-    "translation": ("translation", "tvec", "T", "t"),
+    "rotation": ("rotation", "rotationmatrix", "r", "rvec"),
+    "translation": ("translation", "translationvector", "tvec", "t"),
+    "size": ("resolution", "imagesize", "size"),
 }
+PINHOLES = ("", "pinhole", "perspective", "opencv", "plumbbob", "rationalpolynomial", "radtan")
+FISHEYES = ("fisheye", "equidistant")  # OpenCV's and ROS's name of the same
 
 
 def read(path: Path) -> list[Camera]:
     """Return the cameras of a file."""
     said = _parsed(path)
+    if isinstance(said, list) and said and all(isinstance(camera, dict) for camera in said):
+        said = {"cameras": said}
     if not isinstance(said, dict):
         raise FormatError(f"{path}: expected a map, as cv::FileStorage writes it")
     if _get(said, "matrix") is not None:
@@ -60,15 +70,16 @@ def read(path: Path) -> list[Camera]:
 def _parsed(path: Path) -> Any:
     """Return what a file says as maps, lists and matrices."""
     text = path.read_text(encoding="utf-8-sig")
-    if text.lstrip().startswith("{"):
+    if text.lstrip().startswith(("{", "[")):
         return json.loads(text)
     import yaml  # noqa: PLC0415  # not for everyone
 
     loader: Any = type("Loader", (yaml.SafeLoader,), {})  # with OpenCV's matrices
-    loader.add_constructor(
-        "tag:yaml.org,2002:opencv-matrix",
-        lambda reader, node: reader.construct_mapping(node, deep=True),
-    )
+    for tag in ("opencv-matrix", "opencv-nd-matrix"):
+        loader.add_constructor(
+            f"tag:yaml.org,2002:{tag}",
+            lambda reader, node: reader.construct_mapping(node, deep=True),
+        )
     lines = text.splitlines()
     if lines and lines[0].startswith("%YAML"):  # OpenCV writes %YAML:1.0, which is none
         lines[0] = ""
@@ -80,14 +91,19 @@ def _parsed(path: Path) -> Any:
 
 def _get(said: dict[str, Any], part: str) -> Float64 | None:
     """Return an array under any of its names, None if it has none of them."""
+    known = {_plain(key): value for key, value in reversed(said.items())}
     for name in NAMES[part]:
-        value = said.get(name)
+        value = known.get(name)
         if isinstance(value, dict):
-            shape = (int(value["rows"]), int(value["cols"]))
-            return np.array(value["data"], dtype=np.float64).reshape(shape)
+            shape = value["sizes"] if "sizes" in value else (value["rows"], value["cols"])
+            return np.array(value["data"], dtype=np.float64).reshape([int(n) for n in shape])
         if isinstance(value, list):
             return np.array(value, dtype=np.float64)
     return None
+
+
+def _plain(name: object) -> str:
+    return str(name).replace("_", "").lower()
 
 
 def _camera(name: str, said: dict[str, Any]) -> Camera:
@@ -95,9 +111,18 @@ def _camera(name: str, said: dict[str, Any]) -> Camera:
     rotation, translation = _get(said, "rotation"), _get(said, "translation")
     if matrix is None:
         raise FormatError(f"camera {name!r} has no camera_matrix")
+    other = [key for key, value in said.items() if "dist" in key.lower() and not _is_word(value)]
+    if distortion is None and other:
+        raise FormatError(
+            f"camera {name!r} has {other[0]!r}, which is not understood: OpenCV's coefficients are "
+            "called distortion_coefficients"
+        )
     if rotation is not None and rotation.size == 3:
         rotation = rotation_matrix(rotation)
     width, height = said.get("image_width"), said.get("image_height")
+    size = _get(said, "size")
+    if size is not None and not (width and height):
+        width, height = size.ravel()
     return Camera(
         name,
         matrix,
@@ -105,8 +130,19 @@ def _camera(name: str, said: dict[str, Any]) -> Camera:
         rotation,
         translation,
         (int(width), int(height)) if width and height else None,
-        bool(said.get("fisheye", False)) or said.get("distortion_model") == "fisheye",
+        _is_fisheye(name, said),
     )
+
+
+def _is_word(value: Any) -> bool:
+    return value is None or isinstance(value, str | bool)
+
+
+def _is_fisheye(name: str, said: dict[str, Any]) -> bool:
+    model = str(said.get("distortion_model") or "")
+    if _plain(model) not in PINHOLES + FISHEYES:
+        raise FormatError(f"camera {name!r} has the distortion model {model!r}, not OpenCV's")
+    return bool(said.get("fisheye", False)) or _plain(model) in FISHEYES
 
 
 def write(path: Path, cameras: Sequence[Camera]) -> None:

@@ -1,5 +1,6 @@
 """Tables with a column for each x, y and confidence, as views: of CSV and of HDF5 by pandas."""
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,6 +18,8 @@ COORDINATES = {
     "conf": 2,
     "score": 2,
     "visibility": 2,
+    "probability": 2,
+    "prob": 2,
     "p": 2,
 }
 Label = tuple[str, str, str]  # individual ("" if there is one), keypoint, coordinate
@@ -31,7 +34,7 @@ def view_of_columns(
     ----------
     labels
         C columns: the individual ("" if there is one), the keypoint, the coordinate. Columns whose
-        coordinate is not known are left out.
+        coordinate is not known are left out, and keypoints without an x or a y.
     values
         (N, C).
     numbers
@@ -45,14 +48,15 @@ def view_of_columns(
         If there are no columns of x and y, or there are z.
     """
     people = tuple(dict.fromkeys(label[0] for label in labels))
-    points = tuple(dict.fromkeys(label[1] for label in labels if label[2] in COORDINATES))
     axes = {label[2] for label in labels}
+    at = [{label[1] for label in labels if label[2] == axis} for axis in "xy"]
+    points = tuple(dict.fromkeys(label[1] for label in labels if label[1] in at[0] & at[1]))
     if "z" in axes:
         raise FormatError(
             f"{what}: has columns of x, y and z, so it holds 3D points; Fewview makes 3D from the "
             "2D keypoints of each camera: give those"
         )
-    if not {"x", "y"} <= axes:
+    if not points:
         raise FormatError(f"{what}: has no columns of x and y")
     shape = (len(values), len(people), len(points), 3)
     bounded(shape, what)
@@ -61,7 +65,7 @@ def view_of_columns(
     point = {keypoint: i for i, keypoint in enumerate(points)}
     told = False
     for column, (person, keypoint, axis) in enumerate(labels):
-        if axis in COORDINATES:
+        if axis in COORDINATES and keypoint in point:
             out[:, place[person], point[keypoint], COORDINATES[axis]] = values[:, column]
             told |= COORDINATES[axis] == 2
     return View(
@@ -74,38 +78,27 @@ def view_of_columns(
     )
 
 
-def row_numbers(rows: Sequence[object]) -> Int64:
+def row_numbers(rows: Sequence[object], what: str) -> Int64:
     """Return frame numbers from what names the rows: numbers, or paths of images.
 
-    Rows whose names give no rising numbers are counted from 0.
-    """
-    numbers = np.arange(len(rows))
-    found: list[int] = []
-    for row in rows:
-        if isinstance(row, int | float | np.number) and float(row).is_integer():
-            found.append(int(row))
-            continue
-        text = row.decode("utf-8", "replace") if isinstance(row, bytes) else str(row)
-        split = frame_number(text if "." in text else f"{text}.")
-        if split is None:
-            return numbers
-        found.append(split[1])
-    if found and np.all(np.diff(found) > 0):
-        numbers = np.array(found)
-    return numbers.astype(np.int64)
-
-
-def numbers_of_cells(cells: Sequence[Sequence[str]], what: str) -> NDArray[np.float64]:
-    """Return rows of text as numbers (N, C); empty cells are NaN.
+    Rows of images whose names give no rising numbers are counted from 0.
 
     Raises
     ------
     FormatError
-        If rows are of unlike length, or a cell holds no number.
+        If a number is there twice; `what` names the file in it.
     """
-    try:
-        return np.array(
-            [[float(cell) if cell.strip() else np.nan for cell in row] for row in cells], np.float64
-        )
-    except ValueError as error:
-        raise FormatError(f"{what}: not a table of numbers ({error})") from error
+    texts = [row.decode("utf-8", "replace") if isinstance(row, bytes) else str(row) for row in rows]
+    if all(re.fullmatch(r"\d{1,18}(\.0*)?", text) for text in texts):
+        numbers = np.array([int(text.partition(".")[0]) for text in texts], np.int64)
+        once, count = np.unique(numbers, return_counts=True)
+        if len(once) < len(numbers):
+            raise FormatError(
+                f"{what}: tells of frame {once[count > 1][0]} twice; give a file for each camera"
+            )
+        return numbers if (once == numbers).all() else np.arange(len(rows))
+    split = [frame_number(text if "." in text else f"{text}.") for text in texts]
+    found = [each[1] for each in split if each is not None]
+    if len(found) < len(rows) or np.any(np.diff(found) <= 0):
+        return np.arange(len(rows))
+    return np.array(found, np.int64)

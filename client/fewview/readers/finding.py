@@ -1,5 +1,6 @@
 """What there is to read at some paths: files, folders of frames, folders of cameras, zip files."""
 
+import re
 from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path
@@ -10,13 +11,15 @@ from fewview.readers.names import natural
 from fewview.readers.registry import FORMATS, Format, detect, find
 from fewview.readers.sources import Source, frames_in
 
+Found = tuple[Source, Format]
 AnyPath = str | PathLike[str]
 DEPTH = 3  # of folders in folders
+FILTERED = re.compile(r"[_-]filtered(?=[./\\]|$)")
 
 
 def sources_at(
     paths: AnyPath | Iterable[AnyPath], name: str | None, notes: list[str], folder: Path
-) -> list[tuple[Source, Format]]:
+) -> list[Found]:
     """Return what there is to read at the paths, a format each.
 
     Parameters
@@ -36,14 +39,14 @@ def sources_at(
     listed = [paths] if isinstance(paths, str | PathLike) else list(paths)
     if not listed:
         raise FormatError("no files were given")
-    found: list[tuple[Source, Format]] = []
+    found: list[Found] = []
     for number, given in enumerate(map(Path, listed)):
         path = unpacked(given, folder / str(number)) if is_archive(given) else given
         if path.is_dir():
             inside = _in_folder(path, name, notes, DEPTH)
             if not inside:
                 raise FormatError(f"{path}: a folder with no file of a known format")
-            found += inside
+            found += _told_apart(_newest(inside, path, notes), path)
         elif path.exists():
             source = Source(path)
             found.append((source, find(source, name)))
@@ -52,9 +55,7 @@ def sources_at(
     return found
 
 
-def _in_folder(
-    folder: Path, name: str | None, notes: list[str], depth: int
-) -> list[tuple[Source, Format]]:
+def _in_folder(folder: Path, name: str | None, notes: list[str], depth: int) -> list[Found]:
     """Return what a folder holds: frames, files of cameras, or folders of these."""
     cameras = frames_in(folder)
     if cameras:
@@ -63,7 +64,7 @@ def _in_folder(
         (path for path in folder.iterdir() if not path.name.startswith(".")),
         key=lambda path: natural(path.name),
     )
-    found: list[tuple[Source, Format]] = []
+    found: list[Found] = []
     unknown = []
     for path in inside:
         if path.is_file():
@@ -84,6 +85,31 @@ def _in_folder(
     return _one_of_each(found, folder, notes)
 
 
+def _newest(found: list[Found], folder: Path, notes: list[str]) -> list[Found]:
+    """Leave out what lies there filtered, too, as DeepLabCut and Anipose write it beside it."""
+    paths = [str(source.path.relative_to(folder)) for source, _ in found]
+    done = {FILTERED.sub("", path): path for path in paths if FILTERED.search(path)}
+    kept = []
+    for path, each in zip(paths, found, strict=True):
+        other = done.get(path, path)
+        if other == path or each[0].frames:
+            kept.append(each)
+        else:
+            notes.append(f"{path} was left out for {other}")
+    return kept
+
+
+def _told_apart(found: list[Found], folder: Path) -> list[Found]:
+    """Name files of one name by the folders that they lie in."""
+    if len({source.name for source, _ in found}) == len(found):
+        return found
+    for source, _ in found:
+        inside = source.path.parent.relative_to(folder)
+        if not source.frames and inside.parts:
+            source.name = "_".join((*inside.parts, source.name))
+    return found
+
+
 def _quietly(source: Source) -> Format | None:
     """Return the format of a file that nobody named; None also where it is broken."""
     try:
@@ -92,9 +118,7 @@ def _quietly(source: Source) -> Format | None:
         return None
 
 
-def _one_of_each(
-    found: list[tuple[Source, Format]], folder: Path, notes: list[str]
-) -> list[tuple[Source, Format]]:
+def _one_of_each(found: list[Found], folder: Path, notes: list[str]) -> list[Found]:
     """Keep one file where a detector writes the same in two formats.
 
     Raises

@@ -17,6 +17,9 @@ from fewview.readers.registry import views_of
 from fewview.readers.views import View
 from fewview.reading_options import Align, Person, ReadingOptions, Size
 
+SHARES = 3.0  # pixels go further than this many images
+MIDDLE = 0.25  # where shares from the middle of the image have their median, and go beyond
+
 
 def read(
     paths: AnyPath | Iterable[AnyPath],
@@ -112,7 +115,7 @@ def _sized(views: list[View], asked: Size | Sequence[Size] | None) -> list[View]
     out = []
     for view, size in zip(views, sizes, strict=True):
         keypoints = view.keypoints
-        if view.shares:
+        if _are_shares(view):
             if size is None:
                 raise FormatError(
                     f"{view.name}: coordinates are shares of the image's width and height, and its "
@@ -122,3 +125,23 @@ def _sized(views: list[View], asked: Size | Sequence[Size] | None) -> list[View]
             keypoints = keypoints * np.array(size, np.float32)
         out.append(replace(view, keypoints=keypoints, image_size=size))
     return out
+
+
+def _are_shares(view: View) -> bool:
+    """Whether coordinates are shares of the image's width and height: all lie within few images.
+
+    Raises
+    ------
+    FormatError
+        If they are counted from the middle of the image, as OpenPose can.
+    """
+    nowhere = (view.keypoints == 0).all(-1) | (view.keypoints == -1).all(-1)
+    there = view.keypoints[~nowhere & np.isfinite(view.keypoints).all(-1)]
+    if view.pixels_from_zero or not len(there) or np.abs(there).max() > SHARES:
+        return False
+    if np.median(there) < MIDDLE and there.min() < -MIDDLE:
+        raise FormatError(
+            f"{view.name}: coordinates lie between -1 and 1, which are no pixels: write pixels "
+            "(OpenPose: --keypoint_scale 0)"
+        )
+    return True

@@ -14,6 +14,7 @@ MAX_JSON = 2**29  # bytes: parsed it takes several times as much
 MAX_TEXT = 2**31
 MAX_FRAME = 2**24  # of the file of one frame
 MAX_FRAMES = 2**20
+LOOKED_INTO = 1000  # files of a folder, whose first may show nobody
 HDF5, NUMPY, ZIP = b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"PK\x03\x04"
 
 
@@ -58,7 +59,7 @@ class Source:
 
     @cached_property
     def json(self) -> Any:
-        """The JSON of the file, or of its first frame; None if it is none.
+        """The JSON of the file, or of its first frame that says something; None if it is none.
 
         Raises
         ------
@@ -69,7 +70,8 @@ class Source:
         if start not in (b"{", b"[") or self.is_toml:
             return None
         if self.frames:
-            return load_json(self.frames[0], MAX_FRAME)
+            said = (load_json(path, MAX_FRAME) for path in self.frames[:LOOKED_INTO])
+            return next(filter(None, said), None)
         return load_json(self.path, MAX_JSON)
 
     def frames_json(self) -> Iterator[Any]:
@@ -101,8 +103,8 @@ class Source:
             return []
         return [] if "\0" in text else text.splitlines()[:12]
 
-    def text(self) -> str:
-        """Return the whole text.
+    def text_lines(self) -> Iterator[str]:
+        """Yield the lines of a text that are not empty, without their ends.
 
         Raises
         ------
@@ -111,7 +113,8 @@ class Source:
         """
         check_size(self.path, MAX_TEXT)
         try:
-            return self.path.read_text(encoding="utf-8-sig")
+            with self.path.open(encoding="utf-8-sig") as file:
+                yield from (line.rstrip("\n") for line in file if line.strip())
         except (OSError, UnicodeDecodeError) as error:
             raise FormatError(f"{self}: cannot be read as text ({error})") from error
 
@@ -145,7 +148,12 @@ def frames_in(folder: Path) -> list[Source]:
             raise FormatError(f"{folder}: {len(files):,} files are too many")
         return []
     files.sort(key=lambda path: natural(path.name))
-    if files[0].stat().st_size > MAX_FRAME or not _is_frame(load_json(files[0], MAX_FRAME)):
+    if any(path.stat().st_size > MAX_FRAME for path in files[:LOOKED_INTO]):
+        return []
+    first = next(
+        (said for path in files[:LOOKED_INTO] if (said := load_json(path, MAX_FRAME))), None
+    )
+    if not _is_frame(first):
         return []
     cameras: dict[str, list[Path]] = {}
     for path in files:
@@ -160,9 +168,9 @@ def frames_in(folder: Path) -> list[Source]:
 
 
 def _is_frame(content: Any) -> bool:
-    """Whether this is one frame's people: of OpenPose, or of one image by MMPose."""
+    """Whether this is one frame's people: of OpenPose, or of one image by MMPose or MediaPipe."""
     if isinstance(content, dict):
-        return isinstance(content.get("people"), list)
+        return isinstance(content.get("people"), list) or "landmarks" in content
     if not isinstance(content, list) or not content or not isinstance(content[0], dict):
         return False
     return "keypoints" in content[0] and "keypoint_scores" in content[0]

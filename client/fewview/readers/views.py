@@ -35,8 +35,6 @@ class View:
         As in `Capture`, of this view; `points3d` (N, P, 3).
     skeletons
         Names of skeletons that this format means by their counts of keypoints.
-    shares
-        Whether coordinates are shares of the image's width and height.
     pixels_from_zero
         Whether (0, 0) may be a detection; elsewhere it stands for none.
     notes
@@ -55,7 +53,6 @@ class View:
     fps: float | None = None
     points3d: Float32 | None = None
     skeletons: tuple[str, ...] = ()
-    shares: bool = False
     pixels_from_zero: bool = False
     notes: tuple[str, ...] = ()
 

@@ -1,5 +1,6 @@
 """Calibrations go through files unharmed, and those of other tools are understood."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -148,6 +149,41 @@ def test_opencv_files_of_one_camera_and_by_name(tmp_path: Path) -> None:
     assert camera.vector is not None
     assert (camera.name, camera.translation.tolist()) == ("a", [1, 2, 3])
     np.testing.assert_allclose(camera.vector, [0, 0, 1.5])
+
+
+@pytest.mark.parametrize("name", ["dist", "dist_coeff", "distCoef", "distCoeffs", "D"])
+def test_names_of_distortion(name: str, tmp_path: Path) -> None:
+    camera = {"mtx": [[5, 0, 3], [0, 5, 2], [0, 0, 1]], name: [[0.1, 0.2]], "resolution": [6, 4]}
+    file = tmp_path / "rig.json"
+    file.write_text(json.dumps([camera]))
+    (found,) = read_cameras(file)
+    assert found.distortion.tolist() == [0.1, 0.2, 0, 0, 0]
+    assert found.size == (6, 4)
+
+
+def test_a_lens_that_is_not_understood_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "head.yaml"
+    text = "camera_matrix: [[5, 0, 3], [0, 5, 2], [0, 0, 1]]\n"
+    file.write_text(f"{text}distortion_model: equidistant\nD: [0.1, 0, 0, 0]\n")
+    assert read_cameras(file)[0].fisheye  # as ROS calls OpenCV's fisheye
+    file.write_text(f"{text}distortion_model: plumb_bob\nD: [0.1, 0, 0, 0]\n")
+    assert not read_cameras(file)[0].fisheye
+    for other in ("distortion_model: double_sphere", "my_distances: [0.1, 0]"):
+        file.write_text(f"{text}{other}\n")
+        with pytest.raises(FormatError, match=r"not OpenCV's|not understood"):
+            read_cameras(file)
+
+
+def test_vectors_as_later_versions_of_opencv_write_them(tmp_path: Path) -> None:
+    vector = "!!opencv-nd-matrix\n   sizes: [ 3 ]\n   dt: d\n   data: [ 1., 2., 3. ]\n"
+    file = tmp_path / "rig.yml"
+    file.write_text(
+        "%YAML:1.0\n---\ncamera_matrix: [[5, 0, 3], [0, 5, 2], [0, 0, 1]]\n"
+        f"rvec: {vector}tvec: {vector}"
+    )
+    (camera,) = read_cameras(file)
+    assert camera.translation is not None
+    assert camera.translation.tolist() == [1, 2, 3]
 
 
 def test_colmap_counts_pixels_from_the_corner(tmp_path: Path, cameras: list[Camera]) -> None:

@@ -104,7 +104,7 @@ def test_deeplabcut_of_several_animals(tmp_path: Path, write: Any) -> None:
 def test_labelled_images_keep_their_numbers(tmp_path: Path) -> None:
     header = "scorer,,,me,me\nbodyparts,,,nose,nose\ncoords,,,x,y\n"
     path = tmp_path / "CollectedData_me.csv"
-    path.write_text(header + "labeled-data,v,img03.png,1,2\nlabeled-data,v,img10.png,,\n")
+    path.write_text(header + "labeled-data,v,img03.png,10,20\nlabeled-data,v,img10.png,,\n")
     capture = fewview.read(path, fps=10)
     assert capture.times is not None
     np.testing.assert_allclose(capture.times, [0, 0.7])

@@ -10,11 +10,15 @@ import numpy as np
 
 from fewview.capture import Float32
 from fewview.errors import FormatError
+from fewview.readers.names import frame_number
 from fewview.readers.sources import Source
-from fewview.readers.views import View, packed
+from fewview.readers.views import Int64, View, packed
 
 KEYS = ("landmarks", "pose_landmarks", "poseLandmarks", "landmark", "hand_landmarks")
-SHARES = 3.0  # pixels go further than this many images
+PARTS = ("left_hand_landmarks", "right_hand_landmarks", "face_landmarks")  # of holistic
+CONFIDENCES = ("visibility", "vis", "score", "confidence")
+NUMBERS = ("frame", "frame_id", "frame_idx", "frame_index", "frame_number")
+Person = list[dict[str, Any]]
 
 
 def fits(source: Source) -> bool:
@@ -24,7 +28,7 @@ def fits(source: Source) -> bool:
 
 
 def read(source: Source) -> list[View]:
-    """Return the view of a file.
+    """Return the view of a file, or of a folder with a file for each frame.
 
     Raises
     ------
@@ -32,27 +36,34 @@ def read(source: Source) -> list[View]:
         If landmarks are broken.
     """
     content = source.json
-    frames = _frames(content)
+    frames = list(source.frames_json()) if source.frames else _frames(content)
+    listed = [_people(frame) for frame in frames]
     try:
-        people = [[_landmarks(one) for one in _people(frame)] for frame in frames]
+        names = _ordered(listed, source)
+        people = [[_landmarks(one) for one in each] for each in listed]
     except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, FormatError):
+            raise
         raise FormatError(f"{source}: landmarks without x and y ({error!r})") from error
     keypoints, confidence = packed(people, str(source))
     told = content if isinstance(content, dict) else {}
     width, height = (told.get(key, told.get(f"image_{key}")) for key in ("width", "height"))
     fps = told.get("fps")
+    notes = []
+    if np.isnan(confidence[np.isfinite(keypoints[..., 0])]).all():
+        notes.append("landmarks without a visibility have the confidence 1")
+    if any(isinstance(frame, dict) and any(map(frame.get, PARTS)) for frame in frames):
+        notes.append("landmarks of hands or faces beside the body were left out")
     return [
         View(
             source.name,
             keypoints,
-            np.arange(len(frames)),
+            _numbers(frames, source),
             confidence,
+            keypoint_names=names,
             image_size=(int(width), int(height)) if width and height else None,
             fps=float(fps) if fps else None,
-            shares=bool(np.nanmax(np.abs(keypoints)) <= SHARES),
-            notes=("landmarks without a visibility have the confidence 1",)
-            if np.isnan(confidence[np.isfinite(keypoints[..., 0])]).all()
-            else (),
+            notes=tuple(notes),
         )
     ]
 
@@ -64,7 +75,43 @@ def _frames(content: Any) -> list[Any]:
     return content if isinstance(content, list) else []
 
 
-def _people(frame: Any) -> list[list[Any]]:
+def _numbers(frames: list[Any], source: Source) -> Int64:
+    """Return the number of each frame, from the frames or from the names of their files."""
+    told: list[Any] = [
+        next((frame[key] for key in NUMBERS if key in frame), None)
+        if isinstance(frame, dict)
+        else None
+        for frame in frames
+    ]
+    if source.frames:
+        named = [frame_number(path.name) for path in source.frames]
+        told = [number if number is None else number[1] for number in named]
+    if all(isinstance(number, int) for number in told) and np.all(np.diff(told) > 0):
+        return np.array(told, np.int64)
+    return np.arange(len(frames))
+
+
+def _ordered(frames: list[list[Person]], source: Source) -> tuple[str, ...] | None:
+    """Sort landmarks by their `id`, where they have one, and return their names.
+
+    Raises
+    ------
+    FormatError
+        If not all people have the same ones.
+    """
+    everybody = [person for people in frames for person in people]
+    for person in everybody:
+        if all(isinstance(point.get("id"), int) for point in person):
+            person.sort(key=lambda point: int(point["id"]))
+    for key in ("id", "name"):
+        if len({tuple(point.get(key) for point in person) for person in everybody}) > 1:
+            raise FormatError(f"{source}: people have landmarks of unlike {key}; write all of each")
+    names = [point.get("name") for point in everybody[0]] if everybody else []
+    told = all(isinstance(name, str) for name in names) and len(set(names)) == len(names) > 0
+    return tuple(map(str, names)) if told else None
+
+
+def _people(frame: Any) -> list[Person]:
     """Return the landmarks of each person of a frame: one list, or a list of lists."""
     while isinstance(frame, dict):
         frame = next((frame[key] for key in KEYS if frame.get(key)), None)
@@ -76,5 +123,6 @@ def _people(frame: Any) -> list[list[Any]]:
     return [one for one in people if isinstance(one[0], dict) and {"x", "y"} <= one[0].keys()]
 
 
-def _landmarks(person: list[Any]) -> Float32:
-    return np.array([(p["x"], p["y"], p.get("visibility", np.nan)) for p in person], np.float32)
+def _landmarks(person: Person) -> Float32:
+    sure = next((key for key in CONFIDENCES if key in person[0]), "")
+    return np.array([(p["x"], p["y"], p.get(sure, np.nan)) for p in person], np.float32)

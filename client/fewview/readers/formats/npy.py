@@ -9,6 +9,7 @@ from fewview.readers.skeletons import SKELETONS
 from fewview.readers.sources import NUMPY, Source
 from fewview.readers.views import Edges, View, bounded
 
+MOST_VIEWS = 32  # an array of more is taken for one whose frames come first
 FACES = (468, 478)  # points of MediaPipe's face, after 33 of the body and 21 of each hand
 
 
@@ -44,6 +45,11 @@ def read(source: Source) -> list[View]:
         raise FormatError(f"{source}: an array {values.shape} is not (views, frames, keypoints, 2)")
     array = np.array(values, np.float32)
     views = array if array.ndim == 4 else array[None]
+    if len(views) > max(MOST_VIEWS, views.shape[1]):
+        raise FormatError(
+            f"{source}: an array {array.shape} would be of {len(views)} views of {views.shape[1]} "
+            "frames; it has to be (views, frames, keypoints, 2): swap its first two axes"
+        )
     third = views[..., 2] if views.shape[-1] == 3 else None
     notes: tuple[str, ...] = ()
     if third is not None and not (np.nanmin(third) >= 0 and np.nanmax(third) <= 1.1):

@@ -37,14 +37,14 @@ def read(source: Source) -> list[View]:
     contents = list(source.frames_json()) if source.frames else [source.json]
     frames = [_people(content, source) for content in contents]
     part = next(
-        (p for p in PARTS if any(person.get(p) for people in frames for person in people)), ""
+        (p for p in PARTS if any(_of(person, p) for people in frames for person in people)), ""
     )
     placed = any(not person for people in frames for person in people)
-    detections = [[_keypoints(person.get(part), source) for person in people] for people in frames]
+    detections = [[_keypoints(_of(person, part), source) for person in people] for people in frames]
     keypoints, confidence = packed(detections, str(source))
     numbers = _numbers(source, len(frames))
     notes = []
-    if any(person.get(other) for people in frames for person in people for other in PARTS[1:]):
+    if any(_of(person, other) for people in frames for person in people for other in PARTS[1:]):
         if part == PARTS[0]:
             notes.append("hands are in the files, and were left out: bodies are read")
         else:
@@ -66,6 +66,11 @@ def _people(content: Any, source: Source) -> list[dict[str, Any]]:
     if not isinstance(people, list) or not all(isinstance(person, dict) for person in people):
         raise FormatError(f"{source}: one of its files is no frame of OpenPose")
     return people
+
+
+def _of(person: dict[str, Any], part: str) -> Any:
+    """Return the numbers of a part; before version 1.2 its name did not say 2D."""
+    return person.get(part) or person.get(part.removesuffix("_2d"))
 
 
 def _keypoints(numbers: Any, source: Source) -> Float32 | None:

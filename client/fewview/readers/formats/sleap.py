@@ -13,6 +13,14 @@ from fewview.readers.views import Edges, View, bounded, packed
 
 USER, PREDICTED = 0, 1
 PIXEL_CENTRES_SINCE = 1.1  # earlier projects count from the corner of a pixel, half a pixel apart
+AXES = ("frame", "track", "node", "xy")  # of what is read
+# Of files: as SLEAP writes them, as it did without transposing, and as sleap-io may; files of
+# sleap-io say their axes in an attribute.
+LAYOUTS = (
+    ("track", "xy", "node", "frame"),
+    ("frame", "node", "xy", "track"),
+    AXES,
+)
 Array = NDArray[Any]
 
 
@@ -41,17 +49,16 @@ def read_analysis(source: Source) -> list[View]:
         if tracks.ndim != 4:
             raise FormatError(f"{source}: `tracks` has the shape {tracks.shape}, of no SLEAP")
         values = tracks[()]
-        # SLEAP writes (tracks, 2, nodes, frames); sleap-io may write (frames, tracks, nodes, 2).
-        turned = values.shape[1] != 2 or values.shape[2] != len(nodes)
-        if not turned:
-            values = values.transpose(3, 0, 2, 1)
-        if values.shape[2:] != (len(nodes), 2):
+        axes = _axes(file, len(nodes))
+        if not axes:
             raise FormatError(
                 f"{source}: `tracks` {tracks.shape} is not of {len(nodes)} nodes in 2D"
             )
+        values = tracks[()].transpose([axes.index(axis) for axis in AXES])
         scores = file["point_scores"][()] if "point_scores" in file else None
-        if scores is not None and not turned:
-            scores = scores.transpose(2, 0, 1)
+        if scores is not None and scores.ndim == 3:
+            left = [axis for axis in axes if axis != "xy"]
+            scores = scores.transpose([left.index(axis) for axis in AXES[:3]])
         if scores is not None and scores.shape != values.shape[:3]:
             raise FormatError(f"{source}: `point_scores` do not fit `tracks`")
         names = _texts(file["track_names"]) if "track_names" in file else []
@@ -70,6 +77,21 @@ def read_analysis(source: Source) -> list[View]:
             edges=tuple((int(a), int(b)) for a, b in edges) if np.size(edges) else None,
         )
     ]
+
+
+def _axes(file: Any, nodes: int) -> tuple[str, ...]:
+    """Return what the axes of `tracks` are; nothing if it is not of these nodes in 2D."""
+    tracks = file["tracks"]
+    layouts: tuple[tuple[str, ...], ...] = LAYOUTS
+    if "dims" in tracks.attrs:
+        layouts = (tuple(map(str, json.loads(tracks.attrs["dims"]))),)
+    elif not file.attrs.get("transpose", True):
+        layouts = LAYOUTS[1:]
+    for axes in layouts:
+        size = dict(zip(axes, tracks.shape, strict=True))
+        if sorted(axes) == sorted(AXES) and (size["node"], size["xy"]) == (nodes, 2):
+            return axes
+    return ()
 
 
 def read_slp(source: Source) -> list[View]:
@@ -99,7 +121,7 @@ def read_slp(source: Source) -> list[View]:
                 f"its {len(tracks)} tracks are fragments: animals are followed by where they are",
             )
             tracks, notes = [], notes if tracks else ()
-        videos = [_video(text) for text in _texts(file.get("videos_json", ()))]
+        videos = [_video(text, n) for n, text in enumerate(_texts(file.get("videos_json", ())))]
     nodes, edges = _skeleton(content, source)
     found = sorted({int(video) for video in frames["video"]})
     views = []
@@ -201,7 +223,12 @@ def _edge_type(said: dict[str, Any]) -> int:
     return int(said.get("py/id", 1))
 
 
-def _video(text: str) -> str:
-    backend = json.loads(text).get("backend", {})
-    name = str(backend.get("filename", "")).replace("\\", "/").rsplit("/", 1)[-1]
-    return name.rpartition(".")[0] or name
+def _video(text: str, number: int) -> str:
+    """Return the name of a video: of its file, or of the folder of its images."""
+    said = json.loads(text)
+    backend = said.get("backend", said)
+    name = backend.get("filename", "")
+    if isinstance(name, list):
+        name = str(name[0]).replace("\\", "/").rpartition("/")[0] if name else ""
+    name = str(name).replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
+    return name.rpartition(".")[0] or name.strip(".") or f"video{number}"  # "." is embedded
