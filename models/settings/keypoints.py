@@ -30,11 +30,10 @@ def check_keypoints(keypoints: ArrayLike) -> Float32:
     _, views, count, _ = pixels.shape
     if not 1 <= views <= MAX_VIEWS:
         raise ValueError(f"keypoints must have 1 to {MAX_VIEWS} views, got {views}")
-    if not MIN_KEYPOINTS <= count <= MAX_KEYPOINTS:
-        raise ValueError(
-            f"keypoints must have {MIN_KEYPOINTS} to {MAX_KEYPOINTS} keypoints per view,"
-            f" got {count}"
-        )
+    if count < MIN_KEYPOINTS:
+        raise ValueError(f"expected at least {MIN_KEYPOINTS} keypoints per view, got {count}")
+    if count > MAX_KEYPOINTS:
+        raise ValueError(f"expected at most {MAX_KEYPOINTS} keypoints per view, got {count}")
     # fmax skips NaN, which is how a missing keypoint is written; infinity is not.
     largest = np.fmax.reduce(np.abs(pixels), axis=None, initial=0)
     if not largest <= MAX_COORDINATE:
@@ -60,6 +59,6 @@ def check_confidence(confidence: ArrayLike, *, expected: tuple[int, ...]) -> Flo
     if values.size and (values.min() < 0 or values.max() > 1):
         raise ValueError(
             f"confidence must lie in [0, 1], got {values.min():g} to {values.max():g};"
-            " divide it by its largest value"
+            " clip what is a little above 1, and divide by the highest what goes far beyond"
         )
     return np.where(values < MIN_CONFIDENCE, np.float32(0), values)

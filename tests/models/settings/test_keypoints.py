@@ -56,12 +56,12 @@ def test_views_that_show_no_shape_are_not_usable(case: str) -> None:
         (np.zeros((4, 6, 2)), None, "got (4, 6, 2)"),
         (np.zeros((4, 1, 6, 3)), None, "got (4, 1, 6, 3)"),
         (np.zeros((1, 0, 6, 2)), None, "1 to 64 views, got 0"),
-        (np.zeros((1, 1, 3, 2)), None, "4 to 512 keypoints per view, got 3"),
+        (np.zeros((1, 1, 3, 2)), None, "at least 4 keypoints per view, got 3"),
         (np.full((1, 1, 6, 2), np.inf), None, "write NaN"),
         (np.full((1, 1, 6, 2), 1e7), None, "within 1e+06 pixels"),
         ([[[[1, 2], [3]]]], None, "array of numbers"),
         (np.zeros((1, 1, 6, 2)), np.ones((1, 6)), "expected"),
-        (np.zeros((1, 1, 6, 2)), np.full((1, 1, 6), 100.0), "lie in [0, 1], got 100"),
+        (np.zeros((1, 1, 6, 2)), np.full((1, 1, 6), 100.0), "lie in [0, 1], got 100 to 100; clip"),
     ],
 )
 def test_errors_say_what_came(keypoints: object, confidence: object, message: str) -> None:
