@@ -135,9 +135,12 @@ def _are_shares(view: View) -> bool:
     FormatError
         If they are counted from the middle of the image, as OpenPose can.
     """
+    far = (view.keypoints > SHARES) & (view.keypoints < np.inf)
+    if view.pixels_from_zero or far.any():
+        return False
     nowhere = (view.keypoints == 0).all(-1) | (view.keypoints == -1).all(-1)
     there = view.keypoints[~nowhere & np.isfinite(view.keypoints).all(-1)]
-    if view.pixels_from_zero or not len(there) or np.abs(there).max() > SHARES:
+    if not len(there) or there.min() < -SHARES:
         return False
     if np.median(there) < MIDDLE and there.min() < -MIDDLE:
         raise FormatError(
