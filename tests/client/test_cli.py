@@ -46,7 +46,7 @@ def test_a_redis_that_is_away_is_said_at_once(tmp_path: Path) -> None:
         assert refused.stderr.startswith(f"fewview {command}: Redis at 127.0.0.1:")
         assert "--redis-url" in refused.stderr
         assert "secret" not in refused.stderr
-        assert time.monotonic() - begun < 20  # most of it to load the libraries
+        assert time.monotonic() - begun < 60  # most of it to load the libraries, on a busy machine
     missing = run("worker", f"--data-dir={tmp_path}", FEWVIEW_REDIS_URL="")
     assert missing.returncode == 2
 

@@ -1,4 +1,4 @@
-"""Commands that talk to a service, as processes, from files to 3D."""
+"""Commands that talk to a service, from files to 3D."""
 
 import json
 import subprocess
@@ -8,14 +8,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fewview import cli
 from fewview.calibration import Camera, read_cameras, rotation_matrix, write_cameras
 from fewview.commands.talking import fields_in
+from typer.testing import CliRunner
 
 from tests.client.conftest import Served
-from tests.client.test_cli import run as fewview
 from tests.processes import free_port
+from tests.service.conftest import wait_for
 
 Ran = subprocess.CompletedProcess[str]
+
+
+def fewview(*words: str) -> Ran:
+    """Run a command in this process: to start one takes longer than most commands."""
+    ran = CliRunner().invoke(cli.app, words)
+    if ran.exception is not None and not isinstance(ran.exception, SystemExit):
+        raise ran.exception
+    return subprocess.CompletedProcess(words, ran.exit_code, ran.stdout, ran.stderr)
 
 
 def said(ran: Ran) -> Any:
@@ -186,6 +196,7 @@ def test_labels_choose_what_is_listed_changed_and_deleted(served: Served, tmp_pa
     assert json.loads(kept.stdout)["refused"][0]["id"] == made[1]
     assert f"in use by {fit['id']}" in kept.stderr
     fewview("fits", "cancel", fit["id"], url)
+    wait_for(lambda: served.client.fits.get(fit["id"]).status == "cancelled", "the fit to end")
     served.client.fits.delete_many(id=[fit["id"]], status=["cancelled"])
 
     assert "--yes" in refused(fewview("datasets", "delete", "--metadata=day=3", url), 2)

@@ -163,6 +163,7 @@ def test_hostile_and_broken_files_are_named(api: TestClient, tables: Parts, tmp_
         said = refused(answer)
         assert name.partition(".")[0] in said, said
         assert "fewview-" not in said, said  # the service's own folder
+        assert ("more memory" in said) == (name == "promised.h5"), said
 
 
 def test_text_of_files_cannot_break_the_answer(api: TestClient) -> None:

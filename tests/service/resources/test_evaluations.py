@@ -70,13 +70,26 @@ def test_what_cannot_be_measured_is_refused(api: TestClient) -> None:
         problem(api.post("/evaluations", json=asked), 404, "not_found")
 
 
-def test_known_cameras_triangulate_beside_it(api: TestClient) -> None:
-    lens = {"fx": 1000.0, "cx": 640.0, "cy": 512.0}
+def test_a_dataset_of_too_many_frames_is_compared_in_parts(api: TestClient) -> None:
+    made = make_dataset(api, frames=201)["id"]
+    more = {"keypoints": frames_of(synthetic_capture(frames=200, views=2, seed=1).keypoints)}
+    assert api.post(f"/datasets/{made}/frames", json=more).status_code == 200
+    asked = {"points": [[[0, 0, 0]] * 16] * 2, "dataset_id": made}
+    refused = api.post("/evaluations", json=asked)
+    assert "400 frames at most, got 401" in problem(refused, 422, "invalid_input", "/dataset_id")
+
+
+@pytest.mark.parametrize("model", ["pinhole", "fisheye"])
+def test_known_cameras_triangulate_beside_it(api: TestClient, model: str) -> None:
+    lens = {"model": model, "fx": 1000.0, "cx": 640.0, "cy": 512.0}
     turns = [np.eye(3), np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])]
     rng = np.random.default_rng(2)
     truth = rng.uniform(-1, 1, (6, 7, 3))
     seen = np.stack([truth @ turn.T + (0, 0, 5) for turn in turns], 1)
-    pixels = 1000 * seen[..., :2] / seen[..., 2:] + (640, 512)
+    directions = seen[..., :2] / seen[..., 2:]
+    radii = np.linalg.norm(directions, axis=-1, keepdims=True)
+    bent = np.arctan(radii) / radii if model == "fisheye" else 1  # Kannala and Brandt, equidistant
+    pixels = 1000 * bent * directions + (640, 512)
     body = {"keypoints": frames_of(pixels), "points3d": truth.tolist()}
     made = api.post("/datasets", json=body).json()["id"]
     cameras: list[dict[str, Any]] = [
