@@ -10,7 +10,7 @@ image where a fit found a detector to be stuck.
 """
 
 import io
-import threading
+import sys
 import warnings
 from typing import NamedTuple
 
@@ -34,7 +34,6 @@ from models.numerics.tensor_systems import solve_symmetric
 from models.settings.keypoints import MIN_CONFIDENCE, MIN_KEYPOINTS, MIN_SIZE
 
 OPSET = 18
-ONE_AT_A_TIME = threading.Lock()  # the tracer keeps its state in globals
 INPUTS = ("keypoints", "confidence")
 OUTPUTS = ("points3d", "rotations", "scales", "translations")
 LEAST = 1e-6  # of weights and scales: less would divide by zero
@@ -42,6 +41,10 @@ LEAST = 1e-6  # of weights and scales: less would divide by zero
 
 def onnx_file(prior: FittedPrior) -> bytes:
     """Return the network of a prior as an ONNX model.
+
+    The tracer keeps its state in globals and Python's lock for seconds: a process that does other
+    work runs this module in another, with the weights on standard input and the file on standard
+    output.
 
     Inputs
         `keypoints` (N, K, P, 2) float32, pixels, NaN where not observed; `confidence` (N, K, P)
@@ -62,7 +65,7 @@ def onnx_file(prior: FittedPrior) -> bytes:
     keypoints = torch.zeros(2, 3, prior.keypoints_per_frame, 2)
     axes = {0: "frames", 1: "views"}
     file = io.BytesIO()
-    with ONE_AT_A_TIME, torch.no_grad(), warnings.catch_warnings():
+    with torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the tracer, which this is written for
         torch.onnx.export(
             network,
@@ -228,3 +231,7 @@ def _misfits(points: Tensor, seen: _Seen, guesses: Tensor) -> Tensor:
     observed = (seen.weights > 0).to(points.dtype)
     scaled = (observed * apart).sum(-1) / cameras.scales.clamp_min(LEAST)
     return scaled.sum(-1) / observed.sum((1, 2)).clamp_min(1)
+
+
+if __name__ == "__main__":
+    sys.stdout.buffer.write(onnx_file(FittedPrior.from_bytes(sys.stdin.buffer.read())))

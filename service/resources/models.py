@@ -1,5 +1,6 @@
 """Models: fitted priors, to read, download, import and delete."""
 
+import subprocess
 from collections.abc import AsyncIterator
 from datetime import datetime
 from typing import Annotated, Any, Self
@@ -9,7 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import dumped
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.onnx_file import onnx_file
 from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
 from service.http.dependencies import (
@@ -36,8 +36,11 @@ from store import lookup, models, records
 from store.database import Store
 from store.errors import NotFoundError
 from store.labels import Labels, labels_of
+from worker.process import python, tied
 
 router = APIRouter(prefix="/models", tags=["models"])
+
+NETWORK_SECONDS = 300  # a few are enough where nothing else runs
 
 
 class CurvePoint(BaseModel):
@@ -258,7 +261,9 @@ async def take_turn(request: Request) -> AsyncIterator[None]:
     responses=problems("not_found", "conflict", "range_not_satisfiable")
     | binary_responses("The network as an ONNX file.", OCTETS),
 )
-def download_network(model_id: Identifier, engine: EngineDep, request: Request) -> Response:
+def download_network(
+    model_id: Identifier, store: StoreDep, engine: EngineDep, request: Request
+) -> Response:
     """Download a model's feed-forward network as ONNX, which takes seconds to make.
 
     From `keypoints` (N, K, P, 2) in pixels, NaN where not observed, and `confidence` (N, K, P) it
@@ -266,11 +271,21 @@ def download_network(model_id: Identifier, engine: EngineDep, request: Request) 
     (N, K, 2) in pixels, NaN where there is no answer: what `POST /lift` answers with `refine: off`.
     Perspective is not in it. A model that removes noise before its network has none (409).
     """
-    try:
-        content = onnx_file(engine.prior(model_id))
-    except ValueError as error:
-        raise ApiError("conflict", str(error)) from error
-    return bytes_response(request, content, media_type=OCTETS, filename=f"{model_id}.onnx")
+    if engine.prior(model_id).denoises:
+        raise ApiError(
+            "conflict",
+            f"Model {model_id!r} removes noise from its keypoints before the network, which ONNX "
+            "has no part for: fit with `denoising: false`.",
+        )
+    weights = models.load_weights(store, lookup.get(store, records.Model, model_id))
+    made = subprocess.run(  # noqa: S603 (our own program)
+        tied(*python("-m", "models.lifting.onnx_file")),
+        input=weights,
+        stdout=subprocess.PIPE,
+        timeout=NETWORK_SECONDS,
+        check=True,
+    )
+    return bytes_response(request, made.stdout, media_type=OCTETS, filename=f"{model_id}.onnx")
 
 
 @router.post(

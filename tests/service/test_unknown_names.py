@@ -60,7 +60,7 @@ def test_pages_of_documentation_take_any_query(api: TestClient) -> None:
             "fx",
         ),
         ("/lifts", {"datasetid": "ds"}, "/datasetid", "dataset_id"),
-        ("/lift", {"model": "mdl", "frame": []}, "/frame", "frames"),
+        ("/lift", {"model": "mdl", "fraames": []}, "/fraames", "frames"),
     ],
 )
 def test_unknown_fields(
