@@ -4,7 +4,7 @@ import logging
 from collections.abc import Iterable
 
 from obstore.exceptions import BaseError as ObjectStoreError
-from sqlalchemy import insert
+from sqlalchemy import bindparam, delete, insert
 from sqlalchemy.orm import Session
 
 from store import clock
@@ -22,8 +22,17 @@ def condemn(session: Session, keys: Iterable[str | None]) -> list[str]:
     known = [key for key in keys if key is not None]
     if known:
         due = clock.read(session)
+        acquit(session, known)  # of what a sweep said of them
         session.execute(insert(CondemnedObject), [{"key": key, "due_at": due} for key in known])
     return known
+
+
+def acquit(session: Session, keys: Iterable[str]) -> None:
+    """Forget that objects were condemned."""
+    rows = [{"acquitted": key} for key in keys]
+    if rows:
+        mine = CondemnedObject.key == bindparam("acquitted")
+        session.connection().execute(delete(CondemnedObject).where(mine), rows)
 
 
 def discard(store: Store, *keys: str | None) -> None:

@@ -8,6 +8,7 @@ from sqlalchemy import delete, insert, select, update
 
 from store import clock, deployment
 from store.database import Store
+from store.disposal import acquit
 from store.records import (
     Chunk,
     CondemnedObject,
@@ -84,8 +85,7 @@ def sweep(
             session.execute(insert(CondemnedObject), rows)
             due |= dict.fromkeys(new, time_now + grace_seconds)
         ended = {key for key, at in due.items() if key in orphans and at <= time_now}
-        for key in (due.keys() - orphans) | ended:
-            session.execute(delete(CondemnedObject).where(CondemnedObject.key == key))
+        acquit(session, (due.keys() - orphans) | ended)
         session.execute(
             delete(IdempotencyKey).where(IdempotencyKey.created_at < time_now - KEY_SECONDS)
         )

@@ -95,6 +95,16 @@ def test_what_a_user_deletes_goes_however_much_and_whatever_fails(
     assert datasets.load(store, kept.id).frames == capture.frames
 
 
+def test_what_a_sweep_condemned_can_be_deleted_by_its_user(store: Store, capture: Capture) -> None:
+    dataset = datasets.create(store, capture, Description("restored"))
+    (key,) = listed(store)
+    with store.writing() as session:
+        session.execute(text("INSERT INTO condemned_objects VALUES (:key, 1e12)"), {"key": key})
+    datasets.delete(store, dataset.id)
+    assert listed(store) == set()
+    assert sweep(store) == (0, 0)
+
+
 def test_one_of_all_workers_sweeps_and_only_so_often(store: Store) -> None:
     assert housekeeping.take_turn(store)
     assert not housekeeping.take_turn(store)
