@@ -5,6 +5,7 @@ The pickles of the MV-NRSfM authors (`CAM_*.pkl`), which hold such data, too, ar
 """
 
 import json
+import re
 import zipfile
 from os import PathLike
 from pathlib import Path
@@ -23,6 +24,16 @@ MAX_BYTES = 2**31  # of what is read into memory at once
 H36M_JOINTS = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)
 H36M_CAMERAS = ("54138969", "55011271", "58860488", "60457274")
 H36M_FPS = 50.0
+
+MACAQUE = (
+    *("nose", "head", "neck", "right_shoulder", "right_hand", "left_shoulder", "left_hand"),
+    *("hip", "right_knee", "right_foot", "left_knee", "left_foot", "tail"),
+)
+MACAQUE_EDGES = (
+    *((0, 1), (1, 2), (2, 3), (3, 4), (2, 5), (5, 6), (2, 7)),
+    *((7, 8), (8, 9), (7, 10), (10, 11), (7, 12)),
+)
+OMS_IMAGE = r"batch(\w+?)_(\d+)_(\d+)\.jpg"  # batch, frame, camera
 
 File = str | PathLike[str]
 
@@ -94,6 +105,64 @@ def freihand(folder: File, *, part: str = "training") -> Capture:
         keypoint_names=skeleton.names,
         edges=skeleton.edges,
     )
+
+
+def openmonkeystudio(folder: File, *, batch: str) -> Capture:
+    """Return a batch of OpenMonkeyStudio: a macaque, a view for each camera, 13 keypoints, truth.
+
+    The layout is that of the README of https://github.com/OpenMonkeyStudio/OMS_Data: `Data.mat`
+    holds what was labelled in each image, (y, x) from the corner of the crop that the image is;
+    `Batch7/crop_para.mat` says where the crops of a batch lie in the cameras' images, and
+    `Batch7/coords_3D.mat` where the keypoints are in space. Frames are those that have 3D. A view
+    is named by its camera; most cameras show few frames, so a part of the up to 62 views is what
+    one fits. Needs SciPy (`pip install 'fewview[mat]'`).
+
+    Raises
+    ------
+    FormatError
+        The files have another layout, there is no such batch, or SciPy is not installed.
+    """
+    place = Path(folder) / f"Batch{batch}"
+    try:
+        points = _of_mat(place / "coords_3D.mat", "coords").reshape(-1, len(MACAQUE), 4)
+        crops = _of_mat(place / "crop_para.mat", "crop").reshape(-1, 6)
+        labelled = _of_mat(Path(folder) / "Data.mat", "T")
+        images = [re.fullmatch(OMS_IMAGE, str(name)) for name in np.atleast_1d(labelled["name"])]
+        labels = np.asarray(labelled["data"], np.float64).reshape(len(images), 4 + 2 * len(MACAQUE))
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise FormatError(f"{folder}: expected the files of OMS_Data ({error})") from error
+    if (points[..., :1] != points[:, :1, :1]).any():
+        raise FormatError(f"{place}: expected {len(MACAQUE)} rows of coordinates for each frame")
+    frames = {int(number): index for index, number in enumerate(points[:, 0, 0])}
+    cameras = {int(number): index for index, number in enumerate(np.unique(crops[:, 1]))}
+    corners = {(int(crop[0]), int(crop[1])): crop[2:4] for crop in crops}
+    keypoints = np.full((len(frames), len(cameras), len(MACAQUE), 2), np.nan, np.float32)
+    for image, label in zip(images, labels, strict=True):
+        if image is None or image[1] != batch:
+            continue
+        frame, camera = int(image[2]), int(image[3])
+        if frame in frames and (frame, camera) in corners:
+            shown = label[4:].reshape(-1, 2)[:, ::-1] + corners[frame, camera]
+            keypoints[frames[frame], cameras[camera]] = shown
+    return Capture(
+        keypoints,
+        points3d=points[..., 1:].astype(np.float32),
+        keypoint_names=MACAQUE,
+        edges=MACAQUE_EDGES,
+        view_names=tuple(map(str, cameras)),
+    )
+
+
+def _of_mat(file: Path, name: str) -> Any:
+    try:
+        from scipy.io import loadmat  # noqa: PLC0415  # an extra
+    except ImportError as error:
+        raise FormatError(
+            ".mat files need SciPy, which is not installed: pip install 'fewview[mat]'"
+        ) from error
+    if not file.is_file():
+        raise FormatError(f"{file}: there is no such file")
+    return loadmat(file, variable_names=[name], simplify_cells=True)[name]
 
 
 def _moving(positions: Any) -> Any:

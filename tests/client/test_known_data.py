@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from fewview.errors import FormatError
-from fewview.known_data import freihand, human36m
+from fewview.known_data import freihand, human36m, openmonkeystudio
+from scipy.io import savemat
 
 RNG = np.random.default_rng(3)
 
@@ -87,3 +88,44 @@ def test_freihand(tmp_path: Path) -> None:
     (tmp_path / "training_K.json").write_text('[{"a": 1}]')
     with pytest.raises(FormatError, match="list of lists"):
         freihand(tmp_path)
+
+
+def save_oms(folder: Path, points: Any, shown: dict[tuple[str, int, int], Any]) -> None:
+    """Write what the README of OMS_Data describes: labels (13, 2) of crops by their image."""
+    batch = folder / "Batch9a"
+    batch.mkdir(parents=True, exist_ok=True)
+    rows = [[frame, *point] for frame, pose in points.items() for point in pose]
+    savemat(batch / "coords_3D.mat", {"coords": np.array(rows)})
+    crops = [[f, c, 100 * c % 700, 7 * f, 381, 382] for name, f, c in shown if name == "9a"]
+    savemat(batch / "crop_para.mat", {"crop": np.array(crops, np.float64)})
+    names = [f"batch{name}_{frame:09d}_{camera:08d}.jpg" for name, frame, camera in shown]
+    labels = [[0, 0, 382, 381, *pose[:, ::-1].ravel()] for pose in shown.values()]
+    cells = np.array(names, dtype=object)[:, None]
+    savemat(folder / "Data.mat", {"T": {"name": cells, "data": np.array(labels)}})
+
+
+def test_openmonkeystudio(tmp_path: Path) -> None:
+    points = {3120: RNG.standard_normal((13, 3)), 3160: RNG.standard_normal((13, 3))}
+    images = [("9a", 3120, 18064162), ("9a", 3160, 18064162), ("9a", 3160, 17158703)]
+    others = [("9", 3120, 18064162), ("9a", 3200, 18064162)]  # another batch, no 3D
+    shown = {key: RNG.uniform(0, 380, (13, 2)) for key in (*images, *others)}
+    save_oms(tmp_path, points, shown)
+    found = openmonkeystudio(tmp_path, batch="9a")
+    assert found.keypoints.shape == (2, 2, 13, 2)
+    assert found.view_names == ("17158703", "18064162")
+    assert np.isnan(found.keypoints[0, 0]).all()
+    for (_, frame, camera), pose in list(shown.items())[:3]:
+        corner = np.array([100 * camera % 700, 7 * frame])
+        view = found.view_names.index(str(camera))
+        place = list(points).index(frame)
+        np.testing.assert_allclose(found.keypoints[place, view], pose + corner, atol=1e-2)
+    assert found.points3d is not None
+    np.testing.assert_allclose(found.points3d, list(points.values()), atol=1e-6)
+    assert found.keypoint_names is not None
+    assert (found.keypoint_names[3], found.keypoint_names[12]) == ("right_shoulder", "tail")
+
+    with pytest.raises(FormatError, match=r"Batch7.*no such file"):
+        openmonkeystudio(tmp_path, batch="7")
+    savemat(tmp_path / "Data.mat", {"T": 3})
+    with pytest.raises(FormatError, match="OMS_Data"):
+        openmonkeystudio(tmp_path, batch="9a")
