@@ -54,7 +54,7 @@ class Upload:
     fields
         Text fields that came beside the file in a form.
     files
-        All files of a form that may have several; `data` are those of the first.
+        Those that a form calls `files`, if any; `data` are those of the first.
     """
 
     data: bytes
@@ -178,19 +178,23 @@ async def read_body(request: Request, *, max_files: int = 1) -> Upload:
 
 
 async def _of_form(form: FormData, *, several: bool) -> Upload:
-    names = ("file", "files") if several else ("file",)
-    parts = [part for name in names for part in form.getlist(name) if isinstance(part, UploadFile)]
-    if len(form.getlist("file")) > 1:
-        raise ApiError("malformed_body", "The form has `file` twice; name several files `files`.")
-    if not parts:
+    def named(name: str) -> list[UploadFile]:
+        return [part for part in form.getlist(name) if isinstance(part, UploadFile)]
+
+    one, many = named("file"), named("files") if several else []
+    if len(one) + bool(many) > 1:
+        raise ApiError(
+            "malformed_body", "expected one `file` of arrays, or `files`, one for each camera"
+        )
+    if not one and not many:
         raise invalid(
             "/file",
             "expected an .npz or safetensors file in this form field"
             + (", or detectors' files as `files`, one for each camera" if several else ""),
         )
     fields = {name: text for name, text in form.items() if isinstance(text, str)}
-    files = tuple([File(part.filename or "", await part.read()) for part in parts])
-    return Upload(files[0].data, is_json=False, fields=fields, files=files if several else ())
+    files = tuple([File(part.filename or "", await part.read()) for part in one or many])
+    return Upload(files[0].data, is_json=False, fields=fields, files=files if many else ())
 
 
 # Until it is answered.

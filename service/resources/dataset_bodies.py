@@ -153,6 +153,8 @@ def read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capt
             upload, reading, settings, fps=known.fps, image_sizes=known.image_sizes
         )
         said |= told
+    elif reading:
+        raise invalid(f"/{next(iter(reading))}", "expected beside `files` only, not beside arrays")
     else:
         found = read_arrays(upload, settings, CAPTURE_ARRAYS | DESCRIPTION_ARRAYS)
         said |= _described_in(found)

@@ -265,3 +265,19 @@ def test_what_was_unpacked_goes_even_if_reading_hangs(
         read_apart(folder, ["a.zip", "b"], ReadingOptions(), max_bytes=2**20)
     assert list(folder.glob("fewview-*"))
     assert not list(temporary.iterdir())
+
+
+def test_a_form_has_one_file_of_arrays_or_files_of_detectors(
+    api: TestClient, tables: Parts
+) -> None:
+    arrays = io.BytesIO()
+    np.savez(arrays, keypoints=np.stack([LEFT, RIGHT], 1)[..., :2].astype(np.float32))
+    file = ("file", ("capture.npz", arrays.getvalue()))
+    problem(api.post("/datasets", files=[file, *tables]), 400, "malformed_body")
+    problem(api.post("/datasets", files=[file, file]), 400, "malformed_body")
+    answer = api.post("/datasets", files=[file], data={"min_confidence": "0.3"})
+    problem(answer, 422, "invalid_input", "/min_confidence")
+    assert api.post("/datasets", files=[("files", file[1])]).status_code == 201
+    _, table = tables[0]
+    answer = api.post("/datasets", files=[("file", table)])
+    assert "files=@cam1.csv" in problem(answer, 400, "malformed_body")
