@@ -40,7 +40,7 @@ class Store:
         self.engine = _open_records(settings.resolved_database_url, pooled=not forks)
         self.objects = Objects(settings.resolved_store_url)
         if not forks:
-            self.identity = deployment.agree(self.writing, self.objects)
+            self.identity = deployment.agree(self.reading, self.writing, self.objects)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:

@@ -20,21 +20,30 @@ from store.records import Chunk, Dataset, Deployment, FitJob, LiftJob, Model
 MARK = "deployment.json"
 
 
-def agree(writing: Callable[[], AbstractContextManager[Session]], objects: Objects) -> str:
+Sessions = Callable[[], AbstractContextManager[Session]]
+
+
+def agree(reading: Sessions, writing: Sessions, objects: Objects) -> str:
     """Return the identity of the deployment that records and objects are of.
 
     Where both are new, or were written before there were identities, they get one.
 
     Parameters
     ----------
-    writing
-        Gives a session that holds the write lock of the records.
+    reading, writing
+        Give sessions of the records; only the latter hold their write lock, and are asked for only
+        where there is no identity yet: nobody's writes wait for objects that are away.
 
     Raises
     ------
     DeploymentError
         If they are of different deployments, or only one of them is new.
     """
+    with reading() as session:
+        known = session.scalar(select(Deployment.id).where(Deployment.marked_at.is_not(None)))
+    if known is not None:
+        check(objects, known)
+        return known
     with writing() as session:  # of several processes that start together, one goes first
         if session.scalar(select(Deployment)) is None:
             _refuse_strangers(session, objects)
@@ -45,20 +54,23 @@ def agree(writing: Callable[[], AbstractContextManager[Session]], objects: Objec
         if marked is None and deployment.marked_at is None:
             mark = json.dumps({"deployment": deployment.id})
             objects.put(MARK, mark.encode())
-        elif marked != deployment.id:
-            raise DeploymentError(
-                f"The records are of deployment {deployment.id}, but the objects in "
-                f"{objects.url} are of {marked or 'none'}: is FEWVIEW_DATABASE_URL or "
-                "FEWVIEW_STORE_URL missing or wrong?"
-            )
+        else:
+            _compare(objects, deployment.id, marked)
         deployment.marked_at = deployment.marked_at or time.time()
     return deployment.id
 
 
 def check(objects: Objects, identity: str) -> None:
     """Raise ``DeploymentError`` unless the objects are still those of a deployment."""
-    if _marked(objects) != identity:
-        raise DeploymentError(f"The objects in {objects.url} are not those of {identity} any more.")
+    _compare(objects, identity, _marked(objects))
+
+
+def _compare(objects: Objects, identity: str, marked: str | None) -> None:
+    if marked != identity:
+        raise DeploymentError(
+            f"The records are of deployment {identity}, but the objects in {objects.url} are of "
+            f"{marked or 'none'}: is FEWVIEW_DATABASE_URL or FEWVIEW_STORE_URL missing or wrong?"
+        )
 
 
 def _marked(objects: Objects) -> str | None:

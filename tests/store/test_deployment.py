@@ -12,6 +12,7 @@ from store.database import Store
 from store.datasets import Description
 from store.deployment import MARK
 from store.errors import DeploymentError
+from store.objects import Objects
 from store.settings import StoreSettings
 
 
@@ -83,6 +84,23 @@ def test_a_start_that_was_killed_before_the_mark_was_written_is_finished(
     assert again.identity == full.identity
     again.close()
     Store(StoreSettings(data_dir=tmp_path)).close()
+
+
+def test_objects_that_answer_late_keep_nobody_from_writing(
+    full: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def late(objects: Objects, key: str) -> bytes:
+        with full.writing() as session:  # another process writes while this one waits
+            session.execute(text("UPDATE datasets SET name = 'renamed'"))
+        asked.append(key)
+        return get(objects, key)
+
+    get = Objects.get
+    monkeypatch.setattr(Objects, "get", late)
+    Store(StoreSettings(data_dir=tmp_path)).close()
+    assert asked == [MARK]
 
 
 def test_a_sweep_stops_when_the_objects_have_become_others(full: Store) -> None:
