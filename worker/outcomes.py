@@ -44,8 +44,8 @@ def recorded(work: str, outcomes: Outcomes) -> Iterator[None]:
     the lease was lost            nothing: the work has ended, or is another's
     a record was deleted          failed, ``dataset_not_found`` or ``model_not_found``
     ``models`` refuses the input  failed, ``unusable``
-    the records are away          nothing can be: another goes on when the lease has run out
-    the objects are away          given back, to be tried again
+    the records stay away         nothing can be: another goes on when the lease has run out
+    the objects stay away         given back, to be tried again
     anything else                 ``fault``
     ============================  ==========================================================
 
