@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from contextlib import suppress
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
@@ -11,6 +12,22 @@ import obstore
 from obstore.store import LocalStore, from_url
 
 from store.keys import FOLDERS, is_ours
+
+# Of a store that is reached by URL. A request that gets no answer, or that the store cannot serve
+# at the moment, is sent again, with pauses that grow; who waits for it hears within a minute.
+CONNECTING: dict[str, Any] = {
+    "client_options": {
+        "connect_timeout": timedelta(seconds=5),
+        "timeout": timedelta(seconds=20),  # of a request with its answer
+        "allow_http": True,  # where somebody named an endpoint of http://
+    },
+    "retry_config": {
+        "max_retries": 5,
+        "retry_timeout": timedelta(seconds=30),  # after which none is sent again
+        "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=3)},
+    },
+}
+PARTS_AT_A_TIME = 4  # of 5 MiB, of an object that is uploaded in parts
 
 
 class Objects:
@@ -22,14 +39,14 @@ class Objects:
         parts = urlsplit(url)
         self._folder = Path(unquote(parts.path)) if parts.scheme == "file" else None
         self._store: Any = (
-            from_url(url)
+            from_url(url, **CONNECTING)
             if self._folder is None
             else LocalStore(self._folder, mkdir=True, automatic_cleanup=True)
         )
 
     def put(self, key: str, data: bytes) -> None:
         """Store ``data`` under ``key``, durably: on return it survives a loss of power."""
-        obstore.put(self._store, key, data)
+        obstore.put(self._store, key, data, max_concurrency=PARTS_AT_A_TIME)
         if self._folder is not None:
             # A local rename is atomic but not durable; the record that will point here is.
             for path in (self._folder / key, (self._folder / key).parent):

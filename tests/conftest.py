@@ -1,5 +1,8 @@
 import os
+from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 # As the service and its workers do: tests must not depend on how busy the other cores are.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # NumPy's and SciPy's, before they are imported
@@ -10,5 +13,13 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 )
 
 from models.numerics.threads import use_threads
+from tests.object_stores import S3, s3_served
 
 use_threads(1)
+
+
+@pytest.fixture(scope="session")
+def s3() -> Iterator[S3]:
+    """Serve an object store for this test process: `StoreSettings(store_url=s3.new_url())`."""
+    with s3_served() as served:
+        yield served
