@@ -6,6 +6,7 @@ import socket
 import sys
 import threading
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 from typing import Any
@@ -28,6 +29,7 @@ from service.http.operations import registered_schemas
 from service.http.uploads import LARGE_AT_A_TIME
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
+from service.realtime.lift import BODY_THREADS
 from service.realtime.rooms import Rooms
 from service.resources import (
     captures,
@@ -92,14 +94,17 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.queue = open_queue(connection)
         app.state.large_uploads = asyncio.Semaphore(LARGE_AT_A_TIME)
         app.state.calculations = asyncio.Semaphore(LARGE_AT_A_TIME)
+        app.state.large_lifts = asyncio.Semaphore(LARGE_AT_A_TIME)
+        app.state.lift_bodies = ThreadPoolExecutor(BODY_THREADS, thread_name_prefix="lift-body")
         app.state.streams = asyncio.Semaphore(settings.max_streams)
         app.state.engine = Engine(
             app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
         )
         app.state.rooms = Rooms(app.state.store)
-        threading.Thread(target=app.state.engine.warm_newest, daemon=True).start()
+        threading.Thread(target=app.state.engine.models.warm_newest, daemon=True).start()
         yield
         await asyncio.to_thread(app.state.engine.close)
+        app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
         app.state.store.close()
         app.state.queue.connection.close()
 

@@ -1,12 +1,12 @@
 """Opening the store: one handle for records and objects."""
 
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, Select, create_engine, event, inspect, select, text
-from sqlalchemy.exc import DBAPIError, OperationalError
+from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, select, text
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import NullPool
 from sqlalchemy.schema import CreateColumn
@@ -54,29 +54,6 @@ class Store:
         engine = self.engine.execution_options(writing=True)
         with Session(engine, expire_on_commit=False) as session, session.begin():
             yield session
-
-    def reader(self, statement: Select[Any]) -> Callable[[dict[str, str]], Any]:
-        """Return a function of a select's parameters that reads its first row, None without any.
-
-        It goes past sessions and their transactions, which take ten times as long: for what is
-        read at every request. It raises ``OperationalError`` as they do.
-        """
-        compiled = statement.compile(dialect=self.engine.dialect)
-        failure = self.engine.dialect.loaded_dbapi.Error
-
-        def read(parameters: dict[str, str]) -> Any:
-            values: Any = parameters
-            if compiled.positiontup is not None:
-                values = tuple(parameters[name] for name in compiled.positiontup)
-            try:
-                with closing(self.engine.raw_connection()) as connection:
-                    cursor = connection.cursor()
-                    cursor.execute(compiled.string, values)
-                    return cursor.fetchone()
-            except failure as error:
-                raise OperationalError(compiled.string, values, error) from error
-
-        return read
 
     def check_records(self) -> None:
         """Raise if the records cannot be read."""

@@ -2,10 +2,10 @@
 
 import hashlib
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from sqlalchemy import bindparam, select, update
+from sqlalchemy import select, update
 
 from store import jobs, keys
 from store.database import Store
@@ -15,6 +15,13 @@ from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
 from store.lookup import get, lock
 from store.records import FitJob, LiftJob, Model
+
+
+class Whereabouts(NamedTuple):
+    """Where a model's weights lie, and the fit that made it, if that is still there."""
+
+    weights_key: str
+    fit_id: str | None
 
 
 def new_record(store: Store, weights: bytes, **columns: Any) -> Model:
@@ -52,21 +59,11 @@ def create(
     return model
 
 
-def weights_keys(store: Store) -> Callable[[str], str]:
-    """Return a quick way to ask where a model's weights lie; it is asked at every lift.
-
-    The function raises ``NotFoundError`` if there is no such model, or no longer.
-    """
-    read = store.reader(select(Model.weights_key).where(Model.id == bindparam("model_id")))
-
-    def weights_key(model_id: str) -> str:
-        row = read({"model_id": model_id})
-        if row is None:
-            raise NotFoundError("model", model_id)
-        key: str = row[0]
-        return key
-
-    return weights_key
+def whereabouts(store: Store, model_ids: Sequence[str]) -> dict[str, Whereabouts]:
+    """Return of these models those that are there, by identifier."""
+    query = select(Model.id, Model.weights_key, Model.fit_id).where(Model.id.in_(model_ids))
+    with store.reading() as session:
+        return {row.id: Whereabouts(row.weights_key, row.fit_id) for row in session.execute(query)}
 
 
 def load_weights(store: Store, model: Model) -> bytes:

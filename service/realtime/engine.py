@@ -7,9 +7,11 @@ slice or two of the others' frames.
 """
 
 import asyncio
+import logging
 import threading
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import NamedTuple
@@ -17,12 +19,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
-from service.realtime.warm_models import WarmModels
+from service.realtime.warm_models import WarmModel, WarmModels
 from store.database import Store
+from store.errors import NotFoundError
+
+logger = logging.getLogger(__name__)
 
 SLICE_FRAMES = 256  # lifted by the network alone, which takes some 20 us a frame
 REFINED_FRAMES = 32  # refined, which takes some 1 ms a frame
@@ -34,7 +38,7 @@ Float32 = NDArray[np.float32]
 class Way(NamedTuple):
     """How frames are lifted. Only those of one way, and of one shape, can be lifted together."""
 
-    model_id: str
+    model: WarmModel
     refine: Refine | None
     views: tuple[int, ...] | None
     shape: tuple[int, ...]  # (K, P, 2) of a frame
@@ -73,10 +77,7 @@ class Engine:
 
     def __init__(self, store: Store, *, max_bytes: int, threads: int = 1) -> None:
         """Keep up to ``max_bytes`` of weights warm, and lift with that many threads."""
-        self._models = WarmModels(store, max_bytes=max_bytes)
-        self.prior = self._models.prior
-        self.remembered = self._models.remembered
-        self.warm_newest = self._models.warm_newest
+        self.models = WarmModels(store, max_bytes=max_bytes)
         # Calls of up to a slice, by their ways, which take turns. Larger ones take turns singly.
         self._small: dict[Way, deque[_Call]] = {}
         self._large: deque[_Call] = deque()
@@ -98,10 +99,11 @@ class Engine:
             self._changed.notify_all()
         for thread in self._threads:
             thread.join(CLOSE_SECONDS)
+        self.models.close()
 
     def lift(
         self,
-        model_id: str,
+        model: WarmModel,
         keypoints: Float32,
         *,
         confidence: Float32 | None = None,
@@ -112,14 +114,15 @@ class Engine:
         """Lift frames (N, K, P, 2) as ``FittedPrior.lift`` does, together with those of others.
 
         Called in the event loop. A future that is cancelled gives its place in the queue up.
+        Nothing is asked of records, objects or queue.
 
         Raises
         ------
         NotFoundError
-            From the future: if there is no such model, or no longer.
+            From the future: if the model was deleted.
         """
         way = Way(
-            model_id,
+            model,
             refine,
             None if views is None else tuple(views),
             keypoints.shape[1:],
@@ -127,7 +130,7 @@ class Engine:
             previous is not None,
         )
         answer: asyncio.Future[Lift] = asyncio.get_running_loop().create_future()
-        size = self._slice_size(model_id, refine)
+        size = _slice_size(model, refine)
         call = _Call(way, keypoints, confidence, previous, size, answer, missing=len(keypoints))
         with self._changed:
             if len(keypoints) > size:
@@ -137,27 +140,28 @@ class Engine:
             self._changed.notify()
         return answer
 
-    def _slice_size(self, model_id: str, refine: Refine | None) -> int:
-        prior = self.remembered(model_id)
-        if prior is None or prior.cameras is None or (refine or prior.config.refine) == "off":
-            return SLICE_FRAMES
-        return REFINED_FRAMES
-
     # In the threads:
 
     def _work(self) -> None:
+        """Lift until the engine is closed; no error, whatever it is, ends the thread before."""
         while pieces := self._take():
-            outcomes = zip(pieces, self._lift(pieces), strict=True)
-            finished = [
-                (piece.call.answer, outcome)
-                for piece, part in outcomes
-                if (outcome := self._finished(piece, part)) is not None
-            ]
+            try:
+                finished = self._outcomes(pieces)
+            except BaseException:  # also what is meant to end a thread: nobody would lift any more
+                logger.exception("A batch of lifts failed")
+                fault = RuntimeError("a batch of lifts failed")
+                finished = [(piece.call.answer, fault) for piece in pieces]
             if finished:
-                try:
+                with suppress(RuntimeError):  # the loop is closed: nobody waits any more
                     finished[0][0].get_loop().call_soon_threadsafe(_deliver, finished)
-                except RuntimeError:  # the loop is closed: nobody waits any more
-                    return
+
+    def _outcomes(self, pieces: list[_Piece]) -> "list[tuple[asyncio.Future[Lift], _Outcome]]":
+        """Lift, and return the answers to whole calls."""
+        return [
+            (piece.call.answer, outcome)
+            for piece, part in zip(pieces, self._lift(pieces), strict=True)
+            if (outcome := self._finished(piece, part)) is not None
+        ]
 
     def _take(self) -> list[_Piece]:
         """Wait for work and return what is lifted next; nothing once the engine is closed."""
@@ -201,12 +205,11 @@ class Engine:
         return pieces
 
     def _lift(self, pieces: list[_Piece]) -> list[_Outcome]:
+        model = pieces[0].call.way.model
+        if model.gone:
+            return [NotFoundError("model", model.id)] * len(pieces)
         try:
-            prior = self.prior(pieces[0].call.way.model_id)
-        except Exception as error:  # noqa: BLE001 - those who wait are told
-            return [error] * len(pieces)
-        try:
-            return _lift_together(prior, pieces)
+            return _lift_together(pieces)
         except Exception as error:  # noqa: BLE001 - those who wait are told
             if len(pieces) == 1:
                 return [error]
@@ -226,14 +229,21 @@ class Engine:
         return join([call.parts[start] for start in sorted(call.parts)])
 
 
-def _lift_together(prior: FittedPrior, pieces: list[_Piece]) -> list[_Outcome]:
+def _slice_size(model: WarmModel, refine: Refine | None) -> int:
+    prior = model.prior
+    if prior.cameras is None or (refine or prior.config.refine) == "off":
+        return SLICE_FRAMES
+    return REFINED_FRAMES
+
+
+def _lift_together(pieces: list[_Piece]) -> list[_Outcome]:
     way = pieces[0].call.way
     confidence = [c.confidence[start:stop] for c, start, stop in pieces if c.confidence is not None]
     previous = [
         c.previous.frames(slice(start, stop)) for c, start, stop in pieces if c.previous is not None
     ]
     more = {"previous": join(previous)} if previous else {}
-    lift = prior.lift(
+    lift = way.model.prior.lift(
         np.concatenate([call.keypoints[start:stop] for call, start, stop in pieces]),
         confidence=np.concatenate(confidence) if confidence else None,
         refine=way.refine,

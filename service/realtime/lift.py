@@ -2,26 +2,28 @@
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from contextlib import nullcontext
 from functools import partial
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 from fastapi import APIRouter, Query, Request
+from fastapi.concurrency import run_in_threadpool
 from fastapi.routing import APIRoute
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
 from models.lifting import lift as lifts
-from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift_findings import lift_findings
 from models.settings.config import Index, Refine
 from models.settings.rooms import FrameOfReference, Up
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses, request_body
-from service.http.uploads import LARGE_BYTES, Upload, read_body
+from service.http.uploads import LARGE_AT_A_TIME, LARGE_BYTES, Upload, read_body
 from service.realtime.engine import Engine
 from service.realtime.frames import to_frames
 from service.realtime.rooms import Rooms, check_known
+from service.realtime.warm_models import WarmModel
 from service.settings import Settings
 from service.wire.captures import read_arrays
 from service.wire.findings import Findings
@@ -32,6 +34,7 @@ from store.capture import Capture
 from worker.rooms import Room
 
 TINY_BYTES = 32 * 1024  # worked on in less time than it takes to switch threads, or not much more
+BODY_THREADS = LARGE_AT_A_TIME + 4  # for bodies of lifts that are not tiny; they wait for nothing
 PATIENCE_SECONDS = 0.1  # before it is looked whether a client still waits
 
 Result = TypeVar("Result")
@@ -95,8 +98,7 @@ ViewsQuery = Annotated[
 
 
 class _Asked(NamedTuple):
-    model: str
-    prior: FittedPrior
+    model: WarmModel
     capture: Capture
     refine: Refine | None
     views: list[int] | None
@@ -117,12 +119,12 @@ def _understand(
     upload: Upload,
     query: _Query,
     settings: Settings,
-    prior_of: Callable[[str], FittedPrior | None],
-    room_of: Callable[[str, FittedPrior, Up | None], Room | None],
+    model_of: Callable[[str], WarmModel | None],
+    room_of: Callable[[WarmModel, Up | None], Room | None],
 ) -> _Asked | None:
     """Return what the body asks for, and the query where it is silent.
 
-    None if ``prior_of`` has no such model, or ``room_of`` no such room.
+    None if ``model_of`` has no such model, or ``room_of`` no such room.
     """
     if upload.is_json:
         asked = upload.json(LiftRequest)
@@ -141,17 +143,17 @@ def _understand(
     views = query.views if asked.views is None else asked.views
     up = read_up(query.up) if asked.up is None else asked.up
     in_room = is_room(asked.frame or query.frame, up)
-    prior = prior_of(asked.model)
-    if prior is None:
+    model = model_of(asked.model)
+    if model is None:
         return None
-    capture = to_frames(asked.frames, asked.confidence, views, prior, settings)
+    capture = to_frames(asked.frames, asked.confidence, views, model.prior, settings)
     room = None
     if in_room:
-        room = room_of(asked.model, prior, up)
+        room = room_of(model, up)
         if room is None:
             return None
         check_known(room, views, capture.keypoints.shape[1])
-    return _Asked(asked.model, prior, capture, asked.refine or query.refine, views, room)
+    return _Asked(model, capture, asked.refine or query.refine, views, room)
 
 
 class DirectRoute(APIRoute):
@@ -213,9 +215,10 @@ async def lift(
     query = _Query(model, refine, views, frame, up)
     understand = partial(_understand, upload, query, request.app.state.settings)
     run = partial(_run, request, len(upload.data))
-    asked = await run(understand, engine.remembered, rooms.remembered)
-    if asked is None:  # the model or its room is cold, or there is none
-        asked = await _run(request, LARGE_BYTES, understand, engine.prior, rooms.find)
+    asked = await run(understand, engine.models.warm, rooms.remembered)
+    if asked is None:  # the model or its room is cold, or there is none: records are waited for
+        async with request.app.state.large_uploads:
+            asked = await run_in_threadpool(understand, engine.models.get, rooms.find)
         assert asked is not None  # noqa: S101
     lifted = await _unless_gone(
         request,
@@ -238,8 +241,8 @@ def _answer(request: Request, asked: _Asked, lifted: lifts.Lift, format: Format 
     return arrays_response(
         request,
         lifted.arrays,
-        {"model": asked.model},
-        lift_findings(lifted, asked.prior),
+        {"model": asked.model.id},
+        lift_findings(lifted, asked.model.prior),
         format=format,
         filename="lift",
     )
@@ -248,13 +251,16 @@ def _answer(request: Request, asked: _Asked, lifted: lifts.Lift, format: Format 
 async def _run(
     request: Request, size: int, work: Callable[..., Result], *arguments: object
 ) -> Result:
-    """Do work on a body here if it is tiny, else in a thread; large ones take turns."""
+    """Do work on a body here if it is tiny, else in a thread; large ones take turns.
+
+    Neither threads nor turns are those of requests that wait for records.
+    """
     if size <= TINY_BYTES:
         return work(*arguments)
-    if size < LARGE_BYTES:
-        return await asyncio.to_thread(work, *arguments)
-    async with request.app.state.large_uploads:
-        return await asyncio.to_thread(work, *arguments)
+    state = request.app.state
+    async with state.large_lifts if size >= LARGE_BYTES else nullcontext():
+        running = asyncio.get_running_loop().run_in_executor(state.lift_bodies, work, *arguments)
+        return await running
 
 
 async def _unless_gone(request: Request, answer: "asyncio.Future[lifts.Lift]") -> lifts.Lift | None:

@@ -2,27 +2,26 @@
 
 import threading
 
-from models.lifting.fitted_prior import FittedPrior
 from models.settings.rooms import Up
 from service.http.errors import invalid
+from service.realtime.warm_models import WarmModel
 from store.database import Store
 from worker.rooms import Room, find_room
 
-MOST = 256  # rooms kept at once, of a few hundred bytes each
+MOST = 64  # rooms of a model kept at once, of a few hundred bytes each
 
 
 class Rooms:
     """What is known of the rooms of models that were asked for. Safe to use from many threads.
 
-    A room stays what it was when the fit is deleted, whose frames told up and the floor.
+    A room of which the fit's frames told up and the floor is forgotten when the fit is deleted.
     """
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._found: dict[tuple[str, Up | None], Room] = {}
         self._finding = threading.Lock()  # for which a whole reconstruction may be read
 
-    def find(self, model_id: str, prior: FittedPrior, up: Up | None) -> Room:
+    def find(self, model: WarmModel, up: Up | None) -> Room:
         """Return the room of a model as :func:`worker.rooms.find_room` does; it may take a while.
 
         Raises
@@ -30,22 +29,23 @@ class Rooms:
         NotFoundError, ConflictError
             If there is no such model, or no room of it.
         """
-        room = self.remembered(model_id, prior, up)
+        room = self.remembered(model, up)
         if room is None:
             with self._finding:
-                room = self.remembered(model_id, prior, up)
+                room = self.remembered(model, up)
                 if room is None:
-                    room = find_room(self._store, model_id, prior.cameras, up)
-                    if len(self._found) >= MOST:
-                        self._found.clear()
-                    self._found[model_id, up] = room
+                    told_by = model.fit_id
+                    room = find_room(self._store, model.id, model.prior.cameras, up)
+                    if len(model.rooms) >= MOST:
+                        model.rooms.clear()
+                    model.rooms[told_by, up] = room
         return room
 
-    def remembered(self, model_id: str, prior: FittedPrior, up: Up | None) -> Room | None:
+    def remembered(self, model: WarmModel, up: Up | None) -> Room | None:
         """Return a room for which nothing is to be read, None if that is not yet so."""
         if up is None:
-            return find_room(self._store, model_id, prior.cameras, None)
-        return self._found.get((model_id, up))
+            return find_room(self._store, model.id, model.prior.cameras, None)
+        return model.rooms.get((model.fit_id, up))
 
 
 def check_known(room: Room, views: list[int] | None, count: int) -> None:

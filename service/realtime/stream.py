@@ -7,11 +7,11 @@ from contextlib import suppress
 
 import orjson
 from fastapi import APIRouter, WebSocket
+from fastapi.concurrency import run_in_threadpool
 from pydantic import ValidationError
 from starlette.responses import Response
 from starlette.websockets import WebSocketDisconnect
 
-from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift
 from service.http.errors import PROBLEMS, ApiError, FieldError, from_validation, invalid, problems
 from service.http.operations import register
@@ -20,6 +20,7 @@ from service.realtime.engine import Engine
 from service.realtime.frames import check_views
 from service.realtime.rooms import Rooms
 from service.realtime.stream_frames import Frame, json_object, read_frame, seen_bytes, write_answer
+from service.realtime.warm_models import WarmModel
 from service.settings import Settings
 from service.wire.rooms import is_room
 from service.wire.stream_messages import (
@@ -128,14 +129,18 @@ async def _converse(websocket: WebSocket) -> None:
     try:
         async with asyncio.timeout(patience) as silence:
             start = _read_start(await _receive(websocket))
-            prior = await asyncio.to_thread(engine.prior, start.model)
+            model = engine.models.warm(start.model)
+            if model is None:
+                model = await run_in_threadpool(engine.models.get, start.model)
             if start.views is not None:
-                check_views(start.views, prior, len(start.views))
+                check_views(start.views, model.prior, len(start.views))
             room = None
             if is_room(start.frame, start.up):
                 rooms: Rooms = websocket.app.state.rooms
-                room = await asyncio.to_thread(rooms.find, start.model, prior, start.up)
-            conversation = _Conversation(websocket, engine, settings, start, prior, room)
+                room = rooms.remembered(model, start.up)
+                if room is None:
+                    room = await run_in_threadpool(rooms.find, model, start.up)
+            conversation = _Conversation(websocket, engine, settings, start, model, room)
             await websocket.send_text(conversation.ready().model_dump_json())
             try:
                 async with asyncio.TaskGroup() as tasks:
@@ -158,11 +163,12 @@ class _Conversation:
         engine: Engine,
         settings: Settings,
         start: StreamStart,
-        prior: FittedPrior,
+        model: WarmModel,
         room: Room | None,
     ) -> None:
         self._websocket, self._engine, self._settings = websocket, engine, settings
-        self._start, self._prior, self._room = start, prior, room
+        self._start, self._model, self._room = start, model, room
+        self._prior = prior = model.prior
         self._refine = start.refine or prior.config.refine
         self._continuity = start.continuity and self._refine != "off" and prior.cameras is not None
         self._latest = start.on_overload == "latest"
@@ -234,7 +240,7 @@ class _Conversation:
         if before is not None and before.scales.shape[1] != keypoints.shape[1]:
             before = None  # of other views
         return self._engine.lift(
-            self._start.model,
+            self._model,
             keypoints,
             confidence=frame.capture.confidence,
             refine=self._refine,

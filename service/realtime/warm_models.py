@@ -4,78 +4,138 @@ import gc
 import logging
 import threading
 from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cache
-from typing import NamedTuple
+from weakref import WeakValueDictionary
 
 import numpy as np
 
 from models.lifting.fitted_prior import FittedPrior
+from models.settings.rooms import Up
 from store import lookup, models
 from store.database import Store
-from store.errors import NotFoundError
 from store.records import Model
+from worker.rooms import Room
 
 logger = logging.getLogger(__name__)
 
+LOOK_SECONDS = 1.0  # between two looks at the records
 
-class _Warm(NamedTuple):
+
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class WarmModel:
+    """A model in memory, for everybody who lifts with it.
+
+    Attributes
+    ----------
+    fit_id
+        The fit that made it, if that is still there.
+    gone
+        It was deleted, by whatever process: nobody is to lift with it any more.
+    rooms
+        What is known of its rooms, by the fit whose frames told it and by up.
+    """
+
+    id: str
     prior: FittedPrior
     weights_key: str
     weights_bytes: int
+    fit_id: str | None
+    gone: bool = False
+    rooms: dict[tuple[str | None, Up | None], Room] = field(default_factory=dict)
 
 
 class WarmModels:
-    """Models in memory, the least recently used given up first. Safe to use from many threads."""
+    """Models in memory, the least recently used given up first. Safe to use from many threads.
+
+    Whether they are still there is asked once a second, by a thread that nobody waits for: lifts go
+    on whatever becomes of the records, and a model that any process deleted is served for a second
+    longer at most.
+    """
 
     def __init__(self, store: Store, *, max_bytes: int) -> None:
         """Keep up to ``max_bytes`` of weights, and always the model used last."""
         self._store = store
-        self._weights_key = models.weights_keys(store)
         self._max_bytes = max_bytes
-        self._warm: OrderedDict[str, _Warm] = OrderedDict()
+        self._used: WeakValueDictionary[str, WarmModel] = WeakValueDictionary()  # also by streams
+        self._kept: OrderedDict[str, WarmModel] = OrderedDict()
         self._lock = threading.Lock()
         self._loading: dict[str, threading.Lock] = {}
+        self._closed = threading.Event()
+        self._watcher = threading.Thread(target=self._watch, name="warm-models", daemon=True)
+        self._watcher.start()
 
-    def prior(self, model_id: str) -> FittedPrior:
-        """Return the fitted prior of a model; only the first call of many reads its weights.
+    def close(self) -> None:
+        """Look at the records no more."""
+        self._closed.set()
+        self._watcher.join(LOOK_SECONDS)
 
-        The record is asked every time, so that a model is not served that was deleted, by whatever
-        process, nor other weights than it has.
+    def warm(self, model_id: str) -> WarmModel | None:
+        """Return a model that is in memory; it waits for nothing."""
+        with self._lock:
+            model = self._used.get(model_id)
+            if model is not None:
+                self._keep(model)
+        return model
+
+    def get(self, model_id: str) -> WarmModel:
+        """Return a model, as its record says now; only the first call of many reads its weights.
 
         Raises
         ------
         NotFoundError
             If there is no such model, or no longer.
         """
-        try:
-            key = self._weights_key(model_id)
-        except NotFoundError:
-            with self._lock:
-                self._warm.pop(model_id, None)
-            raise
-        prior = self._lookup(model_id, key)
-        if prior is None:
-            with self._lock:
-                loading = self._loading.setdefault(model_id, threading.Lock())
-            with loading:
-                prior = self._lookup(model_id, key) or self._load(model_id)
-        return prior
-
-    def remembered(self, model_id: str) -> FittedPrior | None:
-        """Return a model that is warm without asking whether it is still there."""
+        model = self.warm(model_id)
+        if model is not None:
+            self._compare([model])
+            if not model.gone:
+                return model
         with self._lock:
-            warm = self._warm.get(model_id)
-        return None if warm is None else warm.prior
+            loading = self._loading.setdefault(model_id, threading.Lock())
+        with loading:
+            return self.warm(model_id) or self._load(model_id)
 
-    def _lookup(self, model_id: str, key: str) -> FittedPrior | None:
+    def forget(self, model_id: str) -> None:
+        """Give up a model that this process has deleted."""
         with self._lock:
-            warm = self._warm.get(model_id)
-            if warm is None or warm.weights_key != key:
-                return None
-            self._warm.move_to_end(model_id)
-            return warm.prior
+            model = self._used.get(model_id)
+            if model is not None:
+                self._give_up(model)
 
-    def _load(self, model_id: str) -> FittedPrior:
+    def _watch(self) -> None:
+        """Give up what is no longer there; while the records cannot be asked, nothing is."""
+        blind = False
+        while not self._closed.wait(LOOK_SECONDS):
+            with self._lock:
+                known = list(self._used.values())
+            try:
+                if known:
+                    self._compare(known)
+                blind = False
+            except Exception:  # whatever it is: it must not end the watch
+                if not blind:
+                    logger.exception("Cannot ask which models are there: lifting goes on")
+                blind = True
+
+    def _compare(self, known: Sequence[WarmModel]) -> None:
+        there = models.whereabouts(self._store, [model.id for model in known])
+        with self._lock:
+            for model in known:
+                record = there.get(model.id)
+                if record is not None and record.weights_key == model.weights_key:
+                    model.fit_id = record.fit_id
+                    continue
+                self._give_up(model)
+
+    def _give_up(self, model: WarmModel) -> None:
+        model.gone = True
+        for models_by_id in (self._used, self._kept):
+            if models_by_id.get(model.id) is model:
+                del models_by_id[model.id]
+
+    def _load(self, model_id: str) -> WarmModel:
         try:
             record = lookup.get(self._store, Model, model_id)
             prior = FittedPrior.from_bytes(models.load_weights(self._store, record))
@@ -83,23 +143,28 @@ class WarmModels:
         finally:
             with self._lock:
                 self._loading.pop(model_id, None)
+        model = WarmModel(model_id, prior, record.weights_key, record.weights_bytes, record.fit_id)
         with self._lock:
-            self._warm[model_id] = _Warm(prior, record.weights_key, record.weights_bytes)
-            self._warm.move_to_end(model_id)
-            while len(self._warm) > 1 and self._bytes() > self._max_bytes:
-                self._warm.popitem(last=False)
-        return prior
+            self._used[model_id] = model
+            self._keep(model)
+        return model
+
+    def _keep(self, model: WarmModel) -> None:
+        self._kept[model.id] = model
+        self._kept.move_to_end(model.id)
+        while len(self._kept) > 1 and self._bytes() > self._max_bytes:
+            self._kept.popitem(last=False)
 
     def warm_newest(self) -> None:
         """Make the newest model warm, and ready what all lifts need, before anyone asks."""
         try:
             for record in lookup.page(self._store, Model, limit=1, after=None):
-                self.prior(record.id)
+                self.get(record.id)
         except Exception:  # whoever asks will be told
             logger.exception("The newest model could not be read")
 
     def _bytes(self) -> int:
-        return sum(warm.weights_bytes for warm in self._warm.values())
+        return sum(model.weights_bytes for model in self._kept.values())
 
 
 def _prepare(prior: FittedPrior) -> None:

@@ -124,7 +124,7 @@ def evaluate(
         found = stored_arrays(fit, store)
         if asked.frame == "room":
             model_id = model_of(fit)
-            found = rooms.find(model_id, engine.prior(model_id), None).place_arrays(found)
+            found = rooms.find(engine.models.get(model_id), None).place_arrays(found)
         points = found["points3d"]
     figures = _measure(asked, points, truth)
 
@@ -198,7 +198,7 @@ def _measure(asked: EvaluationCreate, points: Float32 | Float64, truth: Float32)
 
 def _found(model_id: str, engine: Engine) -> Cameras:
     with _refused_as("/fit_id"):
-        return found_cameras(ModelCameras.of(model_id, engine.prior(model_id).cameras))
+        return found_cameras(ModelCameras.of(model_id, engine.models.get(model_id).prior.cameras))
 
 
 def _triangulated(

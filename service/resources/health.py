@@ -74,15 +74,15 @@ class Version(BaseModel):
 
 
 @router.get("/version", responses=problems())
-def get_version() -> Version:
+async def get_version() -> Version:
     """Tell the versions of the service and of its API."""
     return Version(service=version("fewview-server"), api=API_VERSION)
 
 
 @router.get("/health/live", responses=problems())
-def check_live() -> Liveness:
+async def check_live() -> Liveness:
     """Tell that the process is up."""
-    return Liveness()
+    return Liveness()  # asynchronous: all threads may be waiting for the records
 
 
 @router.get("/health/ready", responses=problems("unavailable"))

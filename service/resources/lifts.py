@@ -204,11 +204,11 @@ def create_lift(
     in_room = is_room(body.frame, body.up)
     if body.views is not None or in_room:
         dataset = lookup.get(store, records.Dataset, body.dataset_id)
-        prior = engine.prior(body.model_id)
+        model = engine.models.get(body.model_id)
         if body.views is not None:
-            check_views(body.views, prior, dataset.views)
+            check_views(body.views, model.prior, dataset.views)
         if in_room:
-            check_known(rooms.find(body.model_id, prior, body.up), body.views, dataset.views)
+            check_known(rooms.find(model, body.up), body.views, dataset.views)
     record = lifts.create(
         store,
         **body.model_dump(exclude=set(Labels.model_fields)),

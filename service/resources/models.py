@@ -200,7 +200,7 @@ def get_model_cameras(
 
     A model that was fitted without refinement answers too, with the arrangement `unknown`.
     """
-    cameras = ModelCameras.of(model_id, engine.prior(model_id).cameras)
+    cameras = ModelCameras.of(model_id, engine.models.get(model_id).prior.cameras)
     if format == "json":
         return cameras
     try:
@@ -271,7 +271,7 @@ def download_network(
     (N, K, 2) in pixels, NaN where there is no answer: what `POST /lift` answers with `refine: off`.
     Perspective is not in it. A model that removes noise before its network has none (409).
     """
-    if engine.prior(model_id).denoises:
+    if engine.models.get(model_id).prior.denoises:
         raise ApiError(
             "conflict",
             f"Model {model_id!r} removes noise from its keypoints before the network, which ONNX "
@@ -354,9 +354,10 @@ add_change_route(router, records.Model, Model, Model.of)
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems("not_found", "conflict"),
 )
-def delete_model(model_id: Identifier, store: StoreDep) -> None:
+def delete_model(model_id: Identifier, store: StoreDep, engine: EngineDep) -> None:
     """Delete a model and its weights; the fit that made it keeps its reconstruction.
 
     Lifts of datasets that are not done yet need it: cancel them first.
     """
     models.delete(store, model_id)
+    engine.models.forget(model_id)

@@ -104,8 +104,7 @@ def get_reconstruction(
         found = _lift_again(fit, refine, store, engine, settings)
     direction = read_up(up)
     if is_room(frame, direction):
-        model_id = model_of(fit)
-        room = rooms.find(model_id, engine.prior(model_id), direction)
+        room = rooms.find(engine.models.get(model_of(fit)), direction)
         found = room.place_arrays(found)
     about = {
         "fit_id": fit.id,
@@ -161,7 +160,7 @@ def _lift_again(
             "leave it out for what the fit stored, or lift the frames in parts with POST /lift",
         )
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
-    prior = engine.prior(model_id)
+    prior = engine.models.get(model_id).prior
     times = datasets.times_of(lookup.get(store, records.Dataset, fit.dataset_id), capture)
     keypoints, confidence = in_step(
         capture.keypoints, capture.confidence, times, prior.capture.clocks

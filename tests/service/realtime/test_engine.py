@@ -1,7 +1,9 @@
 """The lifting engine: answers as the model's own, whoever else asks for what at the same time."""
 
 import asyncio
+import time
 from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +93,9 @@ def test_everyone_gets_his_own_answer(
     async def clients() -> list[Lift]:
         return await asyncio.gather(
             *(
-                engine.lift(model, pixels(frames, how), **arguments(frames, **how))
+                engine.lift(
+                    engine.models.get(model), pixels(frames, how), **arguments(frames, **how)
+                )
                 for frames, how in asked
             )
         )
@@ -108,7 +112,7 @@ def test_slices_are_put_together_in_their_order(
     keypoints = np.resize(capture.keypoints, (frames, *capture.keypoints.shape[1:]))
 
     async def client() -> Lift:
-        return await engine.lift(model, keypoints, refine=refine)
+        return await engine.lift(engine.models.get(model), keypoints, refine=refine)
 
     check(run(client), prior.lift(keypoints, refine=refine))
 
@@ -121,7 +125,9 @@ def test_small_calls_overtake_large_ones(
     async def clients() -> None:
         def ask(name: str, frames: int) -> Any:
             shape = (frames, *capture.keypoints.shape[1:])
-            answer = one_thread.lift(model, np.resize(capture.keypoints, shape), refine="off")
+            answer = one_thread.lift(
+                one_thread.models.get(model), np.resize(capture.keypoints, shape), refine="off"
+            )
             answer.add_done_callback(lambda _: ended.append(name))
             return answer
 
@@ -139,7 +145,10 @@ def test_one_bad_call_spoils_no_others(
     keypoints = capture.keypoints[:1]
 
     async def clients() -> list[Any]:
-        asked = [one_thread.lift(model, pixels) for pixels in (keypoints, keypoints * 1e9) * 4]
+        asked = [
+            one_thread.lift(one_thread.models.get(model), pixels)
+            for pixels in (keypoints, keypoints * 1e9) * 4
+        ]
         return await asyncio.gather(*asked, return_exceptions=True)
 
     found = run(clients)
@@ -149,37 +158,77 @@ def test_one_bad_call_spoils_no_others(
 
 
 def test_a_deleted_model_is_served_no_more(
-    engine: Engine, model: str, store: Store, tmp_path: Path, capture: SyntheticCapture
+    engine: Engine, model: str, tmp_path: Path, capture: SyntheticCapture
 ) -> None:
-    """However warm it is, and whoever deleted it."""
+    """However warm it is, who holds it, and whoever deleted it: a second later it is gone."""
     replica = Store(Settings(data_dir=tmp_path))
+    held = engine.models.get(model)
 
     async def clients() -> None:
-        await engine.lift(model, capture.keypoints)
+        await engine.lift(held, capture.keypoints)
         models.delete(replica, model)
-        for _ in range(2):
-            with pytest.raises(NotFoundError):
-                await engine.lift(model, capture.keypoints[:1])
+        deadline = time.monotonic() + 2
+        while engine.models.warm(model) is not None:
+            assert time.monotonic() < deadline
+            await asyncio.sleep(0.01)
+        with pytest.raises(NotFoundError):
+            await engine.lift(held, capture.keypoints[:1])
 
     run(clients)
+    with pytest.raises(NotFoundError):
+        engine.models.get(model)
     replica.close()
 
 
 def test_other_weights_are_read_anew(
-    engine: Engine,
-    model: str,
-    store: Store,
-    tmp_path: Path,
-    weights: bytes,
-    capture: SyntheticCapture,
+    engine: Engine, model: str, store: Store, tmp_path: Path, weights: bytes
 ) -> None:
     replica = Store(Settings(data_dir=tmp_path))
-    first = engine.prior(model)
-    assert engine.prior(model) is first
+    first = engine.models.get(model)
+    assert engine.models.get(model) is first
     other = stored(replica, weights)
     with replica.writing() as session:
         record = session.get(Model, model)
         assert record is not None
         record.weights_key = other.weights_key
-    assert engine.prior(model) is not first
+    assert engine.models.get(model) is not first
     replica.close()
+
+
+def test_a_model_in_use_is_in_memory_once(store: Store, weights: bytes) -> None:
+    """Streams hold models for which there would be no room otherwise."""
+    engine = Engine(store, max_bytes=0)
+    ids = [stored(store, weights).id for _ in range(2)]
+    held = engine.models.get(ids[0])
+    engine.models.get(ids[1])
+    assert engine.models.warm(ids[0]) is held
+    del held
+    engine.models.get(ids[1])
+    assert engine.models.warm(ids[0]) is None
+    engine.close()
+
+
+class Ending(FittedPrior):
+    """A prior whose lifts end the thread that they run in."""
+
+    def lift(self, *_arguments: Any, **_more: Any) -> Lift:
+        raise SystemExit
+
+
+def test_whatever_happens_in_a_thread_it_answers_and_goes_on(
+    one_thread: Engine, model: str, prior: FittedPrior, capture: SyntheticCapture
+) -> None:
+    sound = one_thread.models.get(model)
+    ending = Ending.__new__(Ending)
+    ending.__dict__.update(prior.__dict__)
+    broken = replace(sound, prior=ending)
+    many = np.resize(capture.keypoints, (3 * SLICE_FRAMES, *capture.keypoints.shape[1:]))
+
+    async def clients() -> tuple[list[Any], Lift]:
+        asked = [one_thread.lift(broken, keypoints) for keypoints in (capture.keypoints, many)]
+        failed = await asyncio.gather(*asked, return_exceptions=True)
+        return failed, await one_thread.lift(sound, capture.keypoints)
+
+    failed, found = asyncio.run(asyncio.wait_for(clients(), 60))
+    assert [type(error) for error in failed] == [RuntimeError, RuntimeError]
+    check(found, prior.lift(capture.keypoints))

@@ -17,7 +17,15 @@ from safetensors.numpy import load, load_file, save
 from service.settings import Settings
 from store import attempts, fits
 from store.database import Store
-from tests.service.conftest import BYTES, Live, frames_of, make_dataset, problem, to_safetensors
+from tests.service.conftest import (
+    BYTES,
+    Live,
+    frames_of,
+    make_dataset,
+    problem,
+    to_safetensors,
+    wait_for,
+)
 from tests.service.realtime.conftest import (
     as_bytes,
     as_json,
@@ -201,7 +209,6 @@ def test_a_reconstruction_and_its_lifts_share_one_room(
         progress=None,
         describe=described | {"skeleton": {"keypoint_names": NAMES, "edges": []}},
     )
-    store.close()
     url = f"/fits/{fit.id}/reconstruction?format=safetensors"
     model = http.get(f"/fits/{fit.id}").json()["model_id"]
     for query in ("frame=room", "frame=room&up=0,-1,0.2", "frame=room&up=auto"):
@@ -217,6 +224,17 @@ def test_a_reconstruction_and_its_lifts_share_one_room(
     plain = lifted(http, model, "frame=room")["points3d"]
     np.testing.assert_allclose([frame["points3d"] for frame in whole["frames"]], plain, atol=1e-5)
     problem(http.get(f"{url}&up=auto"), 422, "invalid_input", "/up")
+
+    fits.delete(store, fit.id)  # by another process: its frames told up and the floor
+    store.close()
+
+    def forgotten() -> bool:
+        asked = http.post(f"/lift?model={model}&frame=room&up=auto", **in_bytes())
+        return asked.status_code == 409
+
+    wait_for(forgotten, "the room of a fit that was deleted", 3)
+    raised = lifted(http, model, "frame=room&up=0,-1,0.2")["points3d"]
+    assert abs(np.quantile(raised[:, :2, 1].min(1), 0.1)) > 0.1  # it has no floor
 
 
 def test_a_big_lift_has_a_room_too(live: Live) -> None:
