@@ -18,7 +18,8 @@ RUN if [ -n "$TORCH_INDEX_URL" ]; then pip install --index-url "$TORCH_INDEX_URL
 FROM python:3.12-slim
 RUN useradd --create-home --uid 1000 fewview && install -d -o fewview -g fewview /data
 COPY --from=build /opt/fewview /opt/fewview
-ENV PATH=/opt/fewview/bin:$PATH FEWVIEW_DATA_DIR=/data FEWVIEW_HOST=0.0.0.0 PYTHONUNBUFFERED=1
+ENV PATH=/opt/fewview/bin:$PATH FEWVIEW_DATA_DIR=/data FEWVIEW_HOST=0.0.0.0 FEWVIEW_OPEN_TO_NETWORK=true \
+    PYTHONUNBUFFERED=1
 USER fewview
 WORKDIR /data
 RUN fewview precompile

@@ -21,9 +21,10 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import Response
 
 from service.http import errors
-from service.http.dependencies import refuse_foreign_bodies, refuse_unknown_query
+from service.http.dependencies import refuse_foreign_changes, refuse_unknown_query
 from service.http.faults import Faults
 from service.http.head import Head
+from service.http.hosts import Hosts
 from service.http.limits import BodyLimit
 from service.http.operations import registered_schemas
 from service.http.uploads import LARGE_AT_A_TIME
@@ -117,7 +118,7 @@ def create_app(settings: Settings) -> FastAPI:
         generate_unique_id_function=_operation_id,
         docs_url=None,
         redoc_url=None,
-        dependencies=[Depends(refuse_foreign_bodies), Depends(refuse_unknown_query)],
+        dependencies=[Depends(refuse_foreign_changes), Depends(refuse_unknown_query)],
     )
     app.state.settings = settings
     for module in RESOURCES:
@@ -139,6 +140,7 @@ def create_app(settings: Settings) -> FastAPI:
             allow_headers=["*"],
             expose_headers=EXPOSED_HEADERS,
         )
+    app.add_middleware(Hosts, settings=settings)
     _describe(app)
     return app
 

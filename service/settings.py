@@ -2,25 +2,41 @@
 
 import os
 import re
+from ipaddress import ip_address
 from typing import Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from models.settings.keypoints import MAX_KEYPOINTS, MAX_VIEWS
 from worker.settings import WorkerSettings
 
 MEBIBYTE = 1024 * 1024
+WILDCARDS = ("", "0.0.0.0", "::")  # noqa: S104 (to listen on all addresses)
 
 
 class Settings(WorkerSettings):
     """All settings: the store's, the queue's and the service's own."""
 
-    host: str = Field("127.0.0.1", description="Address to listen on.")
+    open_to_network: bool = Field(
+        False,
+        description="Whether to listen on another address than loopback. There are no keys yet: "
+        "whoever reaches the service can read and delete everything.",
+    )
+    host: str = Field(
+        "127.0.0.1",
+        description="Address to listen on; another than loopback needs --open-to-network=true.",
+    )
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
     cors_origins: str = Field(
         "",
         description="Origins of web pages whose scripts may call the API, separated by commas: "
         "https://lab.example,http://localhost:3000; * for any. Default: none.",
+    )
+    allowed_hosts: str = Field(
+        "",
+        description="Further names under which the service is reached, separated by commas, as a "
+        "proxy's clients call it; * for any. Without it: localhost, addresses of loopback, and "
+        "the address listened on, or any address where that is 0.0.0.0.",
     )
     workers: int | None = Field(
         None,
@@ -77,6 +93,18 @@ class Settings(WorkerSettings):
         512 * MEBIBYTE, ge=0, description="Weights to keep in memory for lifting."
     )
 
+    @field_validator("host")
+    @classmethod
+    def _is_meant(cls, host: str, info: ValidationInfo) -> str:
+        if not is_loopback(host) and not info.data.get("open_to_network"):
+            raise ValueError(
+                f"{host!r} is open to the network, and there are no keys yet: whoever reaches the "
+                "service can read and delete everything. Keep 127.0.0.1 and put a proxy of yours "
+                "before it, or say that this is meant: --open-to-network=true "
+                "(FEWVIEW_OPEN_TO_NETWORK)."
+            )
+        return host
+
     @field_validator("cors_origins")
     @classmethod
     def _are_origins(cls, origins: str) -> str:
@@ -93,6 +121,11 @@ class Settings(WorkerSettings):
         """The origins of web pages that may call the API, one by one."""
         return _listed(self.cors_origins)
 
+    @property
+    def allowed_names(self) -> list[str]:
+        """Further names under which the service is reached, one by one."""
+        return _listed(self.allowed_hosts)
+
     @model_validator(mode="after")
     def _has_room(self) -> Self:
         if 3 * self.max_pending_bytes < 4 * self.max_body_bytes:
@@ -101,6 +134,22 @@ class Settings(WorkerSettings):
                 f"{self.max_body_bytes * 4 // 3}, got {self.max_pending_bytes}"
             )
         return self
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether a host, named or by address, is this machine for itself alone."""
+    if host == "localhost" or host.endswith(".localhost"):
+        return True
+    return is_address(host) and ip_address(host).is_loopback
+
+
+def is_address(host: str) -> bool:
+    """Tell whether a host is an address, not a name."""
+    try:
+        ip_address(host)
+    except ValueError:
+        return False
+    return True
 
 
 def _listed(text: str) -> list[str]:

@@ -1,5 +1,6 @@
 """Where records and objects live."""
 
+import re
 from pathlib import Path
 
 from pydantic import Field, field_validator
@@ -57,3 +58,8 @@ class StoreSettings(BaseSettings):
     def resolved_store_url(self) -> str:
         """The objects' URL, the embedded default included."""
         return self.store_url or (self.data_dir.absolute() / "objects").as_uri()
+
+
+def shown(url: object) -> str:
+    """Return a URL for people to read: without its user and password, and what it is asked."""
+    return re.sub(r"^([^:]+://)[^/]*@", r"\1***@", str(url)).partition("?")[0]

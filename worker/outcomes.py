@@ -12,7 +12,9 @@ from store.errors import LeaseLostError, NotFoundError
 
 logger = logging.getLogger(__name__)
 
-LONGEST_MESSAGE = 500  # characters of an error that a record keeps
+# What users of the API read of errors that are not theirs; the worker's log says more.
+OBJECTS_AWAY = "The objects (arrays and weights) could not be read or written for too long."
+FAULT = "This is a fault in Fewview; the worker's log says more."
 
 
 class Outcomes(NamedTuple):
@@ -70,16 +72,15 @@ def recorded(work: str, outcomes: Outcomes) -> Iterator[None]:
 
 def _record(error: BaseException, outcomes: Outcomes) -> bool:
     """Record an error; return whether that is all there is to do, for it is no fault of ours."""
-    why = f"{type(error).__name__}: {error}"[:LONGEST_MESSAGE]
     match error:
         case NotFoundError():
             outcomes.fail(f"{error.kind}_not_found", str(error))
         case ValueError():
             outcomes.fail(outcomes.unusable, str(error))
         case ObjectStoreError() | OSError():
-            outcomes.try_again(why)
+            outcomes.try_again(OBJECTS_AWAY)
             return False
         case _:
-            outcomes.fault(why)
+            outcomes.fault(FAULT)
             return False
     return True

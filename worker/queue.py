@@ -6,7 +6,7 @@ import logging
 import pickle
 from typing import Any
 
-from pydantic import BaseModel, Field, RedisDsn
+from pydantic import AnyUrl, BaseModel, Field
 from redis import Redis
 from redis.backoff import ExponentialWithJitterBackoff
 from redis.exceptions import RedisError
@@ -22,6 +22,7 @@ from store.labels import Metadata, Tags
 from store.lifts import waiting_job
 from store.mistakes import unknown
 from store.records import FitJob, LiftJob
+from store.settings import shown
 
 logger = logging.getLogger(__name__)
 
@@ -122,14 +123,14 @@ def connect(url: str, *, retries: int, timeout_seconds: float = 5.0) -> Redis:
     )
 
 
-def check_reachable(url: RedisDsn) -> None:
+def check_reachable(url: AnyUrl) -> None:
     """Raise ``ValueError`` if Redis does not answer now, in words for whoever starts something."""
     try:
         with connect(str(url), retries=0, timeout_seconds=START_PATIENCE_SECONDS) as connection:
             connection.ping()
     except RedisError as error:
         raise ValueError(
-            f"Redis at {url.host}:{url.port} cannot be reached ({error}): start it, or say where "
+            f"Redis at {shown(url)} cannot be reached ({error}): start it, or say where "
             "it is with --redis-url."
         ) from error
 

@@ -22,6 +22,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from store import fits, housekeeping, jobs, lifts
 from store.database import Store
 from store.errors import StoreError
+from store.private import keep_private
 from store.records import FitJob, LiftJob
 from worker.process import die_with_parent
 from worker.queue import (
@@ -210,6 +211,7 @@ def run(settings: WorkerSettings) -> None:
     if settings.redis_url is None:
         raise ValueError("A worker needs FEWVIEW_REDIS_URL, for example redis://localhost:6379/0.")
     check_reachable(settings.redis_url)
+    keep_private(settings)
     stopping = False
     while not stopping:
         try:

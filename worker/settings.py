@@ -1,20 +1,22 @@
 """How fits and lifts are carried and bounded."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, RedisDsn
+from pydantic import AnyUrl, Field, UrlConstraints
 
 from store.settings import StoreSettings
+
+QueueUrl = Annotated[AnyUrl, UrlConstraints(allowed_schemes=["redis", "rediss", "unix"])]
 
 
 class WorkerSettings(StoreSettings):
     """Settings of the queue and its workers."""
 
-    redis_url: RedisDsn | None = Field(
+    redis_url: QueueUrl | None = Field(
         None,
-        description="Redis or Valkey that carries the jobs. Without it, `fewview serve` starts an "
-        "embedded Valkey.",
-        examples=["redis://localhost:6379/0"],
+        description="Redis or Valkey that carries the jobs, by TCP or by the path of its socket. "
+        "Without it, `fewview serve` starts an embedded Valkey.",
+        examples=["redis://localhost:6379/0", "unix:///run/valkey/valkey.sock"],
     )
     lease_seconds: float = Field(
         10.0,

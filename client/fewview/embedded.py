@@ -41,7 +41,7 @@ def running_service(*options: str, data: Path | None = None) -> Iterator[str]:
         if data is None:
             folder = TemporaryDirectory(prefix="fewview-", ignore_cleanup_errors=True)
             data = Path(stack.enter_context(folder), "data")
-        data.mkdir(parents=True, exist_ok=True)
+        data.mkdir(mode=0o700, parents=True, exist_ok=True)
         log = data.with_name(f"{data.name}.log")
         with log.open("w") as output:
             process = subprocess.Popen(  # noqa: S603 (our own command)

@@ -4,6 +4,8 @@
     Every error as RFC 9457 problem details: ``ApiError``, ``invalid``, ``problems``.
 ``dependencies``
     What endpoints ask for: the settings, the store, the queue, the parameters of pages.
+``hosts``, ``origins``
+    Names of the service, and web pages, that requests may come by.
 ``limits``, ``uploads``
     Bodies on their way in, held to their limits.
 ``head``

@@ -39,9 +39,9 @@ async def get_queue(request: Request) -> Queue:
     return queue
 
 
-async def refuse_foreign_bodies(connection: HTTPConnection) -> None:
-    """Refuse what a script of another web page sends; before a DELETE browsers ask anyway."""
-    if connection.scope.get("method") in ("POST", "PATCH"):
+async def refuse_foreign_changes(connection: HTTPConnection) -> None:
+    """Refuse what a script of another web page would change; it cannot read what it gets."""
+    if connection.scope.get("method") not in ("GET", "HEAD"):
         refuse_foreign(connection)
 
 

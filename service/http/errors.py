@@ -48,6 +48,7 @@ PROBLEMS = {
     "idempotency_key_reused": (422, "The idempotency key was used for another request"),
     "too_many_fits": (429, "Too many fits are waiting"),
     "too_many_lifts": (429, "Too many lifts are waiting"),
+    "host_not_allowed": (421, "The service has another name"),
     "internal_error": (500, "Something went wrong inside"),
     "overloaded": (503, "Too many requests are in hand"),
     "unavailable": (503, "A part of the service cannot be reached"),
@@ -167,11 +168,12 @@ def of_mistakes(found: list[Mistake]) -> ApiError:
 def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
     """Return the OpenAPI responses of an operation that can end in these problems.
 
-    All can end in ``invalid_input`` (of a parameter at least), ``internal_error``, ``unavailable``;
-    those that read a body in ``overloaded``.
+    All can end in ``invalid_input`` (of a parameter at least), ``host_not_allowed``,
+    ``internal_error``, ``unavailable``; those that read a body in ``overloaded``.
     """
     described: dict[int | str, dict[str, Any]] = {}
-    for code in dict.fromkeys((*codes, "invalid_input", "internal_error", "unavailable")):
+    of_all = ("invalid_input", "host_not_allowed", "internal_error", "unavailable")
+    for code in dict.fromkeys((*codes, *of_all)):
         status, title = PROBLEMS[code]
         entry = described.setdefault(
             status,
@@ -183,6 +185,12 @@ def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
         if title not in entry["description"]:
             entry["description"] += f"; {title[0].lower()}{title[1:]}"
     return described
+
+
+def translated(error: Exception) -> ApiError:
+    """Return the problem that an error becomes, wherever it was raised."""
+    kind = next(kind for kind in type(error).__mro__ if kind in TRANSLATIONS)
+    return TRANSLATIONS[kind](error)
 
 
 def install(app: FastAPI) -> None:

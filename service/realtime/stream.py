@@ -13,7 +13,15 @@ from starlette.responses import Response
 from starlette.websockets import WebSocketDisconnect
 
 from models.lifting.lift import Lift
-from service.http.errors import PROBLEMS, ApiError, FieldError, from_validation, invalid, problems
+from service.http.errors import (
+    PROBLEMS,
+    ApiError,
+    FieldError,
+    from_validation,
+    invalid,
+    problems,
+    translated,
+)
 from service.http.operations import register
 from service.http.origins import refuse_foreign
 from service.realtime.engine import Engine
@@ -32,7 +40,6 @@ from service.wire.stream_messages import (
     StreamReady,
     StreamStart,
 )
-from store.errors import ConflictError, NotFoundError
 from worker.rooms import Room
 
 FRAMES_IN_HAND = 16  # of one stream; what waits longer is out of date
@@ -93,15 +100,10 @@ async def stream(websocket: WebSocket) -> None:
             await _converse(websocket)
         except WebSocketDisconnect:
             return
-        except ApiError as error:
-            ending = error
-        except NotFoundError as error:
-            ending = ApiError("not_found", str(error))
-        except ConflictError as error:
-            ending = ApiError("conflict", str(error))
-        except Exception:
-            logger.exception("A stream failed")
-            ending = ApiError("internal_error", "This is a fault in Fewview; its log says more.")
+        except Exception as error:
+            ending = translated(error)
+            if ending.code == "internal_error":
+                logger.exception("A stream failed")
         with suppress(WebSocketDisconnect):
             await websocket.send_text(_error_text(ending, None))
             await websocket.close(CLOSE_CODE + PROBLEMS[ending.code][0])

@@ -43,7 +43,7 @@ def test_a_redis_that_is_away_is_said_at_once(tmp_path: Path) -> None:
         assert refused.returncode == 2
         assert refused.stdout == ""
         assert refused.stderr.count("\n") == 1, refused.stderr
-        assert refused.stderr.startswith(f"fewview {command}: Redis at 127.0.0.1:")
+        assert refused.stderr.startswith(f"fewview {command}: Redis at redis://***@127.0.0.1:")
         assert "--redis-url" in refused.stderr
         assert "secret" not in refused.stderr
         assert time.monotonic() - begun < 60  # most of it to load the libraries, on a busy machine

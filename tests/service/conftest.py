@@ -135,6 +135,7 @@ def settings(valkey: ValkeyServer, tmp_path_factory: pytest.TempPathFactory) -> 
     return Settings(
         data_dir=tmp_path_factory.mktemp("api"),
         redis_url=RedisDsn(f"{valkey.connection_url}/0"),
+        allowed_hosts="testserver",
         max_body_bytes=4 * MIB,
         max_json_bytes=MIB,
         max_frames=400,
@@ -211,6 +212,14 @@ class Live:
     http: httpx2.Client
     process: "subprocess.Popen[str]"
     data_dir: Path
+    said: str  # as it started
+
+    @property
+    def queue_url(self) -> str:
+        """The URL of its queue, as it says it."""
+        found = re.search(r"queue\s+(\S+)", self.said)
+        assert found, self.said
+        return found[1]
 
     def fit(self, dataset_id: str, **config: Any) -> dict[str, Any]:
         body = {"dataset_id": dataset_id, "name": "test", "config": CONFIG | config}
@@ -342,7 +351,7 @@ def start_service(
     address = re.search(r"API\s+(http://\S+)", said)
     assert address, said
     http = httpx2.Client(base_url=address[1], timeout=120)
-    return Live(address[1], http, process, folder)
+    return Live(address[1], http, process, folder, said)
 
 
 def kill_service(live: Live) -> None:

@@ -32,7 +32,8 @@ def begin(http: httpx2.Client, sent: int, promised: int) -> socket.socket:
 def send(http: httpx2.Client, url: str, kind: str, body: bytes, length: int) -> socket.socket:
     """Send a request and do not wait for an answer."""
     connection = socket.create_connection((http.base_url.host, http.base_url.port or 0))
-    head = f"POST {url} HTTP/1.1\r\nHost: x\r\nContent-Type: {kind}\r\nContent-Length: {length}"
+    head = f"POST {url} HTTP/1.1\r\nHost: localhost\r\nContent-Type: {kind}\r\n"
+    head += f"Content-Length: {length}"
     connection.sendall(head.encode() + b"\r\n\r\n" + body)
     return connection
 

@@ -97,6 +97,26 @@ def test_a_model_that_is_deleted_ends_its_streams(
     assert (error.code, closed) == ("not_found", 4404)
 
 
+def test_an_outage_ends_a_stream_with_its_own_code(
+    http: httpx2.Client, settings: Settings, weights: bytes
+) -> None:
+    """A client may try again later; after a fault it had better not."""
+    made = http.post("/models", content=weights, headers=BYTES).json()["id"]  # nobody has read it
+    objects, elsewhere = settings.data_dir / "objects", settings.data_dir / "elsewhere"
+    objects.rename(elsewhere)
+    try:
+        objects.write_text("no folder")
+        with opened(http) as socket:
+            socket.send(orjson.dumps({"model": made}).decode())
+            error, closed = ending(socket)
+    finally:
+        objects.unlink()
+        elsewhere.rename(objects)
+    assert (error.code, closed) == ("unavailable", 4503)
+    with started(http, made):
+        pass
+
+
 def test_messages_are_bounded(http: httpx2.Client, model: str) -> None:
     with started(http, model) as socket:
         socket.send(b"\1" + b"\0" * 256 * 1024)

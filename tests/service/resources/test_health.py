@@ -33,7 +33,7 @@ def test_the_queue_goes_away_and_comes_back(tmp_path: Path) -> None:
     server.start()
     try:
         port, url = server.port, server.connection_url
-        settings = Settings(data_dir=tmp_path, redis_url=RedisDsn(f"{url}/0"))
+        settings = Settings(data_dir=tmp_path, redis_url=RedisDsn(f"{url}/0"), allowed_hosts="*")
         with TestClient(create_app(settings)) as client:
             assert client.get("/health/ready").status_code == 200
             server.stop()
@@ -53,7 +53,8 @@ def test_the_queue_goes_away_and_comes_back(tmp_path: Path) -> None:
 
 def test_lost_objects_and_records_are_named(tmp_path: Path, valkey: ValkeyServer) -> None:
     url = RedisDsn(f"{valkey.connection_url}/0")
-    with TestClient(create_app(Settings(data_dir=tmp_path, redis_url=url))) as client:
+    settings = Settings(data_dir=tmp_path, redis_url=url, allowed_hosts="*")
+    with TestClient(create_app(settings)) as client:
         folder = tmp_path / "objects"
         folder.rename(tmp_path / "elsewhere")
         folder.write_text("no folder")

@@ -1,0 +1,54 @@
+"""The names under which the service answers: a web page reaches it under no other."""
+
+from functools import lru_cache
+
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from service.http.errors import ApiError
+from service.settings import WILDCARDS, Settings, is_address, is_loopback
+
+
+class Hosts:
+    """Refuses requests, and handshakes of WebSockets, whose ``Host`` names another place.
+
+    Whoever controls a name can let it point to this machine once a browser has loaded a page from
+    it (DNS rebinding). The browser then takes the service for a part of that page, but still names
+    the host of that page. No name has to be trusted for an address: the names of loopback, the
+    address listened on and, where that is all of them, any address.
+    """
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self._app, self._listens_on = app, settings.host.lower()
+        self._allowed = [name.lower() for name in settings.allowed_names]
+        self._is_ours = lru_cache(maxsize=256)(self._decide)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] in ("http", "websocket"):
+            host = Headers(scope=scope).get("host", "")
+            if not self._is_ours(host):
+                error = ApiError(
+                    "host_not_allowed",
+                    f"The service is not known as {host!r:.200}; FEWVIEW_ALLOWED_HOSTS tells the "
+                    "names under which it is reached.",
+                )
+                await error.response()(scope, receive, send)
+                return
+        await self._app(scope, receive, send)
+
+    def _decide(self, host: str) -> bool:
+        if "*" in self._allowed:
+            return True
+        name = _without_port(host.lower())
+        return (
+            is_loopback(name)
+            or name in (self._listens_on, *self._allowed)
+            or (self._listens_on in WILDCARDS and is_address(name))
+        )
+
+
+def _without_port(host: str) -> str:
+    name, colon, port = host.rpartition(":")
+    name = name if colon and (port.isdigit() or not port) and not host.endswith("]") else host
+    return name.removeprefix("[").removesuffix("]")

