@@ -1,5 +1,6 @@
 """Attempts: what the process that runs a fit may write, for as long as it holds the lease."""
 
+import logging
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,8 +10,10 @@ from sqlalchemy.orm import Session
 from store import clock, fits, keys, lookup, models
 from store.database import Store
 from store.disposal import condemn, discard
-from store.errors import LeaseLostError
+from store.errors import DamagedError, LeaseLostError
 from store.records import FitJob
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ def beat(store: Store, attempt: Attempt, progress: dict[str, Any] | None) -> boo
 
 def save_checkpoint(store: Store, attempt: Attempt, data: bytes) -> None:
     """Replace the fit's checkpoint; raise ``LeaseLostError`` if this attempt is stale."""
-    key = keys.of_checkpoint(attempt.fit_id)
+    key = keys.of_checkpoint(attempt.fit_id, data)
     store.objects.put(key, data)
     try:
         with store.writing() as session:
@@ -85,9 +88,13 @@ def save_checkpoint(store: Store, attempt: Attempt, data: bytes) -> None:
 
 
 def load_checkpoint(store: Store, fit_id: str) -> bytes | None:
-    """Return the last checkpoint of a fit, or None if it has none."""
+    """Return the last checkpoint of a fit, or None if it has none that can be used."""
     key = lookup.get(store, FitJob, fit_id).checkpoint_key
-    return None if key is None else store.objects.get(key)
+    try:
+        return None if key is None else store.objects.get(key)
+    except (DamagedError, FileNotFoundError):
+        logger.exception("Fit %s starts anew: its checkpoint is damaged", fit_id)
+        return None
 
 
 def succeed(
@@ -116,7 +123,7 @@ def succeed(
     fit = lookup.get(store, FitJob, attempt.fit_id)
     said = {"name": fit.name, "tags": fit.tags, "user_metadata": fit.user_metadata}
     model = models.new_record(store, weights, fit_id=fit.id, **said, **describe)
-    reconstruction_key = keys.of_reconstruction(fit.id)
+    reconstruction_key = keys.of_reconstruction(fit.id, reconstruction)
     store.objects.put(reconstruction_key, reconstruction)
     try:
         with store.writing() as session:

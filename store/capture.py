@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -99,9 +100,10 @@ class Capture:
         return [int(count) for count in seen.sum((0, 2))]
 
     def to_bytes(self) -> bytes:
-        """Return the arrays as safetensors."""
-        arrays = {name: getattr(self, name) for name in ARRAYS}
-        return save({n: np.ascontiguousarray(a) for n, a in arrays.items() if a is not None})
+        """Return the arrays as safetensors, which also say the CRC-32 of each."""
+        every = {name: getattr(self, name) for name in ARRAYS}
+        arrays = {n: np.ascontiguousarray(a) for n, a in every.items() if a is not None}
+        return save(arrays, {n: str(zlib.crc32(a.data)) for n, a in arrays.items()})
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "Capture":
@@ -135,6 +137,14 @@ class Capture:
         keypoints = rows("keypoints")
         assert keypoints is not None  # noqa: S101 (every capture has them)
         return cls(keypoints, rows("confidence"), times=rows("times", "<f8"))
+
+
+def checksums_in(header: dict[str, Any]) -> dict[str, int]:
+    """Return the CRC-32s of arrays, by name, that the header of a stored capture says.
+
+    Captures that older versions stored say none.
+    """
+    return {name: int(text) for name, text in header.get("__metadata__", {}).items()}
 
 
 def concatenate(captures: list[Capture]) -> Capture:

@@ -38,7 +38,7 @@ def of_longer(store: Store, dataset: Dataset, added: Capture) -> list[Any]:
     for chunk in _some_chunks(store, dataset):
         part = slice(0, min(chunk.frames, size))
         try:
-            parts.append(Capture.frames_from(partial(store.objects.get_range, chunk.key), part))
+            parts.append(Capture.frames_from(partial(store.objects.peek, chunk.key), part))
         except FileNotFoundError:  # the dataset was deleted since: nobody will read its findings
             continue
         numbers.append(np.arange(chunk.first_frame, chunk.first_frame + part.stop))

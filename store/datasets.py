@@ -19,7 +19,7 @@ from store.errors import CaptureError, NotFoundError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
 from store.labels import Labels
-from store.lookup import get
+from store.lookup import get, lost
 from store.records import Chunk, Dataset, FitJob, LiftJob
 
 
@@ -219,10 +219,9 @@ def load(store: Store, dataset_id: str, *, frames: int | None = None) -> Capture
     if not keys:
         raise NotFoundError("dataset", dataset_id)
     try:
-        capture = concatenate([Capture.from_bytes(store.objects.get(key)) for key in keys])
-    except FileNotFoundError as error:  # deleted since its chunks were read
-        raise NotFoundError("dataset", dataset_id) from error
-    return capture
+        return concatenate([Capture.from_bytes(store.objects.get(key)) for key in keys])
+    except FileNotFoundError as error:
+        raise lost(store, Dataset, dataset_id, error) from error
 
 
 def load_frames(store: Store, dataset_id: str, start: int, stop: int) -> Capture:
@@ -260,7 +259,7 @@ def load_frames(store: Store, dataset_id: str, start: int, stop: int) -> Capture
             ]
         )
     except FileNotFoundError as error:
-        raise NotFoundError("dataset", dataset_id) from error
+        raise lost(store, Dataset, dataset_id, error) from error
 
 
 def delete(store: Store, dataset_id: str) -> None:
@@ -288,6 +287,7 @@ def delete(store: Store, dataset_id: str) -> None:
 
 
 def _put_chunk(store: Store, dataset_id: str, capture: Capture) -> str:
-    key = keys.of_chunk(dataset_id)
-    store.objects.put(key, capture.to_bytes())
+    data = capture.to_bytes()
+    key = keys.of_chunk(dataset_id, data)
+    store.objects.put(key, data)
     return key

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Iterable
+from threading import BoundedSemaphore, Thread
 
 from obstore.exceptions import BaseError as ObjectStoreError
 from sqlalchemy import bindparam, delete, insert
@@ -9,9 +10,13 @@ from sqlalchemy.orm import Session
 
 from store import clock
 from store.database import Store
+from store.objects import Objects
 from store.records import CondemnedObject
 
 logger = logging.getLogger(__name__)
+
+PATIENCE_SECONDS = 1.0
+_AT_A_TIME = BoundedSemaphore(4)
 
 
 def condemn(session: Session, keys: Iterable[str | None]) -> list[str]:
@@ -36,8 +41,25 @@ def acquit(session: Session, keys: Iterable[str]) -> None:
 
 
 def discard(store: Store, *keys: str | None) -> None:
-    """Delete objects that no record points to, or that none will."""
+    """Delete objects that no record points to, or that none will.
+
+    The caller waits a second at most: there may be thousands, or they may be away.
+    """
+    known = [key for key in keys if key is not None]
+    if not known:
+        return
+    if not _AT_A_TIME.acquire(timeout=PATIENCE_SECONDS):
+        logger.warning("%d objects are left to the sweep: others are being deleted", len(known))
+        return
+    deleting = Thread(target=_delete, args=(store.objects, known), daemon=True)
+    deleting.start()
+    deleting.join(PATIENCE_SECONDS)
+
+
+def _delete(objects: Objects, keys: list[str]) -> None:
     try:
-        store.objects.delete(*(key for key in keys if key is not None))
+        objects.delete(*keys)
     except (ObjectStoreError, OSError):
-        logger.warning("Objects are left to the sweep: %s", keys, exc_info=True)
+        logger.warning("%d objects are left to the sweep", len(keys), exc_info=True)
+    finally:
+        _AT_A_TIME.release()

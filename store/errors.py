@@ -8,6 +8,7 @@ StoreError
 │   ├── ConfigError        a configuration that its dataset does not allow
 │   ├── SourceError        a model that a fit of its dataset cannot start from
 │   └── LiftError          a dataset, or views of it, that the model cannot lift
+├── DamagedError           a stored object is not what was stored
 ├── DeploymentError        records and objects that do not belong together
 ├── QueueFullError         as many fits, or lifts, wait as may
 ├── KeyReusedError         an idempotency key came back with another request
@@ -17,6 +18,17 @@ StoreError
 
 class StoreError(Exception):
     """Base of the store's errors."""
+
+
+class DamagedError(StoreError):
+    """A stored object is not what was stored, or is gone although a record points to it."""
+
+    def __init__(self, key: str) -> None:
+        super().__init__(
+            f"The stored object {key} is damaged: it is not what was written. Restore it from a "
+            "backup, or delete what it belongs to."
+        )
+        self.key = key
 
 
 class DeploymentError(StoreError):

@@ -25,7 +25,7 @@ from store.disposal import condemn
 from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
 from store.idempotency import Idempotency
 from store.labels import Labels
-from store.lookup import lock
+from store.lookup import lock, lost
 from store.mistakes import unknown
 from store.records import Dataset, FitJob, LiftJob, Model
 
@@ -307,10 +307,12 @@ def load_reconstruction(store: Store, fit: FitJob) -> bytes:
         If the fit was deleted since its record was read.
     ConflictError
         If it has none, for it did not succeed.
+    DamagedError
+        If it is not what was stored.
     """
     if fit.reconstruction_key is None:
         raise ConflictError(f"Fit {fit.id!r} is {fit.status}: only a fit that succeeded has one.")
     try:
         return store.objects.get(fit.reconstruction_key)
     except FileNotFoundError as error:
-        raise NotFoundError("fit", fit.id) from error
+        raise lost(store, FitJob, fit.id, error) from error

@@ -124,7 +124,7 @@ def finish(
         If the chunk is no longer this helper's.
     """
     packed = pack(arrays)
-    arrays_key, lines_key = keys.of_lifted(helper.lift_id)
+    arrays_key, lines_key = keys.of_lifted(helper.lift_id, packed.data, lines)
     done = False
     try:
         store.objects.put(arrays_key, packed.data)

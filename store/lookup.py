@@ -7,7 +7,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from store.database import Store
-from store.errors import NotFoundError
+from store.errors import DamagedError, NotFoundError, StoreError
 from store.labels import says, tagged
 from store.records import Dataset, FitJob, Job, LiftJob, Model
 
@@ -52,6 +52,16 @@ def get(store: Store, kind: type[Resource], identifier: str) -> Resource:
     """Return the record of this kind with this identifier; ``NotFoundError`` if there is none."""
     with store.reading() as session:
         return _found(session.get(kind, identifier), kind, identifier)
+
+
+def lost(
+    store: Store, kind: type[Resource], identifier: str, missing: FileNotFoundError
+) -> StoreError:
+    """Return the error of an object that is not there: its record was deleted meanwhile, or not."""
+    with store.reading() as session:
+        if session.get(kind, identifier) is None:
+            return NotFoundError(kind.noun, identifier)
+    return DamagedError(str(missing.filename))
 
 
 def lock(session: Session, kind: type[Resource], identifier: str) -> Resource:

@@ -10,10 +10,10 @@ from sqlalchemy import select, update
 from store import jobs, keys
 from store.database import Store
 from store.disposal import condemn, discard
-from store.errors import NotFoundError
+from store.errors import DamagedError
 from store.idempotency import Idempotency, remember, replayed
 from store.ids import new_id
-from store.lookup import get, lock
+from store.lookup import get, lock, lost
 from store.records import FitJob, LiftJob, Model
 
 
@@ -27,7 +27,7 @@ class Whereabouts(NamedTuple):
 def new_record(store: Store, weights: bytes, **columns: Any) -> Model:
     """Store the weights and return the model's record, not yet written."""
     model_id = new_id("mdl")
-    key = keys.of_weights(model_id)
+    key = keys.of_weights(model_id, weights)
     store.objects.put(key, weights)
     return Model(
         id=model_id,
@@ -67,11 +67,22 @@ def whereabouts(store: Store, model_ids: Sequence[str]) -> dict[str, Whereabouts
 
 
 def load_weights(store: Store, model: Model) -> bytes:
-    """Return a model's weights; raise ``NotFoundError`` if it was deleted since it was read."""
+    """Return a model's weights.
+
+    Raises
+    ------
+    NotFoundError
+        If it was deleted since its record was read.
+    DamagedError
+        If they are not those that were stored.
+    """
     try:
-        return store.objects.get(model.weights_key)
+        weights = store.objects.get(model.weights_key)
     except FileNotFoundError as error:
-        raise NotFoundError("model", model.id) from error
+        raise lost(store, Model, model.id, error) from error
+    if hashlib.sha256(weights).hexdigest() != model.weights_checksum:
+        raise DamagedError(model.weights_key)
+    return weights
 
 
 def delete(store: Store, model_id: str) -> None:

@@ -1,17 +1,22 @@
 """Arrays and weights as objects: a local folder by default, S3 and friends by URL."""
 
+import errno
 import os
+import zlib
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from datetime import timedelta
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import obstore
+from obstore.exceptions import BaseError as ObjectStoreError
 from obstore.store import LocalStore, from_url
 
-from store.keys import FOLDERS, is_ours
+from store import keys
+from store.errors import DamagedError
 
 # Of a store that is reached by URL. A request that gets no answer, or that the store cannot serve
 # at the moment, is sent again, with pauses that grow; who waits for it hears within a minute.
@@ -57,17 +62,54 @@ class Objects:
                     os.close(descriptor)
 
     def get(self, key: str) -> bytes:
-        """Return the bytes under ``key``; raise ``FileNotFoundError`` if there are none."""
-        return bytes(obstore.get(self._store, key).bytes())
+        """Return the bytes under ``key``.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there are none; its ``filename`` is the key.
+        DamagedError
+            If they are not what was put there.
+        """
+        with _naming(key):
+            data = bytes(obstore.get(self._store, key).bytes())
+        if keys.checksum_of(key) not in (None, zlib.crc32(data)):
+            raise DamagedError(key)
+        return data
 
     def get_range(self, key: str, start: int, end: int) -> bytes:
         """Return the bytes from ``start`` up to ``end`` of an object that holds them.
 
-        Raises ``FileNotFoundError`` if there is no such object.
+        Before the first range of an object is returned, the whole of it is read once and checked.
+        Raises as :meth:`get` does.
         """
+        _check(self, key)
+        return self.peek(key, start, end)
+
+    def peek(self, key: str, start: int, end: int) -> bytes:
+        """Do the same unchecked, where a mistake does no harm, or is noticed."""
         if start == end:
             return b""  # which the object store takes for a mistake
-        return bytes(obstore.get_range(self._store, key, start=start, end=end))
+        with _naming(key):
+            try:
+                data = bytes(obstore.get_range(self._store, key, start=start, end=end))
+            except ObjectStoreError:
+                if obstore.head(self._store, key)["size"] >= end:
+                    raise
+                data = b""  # a range beyond its end
+        if len(data) != end - start:
+            raise DamagedError(key)
+        return data
+
+    def check(self, key: str) -> int:
+        """Read an object, without keeping it, and return its size; raises as :meth:`get` does."""
+        with _naming(key):
+            checksum = size = 0
+            for piece in obstore.get(self._store, key):
+                checksum, size = zlib.crc32(piece, checksum), size + len(piece)
+        if keys.checksum_of(key) not in (None, checksum):
+            raise DamagedError(key)
+        return size
 
     def has(self, key: str) -> bool:
         """Tell whether there is an object under ``key``."""
@@ -77,21 +119,21 @@ class Objects:
             return False
         return True
 
-    def delete(self, *keys: str) -> None:
-        """Delete what is there of ``keys``; what is gone already is no error."""
+    def delete(self, *doomed: str) -> None:
+        """Delete what is there of ``doomed``; what is gone already is no error."""
         if self._folder is None:
-            obstore.delete(self._store, keys)  # many at a time
+            obstore.delete(self._store, doomed)  # many at a time
             return
-        for key in keys:
+        for key in doomed:
             with suppress(FileNotFoundError):
                 obstore.delete(self._store, key)
 
     def list(self) -> Iterator[tuple[str, float]]:
         """Yield every key of ours with the time it was last written, in seconds since the epoch."""
-        for folder in FOLDERS:
+        for folder in keys.FOLDERS:
             for batch in obstore.list(self._store, prefix=folder):
                 for entry in batch:
-                    if is_ours(entry["path"]):
+                    if keys.is_ours(entry["path"]):
                         yield entry["path"], entry["last_modified"].timestamp()
 
     def delete_partial(self, before: float) -> int:
@@ -105,9 +147,25 @@ class Objects:
         partial = [
             path
             for path in self._folder.rglob("*#*")
-            if is_ours(path.relative_to(self._folder).as_posix().rpartition("#")[0])
+            if keys.is_ours(path.relative_to(self._folder).as_posix().rpartition("#")[0])
             and path.stat().st_mtime < before
         ]
         for path in partial:
             path.unlink(missing_ok=True)
         return len(partial)
+
+
+@contextmanager
+def _naming(key: str) -> Iterator[None]:
+    """Have the error of an object that is not there name its key."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise FileNotFoundError(errno.ENOENT, "there is no such object", key) from error
+
+
+# Objects are written once, so what was found of one holds for good.
+@lru_cache(maxsize=100_000)
+def _check(objects: Objects, key: str) -> None:
+    if keys.checksum_of(key) is not None:
+        objects.check(key)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from obstore.exceptions import BaseError as ObjectStoreError
 from sqlalchemy.exc import SQLAlchemyError
 
-from store.errors import LeaseLostError, NotFoundError
+from store.errors import DamagedError, LeaseLostError, NotFoundError
 
 logger = logging.getLogger(__name__)
 
@@ -45,6 +45,7 @@ def recorded(work: str, outcomes: Outcomes) -> Iterator[None]:
     ============================  ==========================================================
     the lease was lost            nothing: the work has ended, or is another's
     a record was deleted          failed, ``dataset_not_found`` or ``model_not_found``
+    a stored object is damaged    failed, ``object_damaged``
     ``models`` refuses the input  failed, ``unusable``
     the records stay away         nothing can be: another goes on when the lease has run out
     the objects stay away         given back, to be tried again
@@ -75,6 +76,8 @@ def _record(error: BaseException, outcomes: Outcomes) -> bool:
     match error:
         case NotFoundError():
             outcomes.fail(f"{error.kind}_not_found", str(error))
+        case DamagedError():
+            outcomes.fail("object_damaged", str(error))
         case ValueError():
             outcomes.fail(outcomes.unusable, str(error))
         case ObjectStoreError() | OSError():

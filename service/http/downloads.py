@@ -3,6 +3,7 @@
 import hashlib
 import re
 from collections.abc import Callable, Iterator
+from itertools import chain, islice
 
 from fastapi import Request
 from starlette.responses import Response, StreamingResponse
@@ -72,7 +73,9 @@ def ranged_response(
     if isinstance(body, bytes):
         return Response(body, status_code, headers, media_type)
     headers["Content-Length"] = str(end - start)
-    return StreamingResponse(body, status_code, headers, media_type)
+    # Errors of what is read first still become problem details: the first piece may be a header.
+    first = list(islice(body, 2))
+    return StreamingResponse(chain(first, body), status_code, headers, media_type)
 
 
 def _headers(filename: str | None) -> dict[str, str]:

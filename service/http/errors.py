@@ -18,6 +18,7 @@ from store.errors import (
     CaptureError,
     ConfigError,
     ConflictError,
+    DamagedError,
     InputError,
     KeyReusedError,
     LiftError,
@@ -50,6 +51,7 @@ PROBLEMS = {
     "too_many_lifts": (429, "Too many lifts are waiting"),
     "host_not_allowed": (421, "The service has another name"),
     "internal_error": (500, "Something went wrong inside"),
+    "object_damaged": (500, "A stored object is damaged"),
     "overloaded": (503, "Too many requests are in hand"),
     "unavailable": (503, "A part of the service cannot be reached"),
 }
@@ -243,6 +245,11 @@ def _of_outage(part: str) -> Callable[[Exception], ApiError]:
     return to_api_error
 
 
+def _of_damage(error: DamagedError) -> ApiError:
+    logger.error("%s", error)
+    return ApiError("object_damaged", str(error))
+
+
 def of_bug(_error: Exception) -> ApiError:
     """Return the error of what nobody foresaw; it tells nothing of it."""
     return ApiError(
@@ -262,6 +269,7 @@ TRANSLATIONS: dict[type[Exception], Callable[[Any], ApiError]] = {
     RequestValidationError: _of_parameters,
     NotFoundError: lambda error: ApiError("not_found", str(error)),
     ConflictError: lambda error: ApiError("conflict", str(error)),
+    DamagedError: _of_damage,
     CaptureError: _of_input,
     LiftError: _of_input,
     SourceError: _of_input,

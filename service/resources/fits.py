@@ -101,7 +101,7 @@ class FitError(BaseModel):
 
     code: str = Field(
         description="`dataset_not_found`, `model_not_found`, `unusable_capture`, "
-        "`invalid_arguments`, `timed_out`, `worker_lost` or `internal_error`."
+        "`object_damaged`, `invalid_arguments`, `timed_out`, `worker_lost` or `internal_error`."
     )
     message: str
 

@@ -66,7 +66,7 @@ def test_a_killed_put_leaves_no_object_and_its_part_is_swept(store: Store, tmp_p
         "import sys; from store.objects import Objects; objects = Objects(sys.argv[1]);"
         "data = bytes(200_000_000); print('ready', flush=True); objects.put(sys.argv[2], data)"
     )
-    key = keys.of_chunk(new_id("ds"))
+    key = keys.of_chunk(new_id("ds"), b"")
     command = [sys.executable, "-c", code, store.objects.url, key]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:
         assert writer.stdout is not None
@@ -83,7 +83,7 @@ def test_a_killed_put_leaves_no_object_and_its_part_is_swept(store: Store, tmp_p
 
 
 def test_sweeping_keeps_young_objects(store: Store) -> None:
-    store.objects.put(keys.of_chunk(new_id("ds")), b"being written")
+    store.objects.put(keys.of_chunk(new_id("ds"), b""), b"being written")
     assert housekeeping.sweep(store) == (0, 0)
     assert housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1) == (1, 1)
     assert list(store.objects.list()) == []

@@ -22,7 +22,7 @@ def listed(store: Store) -> set[str]:
 
 
 def orphan(store: Store) -> str:
-    key = keys.of_chunk(new_id("ds"))
+    key = keys.of_chunk(new_id("ds"), b"left behind")
     store.objects.put(key, b"left behind")
     return key
 

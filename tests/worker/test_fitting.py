@@ -11,11 +11,11 @@ from safetensors.numpy import load
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift
 from models.training.trainer import Trainer
-from store import attempts, datasets, fits, lookup
+from store import attempts, datasets, fits, lookup, models
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
-from store.records import FitJob
+from store.records import FitJob, Model
 from tests.worker.conftest import CONFIG
 from worker import fitting
 from worker.heartbeat import Heartbeat
@@ -70,7 +70,9 @@ def test_slices_make_the_whole(
     assert fit.status == "succeeded"
     found = load(fits.load_reconstruction(store, fit))
     assert fit.model_id is not None
-    prior = FittedPrior.from_bytes(store.objects.get(f"models/{fit.model_id}/weights.safetensors"))
+    prior = FittedPrior.from_bytes(
+        models.load_weights(store, lookup.get(store, Model, fit.model_id))
+    )
     whole = LIFT(prior, capture.keypoints, confidence=capture.confidence)
     assert found.keys() == whole.arrays.keys()
     for name, array in found.items():

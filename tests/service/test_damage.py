@@ -1,0 +1,68 @@
+"""Objects that are not what was stored are said to be so, and never lifted or served."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from models.capture.synthetic import SyntheticCapture
+from service.settings import Settings
+from store.records import Model
+from tests.damage import HARMS, flip, truncate
+from tests.service.conftest import BYTES, JSON, frames_of, make_dataset, problem
+
+Harm = Callable[[Path], None]
+
+
+def only_file(settings: Settings, folder: str) -> Path:
+    (file,) = (settings.data_dir / "objects" / folder).iterdir()
+    return file
+
+
+@pytest.mark.parametrize("harm", HARMS)
+def test_a_damaged_capture_is_not_served(api: TestClient, settings: Settings, harm: Harm) -> None:
+    dataset = make_dataset(api, frames=30)["id"]
+    harm(only_file(settings, f"datasets/{dataset}"))
+    said = problem(api.get(f"/datasets/{dataset}/capture"), 500, "object_damaged")
+    assert f"datasets/{dataset}/chunk_" in said
+    assert "backup" in said
+    assert api.get(f"/datasets/{dataset}").status_code == 200
+    assert api.delete(f"/datasets/{dataset}").status_code == 204
+    problem(api.get(f"/datasets/{dataset}/capture"), 404, "not_found")
+
+
+def test_a_range_of_a_damaged_capture_is_not_served_either(
+    api: TestClient, settings: Settings
+) -> None:
+    dataset = make_dataset(api, frames=30)["id"]
+    flip(only_file(settings, f"datasets/{dataset}"))
+    part = api.get(f"/datasets/{dataset}/capture", headers={"Range": "bytes=300-400"})
+    problem(part, 500, "object_damaged")
+
+
+@pytest.mark.parametrize("harm", HARMS)
+def test_damaged_weights_lift_nothing(
+    api: TestClient, settings: Settings, weights: bytes, capture: SyntheticCapture, harm: Harm
+) -> None:
+    model = api.post("/models?name=damaged", content=weights, headers=BYTES).json()["id"]
+    harm(only_file(settings, f"models/{model}"))
+    body: dict[str, Any] = {"model": model, "frames": frames_of(capture.keypoints[:1])}
+    problem(api.post("/lift", json=body, headers=JSON), 500, "object_damaged")
+    problem(api.get(f"/models/{model}/weights"), 500, "object_damaged")
+    assert api.get("/health/live").status_code == 200
+
+
+def test_weights_that_an_older_version_stored_are_checked_too(
+    api: TestClient, settings: Settings, weights: bytes
+) -> None:
+    model = api.post("/models?name=old", content=weights, headers=BYTES).json()["id"]
+    file = only_file(settings, f"models/{model}")
+    file = file.rename(file.with_name("weights.safetensors"))
+    store = api.app.state.store  # type: ignore[attr-defined]
+    with store.writing() as session:
+        session.get(Model, model).weights_key = f"models/{model}/weights.safetensors"
+    assert api.get(f"/models/{model}/weights").status_code == 200
+    truncate(file)
+    problem(api.get(f"/models/{model}/weights"), 500, "object_damaged")
