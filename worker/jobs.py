@@ -14,12 +14,15 @@ from store.errors import NotFoundError
 from store.jobs import Job
 from store.records import FitJob, LiftJob
 from worker.heartbeat import Heartbeat
+from worker.patience import patiently
 from worker.queue import KnownJob, open_queue
 from worker.reconciler import adopt, recorded_as
 from worker.settings import WorkerSettings
 from worker.time_slice import TimeSlice
 
 logger = logging.getLogger(__name__)
+
+_waiting = partial(patiently, hurry=lambda: False)  # SIGTERM ends what holds no lease
 
 
 def fit(
@@ -67,7 +70,7 @@ def fit(
                 from worker.fitting import run_attempt  # noqa: PLC0415 (torch takes seconds)
 
                 run_attempt(store, attempt, heartbeat, settings)
-        record = lookup.get(store, FitJob, fit_id)
+        record = _waiting(partial(lookup.get, store, FitJob, fit_id))
         _report(record)
     return {"fit_id": record.id, "status": record.status, "model_id": record.model_id}
 
@@ -137,7 +140,7 @@ def _help(
 
             do_chunks(store, helper, chunk, heartbeat, settings, time_slice)
     try:
-        record = lookup.get(store, LiftJob, lift_id)
+        record = _waiting(partial(lookup.get, store, LiftJob, lift_id))
     except NotFoundError:  # deleted since the job was queued
         return {"lift_id": lift_id, "status": None}
     _report(record)
@@ -164,7 +167,7 @@ def _opened() -> Iterator[tuple[KnownJob, Store, WorkerSettings]]:
     job = get_current_job()
     assert isinstance(job, KnownJob)  # noqa: S101 (RQ runs these functions in a job)
     settings = WorkerSettings()
-    store = Store(settings)
+    store = _waiting(partial(Store, settings))
     try:
         yield job, store, settings
     finally:

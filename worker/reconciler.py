@@ -55,10 +55,11 @@ class Reconciler:
         job is in neither place for a moment.
         """
         waiting = self._queue.get_job_ids()
-        for job_id in waiting:
+        taken = self._queue.intermediate_queue.get_job_ids()  # maybe by a worker that died
+        for job_id in (*waiting, *taken):
             if job_id not in self._known:
-                self._adopt(job_id)
-        self._known.intersection_update(waiting)  # bounded by the queue's length
+                self.adopt(job_id)
+        self._known.intersection_update(waiting + taken)  # bounded by the queue's length
         now = time.monotonic()
         expired = now - self._steady_since > self._settings.lease_seconds
         queued = fits.recover(self._store, expired=expired)
@@ -75,8 +76,8 @@ class Reconciler:
                 enqueue(self._queue, record)
                 del self._lost_since[job_id]
 
-    def _adopt(self, job_id: str) -> None:
-        self._known.add(job_id)
+    def adopt(self, job_id: str) -> None:
+        """Record what a job on the queue asks for, unless that is known."""
         if (
             jobs.by_job(self._store, FitJob, job_id) is None
             and lifts.helped(self._store, job_id) is None
@@ -84,6 +85,7 @@ class Reconciler:
             job = self._queue.fetch_job(job_id)
             if isinstance(job, KnownJob) and not calls(job, HELP_JOB) and recorded_as(job) is None:
                 adopt(self._store, job, self._settings)
+        self._known.add(job_id)
 
 
 def calls(job: KnownJob, function: str) -> bool:

@@ -119,7 +119,12 @@ class JobWorker(Worker):
             self._sweeping.start()
 
     def execute_job(self, job: Job, queue: Queue) -> None:
-        """Run a job in a process of its own, whatever limits its producer set or left out."""
+        """Run a job in a process of its own, whatever limits its producer set or left out.
+
+        It is recorded before, and until then stays where reconcilers find it: nothing that ends
+        that process, or this one, can lose it.
+        """
+        self._reconciler.adopt(job.id)
         job.timeout = self._settings.max_fit_seconds + TIMEOUT_SLACK_SECONDS
         job.result_ttl, job.failure_ttl = RESULT_SECONDS, FAILURE_SECONDS
         try:

