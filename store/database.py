@@ -2,22 +2,19 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, select, text
+from sqlalchemy import Connection, Engine, inspect, select, text
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
-from sqlalchemy.pool import NullPool
 from sqlalchemy.schema import CreateColumn
 
 from store import deployment
+from store.engine import open_engine
 from store.errors import StoreError
+from store.locks import alone
 from store.objects import Objects
 from store.records import Record
 from store.settings import StoreSettings
-
-_BUSY_TIMEOUT_MS = 20_000
 
 
 class Store:
@@ -32,15 +29,18 @@ class Store:
         Parameters
         ----------
         forks
-            This process will fork. Then it keeps no connection open between uses, for SQLite drops
-            the locks of a file when any inherited descriptor of it is closed; and it may not touch
-            the objects, whose threads would not live on in the fork, so another process must have
-            opened the store before.
+            This process will fork. Then it may not touch the objects, whose threads would not live
+            on in the fork, so another process must have opened the store before.
         """
-        self.engine = _open_records(settings.resolved_database_url, pooled=not forks)
-        self.objects = Objects(settings.resolved_store_url)
-        if not forks:
-            self.identity = deployment.agree(self.reading, self.writing, self.objects)
+        self.engine = open_engine(settings.resolved_database_url, forks=forks)
+        try:
+            _prepare(self.engine)
+            self.objects = Objects(settings.resolved_store_url)
+            if not forks:
+                self.identity = deployment.agree(self.reading, self.writing, self.objects)
+        except BaseException:
+            self.close()
+            raise
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
@@ -65,15 +65,9 @@ class Store:
         self.engine.dispose()
 
 
-def _open_records(url: URL, *, pooled: bool) -> Engine:
-    is_sqlite = url.get_backend_name() == "sqlite"
-    if is_sqlite and url.database:
-        Path(url.database).parent.mkdir(parents=True, exist_ok=True)
-    engine = create_engine(url) if pooled else create_engine(url, poolclass=NullPool)
-    if is_sqlite:
-        event.listen(engine, "connect", _configure_sqlite)
-        event.listen(engine, "begin", _begin_sqlite)
+def _prepare(engine: Engine) -> None:
     with engine.execution_options(writing=True).begin() as connection:
+        alone(connection, "the tables")
         Record.metadata.create_all(connection)
         _add_missing_columns(connection)
     with engine.connect() as connection:
@@ -82,10 +76,9 @@ def _open_records(url: URL, *, pooled: bool) -> Engine:
                 connection.execute(select(table).limit(0))
             except DBAPIError as error:
                 raise StoreError(
-                    f"The records in {url} were written by another version of Fewview: its table "
-                    f"{table.name!r} differs. Use that version, or another data folder."
+                    f"The records in {engine.url} were written by another version of Fewview: its "
+                    f"table {table.name!r} differs. Use that version, or another data folder."
                 ) from error
-    return engine
 
 
 def _add_missing_columns(connection: Connection) -> None:
@@ -102,20 +95,3 @@ def _add_missing_columns(connection: Connection) -> None:
             if column.nullable and column.name not in there:
                 definition = CreateColumn(column).compile(dialect=connection.dialect)
                 connection.execute(text(f"ALTER TABLE {quote(table.name)} ADD COLUMN {definition}"))
-
-
-def _configure_sqlite(connection: Any, _record: object) -> None:
-    connection.isolation_level = None  # transactions begin where _begin_sqlite says, not by guess
-    cursor = connection.cursor()
-    cursor.execute(f"PRAGMA busy_timeout={_BUSY_TIMEOUT_MS}")
-    cursor.execute("PRAGMA journal_mode=WAL")
-    cursor.execute("PRAGMA synchronous=FULL")
-    cursor.execute("PRAGMA foreign_keys=ON")
-    cursor.close()
-
-
-def _begin_sqlite(connection: Connection) -> None:
-    # A transaction that reads first and writes later fails at once if another wrote in between,
-    # whatever the busy timeout: writers take the write lock when they begin.
-    writing = connection.get_execution_options().get("writing", False)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")

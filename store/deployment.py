@@ -14,6 +14,7 @@ from sqlalchemy.orm import Session
 
 from store.errors import DeploymentError
 from store.ids import new_id
+from store.locks import alone
 from store.objects import Objects
 from store.records import Chunk, Dataset, Deployment, FitJob, LiftJob, Model
 
@@ -44,7 +45,8 @@ def agree(reading: Sessions, writing: Sessions, objects: Objects) -> str:
     if known is not None:
         check(objects, known)
         return known
-    with writing() as session:  # of several processes that start together, one goes first
+    with writing() as session:
+        alone(session, "the deployment")  # of several that start together, one goes first
         if session.scalar(select(Deployment)) is None:
             _refuse_strangers(session, objects)
             session.add(Deployment(id=new_id("dep"), created_at=time.time()))

@@ -13,7 +13,11 @@ class StoreSettings(BaseSettings):
     """Settings of the store, read from ``FEWVIEW_*`` environment variables; frozen once read."""
 
     model_config = SettingsConfigDict(
-        env_prefix="FEWVIEW_", env_ignore_empty=True, frozen=True, extra="ignore"
+        env_prefix="FEWVIEW_",
+        env_ignore_empty=True,
+        frozen=True,
+        extra="ignore",
+        hide_input_in_errors=True,  # there are passwords in URLs
     )
 
     data_dir: Path = Field(
@@ -22,8 +26,9 @@ class StoreSettings(BaseSettings):
     )
     database_url: str | None = Field(
         None,
-        description="SQLAlchemy URL of the records. Without it: SQLite in the data folder.",
-        examples=["sqlite:////var/lib/fewview/records.db"],
+        description="URL of the records: postgresql://user:password@host/database, or "
+        "sqlite:////folder/records.db. Without it: SQLite in the data folder.",
+        examples=["postgresql://fewview:password@localhost/fewview"],
     )
     store_url: str | None = Field(
         None,
@@ -35,11 +40,11 @@ class StoreSettings(BaseSettings):
     @field_validator("database_url")
     @classmethod
     def _is_url(cls, url: str | None) -> str | None:
-        if url is not None:
-            try:
-                make_url(url)
-            except ArgumentError as error:
-                raise ValueError("expected a URL such as sqlite:////folder/records.db") from error
+        if url is not None and _records(url) is None:
+            raise ValueError(
+                "expected a URL such as postgresql://user:password@host/database or "
+                "sqlite:////folder/records.db; write what is special in a password as %40 (@)"
+            )
         return url
 
     def to_environment(self) -> dict[str, str]:
@@ -50,8 +55,9 @@ class StoreSettings(BaseSettings):
     @property
     def resolved_database_url(self) -> URL:
         """The records' URL, the embedded default included."""
-        if self.database_url is not None:
-            return make_url(self.database_url)
+        known = None if self.database_url is None else _records(self.database_url)
+        if known is not None:
+            return known
         return URL.create("sqlite", database=str(self.data_dir.absolute() / "records.db"))
 
     @property
@@ -63,3 +69,18 @@ class StoreSettings(BaseSettings):
 def shown(url: object) -> str:
     """Return a URL for people to read: without its user and password, and what it is asked."""
     return re.sub(r"^([^:]+://)[^/]*@", r"\1***@", str(url)).partition("?")[0]
+
+
+def _records(text: str) -> URL | None:
+    """Return the URL of a database that can hold records, with the one driver for it; else None."""
+    try:
+        url = make_url(text)
+    except (ArgumentError, ValueError):  # whose messages may hold a part of the password
+        return None
+    match url.drivername.partition("+")[0]:
+        case "sqlite" if url.database not in (None, "", ":memory:"):
+            return url.set(drivername="sqlite")
+        case "postgresql" | "postgres":
+            return url.set(drivername="postgresql+psycopg")
+        case _:
+            return None

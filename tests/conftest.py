@@ -13,6 +13,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 )
 
 from models.numerics.threads import use_threads
+from tests.deployments import PostgreSQL, postgresql_served
 from tests.object_stores import S3, s3_served
 
 use_threads(1)
@@ -22,4 +23,11 @@ use_threads(1)
 def s3() -> Iterator[S3]:
     """Serve an object store for this test process: `StoreSettings(store_url=s3.new_url())`."""
     with s3_served() as served:
+        yield served
+
+
+@pytest.fixture(scope="session")
+def postgresql() -> Iterator[PostgreSQL]:
+    """Run a PostgreSQL for this test process: `StoreSettings(database_url=...new_url())`."""
+    with postgresql_served() as served:
         yield served

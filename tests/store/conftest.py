@@ -1,5 +1,6 @@
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,11 +8,24 @@ import pytest
 from store.capture import Capture
 from store.database import Store
 from store.settings import StoreSettings
+from tests.deployments import KINDS, deployed
+
+
+@pytest.fixture(params=KINDS)
+def deployment(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, Any]]:
+    """Give the settings of a new deployment, of each kind."""
+    with deployed(request, tmp_path) as settings:
+        yield settings
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    store = Store(StoreSettings(data_dir=tmp_path))
+def settings(deployment: dict[str, Any]) -> StoreSettings:
+    return StoreSettings(**deployment)
+
+
+@pytest.fixture
+def store(settings: StoreSettings) -> Iterator[Store]:
+    store = Store(settings)
     yield store
     store.close()
 

@@ -13,18 +13,19 @@ from store.capture import extend_checksum
 from store.database import Store
 from store.ids import new_id
 from store.records import Dataset
+from store.settings import StoreSettings
+from tests.deployments import embedded_only
 
 WRITER = """
 import sys
 import numpy as np
-from pathlib import Path
 from store import datasets
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
 from store.settings import StoreSettings
 
-store = Store(StoreSettings(data_dir=Path(sys.argv[1])))
+store = Store(StoreSettings.model_validate_json(sys.argv[1]))
 capture = Capture.checked(np.random.default_rng(0).normal(size=(200, 4, 31, 2)))
 datasets.create(store, capture, Description("first"))
 print("ready", flush=True)
@@ -36,12 +37,12 @@ while True:
 
 
 def test_killed_writers_leave_whole_datasets_and_orphans_that_are_swept(
-    store: Store, tmp_path: Path
+    store: Store, settings: StoreSettings
 ) -> None:
     rng = random.Random(0)  # noqa: S311
     for _ in range(6):
         with subprocess.Popen(
-            [sys.executable, "-c", WRITER, str(tmp_path)], stdout=subprocess.PIPE
+            [sys.executable, "-c", WRITER, settings.model_dump_json()], stdout=subprocess.PIPE
         ) as writer:
             assert writer.stdout is not None
             writer.stdout.readline()
@@ -61,6 +62,7 @@ def test_killed_writers_leave_whole_datasets_and_orphans_that_are_swept(
         datasets.load(store, dataset.id)
 
 
+@embedded_only
 def test_a_killed_put_leaves_no_object_and_its_part_is_swept(store: Store, tmp_path: Path) -> None:
     code = (
         "import sys; from store.objects import Objects; objects = Objects(sys.argv[1]);"

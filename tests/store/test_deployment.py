@@ -51,8 +51,10 @@ def test_so_are_those_of_an_older_version(full: Store, tmp_path: Path) -> None:
         Store(beside(full, tmp_path))
 
 
-def test_objects_that_the_records_do_not_know_are_refused(full: Store, tmp_path: Path) -> None:
-    other = StoreSettings(data_dir=tmp_path, store_url=(tmp_path / "empty").as_uri())
+def test_objects_that_the_records_do_not_know_are_refused(
+    full: Store, settings: StoreSettings, tmp_path: Path
+) -> None:
+    other = settings.model_copy(update={"store_url": (tmp_path / "empty").as_uri()})
     with pytest.raises(DeploymentError, match="FEWVIEW_STORE_URL"):
         Store(other)
     forget_identity(full)
@@ -60,11 +62,13 @@ def test_objects_that_the_records_do_not_know_are_refused(full: Store, tmp_path:
         Store(other)
 
 
-def test_an_older_deployment_gets_its_identity_and_keeps_it(full: Store, tmp_path: Path) -> None:
+def test_an_older_deployment_gets_its_identity_and_keeps_it(
+    full: Store, settings: StoreSettings
+) -> None:
     forget_identity(full)
 
     def opened(_: int) -> str:
-        store = Store(StoreSettings(data_dir=tmp_path))
+        store = Store(settings)
         store.close()
         return store.identity
 
@@ -75,19 +79,19 @@ def test_an_older_deployment_gets_its_identity_and_keeps_it(full: Store, tmp_pat
 
 
 def test_a_start_that_was_killed_before_the_mark_was_written_is_finished(
-    full: Store, tmp_path: Path
+    full: Store, settings: StoreSettings
 ) -> None:
     full.objects.delete(MARK)
     with full.writing() as session:
         session.execute(text("UPDATE deployment SET marked_at = NULL"))
-    again = Store(StoreSettings(data_dir=tmp_path))
+    again = Store(settings)
     assert again.identity == full.identity
     again.close()
-    Store(StoreSettings(data_dir=tmp_path)).close()
+    Store(settings).close()
 
 
 def test_objects_that_answer_late_keep_nobody_from_writing(
-    full: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    full: Store, settings: StoreSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
 
@@ -99,7 +103,7 @@ def test_objects_that_answer_late_keep_nobody_from_writing(
 
     get = Objects.get
     monkeypatch.setattr(Objects, "get", late)
-    Store(StoreSettings(data_dir=tmp_path)).close()
+    Store(settings).close()
     assert asked == [MARK]
 
 

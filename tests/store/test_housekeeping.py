@@ -56,7 +56,8 @@ def test_what_others_keep_in_the_same_place_is_left_alone(store: Store, tmp_path
     theirs = ("notes.txt", "datasets/raw/camera1.mp4", "models/yolo.safetensors", "fits/a/b.csv")
     for key in theirs:
         store.objects.put(key, b"precious")
-    part = tmp_path / "objects" / "datasets" / "raw" / "part#1"
+    part = tmp_path / "objects" / "datasets" / "raw" / "part#1"  # of no meaning but in a folder
+    part.parent.mkdir(parents=True, exist_ok=True)
     part.write_bytes(b"precious")
     assert sweep(store, grace_seconds=-1) == (0, 0)
     assert all(store.objects.has(key) for key in theirs)

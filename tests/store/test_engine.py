@@ -1,0 +1,65 @@
+"""Which databases records may be in, and what is said of others."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from store.database import Store
+from store.settings import StoreSettings
+from tests.deployments import PostgreSQL
+
+
+@pytest.mark.parametrize("scheme", ["postgresql", "postgres", "postgresql+psycopg2"])
+def test_any_url_of_postgresql_takes_its_driver(
+    postgresql: PostgreSQL, tmp_path: Path, scheme: str
+) -> None:
+    url = postgresql.new_url().replace("postgresql", scheme, 1)
+    store = Store(StoreSettings(data_dir=tmp_path, database_url=url))
+    store.check_records()
+    assert store.engine.dialect.driver == "psycopg"
+    store.close()
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "postgresql://fewview:pa%40s@host:54secret/records",  # a password with a /, not escaped
+        "mysql://fewview:54secret@host/records",
+        "54secret",
+        "sqlite://",
+    ],
+)
+def test_other_urls_are_refused_and_their_passwords_are_not_shown(url: str) -> None:
+    with pytest.raises(ValidationError, match="expected a URL such as postgresql://") as refused:
+        StoreSettings(database_url=url)
+    assert "54secret" not in str(refused.value)
+
+
+def test_a_password_is_not_shown_when_the_database_cannot_be_reached(tmp_path: Path) -> None:
+    url = "postgresql://fewview:54secret@127.0.0.1:1/records"
+    run = _worker(tmp_path, "", url)
+    assert "Connection refused" in run
+    assert "54secret" not in run
+
+
+def test_a_missing_driver_is_said_in_a_line(tmp_path: Path) -> None:
+    hide = "sys.modules['psycopg'] = None;"
+    said = _worker(tmp_path, hide, "postgresql://fewview:54secret@127.0.0.1:1/records")
+    assert said == "PostgreSQL needs its driver: pip install 'fewview-server[postgresql]'."
+
+
+def _worker(folder: Path, before: str, url: str) -> str:
+    """Return the error that another process ends with when it opens the records."""
+    code = (
+        f"import sys; {before}"
+        "from store.database import Store; from store.settings import StoreSettings\n"
+        "try: Store(StoreSettings(data_dir=sys.argv[1], database_url=sys.argv[2]))\n"
+        "except Exception as error: print(error)"
+    )
+    command = [sys.executable, "-c", code, str(folder), url]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert run.stderr == ""
+    return run.stdout.strip()
