@@ -1,9 +1,10 @@
-"""``fewview serve``, ``worker`` and ``precompile``; the other commands are the client's."""
+"""The commands of ``fewview`` that are the server's; the others are the client's."""
 
 import logging
 import os
 import sys
 from argparse import ArgumentParser
+from collections.abc import Callable
 
 from pydantic import ValidationError
 from pydantic_settings import CliApp, SettingsConfigDict
@@ -90,7 +91,21 @@ def precompile(arguments: list[str]) -> None:
     compile_all()
 
 
-COMMANDS = {"serve": serve, "worker": work, "precompile": precompile}
+def keep(command: str) -> Callable[[list[str]], None]:
+    """Return what runs one of the commands in ``service.keeping``."""
+
+    def run_command(arguments: list[str]) -> None:
+        from service import keeping  # noqa: PLC0415 (not needed by the others)
+
+        getattr(keeping, command)(arguments)
+
+    return run_command
+
+
+KEEPING = ("backup", "restore", "prune", "doctor")
+COMMANDS = {"serve": serve, "worker": work, "precompile": precompile} | {
+    command: keep(command) for command in KEEPING
+}
 
 if __name__ == "__main__":  # as the parts of a service are started
     run(sys.argv[1], sys.argv[2:])

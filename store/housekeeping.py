@@ -5,6 +5,7 @@ import time
 from typing import NamedTuple
 
 from sqlalchemy import delete, insert, select, update
+from sqlalchemy.orm import Session
 
 from store import clock, deployment
 from store.database import Store
@@ -49,10 +50,12 @@ def sweep(
     *,
     orphan_seconds: float = ORPHAN_SECONDS,
     grace_seconds: float = GRACE_SECONDS,
+    dry_run: bool = False,
 ) -> Swept:
     """Condemn objects that no record points to; delete those that were condemned long enough ago.
 
-    What a record points to again by then is left alone. Idempotency keys a day old go, too.
+    What a record points to again by then is left alone. Idempotency keys a day old go, too. A dry
+    run tells what another would do, but for what puts that were killed left.
 
     Raises
     ------
@@ -67,8 +70,7 @@ def sweep(
         time_now = clock.read(session)
         due = {one.key: one.due_at for one in session.scalars(select(CondemnedObject))}
         orphans = {key for key, at in written.items() if at < old or key in due}
-        for column in KEYS:
-            orphans.difference_update(session.scalars(select(column)))
+        orphans -= known_keys(session)
         new = orphans - due.keys()
         if len(new) > max(FEW, LARGEST_SHARE * len(written)):
             logger.error(
@@ -79,6 +81,8 @@ def sweep(
                 store.objects.url,
             )
             new = set()
+        if dry_run:
+            return Swept(len(new), sum(due.get(key, time_now + 1) <= time_now for key in orphans))
         if new:
             logger.warning("No record knows %d objects: they are deleted in a day", len(new))
             rows = [{"key": key, "due_at": time_now + grace_seconds} for key in sorted(new)]
@@ -91,6 +95,12 @@ def sweep(
         )
     store.objects.delete(*ended)
     return Swept(len(new), len(ended) + store.objects.delete_partial(old))
+
+
+def known_keys(session: Session) -> set[str]:
+    """Return the keys of all objects that records point to."""
+    found = (session.scalars(select(column)) for column in KEYS)
+    return {key for keys in found for key in keys if key is not None}
 
 
 def take_turn(store: Store) -> bool:

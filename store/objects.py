@@ -3,7 +3,8 @@
 import errno
 import os
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from functools import lru_cache
@@ -32,6 +33,7 @@ CONNECTING: dict[str, Any] = {
         "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=3)},
     },
 }
+READS_AT_A_TIME = 4
 PARTS_AT_A_TIME = 4  # of 5 MiB, of an object that is uploaded in parts
 
 
@@ -110,6 +112,19 @@ class Objects:
         if keys.checksum_of(key) not in (None, checksum):
             raise DamagedError(key)
         return size
+
+    def damaged(self, listed: Iterable[str]) -> set[str]:
+        """Read objects, and return those that are damaged, or not there."""
+
+        def harmed(key: str) -> str | None:
+            try:
+                self.check(key)
+            except (FileNotFoundError, DamagedError):
+                return key
+            return None
+
+        with ThreadPoolExecutor(READS_AT_A_TIME) as threads:
+            return {key for key in threads.map(harmed, listed) if key is not None}
 
     def has(self, key: str) -> bool:
         """Tell whether there is an object under ``key``."""

@@ -36,7 +36,8 @@ ROOMS = {
         ("realtime",),
         ("resources",),
         ("app",),
-        ("openapi", "process"),
+        ("doctor", "openapi", "process"),
+        ("keeping",),
         ("cli",),
     ),
 }

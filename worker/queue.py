@@ -4,6 +4,7 @@ import io
 import json
 import logging
 import pickle
+import time
 from typing import Any
 
 from pydantic import AnyUrl, BaseModel, Field
@@ -14,6 +15,7 @@ from redis.retry import Retry
 from rq import Queue
 from rq.exceptions import NoSuchJobError
 from rq.job import Job
+from rq.registry import CanceledJobRegistry
 
 from models.settings.config import FitConfig, Index, Refine
 from models.settings.keypoints import MAX_VIEWS
@@ -138,6 +140,15 @@ def check_reachable(url: AnyUrl) -> None:
 def open_queue(connection: Redis) -> Queue:
     """Return the queue that carries fits and lifts."""
     return Queue(QUEUE, connection=connection, job_class=KnownJob, serializer=PlainDataSerializer)
+
+
+def forget_cancelled(queue: Queue) -> None:
+    """Delete jobs that their producers cancelled long ago; RQ would keep them for good."""
+    registry = CanceledJobRegistry(queue=queue)
+    long_ago = time.time() - FAILURE_SECONDS
+    for job_id in registry.get_job_ids(cleanup=False):
+        if (queue.connection.zscore(registry.key, job_id) or 0.0) < long_ago:
+            registry.remove(job_id, delete_job=True)
 
 
 def enqueue(queue: Queue, record: FitJob | LiftJob) -> None:

@@ -19,7 +19,7 @@ from rq.job import Job
 from rq.registry import StartedJobRegistry
 from sqlalchemy.exc import SQLAlchemyError
 
-from store import fits, housekeeping, jobs, lifts
+from store import fits, housekeeping, jobs, lifts, retention
 from store.database import Store
 from store.errors import StoreError
 from store.private import keep_private
@@ -33,6 +33,8 @@ from worker.queue import (
     PlainDataSerializer,
     check_reachable,
     connect,
+    forget_cancelled,
+    open_queue,
 )
 from worker.reconciler import Reconciler
 from worker.settings import WorkerSettings
@@ -190,9 +192,13 @@ def _sweep(settings: WorkerSettings, parent: int) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):  # which the worker takes for itself
         signal.signal(number, signal.SIG_DFL)
     try:
-        housekeeping.sweep(Store(settings))
-    except (StoreError, SQLAlchemyError, ObjectStoreError, OSError):
-        logger.exception("The objects cannot be swept")
+        store = Store(settings)
+        for job in retention.prune(store, settings.retention):
+            logger.info("%s, %s, was kept long enough: deleted", job.id, job.status)
+        housekeeping.sweep(store)
+        forget_cancelled(open_queue(connect(str(settings.redis_url), retries=0)))
+    except (StoreError, SQLAlchemyError, ObjectStoreError, OSError, redis.exceptions.RedisError):
+        logger.exception("Housekeeping cannot be done")
 
 
 def _open_store(settings: WorkerSettings) -> None:

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import AnyUrl, Field, UrlConstraints
 
+from store.retention import Retention
 from store.settings import StoreSettings
 
 QueueUrl = Annotated[AnyUrl, UrlConstraints(allowed_schemes=["redis", "rediss", "unix"])]
@@ -54,9 +55,31 @@ class WorkerSettings(StoreSettings):
         description="Most frames of a big lift that a worker does in one go: what is lost if it is "
         "killed, and kept in its memory. Fewer where there are many views and keypoints.",
     )
+    keep_fits_days: float | None = Field(
+        None,
+        ge=0,
+        description="Days after which fits that succeeded are deleted, with their reconstruction; "
+        "their models stay. Default: never.",
+    )
+    keep_lifts_days: float | None = Field(
+        None,
+        ge=0,
+        description="Days after which lifts that succeeded are deleted. Default: never.",
+    )
+    keep_failed_days: float | None = Field(
+        None,
+        ge=0,
+        description="Days after which fits and lifts that failed or were cancelled are deleted. "
+        "Default: never.",
+    )
     lift_turn_seconds: float = Field(
         30.0,
         ge=0.1,
         le=3600,
         description="Time a big lift may have a worker for itself while other jobs wait.",
     )
+
+    @property
+    def retention(self) -> Retention:
+        """For how long what has ended is kept."""
+        return Retention(self.keep_fits_days, self.keep_lifts_days, self.keep_failed_days)

@@ -58,6 +58,30 @@ def precompile(context: typer.Context) -> None:
     _run_of_server("precompile", context.args)
 
 
+@app.command(context_settings=ELSEWHERE)
+def backup(context: typer.Context) -> None:
+    """Copy everything that a deployment holds into a folder, while it runs."""
+    _run_of_server("backup", context.args)
+
+
+@app.command(context_settings=ELSEWHERE)
+def restore(context: typer.Context) -> None:
+    """Fill an empty deployment with a backup."""
+    _run_of_server("restore", context.args)
+
+
+@app.command(context_settings=ELSEWHERE)
+def prune(context: typer.Context) -> None:
+    """Delete fits and lifts that ended long ago, and what crashes left."""
+    _run_of_server("prune", context.args)
+
+
+@app.command(context_settings=ELSEWHERE)
+def doctor(context: typer.Context) -> None:
+    """Examine a deployment, and say what to do."""
+    _run_of_server("doctor", context.args)
+
+
 for command in (run, convert, upload, fit, cameras, lift, export, evaluate):
     app.command()(command)
 for kind in COLUMNS:
