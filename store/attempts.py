@@ -36,13 +36,14 @@ class Attempt:
 def claim(store: Store, fit_id: str, *, lease_seconds: float) -> Attempt | None:
     """Take a queued fit, or one whose holder's lease has run out; None if neither is so."""
     with store.writing() as session:
-        now = clock.read(session)
+        now, prompt = clock.read_promptly(session)
+        waiting = FitJob.status == "queued"
+        ran_out = (FitJob.status == "running") & (FitJob.lease_expires_at < now)
         number = session.scalar(
             update(FitJob)
             .where(
                 FitJob.id == fit_id,
-                (FitJob.status == "queued")
-                | ((FitJob.status == "running") & (FitJob.lease_expires_at < now)),
+                waiting | ran_out if prompt else waiting,
                 FitJob.cancel_requested_at.is_(None),
             )
             .values(

@@ -4,12 +4,15 @@ Leases, and whatever else one host writes and another compares, are told by it, 
 clock is wrong harms nothing.
 """
 
+import time
 from typing import Any
 
 from sqlalchemy import Float, select
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.orm import Session
 from sqlalchemy.sql.functions import FunctionElement
+
+PROMPT_SECONDS = 1.0  # records that take longer are not as they should be
 
 
 class now(FunctionElement[float]):  # noqa: N801 (used as SQL's functions are)
@@ -32,3 +35,13 @@ def _in_sql(_element: now, _compiler: Any, **_options: Any) -> str:
 def read(session: Session) -> float:
     """Return what :class:`now` is."""
     return float(session.scalars(select(now())).one())
+
+
+def read_promptly(session: Session) -> tuple[float, bool]:
+    """Begin the session's transaction; return what :class:`now` is, and whether that was prompt.
+
+    If not, who holds a lease may have had to wait as long: one that ran out tells no death.
+    """
+    asked_at = time.monotonic()
+    time_now = read(session)
+    return time_now, time.monotonic() - asked_at < PROMPT_SECONDS

@@ -9,7 +9,6 @@ Only the attempt that holds the lease may write; terminal states are never left.
 work to workers and nothing more: what it says of a job is never asked.
 """
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,8 +27,6 @@ from store.labels import Labels
 from store.lookup import lock, lost
 from store.mistakes import unknown
 from store.records import Dataset, FitJob, LiftJob, Model
-
-PROMPT_SECONDS = 1.0  # records that take longer are not as they should be
 
 
 def create(
@@ -204,13 +201,10 @@ def recover(store: Store, *, expired: bool = True) -> list[FitJob]:
     with store.reading() as session:  # the common case takes no write lock
         any_lost = session.scalar(select(FitJob.id).where(lost).limit(1)) is not None
     if any_lost:
-        asked_at = time.monotonic()
         with store.writing() as session:
-            now = clock.read(session)  # begins the transaction
-            # Who holds a lease may have had to wait as long as this.
-            counts = expired and time.monotonic() - asked_at < PROMPT_SECONDS
+            now, prompt = clock.read_promptly(session)
             dead = select(FitJob).where(lost).with_for_update(skip_locked=True)
-            for fit in session.scalars(dead) if counts else ():
+            for fit in session.scalars(dead) if expired and prompt else ():
                 lose(
                     session,
                     fit,

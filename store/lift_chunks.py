@@ -49,13 +49,13 @@ def claim(store: Store, helper: Helper) -> LiftChunk | None:
     """
     condemned: list[str] = []
     with store.writing() as session:
+        now, prompt = clock.read_promptly(session)
         lift = _running(session, helper.lift_id)
         if lift is None:
             return None
-        now = clock.read(session)
         chunk = session.scalar(
             select(LiftChunk)
-            .where(LiftChunk.lift_id == lift.id, *lifts.claimable())
+            .where(LiftChunk.lift_id == lift.id, *lifts.claimable(expired=prompt))
             .order_by(LiftChunk.first_frame)
             .limit(1)
         )

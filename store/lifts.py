@@ -161,9 +161,13 @@ def call_next(store: Store, lift_id: str, job_id: str) -> LiftJob | None:
     return None if unclaimed is None else lift
 
 
-def recover(store: Store) -> list[LiftJob]:
-    """Return the lifts that have chunks for a helper to do, oldest first."""
-    chunks = select(LiftChunk.first_frame).where(LiftChunk.lift_id == LiftJob.id, *claimable())
+def recover(store: Store, *, expired: bool = True) -> list[LiftJob]:
+    """Return the lifts that have chunks for a helper to do, oldest first.
+
+    `expired` as in :func:`store.fits.recover`.
+    """
+    todo = claimable(expired=expired)
+    chunks = select(LiftChunk.first_frame).where(LiftChunk.lift_id == LiftJob.id, *todo)
     active = LiftJob.status.in_(("queued", "running"))
     with store.reading() as session:
         return list(
@@ -171,9 +175,17 @@ def recover(store: Store) -> list[LiftJob]:
         )
 
 
-def claimable() -> tuple[Any, ...]:
-    """Return the conditions of a chunk that anyone may do now."""
-    free = LiftChunk.lease_expires_at.is_(None) | (LiftChunk.lease_expires_at < clock.now())
+def claimable(*, expired: bool = True) -> tuple[ColumnElement[bool], ...]:
+    """Return the conditions of a chunk that anyone may do now.
+
+    Parameters
+    ----------
+    expired
+        Whether those count whose holder's lease has run out.
+    """
+    held_by_nobody = LiftChunk.lease_expires_at.is_(None)
+    ran_out = LiftChunk.lease_expires_at < clock.now()
+    free = held_by_nobody | ran_out if expired else held_by_nobody
     return LiftChunk.finished_at.is_(None), free
 
 

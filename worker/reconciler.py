@@ -10,7 +10,7 @@ from rq import Queue
 from rq.exceptions import DeserializationError
 
 from models.settings.config import FitConfig
-from store import fits, jobs, lifts
+from store import clock, fits, jobs, lifts
 from store.database import Store
 from store.errors import InputError, NotFoundError
 from store.labels import Labels
@@ -63,10 +63,12 @@ class Reconciler:
         now = time.monotonic()
         expired = now - self._steady_since > self._settings.lease_seconds
         queued = fits.recover(self._store, expired=expired)
-        if time.monotonic() - now > fits.PROMPT_SECONDS:
+        if time.monotonic() - now > clock.PROMPT_SECONDS:
             self.unsettle()
         work: dict[str, FitJob | LiftJob] = {fit.job_id: fit for fit in queued}
-        work |= {lifts.waiting_job(lift): lift for lift in lifts.recover(self._store)}
+        work |= {
+            lifts.waiting_job(lift): lift for lift in lifts.recover(self._store, expired=expired)
+        }
         lost = work.keys() - set(waiting)
         self._lost_since = {job_id: self._lost_since.get(job_id, now) for job_id in lost}
         for job_id, record in work.items():

@@ -2,7 +2,9 @@
 
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import Any
 
 import pytest
 
@@ -44,23 +46,22 @@ def test_a_fit_is_not_taken_from_a_worker_that_holds_it(
     assert (record.status, record.crashes) == ("running", 0)
 
 
+def make_lift(store: Store, capture: Capture) -> LiftJob:
+    """Record a lift of one chunk."""
+    dataset = datasets.create(store, capture, Description("a"))
+    about: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
+    model = models.create(store, b"weights", name="m", keypoints=dataset.keypoints, **about)
+    chunk_frames = dataset.frames
+    return lifts.create(
+        store, model_id=model.id, dataset_id=dataset.id, name="l", chunk_frames=chunk_frames
+    )
+
+
 @pytest.mark.parametrize("off", [-HOUR, HOUR])
 def test_a_chunk_is_not_taken_from_a_helper_that_holds_it(
     store: Store, capture: Capture, off: float
 ) -> None:
-    dataset = datasets.create(store, capture, Description("a"))
-    model = models.create(
-        store,
-        b"weights",
-        name="m",
-        keypoints=dataset.keypoints,
-        config={},
-        training_curve=[],
-        metrics={},
-    )
-    lift = lifts.create(
-        store, model_id=model.id, dataset_id=dataset.id, name="l", chunk_frames=dataset.frames
-    )
+    lift = make_lift(store, capture)
     with clock_off(off):
         helper = lift_chunks.join(lift.id, lease_seconds=5)
         assert lift_chunks.claim(store, helper) is not None
@@ -72,6 +73,26 @@ def test_a_chunk_is_not_taken_from_a_helper_that_holds_it(
     assert not lifts.was_cancelled(store, lift.job_id, patience_seconds=60)
     assert lifts.was_cancelled(store, lift.job_id, patience_seconds=-1)
     assert lookup.get(store, LiftJob, lift.id).status == "cancelled"
+
+
+def test_who_waited_for_the_records_takes_nothing_whose_holder_had_to_wait_too(
+    store: Store, capture: Capture
+) -> None:
+    lift = make_lift(store, capture)
+    fit = fits.create(store, dataset_id=lift.dataset_id, name="f", config={})
+    assert attempts.claim(store, fit.id, lease_seconds=1.5) is not None
+    holder, other = (lift_chunks.join(lift.id, lease_seconds=1.5) for _ in range(2))
+    assert lift_chunks.claim(store, holder) is not None
+    with ThreadPoolExecutor() as threads:
+        with store.writing() as session:
+            clock.read(session)
+            chunk = threads.submit(lift_chunks.claim, store, other)
+            attempt = threads.submit(attempts.claim, store, fit.id, lease_seconds=1.5)
+            lost = threads.submit(fits.recover, store)
+            time.sleep(2)
+        assert (chunk.result(), attempt.result(), lost.result()) == (None, None, [])
+    assert lift_chunks.claim(store, other) is not None  # now it tells a death
+    assert [lost.id for lost in fits.recover(store)] == [fit.id]
 
 
 def test_the_records_tell_the_time(store: Store) -> None:
