@@ -40,12 +40,13 @@ from service.resources import (
     health,
     lifts,
     models,
+    queues,
     reconstructions,
 )
 from service.settings import Settings
 from store.database import Store
 from worker.process import die_with_parent
-from worker.queue import connect, open_queue
+from worker.queue import connect
 
 # Lifts come first: routes are tried in this order, and nothing else is in such a hurry.
 RESOURCES = (
@@ -58,6 +59,7 @@ RESOURCES = (
     models,
     lifts,
     evaluations,
+    queues,
     health,
 )
 
@@ -89,10 +91,9 @@ def create_app(settings: Settings) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         app.state.store = Store(settings)
-        connection = connect(
+        app.state.redis = connect(
             str(settings.redis_url), retries=1, timeout_seconds=QUEUE_PATIENCE_SECONDS
         )
-        app.state.queue = open_queue(connection)
         app.state.large_uploads = asyncio.Semaphore(LARGE_AT_A_TIME)
         app.state.calculations = asyncio.Semaphore(LARGE_AT_A_TIME)
         app.state.large_lifts = asyncio.Semaphore(LARGE_AT_A_TIME)
@@ -107,7 +108,7 @@ def create_app(settings: Settings) -> FastAPI:
         await asyncio.to_thread(app.state.engine.close)
         app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
         app.state.store.close()
-        app.state.queue.connection.close()
+        app.state.redis.close()
 
     app = FastAPI(
         title="Fewview",

@@ -2,7 +2,6 @@
 
 import logging
 import math
-import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -19,7 +18,6 @@ from models.capture.metrics import Reflection, pa_mpjpe, pck
 from models.findings.finding import dumped, log_findings
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
-from models.network.priors.registry import outline
 from models.numerics.tensor_files import WeightsError
 from models.numerics.threads import use_cores, use_threads
 from models.settings.config import FitConfig
@@ -30,7 +28,9 @@ from store.capture import Capture, Float64
 from store.database import Store
 from store.errors import LeaseLostError
 from store.records import Dataset, FitJob, Model
+from worker.cores import usable_cores
 from worker.heartbeat import Heartbeat
+from worker.needs import gpu_pays
 from worker.outcomes import Outcomes, recorded
 from worker.patience import OUTAGES, is_outage, patiently
 from worker.settings import WorkerSettings
@@ -38,7 +38,6 @@ from worker.settings import WorkerSettings
 logger = logging.getLogger(__name__)
 
 LIFT_FRAMES = 512  # lifted between two looks at what is asked of the attempt
-GPU_MULTIPLICATIONS = 200_000_000  # in a step: about what a core does while a GPU is given its work
 CHECKPOINT_SHARE = 20  # checkpoints may take a twentieth of the time, however large they are
 
 
@@ -51,7 +50,7 @@ def run_attempt(
     A fault of ours, and RQ's own timeout, fail the fit and are raised again.
     """
     use_threads(settings.fit_threads)
-    use_cores(len(os.sched_getaffinity(0)))  # which changes no digit, and is over soon
+    use_cores(settings.cores or usable_cores())  # which changes no digit, and is over soon
     fail = partial(_fail, store, attempt)
     outcomes = Outcomes(
         fail=fail,
@@ -145,12 +144,11 @@ def _reconstruct(
 
 
 def _device(settings: WorkerSettings, capture: Capture, config: FitConfig) -> str:
-    """Choose where to train: a step of small dictionaries is over before a GPU has begun it."""
+    """Choose where to train."""
     if settings.fit_device != "auto":
         return settings.fit_device
     _, views, keypoints, _ = capture.keypoints.shape
-    frame = views * outline(config, keypoints).multiplications()
-    pays = frame * config.batch_size >= GPU_MULTIPLICATIONS
+    pays = gpu_pays(config, views, keypoints)
     return "cuda" if pays and torch.cuda.is_available() else "cpu"
 
 

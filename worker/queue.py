@@ -1,10 +1,11 @@
-"""The queue's contract: its name, its job, what a job may say."""
+"""The queues' contract: their names, their jobs, what a job may say."""
 
 import io
 import json
 import logging
 import pickle
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import AnyUrl, BaseModel, Field
@@ -13,27 +14,30 @@ from redis.backoff import ExponentialWithJitterBackoff
 from redis.exceptions import RedisError
 from redis.retry import Retry
 from rq import Queue
-from rq.exceptions import NoSuchJobError
+from rq.exceptions import DequeueTimeout, NoSuchJobError
 from rq.job import Job
 from rq.registry import CanceledJobRegistry
 
 from models.settings.config import FitConfig, Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
+from store.database import Store
 from store.labels import Metadata, Tags
 from store.lifts import waiting_job
 from store.mistakes import unknown
 from store.records import FitJob, LiftJob
 from store.settings import shown
+from worker.needs import queue_for
+from worker.settings import QUEUES, QueueName
 
 logger = logging.getLogger(__name__)
 
-QUEUE = "fits"
 FIT_JOB = "worker.jobs.fit"
 LIFT_JOB = "worker.jobs.lift"
 HELP_JOB = "worker.jobs.help_lift"
 
 START_PATIENCE_SECONDS = 3.0
+POLL_SECONDS = 0.1  # between two looks at several queues
 RESULT_SECONDS = 24 * 3600
 FAILURE_SECONDS = 7 * 24 * 3600
 
@@ -86,7 +90,7 @@ class KnownJob(Job):
         except NoSuchJobError:
             raise
         except Exception as error:  # noqa: BLE001 (any, for anyone may have written it)
-            super().restore({b"data": b"", b"origin": QUEUE.encode()})
+            super().restore({b"data": b"", b"origin": b"fits"})
             self.unreadable = f"This job cannot be read: {error}"
         self.webhooks = []
 
@@ -96,7 +100,7 @@ class KnownJob(Job):
             raise ValueError(self.unreadable)
         if self.func_name not in (FIT_JOB, LIFT_JOB, HELP_JOB) or self.instance is not None:
             raise ValueError(
-                f"This queue runs {FIT_JOB!r} and {LIFT_JOB!r} only, not {self.func_name!r}."
+                f"These queues run {FIT_JOB!r} and {LIFT_JOB!r} only, not {self.func_name!r}."
             )
 
     @property
@@ -137,9 +141,40 @@ def check_reachable(url: AnyUrl) -> None:
         ) from error
 
 
-def open_queue(connection: Redis) -> Queue:
-    """Return the queue that carries fits and lifts."""
-    return Queue(QUEUE, connection=connection, job_class=KnownJob, serializer=PlainDataSerializer)
+class WorkQueue(Queue):
+    """A queue of which no job is lost between it and a worker, however many that one takes from."""
+
+    @classmethod
+    def lpop(
+        cls, queue_keys: Sequence[str], timeout: int | None, connection: Redis | None = None
+    ) -> tuple[str, bytes] | None:
+        """Move the next job of several queues to where it is found again if this worker dies now.
+
+        RQ does so where there is one queue only. Raises ``DequeueTimeout`` as RQ does.
+        """
+        ends = time.monotonic() + (timeout or 0)
+        while True:
+            for key in queue_keys:
+                found: tuple[str, bytes] | None = cls.lmove(connection, key, None)  # type: ignore[arg-type]
+                if found is not None:
+                    return found
+            if timeout is None:
+                return None
+            if time.monotonic() >= ends:
+                raise DequeueTimeout(timeout, queue_keys)
+            time.sleep(POLL_SECONDS)
+
+
+def open_queue(connection: Redis, name: QueueName = "fits") -> WorkQueue:
+    """Return a queue by its name."""
+    return WorkQueue(
+        name, connection=connection, job_class=KnownJob, serializer=PlainDataSerializer
+    )
+
+
+def open_queues(connection: Redis, names: Sequence[QueueName] = QUEUES) -> list[WorkQueue]:
+    """Return several queues, by default all there are."""
+    return [open_queue(connection, name) for name in names]
 
 
 def forget_cancelled(queue: Queue) -> None:
@@ -174,10 +209,13 @@ def enqueue(queue: Queue, record: FitJob | LiftJob) -> None:
     )
 
 
-def offer(queue: Queue, record: FitJob | LiftJob) -> None:
-    """Do the same if the queue can be reached; if not, a reconciler will when it is back."""
+def offer(connection: Redis, store: Store, record: FitJob | LiftJob) -> None:
+    """Do the same on the queue for what the record needs, if the queue can be reached.
+
+    If it cannot, a reconciler will when it is back.
+    """
     try:
-        enqueue(queue, record)
+        enqueue(open_queue(connection, queue_for(store, record)), record)
     except RedisError:
         logger.warning("The queue is away: %s waits in the records", record.id)
 

@@ -16,6 +16,7 @@ from store.errors import InputError, NotFoundError
 from store.labels import Labels
 from store.mistakes import mistakes, summary
 from store.records import FitJob, LiftJob
+from worker.needs import queue_for
 from worker.queue import (
     HELP_JOB,
     LIFT_JOB,
@@ -25,6 +26,7 @@ from worker.queue import (
     arguments_of,
     enqueue,
     open_queue,
+    open_queues,
 )
 from worker.settings import WorkerSettings
 
@@ -39,7 +41,8 @@ class Reconciler:
     def __init__(self, store: Store, connection: Redis, settings: WorkerSettings) -> None:
         self._store = store
         self._settings = settings
-        self._queue: Queue = open_queue(connection)
+        self._connection = connection
+        self._queues = open_queues(connection)
         self._lost_since: dict[str, float] = {}
         self._known: set[str] = set()
         self._steady_since = time.monotonic()
@@ -54,12 +57,17 @@ class Reconciler:
         Work must be without a job for a while: between leaving the queue and being claimed, a
         job is in neither place for a moment.
         """
-        waiting = self._queue.get_job_ids()
-        taken = self._queue.intermediate_queue.get_job_ids()  # maybe by a worker that died
-        for job_id in (*waiting, *taken):
+        waiting = {job_id: queue for queue in self._queues for job_id in queue.get_job_ids()}
+        taken = {  # maybe by a worker that died
+            job_id: queue
+            for queue in self._queues
+            for job_id in queue.intermediate_queue.get_job_ids()
+        }
+        seen = taken | waiting
+        for job_id, queue in seen.items():
             if job_id not in self._known:
-                self.adopt(job_id)
-        self._known.intersection_update(waiting + taken)  # bounded by the queue's length
+                self.adopt(queue, job_id)
+        self._known.intersection_update(seen)  # bounded by the queues' length
         now = time.monotonic()
         expired = now - self._steady_since > self._settings.lease_seconds
         queued = fits.recover(self._store, expired=expired)
@@ -69,22 +77,23 @@ class Reconciler:
         work |= {
             lifts.waiting_job(lift): lift for lift in lifts.recover(self._store, expired=expired)
         }
-        lost = work.keys() - set(waiting)
+        lost = work.keys() - waiting.keys()
         self._lost_since = {job_id: self._lost_since.get(job_id, now) for job_id in lost}
         for job_id, record in work.items():
             if job_id in lost and now - self._lost_since[job_id] >= GRACE_SECONDS:
                 logger.warning("%s was on no queue: putting it back", record.id)
-                self._queue.intermediate_queue.remove(job_id)
-                enqueue(self._queue, record)
+                for queue in self._queues:
+                    queue.intermediate_queue.remove(job_id)
+                enqueue(open_queue(self._connection, queue_for(self._store, record)), record)
                 del self._lost_since[job_id]
 
-    def adopt(self, job_id: str) -> None:
-        """Record what a job on the queue asks for, unless that is known."""
+    def adopt(self, queue: Queue, job_id: str) -> None:
+        """Record what a job on a queue asks for, unless that is known."""
         if (
             jobs.by_job(self._store, FitJob, job_id) is None
             and lifts.helped(self._store, job_id) is None
         ):
-            job = self._queue.fetch_job(job_id)
+            job = queue.fetch_job(job_id)
             if isinstance(job, KnownJob) and not calls(job, HELP_JOB) and recorded_as(job) is None:
                 adopt(self._store, job, self._settings)
         self._known.add(job_id)

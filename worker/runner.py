@@ -17,6 +17,7 @@ from redis.client import Pipeline
 from rq import Queue, Worker
 from rq.job import Job
 from rq.registry import StartedJobRegistry
+from rq.worker import DequeueStrategy
 from sqlalchemy.exc import SQLAlchemyError
 
 from store import fits, housekeeping, jobs, lifts, retention
@@ -27,14 +28,14 @@ from store.records import FitJob, LiftJob
 from worker.process import die_with_parent
 from worker.queue import (
     FAILURE_SECONDS,
-    QUEUE,
     RESULT_SECONDS,
     KnownJob,
     PlainDataSerializer,
+    WorkQueue,
     check_reachable,
     connect,
     forget_cancelled,
-    open_queue,
+    open_queues,
 )
 from worker.reconciler import Reconciler
 from worker.settings import WorkerSettings
@@ -51,16 +52,14 @@ FORK = multiprocessing.get_context("fork")
 
 
 class JobWorker(Worker):
-    """RQ's worker, which also keeps records and queue in step.
-
-    It never imports torch: its work-horses are forked from it.
-    """
+    """RQ's worker, which also keeps records and queues in step."""
 
     def __init__(self, connection: Redis, settings: WorkerSettings, store: Store) -> None:
         super().__init__(
-            [QUEUE],
+            open_queues(connection, settings.queues),
             connection=connection,
             job_class=KnownJob,
+            queue_class=WorkQueue,
             serializer=PlainDataSerializer,
             job_monitoring_interval=MONITOR_SECONDS,
             default_result_ttl=RESULT_SECONDS,
@@ -126,9 +125,10 @@ class JobWorker(Worker):
         It is recorded before, and until then stays where reconcilers find it: nothing that ends
         that process, or this one, can lose it.
         """
-        self._reconciler.adopt(job.id)
+        self._reconciler.adopt(queue, job.id)
         job.timeout = self._settings.max_fit_seconds + TIMEOUT_SLACK_SECONDS
         job.result_ttl, job.failure_ttl = RESULT_SECONDS, FAILURE_SECONDS
+        _import_for_jobs()
         try:
             super().execute_job(job, queue)
         except (redis.exceptions.ConnectionError, redis.exceptions.TimeoutError):
@@ -170,6 +170,14 @@ class JobWorker(Worker):
                 return f"{record.error['code']}: {record.error['message']}"
         return None
 
+    def prepare_job_execution(
+        self,
+        job: Job,
+        remove_from_intermediate_queue: bool = True,
+    ) -> None:
+        """Note in Redis that a job runs; it need not be found again any more if it does."""
+        super().prepare_job_execution(job, remove_from_intermediate_queue=True)
+
     def main_work_horse(self, job: Job, queue: Queue) -> None:
         """Run a job; the forked process starts here."""
         die_with_parent(self.pid or os.getppid())
@@ -187,6 +195,11 @@ class JobWorker(Worker):
                 os.kill(self.horse_pid, signal.SIGTERM)
 
 
+def _import_for_jobs() -> None:
+    """Import what takes seconds, once: the processes of all later jobs are forked from this one."""
+    import worker.jobs  # noqa: F401, PLC0415
+
+
 def _sweep(settings: WorkerSettings, parent: int) -> None:
     die_with_parent(parent)
     for number in (signal.SIGINT, signal.SIGTERM):  # which the worker takes for itself
@@ -196,7 +209,8 @@ def _sweep(settings: WorkerSettings, parent: int) -> None:
         for job in retention.prune(store, settings.retention):
             logger.info("%s, %s, was kept long enough: deleted", job.id, job.status)
         housekeeping.sweep(store)
-        forget_cancelled(open_queue(connect(str(settings.redis_url), retries=0)))
+        for queue in open_queues(connect(str(settings.redis_url), retries=0)):
+            forget_cancelled(queue)
     except (StoreError, SQLAlchemyError, ObjectStoreError, OSError, redis.exceptions.RedisError):
         logger.exception("Housekeeping cannot be done")
 
@@ -231,7 +245,7 @@ def run(settings: WorkerSettings) -> None:
             store = Store(settings, forks=True)
             connection = connect(str(settings.redis_url), retries=REDIS_RETRIES)
             worker = JobWorker(connection, settings, store)
-            worker.work(logging_level="WARNING")
+            worker.work(logging_level="WARNING", dequeue_strategy=DequeueStrategy.ROUND_ROBIN)
             stopping = worker.stopping
         except (redis.exceptions.RedisError, SQLAlchemyError, OSError):
             logger.exception("Cannot work; trying again")

@@ -1,12 +1,14 @@
 """How fits and lifts are carried and bounded."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
-from pydantic import AnyUrl, Field, UrlConstraints
+from pydantic import AnyUrl, Field, UrlConstraints, field_validator
 
 from store.retention import Retention
 from store.settings import StoreSettings
 
+QueueName = Literal["lifts", "fits", "gpu-fits"]
+QUEUES: tuple[QueueName, ...] = get_args(QueueName)
 QueueUrl = Annotated[AnyUrl, UrlConstraints(allowed_schemes=["redis", "rediss", "unix"])]
 
 
@@ -18,6 +20,18 @@ class WorkerSettings(StoreSettings):
         description="Redis or Valkey that carries the jobs, by TCP or by the path of its socket. "
         "Without it, `fewview serve` starts an embedded Valkey.",
         examples=["redis://localhost:6379/0", "unix:///run/valkey/valkey.sock"],
+    )
+    takes: str = Field(
+        ",".join(QUEUES),
+        description="What a worker takes, separated by commas: `lifts`; `fits`; `gpu-fits`, which "
+        "a GPU takes sooner than a processor. In turn, where several wait. Default: all.",
+    )
+    cores: int | None = Field(
+        None,
+        ge=1,
+        le=1024,
+        description="Processor cores for finding the cameras of a fit, which is short. Default: "
+        "those that the worker may use, shared with the others that `fewview serve` started.",
     )
     lease_seconds: float = Field(
         10.0,
@@ -38,7 +52,7 @@ class WorkerSettings(StoreSettings):
         le=256,
         description="Processor cores for one fit or lift. Small dictionaries gain nothing from "
         "more, and lose much where other processes want the cores; a fit's last digits depend on "
-        "it. Finding the cameras of a fit, which is short and where they do not, uses all cores.",
+        "it.",
     )
     fit_device: Literal["auto", "cpu", "cuda"] = Field(
         "auto",
@@ -79,7 +93,24 @@ class WorkerSettings(StoreSettings):
         description="Time a big lift may have a worker for itself while other jobs wait.",
     )
 
+    @field_validator("takes")
+    @classmethod
+    def _are_queues(cls, takes: str) -> str:
+        names = _listed(takes)
+        if not names or set(names) - set(QUEUES) or len(set(names)) < len(names):
+            raise ValueError(f"expected some of {', '.join(QUEUES)}, each once; got {takes!r}")
+        return takes
+
     @property
     def retention(self) -> Retention:
         """For how long what has ended is kept."""
         return Retention(self.keep_fits_days, self.keep_lifts_days, self.keep_failed_days)
+
+    @property
+    def queues(self) -> list[QueueName]:
+        """The queues that a worker takes jobs from."""
+        return [name for name in QUEUES if name in _listed(self.takes)]
+
+
+def _listed(text: str) -> list[str]:
+    return [item.strip() for item in text.split(",") if item.strip()]

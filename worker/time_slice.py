@@ -3,20 +3,20 @@
 import time
 from contextlib import suppress
 
+from redis import Redis
 from redis.exceptions import RedisError
-from rq import Queue
 
 from store import lifts
 from store.database import Store
-from worker.queue import offer
+from worker.queue import offer, open_queues
 from worker.settings import WorkerSettings
 
 
 class TimeSlice:
     """One helper's time with a worker."""
 
-    def __init__(self, queue: Queue, settings: WorkerSettings, lift_id: str) -> None:
-        self._queue = queue
+    def __init__(self, connection: Redis, settings: WorkerSettings, lift_id: str) -> None:
+        self._connection = connection
         self._settings = settings
         self._lift_id = lift_id
         self._ends = time.monotonic() + settings.lift_turn_seconds
@@ -26,18 +26,21 @@ class TimeSlice:
         """Have another worker help, if there is one without work and chunks for it to do."""
         lift = lifts.call_next(store, self._lift_id, job_id)
         if lift is not None:
-            offer(self._queue, lift)
+            offer(self._connection, store, lift)
 
     def is_over(self) -> bool:
-        """Tell whether the worker is to be given back to other work that waits.
+        """Tell whether the worker is to be given back to other work of its that waits.
 
-        The queue is asked once a turn: when it is away, every question takes seconds.
+        The queues are asked once a turn: when they are away, every question takes seconds.
         """
         now = time.monotonic()
         if now < self._ends:
             return now > self._last
         self._ends = now + self._settings.lift_turn_seconds  # if nobody waits, another begins
         with suppress(RedisError):
-            waiting = self._queue.get_job_ids()
-            return any(lifts.helped_by(job_id) != self._lift_id for job_id in waiting)
+            return any(
+                lifts.helped_by(job_id) != self._lift_id
+                for queue in open_queues(self._connection, self._settings.queues)
+                for job_id in queue.get_job_ids()
+            )
         return False

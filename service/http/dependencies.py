@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import Depends, Header, Path, Request
 from fastapi.dependencies.utils import get_flat_params
 from fastapi.params import Query
-from rq import Queue
+from redis import Redis
 from starlette.requests import HTTPConnection
 
 from service.http.errors import of_mistakes
@@ -33,10 +33,10 @@ async def get_store(request: Request) -> Store:
     return store
 
 
-async def get_queue(request: Request) -> Queue:
-    """Return the queue that carries fits."""
-    queue: Queue = request.app.state.queue
-    return queue
+async def get_redis(request: Request) -> Redis:
+    """Return the connection to the queues."""
+    redis: Redis = request.app.state.redis
+    return redis
 
 
 async def refuse_foreign_changes(connection: HTTPConnection) -> None:
@@ -75,7 +75,7 @@ async def refuse_unknown_query(connection: HTTPConnection) -> None:
 
 SettingsDep = Annotated[Settings, Depends(get_settings)]
 StoreDep = Annotated[Store, Depends(get_store)]
-QueueDep = Annotated[Queue, Depends(get_queue)]
+RedisDep = Annotated[Redis, Depends(get_redis)]
 
 IdempotencyHeader = Annotated[
     str | None,

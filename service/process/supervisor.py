@@ -31,6 +31,7 @@ from store.database import Store
 from store.errors import StoreError
 from store.private import keep_private
 from store.settings import shown
+from worker.cores import usable_cores
 from worker.process import python, tied
 from worker.queue import check_reachable
 
@@ -162,7 +163,7 @@ def serve(settings: Settings) -> None:
         environment = settings.to_environment()
         workers = settings.workers if settings.workers is not None else int(embedded)
         api = _api(listener, environment)
-        users += [api, *(_worker(number, environment) for number in range(1, workers + 1))]
+        users += [api, *_workers(workers, settings, environment)]
         for child in users:
             child.start()
         address = f"http://{_host(settings)}:{listener.getsockname()[1]}"
@@ -250,9 +251,11 @@ def _valkey(settings: Settings) -> tuple[Child, str]:
     return Child("Valkey", command, {}), f"unix://{quote(str(path))}"
 
 
-def _worker(number: int, environment: dict[str, str]) -> Child:
+def _workers(count: int, settings: Settings, environment: dict[str, str]) -> list[Child]:
     command = tied(*python("-m", "service.cli", "worker"))
-    return Child(f"Worker {number}", command, environment)
+    cores = settings.cores or max(1, usable_cores() // max(1, count))
+    environment = environment | {"FEWVIEW_CORES": str(cores)}
+    return [Child(f"Worker {number}", command, environment) for number in range(1, count + 1)]
 
 
 def _api(listener: socket.socket, environment: dict[str, str]) -> Child:

@@ -4,16 +4,16 @@ from contextlib import suppress
 from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
-import redis.exceptions
 from fastapi import APIRouter, Depends, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
-from rq import Queue
+from redis import Redis
+from redis.exceptions import RedisError
 from typing_extensions import TypeAliasType
 
 from models.settings.config import FitConfig
 from service.http.dependencies import (
     IdempotencyHeader,
-    QueueDep,
+    RedisDep,
     SettingsDep,
     StoreDep,
 )
@@ -35,6 +35,7 @@ from service.wire.schemas import Name
 from store import fits, records
 from store.database import Store
 from store.labels import Labels, labels_of
+from worker.queue import open_queues
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
@@ -211,7 +212,7 @@ FitDep = Annotated[records.FitJob, Depends(finder(records.FitJob))]
 def create_fit(
     upload: UploadBody,
     store: StoreDep,
-    queue: QueueDep,
+    redis: RedisDep,
     settings: SettingsDep,
     request: Request,
     response: Response,
@@ -233,7 +234,7 @@ def create_fit(
         max_queued=settings.max_queued_fits,
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )
-    announce(record, queue, response)
+    announce(record, store, redis, response)
     return Fit.of(record)
 
 
@@ -248,12 +249,13 @@ add_list_routes(
 )
 
 
-def _cancel(store: Store, queue: Queue, fit_id: str) -> records.FitJob:
+def _cancel(store: Store, redis: Redis, fit_id: str) -> records.FitJob:
     record = fits.cancel(store, fit_id)
     if record.status == "cancelled":
         # Best effort: a cancelled fit cannot be claimed, its job would end at once.
-        with suppress(redis.exceptions.RedisError):
-            queue.remove(record.job_id)
+        with suppress(RedisError):
+            for queue in open_queues(redis):
+                queue.remove(record.job_id)
     return record
 
 

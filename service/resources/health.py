@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from rq import Worker
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.http.dependencies import QueueDep, StoreDep
+from service.http.dependencies import RedisDep, StoreDep
 from service.http.errors import ApiError, problems
 from store import deployment
 from store.errors import DeploymentError
@@ -86,10 +86,10 @@ async def check_live() -> Liveness:
 
 
 @router.get("/health/ready", responses=problems("unavailable"))
-def check_ready(store: StoreDep, queue: QueueDep) -> Readiness:
+def check_ready(store: StoreDep, connection: RedisDep) -> Readiness:
     """Reach queue, records and objects; 503 names those that cannot be reached."""
     parts: dict[str, Callable[[], object]] = {
-        "queue": queue.connection.ping,
+        "queue": connection.ping,
         "records": store.check_records,
         "objects": partial(deployment.check, store.objects, store.identity),
     }
@@ -110,4 +110,4 @@ def check_ready(store: StoreDep, queue: QueueDep) -> Readiness:
     if failures:
         names = ", ".join(pointer.lstrip("/") for pointer, _ in failures)
         raise ApiError("unavailable", f"Cannot be reached: {names}.", errors=failures)
-    return Readiness(**checks, workers=Worker.count(connection=queue.connection))
+    return Readiness(**checks, workers=Worker.count(connection=connection))

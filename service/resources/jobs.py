@@ -9,10 +9,10 @@ from fastapi import APIRouter, Depends, Header, Path, Query, Response, status
 from fastapi.concurrency import run_in_threadpool
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel
-from rq import Queue
+from redis import Redis
 from typing_extensions import TypeAliasType
 
-from service.http.dependencies import QueueDep, StoreDep
+from service.http.dependencies import RedisDep, StoreDep
 from service.http.errors import problems
 from service.resources.changes import add_change_route
 from service.resources.lists import Columns
@@ -62,10 +62,10 @@ async def job_columns(
     return {"status": status, "dataset_id": dataset_id, "job_id": job_id}
 
 
-def announce(job: Any, queue: Queue, response: Response) -> None:
-    """Put a job that was recorded just now on the queue, and say where it is."""
+def announce(job: Any, store: Store, redis: Redis, response: Response) -> None:
+    """Put a job that was recorded just now on its queue, and say where it is."""
     if job.status == "queued":
-        offer(queue, job)
+        offer(redis, store, job)
     response.headers["Location"] = _url(job)
 
 
@@ -75,7 +75,7 @@ def add_job_routes(
     form: type[BaseModel],
     to_wire: Callable[[Job], BaseModel],
     *,
-    cancel: Callable[[Store, Queue, str], Job],
+    cancel: Callable[[Store, Redis, str], Job],
     delete: Callable[[Store, str], None],
     words: Words,
 ) -> None:
@@ -123,9 +123,9 @@ def add_job_routes(
         responses=problems("not_found", "conflict"),
     )
     def cancel_job(
-        job: Annotated[Job, found], store: StoreDep, queue: QueueDep, response: Response
+        job: Annotated[Job, found], store: StoreDep, redis: RedisDep, response: Response
     ) -> Any:
-        cancelled = cancel(store, queue, job.id)
+        cancelled = cancel(store, redis, job.id)
         response.headers["Location"] = _url(cancelled)
         return to_wire(cancelled)
 

@@ -7,14 +7,14 @@ from typing import Annotated, Any, Self
 
 from fastapi import APIRouter, Depends, Query, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
-from rq import Queue
+from redis import Redis
 
 from models.settings.config import Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
 from service.http.dependencies import (
     IdempotencyHeader,
-    QueueDep,
+    RedisDep,
     SettingsDep,
     StoreDep,
 )
@@ -188,7 +188,7 @@ def create_lift(
     store: StoreDep,
     engine: EngineDep,
     rooms: RoomsDep,
-    queue: QueueDep,
+    redis: RedisDep,
     settings: SettingsDep,
     request: Request,
     response: Response,
@@ -217,7 +217,7 @@ def create_lift(
         max_queued=settings.max_queued_lifts,
         idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
     )
-    announce(record, queue, response)
+    announce(record, store, redis, response)
     return LiftJob.of(record)
 
 
@@ -239,7 +239,7 @@ add_list_routes(
 )
 
 
-def _cancel(store: Store, _queue: Queue, lift_id: str) -> records.LiftJob:
+def _cancel(store: Store, _redis: Redis, lift_id: str) -> records.LiftJob:
     return lifts.cancel(store, lift_id)
 
 

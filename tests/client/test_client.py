@@ -255,6 +255,8 @@ def test_the_same_can_be_awaited(served: Served, tmp_path: Path) -> None:
         async with AsyncClient(served.live.url) as client:
             assert (await client.health.ready()).workers == 1
             assert (await client.health.version()).api == 1
+            queues = {found.queue: found for found in (await client.health.queues()).items}
+            assert queues["fits"].workers == 1
             dataset = await client.datasets.create(a_capture(20), name="awaited")
             heard: list[Fit] = []
             fit = await client.fits.create(dataset, **CONFIG)

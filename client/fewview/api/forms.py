@@ -261,6 +261,23 @@ class Health:
 
 
 @dataclass(frozen=True)
+class WaitingJobs:
+    """What waits on a queue: jobs, seconds of the oldest, and the workers that take from it."""
+
+    queue: str
+    waiting: int
+    oldest_seconds: float
+    workers: int
+
+
+@dataclass(frozen=True)
+class Queues:
+    """All queues."""
+
+    items: tuple[WaitingJobs, ...]
+
+
+@dataclass(frozen=True)
 class Version:
     """What runs: the version of the service, and the number of its API."""
 

@@ -1,12 +1,12 @@
 """Health: is the service up, does it reach its parts, and which one is it."""
 
-from fewview.api.forms import Health, Version, form_in
+from fewview.api.forms import Health, Queues, Version, form_in
 from fewview.api.operations import Driver, Resource, operation
 from fewview.api.steps import Request, Steps
 
 
 class HealthChecks(Resource[Driver]):
-    """``GET /health`` and ``GET /version``."""
+    """``GET /health``, ``GET /queues`` and ``GET /version``."""
 
     @operation
     def ready(self) -> Steps[Health]:
@@ -18,6 +18,11 @@ class HealthChecks(Resource[Driver]):
             Some cannot be reached; ``errors`` name them.
         """
         return self._call(Request("GET", "/health/ready", form_in(Health)))
+
+    @operation
+    def queues(self) -> Steps[Queues]:
+        """Tell what waits for workers, and for how long."""
+        return self._call(Request("GET", "/queues", form_in(Queues)))
 
     @operation
     def version(self) -> Steps[Version]:

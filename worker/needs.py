@@ -1,0 +1,33 @@
+"""What machine a job needs, and so on which queue it waits."""
+
+from models.settings.config import FitConfig
+from store import lookup
+from store.database import Store
+from store.errors import NotFoundError
+from store.records import Dataset, FitJob, LiftJob
+from worker.settings import QueueName
+
+GPU_MULTIPLICATIONS = 200_000_000  # in a step: about what a core does while a GPU is given its work
+
+
+def gpu_pays(config: FitConfig, views: int, keypoints: int) -> bool:
+    """Tell whether a GPU takes such training steps sooner than a processor core.
+
+    A step of small dictionaries is over before a GPU has begun it.
+    """
+    from models.network.priors.registry import outline  # noqa: PLC0415 (torch takes seconds)
+
+    frame = views * outline(config, keypoints).multiplications()
+    return frame * config.batch_size >= GPU_MULTIPLICATIONS
+
+
+def queue_for(store: Store, record: FitJob | LiftJob) -> QueueName:
+    """Return the queue on which a fit or a call for help with a lift is to wait."""
+    if isinstance(record, LiftJob):
+        return "lifts"
+    try:
+        dataset = lookup.get(store, Dataset, record.dataset_id)
+    except NotFoundError:  # which the fit will say
+        return "fits"
+    config = FitConfig.model_validate(record.config)
+    return "gpu-fits" if gpu_pays(config, dataset.views, dataset.keypoints) else "fits"
