@@ -17,7 +17,8 @@ def test_queues_tell_what_waits_and_how_long(tmp_path: Path) -> None:
     server.start()
     try:
         url = RedisDsn(f"{server.connection_url}/0")
-        with TestClient(create_app(Settings(data_dir=tmp_path, redis_url=url))) as client:
+        settings = Settings(data_dir=tmp_path, redis_url=url, allowed_hosts="*")
+        with TestClient(create_app(settings)) as client:
 
             def waiting() -> dict[str, tuple[int, float, int]]:
                 items = client.get("/queues").raise_for_status().json()["items"]
