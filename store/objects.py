@@ -20,11 +20,13 @@ from store import keys
 from store.errors import DamagedError
 
 # Of a store that is reached by URL. A request that gets no answer, or that the store cannot serve
-# at the moment, is sent again, with pauses that grow; who waits for it hears within a minute.
+# at the moment, is sent again, with pauses that grow; who waits for one that is silent hears within
+# a minute.
 CONNECTING: dict[str, Any] = {
     "client_options": {
         "connect_timeout": timedelta(seconds=5),
-        "timeout": timedelta(seconds=20),  # of a request with its answer
+        "read_timeout": timedelta(seconds=20),  # of silence
+        "timeout": timedelta(minutes=5),  # of a request with its answer
         "allow_http": True,  # where somebody named an endpoint of http://
     },
     "retry_config": {

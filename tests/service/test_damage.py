@@ -4,6 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import httpx2
+import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
@@ -11,7 +13,15 @@ from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
 from store.records import Model
 from tests.damage import HARMS, flip, truncate
-from tests.service.conftest import BYTES, JSON, frames_of, make_dataset, problem
+from tests.service.conftest import (
+    BYTES,
+    JSON,
+    frames_of,
+    make_dataset,
+    problem,
+    served,
+    to_safetensors,
+)
 
 Harm = Callable[[Path], None]
 
@@ -66,3 +76,17 @@ def test_weights_that_an_older_version_stored_are_checked_too(
     assert api.get(f"/models/{model}/weights").status_code == 200
     truncate(file)
     problem(api.get(f"/models/{model}/weights"), 500, "object_damaged")
+
+
+def test_a_download_that_meets_damage_breaks_off(
+    api: TestClient, settings: Settings, capture: SyntheticCapture
+) -> None:
+    body = to_safetensors(keypoints=np.tile(capture.keypoints, (4, 1, 1, 1))[:240])
+    dataset = api.post("/datasets?name=long", content=body, headers=BYTES).json()["id"]
+    (first,) = (settings.data_dir / "objects" / "datasets" / dataset).iterdir()
+    added = api.post(f"/datasets/{dataset}/frames", content=body, headers=BYTES)
+    assert added.status_code < 300, added.text
+    (second,) = set(first.parent.iterdir()) - {first}
+    flip(second)
+    with served(settings) as http, pytest.raises(httpx2.RemoteProtocolError):
+        http.get(f"/datasets/{dataset}/capture")

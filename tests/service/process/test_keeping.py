@@ -1,6 +1,7 @@
 """Backups of a service that runs, restored into an empty one of another kind; prune, doctor."""
 
 import io
+import json
 import os
 import tarfile
 import threading
@@ -30,6 +31,7 @@ from store.errors import NotFoundError
 from store.records import Dataset, FitJob
 from store.settings import StoreSettings
 from tests.damage import flip
+from tests.deployments import PostgreSQL
 from tests.object_stores import S3
 from tests.processes import free_port
 from tests.service.conftest import BYTES, Live, frames_of, to_safetensors
@@ -81,10 +83,10 @@ def refused(*words: object, **environment: str) -> str:
 
 
 @pytest.fixture
-def elsewhere(tmp_path: Path, s3: S3) -> dict[str, str]:
+def elsewhere(postgresql: PostgreSQL, s3: S3) -> dict[str, str]:
     """Name an empty deployment of another kind."""
     return {
-        "FEWVIEW_DATABASE_URL": f"sqlite:///{tmp_path}/elsewhere/records.db",
+        "FEWVIEW_DATABASE_URL": postgresql.new_url(),
         "FEWVIEW_STORE_URL": s3.new_url(),
     }
 
@@ -167,7 +169,19 @@ def test_what_an_older_version_wrote_is_restored_whole(
         found = load(answer)
         for name, array in load((folder / "reconstruction.safetensors").read_bytes()).items():
             np.testing.assert_array_equal(found[name], array)
-    assert "was" in done("doctor", "--deep", **elsewhere, FEWVIEW_REDIS_URL=valkey.connection_url)
+    well = done("doctor", "--deep", **elsewhere, FEWVIEW_REDIS_URL=valkey.connection_url)
+    assert "are as they were written" in well
+    again = (tmp_path / "again", f"--data-dir={tmp_path / 'back'}")
+    done("backup", again[0], **elsewhere)
+    done("restore", *again)
+    done("backup", tmp_path / "third", again[1])
+    first, *others = (records_in(tmp_path / name) for name in ("backup", "again", "third"))
+    assert others == [first, first]
+
+
+def records_in(folder: Path) -> list[Any]:
+    (file,) = folder.glob("records-*")
+    return sorted(map(json.loads, file.read_text().splitlines()), key=str)
 
 
 @pytest.fixture
