@@ -129,7 +129,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(
         BodyLimit,
         max_bytes=settings.max_body_bytes,
-        max_pending_bytes=settings.max_pending_bytes,
+        max_pending_bytes=settings.resolved_pending_bytes,
     )
     app.add_middleware(Head)
     if settings.allowed_origins:

@@ -1,6 +1,5 @@
 """How the service listens and what it accepts."""
 
-import os
 import re
 from ipaddress import ip_address
 from typing import Self
@@ -8,6 +7,7 @@ from typing import Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from models.settings.keypoints import MAX_KEYPOINTS, MAX_VIEWS
+from worker.cores import usable_cores
 from worker.settings import WorkerSettings
 
 MEBIBYTE = 1024 * 1024
@@ -38,6 +38,14 @@ class Settings(WorkerSettings):
         "proxy's clients call it; * for any. Without it: localhost, addresses of loopback, and "
         "the address listened on, or any address where that is 0.0.0.0.",
     )
+    api_processes: int = Field(
+        default_factory=lambda: min(4, max(1, usable_cores() // 2)),
+        ge=1,
+        le=64,
+        description="Processes that answer requests. They share what is said below of bodies in "
+        "hand, streams, threads and warm models: each may take its part. Default: one for every "
+        "two CPUs, up to 4.",
+    )
     workers: int | None = Field(
         None,
         ge=0,
@@ -53,12 +61,13 @@ class Settings(WorkerSettings):
         ge=1024,
         description="Largest JSON body. Larger captures travel as safetensors or npz.",
     )
-    max_pending_bytes: int = Field(
-        512 * MEBIBYTE,
+    max_pending_bytes: int | None = Field(
+        None,
         ge=1024,
         description="Bytes of bodies in hand at a time: coming in, waiting, being answered. A body "
         "counts as 64 KiB at least, and a quarter is kept for those that have no more. "
-        "Beyond that a request is refused with 503.",
+        "Beyond that a request is refused with 503. Default: 512 MiB, or what as many of the "
+        "largest bodies need as there are API processes.",
     )
     max_frames: int = Field(
         100_000, ge=1, description="Most frames in one request, be it an upload or a lift."
@@ -84,10 +93,10 @@ class Settings(WorkerSettings):
         60, gt=0, description="Silence of a client after which its stream is closed."
     )
     lift_threads: int = Field(
-        default_factory=lambda: min(8, len(os.sched_getaffinity(0))),
+        default_factory=lambda: min(8, usable_cores()),
         ge=1,
         le=64,
-        description="Threads that lift in the API process. Default: the CPUs there are, up to 8.",
+        description="Threads that lift. Default: the CPUs there are, up to 8.",
     )
     warm_model_bytes: int = Field(
         512 * MEBIBYTE, ge=0, description="Weights to keep in memory for lifting."
@@ -126,12 +135,34 @@ class Settings(WorkerSettings):
         """Further names under which the service is reached, one by one."""
         return _listed(self.allowed_hosts)
 
+    @property
+    def resolved_pending_bytes(self) -> int:
+        """Bytes of bodies in hand at a time, the default included."""
+        return self.max_pending_bytes or max(512 * MEBIBYTE, self._least_pending_bytes)
+
+    @property
+    def _least_pending_bytes(self) -> int:
+        """The largest body for each process, and the quarter that is kept for small ones."""
+        return -(-4 * self.max_body_bytes // 3) * self.api_processes
+
+    def share(self) -> Self:
+        """Return the settings of one of the API's processes: its part of what all may take."""
+        whole = {
+            "max_pending_bytes": self.resolved_pending_bytes,
+            "max_streams": self.max_streams,
+            "lift_threads": self.lift_threads,
+            "warm_model_bytes": self.warm_model_bytes,
+        }
+        part = {name: max(1, value // self.api_processes) for name, value in whole.items()}
+        return self.model_copy(update=part | {"api_processes": 1})
+
     @model_validator(mode="after")
     def _has_room(self) -> Self:
-        if 3 * self.max_pending_bytes < 4 * self.max_body_bytes:
+        if self.resolved_pending_bytes < self._least_pending_bytes:
             raise ValueError(
-                "expected max_pending_bytes to be 4/3 of max_body_bytes at least: "
-                f"{self.max_body_bytes * 4 // 3}, got {self.max_pending_bytes}"
+                "expected max_pending_bytes to be 4/3 of max_body_bytes at least for each of "
+                f"{self.api_processes} API processes: {self._least_pending_bytes}, "
+                f"got {self.max_pending_bytes}"
             )
         return self
 

@@ -149,7 +149,7 @@ def serve(settings: Settings) -> None:
     embedded = settings.redis_url is None
     try:
         keep_private(settings)
-        lock = _lock(settings)
+        lock = _lock(settings) if embedded else None
         _open_store(settings)
         listener = _listen(settings)
         if settings.redis_url is not None:
@@ -162,12 +162,12 @@ def serve(settings: Settings) -> None:
             settings = settings.model_copy(update={"redis_url": AnyUrl(url)})
         environment = settings.to_environment()
         workers = settings.workers if settings.workers is not None else int(embedded)
-        api = _api(listener, environment)
-        users += [api, *_workers(workers, settings, environment)]
+        users += _apis(listener, settings)
+        users += _workers(workers, settings, environment)
         for child in users:
             child.start()
         address = f"http://{_host(settings)}:{listener.getsockname()[1]}"
-        _await_api(address, api, signals)
+        _await_api(address, users, signals)
         _announce(settings, address, workers, embedded=embedded)
         while True:
             signals.pause()
@@ -178,11 +178,16 @@ def serve(settings: Settings) -> None:
     finally:
         stop(users)
         stop(queue)  # which the others need until their end
-    lock.close()
+    if lock is not None:
+        lock.close()
 
 
 def _lock(settings: Settings) -> IO[str]:
-    """Hold the data folder for this process alone, until the file is closed."""
+    """Hold the data folder for this process alone, until the file is closed.
+
+    Only the embedded queue needs that: two would write one file. SQLite and a folder of objects are
+    made to be shared by processes of one host.
+    """
     try:
         settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
         file = (settings.data_dir / "serve.lock").open("w")
@@ -258,10 +263,15 @@ def _workers(count: int, settings: Settings, environment: dict[str, str]) -> lis
     return [Child(f"Worker {number}", command, environment) for number in range(1, count + 1)]
 
 
-def _api(listener: socket.socket, environment: dict[str, str]) -> Child:
+def _apis(listener: socket.socket, settings: Settings) -> list[Child]:
+    """Return the processes of the API. Whichever is free first takes what comes to the socket."""
     fileno = listener.fileno()
     command = python("-m", "service.app", str(os.getpid()), str(fileno))
-    return Child("The API", command, environment, inherited=(fileno,))
+    environment = settings.share().to_environment()
+    return [
+        Child(f"API {number}", command, environment, inherited=(fileno,))
+        for number in range(1, settings.api_processes + 1)
+    ]
 
 
 def _await_redis(url: str, child: Child, signals: _Signals) -> None:
@@ -276,7 +286,7 @@ def _await_redis(url: str, child: Child, signals: _Signals) -> None:
     client.close()
 
 
-def _await_api(address: str, child: Child, signals: _Signals) -> None:
+def _await_api(address: str, children: Sequence[Child], signals: _Signals) -> None:
     deadline = time.monotonic() + START_SECONDS
     direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # it is this machine
     while True:
@@ -284,7 +294,8 @@ def _await_api(address: str, child: Child, signals: _Signals) -> None:
             with direct.open(f"{address}/health/live", timeout=1):
                 return
         except (urllib.error.URLError, TimeoutError, ConnectionError):
-            _check_starting(child, deadline, signals)
+            for child in children:
+                _check_starting(child, deadline, signals)
 
 
 def _check_starting(child: Child, deadline: float, signals: _Signals) -> None:

