@@ -15,12 +15,13 @@ from obstore.exceptions import BaseError as ObjectStoreError
 from pydantic import AnyUrl
 from redis import Redis
 from rq import Worker
-from sqlalchemy import func, select
+from sqlalchemy import func, inspect, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.settings import Settings
 from store import clock
 from store.database import Store
+from store.engine import open_engine
 from store.errors import StoreError
 from store.housekeeping import known_keys
 from store.ids import new_id
@@ -88,6 +89,15 @@ def open_store(settings: StoreSettings) -> Store:
         raise StoreError(
             f"There are no records in {url.database}: is FEWVIEW_DATA_DIR, or "
             "FEWVIEW_DATABASE_URL, that of the deployment?"
+        )
+    engine = open_engine(url, forks=False)
+    try:
+        there = inspect(engine).has_table(FitJob.__tablename__)
+    finally:
+        engine.dispose()
+    if not there:
+        raise StoreError(
+            f"There are no records in {shown(url)}: is FEWVIEW_DATABASE_URL that of the deployment?"
         )
     return Store(settings)
 

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from itertools import islice
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -138,8 +138,8 @@ def restore(store: Store, folder: Path, say: Say) -> Outcome:
     copied, size, damaged = _copy(source, store.objects, named, say, deep=True)
     rows = 0
     with store.writing() as session:
-        for table in _tables():  # those that others refer to come first
-            mine = (row for of, row in _read_records(records) if of is table)
+        for table, lines in groupby(_read_records(records), key=lambda line: line[0]):
+            mine = (row for _, row in lines)
             while some := list(islice(mine, ROWS_AT_A_TIME)):
                 session.execute(insert(table), some)
                 rows += len(some)
@@ -147,6 +147,7 @@ def restore(store: Store, folder: Path, say: Say) -> Outcome:
 
 
 def _tables() -> list[Table]:
+    """Return the tables of a backup; those that others refer to come first."""
     return [table for table in Record.metadata.sorted_tables if table.name not in LEFT_OUT]
 
 

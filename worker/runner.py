@@ -20,11 +20,12 @@ from rq.registry import StartedJobRegistry
 from rq.worker import DequeueStrategy
 from sqlalchemy.exc import SQLAlchemyError
 
-from store import fits, housekeeping, jobs, lifts, retention
+from store import fits, housekeeping, jobs, lifts
 from store.database import Store
 from store.errors import StoreError
 from store.private import keep_private
 from store.records import FitJob, LiftJob
+from worker.housekeeping import keep_house
 from worker.process import die_with_parent
 from worker.queue import (
     FAILURE_SECONDS,
@@ -34,7 +35,6 @@ from worker.queue import (
     WorkQueue,
     check_reachable,
     connect,
-    forget_cancelled,
     open_queues,
 )
 from worker.reconciler import Reconciler
@@ -205,12 +205,7 @@ def _sweep(settings: WorkerSettings, parent: int) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):  # which the worker takes for itself
         signal.signal(number, signal.SIG_DFL)
     try:
-        store = Store(settings)
-        for job in retention.prune(store, settings.retention):
-            logger.info("%s, %s, was kept long enough: deleted", job.id, job.status)
-        housekeeping.sweep(store)
-        for queue in open_queues(connect(str(settings.redis_url), retries=0)):
-            forget_cancelled(queue)
+        keep_house(settings)
     except (StoreError, SQLAlchemyError, ObjectStoreError, OSError, redis.exceptions.RedisError):
         logger.exception("Housekeeping cannot be done")
 

@@ -5,6 +5,7 @@ import json
 import os
 import tarfile
 import threading
+import time
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -321,7 +322,7 @@ def test_what_ended_long_ago_is_pruned_if_that_is_asked_for(
 
 
 def test_a_doctor_says_what_is_right_and_what_to_do(
-    live: Live, fitted: dict[str, Any], tmp_path: Path
+    live: Live, fitted: dict[str, Any], postgresql: PostgreSQL, tmp_path: Path
 ) -> None:
     well = done("doctor", "--deep", f"--data-dir={live.data_dir}", FEWVIEW_STOREURL="x")
     for part in ("versions", "settings", "space", "queue", "records", "clocks", "workers"):
@@ -332,8 +333,20 @@ def test_a_doctor_says_what_is_right_and_what_to_do(
     assert missing.status == 1
     assert "FEWVIEW_DATA_DIR" in missing.stdout
     assert not (tmp_path / "wrong").exists()
+    empty = {"FEWVIEW_DATABASE_URL": postgresql.new_url(), "FEWVIEW_STORE_URL": tmp_path.as_uri()}
+    assert "no records" in run("doctor", **empty).stdout
+    assert "no records" in refused("backup", tmp_path / "backup", **empty)
     away = f"redis://me:secret@127.0.0.1:{free_port()}/0"
     ill = run("doctor", f"--data-dir={live.data_dir}", FEWVIEW_REDIS_URL=away)
     assert ill.status == 1
     assert "failed   queue" in ill.stdout
     assert "secret" not in ill.stdout + ill.stderr
+
+
+def test_a_doctor_sees_clocks_that_differ(
+    store: Store, here: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = time.time
+    monkeypatch.setattr(time, "time", lambda: told() + 3600)
+    said = done("doctor", here[1])
+    assert "warning  clocks: that of the records is 3600 s behind that of this host" in said
