@@ -8,6 +8,7 @@ import threading
 from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -21,10 +22,12 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import Response
 
 from service.http import errors
+from service.http.connections import Connection
 from service.http.dependencies import refuse_foreign_changes, refuse_unknown_query
 from service.http.faults import Faults
 from service.http.head import Head
 from service.http.hosts import Hosts
+from service.http.leaving import CLOSE_SECONDS, Server
 from service.http.limits import BodyLimit
 from service.http.operations import registered_schemas
 from service.http.uploads import LARGE_AT_A_TIME
@@ -43,6 +46,7 @@ from service.resources import (
     queues,
     reconstructions,
 )
+from service.resources.events import Events
 from service.settings import Settings
 from store.database import Store
 from worker.process import die_with_parent
@@ -99,6 +103,8 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.large_lifts = asyncio.Semaphore(LARGE_AT_A_TIME)
         app.state.lift_bodies = ThreadPoolExecutor(BODY_THREADS, thread_name_prefix="lift-body")
         app.state.streams = asyncio.Semaphore(settings.max_streams)
+        app.state.event_places = asyncio.Semaphore(settings.max_event_streams)
+        app.state.events = Events(app.state.store, app.state.leaving)
         app.state.engine = Engine(
             app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
         )
@@ -122,6 +128,7 @@ def create_app(settings: Settings) -> FastAPI:
         dependencies=[Depends(refuse_foreign_changes), Depends(refuse_unknown_query)],
     )
     app.state.settings = settings
+    app.state.leaving = asyncio.Event()
     for module in RESOURCES:
         app.include_router(module.router)
     _show_documentation(app)
@@ -130,6 +137,7 @@ def create_app(settings: Settings) -> FastAPI:
         BodyLimit,
         max_bytes=settings.max_body_bytes,
         max_pending_bytes=settings.resolved_pending_bytes,
+        seconds=settings.request_seconds,
     )
     app.add_middleware(Head)
     if settings.allowed_origins:
@@ -198,19 +206,27 @@ def _describe(app: FastAPI) -> None:
     app.openapi = openapi  # type: ignore[method-assign]
 
 
-def server_config(settings: Settings) -> uvicorn.Config:
-    """Return how uvicorn serves the application."""
-    return uvicorn.Config(
-        create_app(settings),
+def make_server(settings: Settings) -> Server:
+    """Return what serves the application."""
+    app = create_app(settings)
+    connection: Any = partial(Connection, seconds=settings.request_seconds)
+    config = uvicorn.Config(
+        app,
         loop="uvloop",
-        http="httptools",
+        http=connection,
         ws="websockets-sansio",
         ws_max_size=settings.max_stream_bytes,
         ws_per_message_deflate=False,  # numbers hardly shrink, and it takes longer than the lift
         log_level="warning",
         access_log=False,
-        timeout_graceful_shutdown=3,
+        timeout_graceful_shutdown=CLOSE_SECONDS,
         server_header=False,
+    )
+    return Server(
+        config,
+        app.state.leaving,
+        drain_seconds=settings.drain_seconds,
+        grace_seconds=settings.grace_seconds,
     )
 
 
@@ -223,8 +239,8 @@ def main() -> None:
     parent, listener = (int(argument) for argument in sys.argv[1:])
     die_with_parent(parent)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
-    config = server_config(Settings())
-    uvicorn.Server(config).run(sockets=[socket.socket(fileno=listener)])
+    server = make_server(Settings())
+    server.run(sockets=[socket.socket(fileno=listener)])
 
 
 if __name__ == "__main__":

@@ -92,6 +92,28 @@ class Settings(WorkerSettings):
     stream_idle_seconds: float = Field(
         60, gt=0, description="Silence of a client after which its stream is closed."
     )
+    max_event_streams: int = Field(
+        256, ge=1, description="Jobs followed at a time, by events; one more is refused with 503."
+    )
+    request_seconds: float = Field(
+        20,
+        gt=0,
+        description="Silence of a client after which its connection is closed. Within this time "
+        "the head of a request must come, and a KiB of its body for each second of it.",
+    )
+    drain_seconds: float = Field(
+        0,
+        ge=0,
+        le=3600,
+        description="Time to go on answering after SIGTERM while readiness says `draining`, for a "
+        "balancer to notice.",
+    )
+    grace_seconds: float = Field(
+        10,
+        ge=0,
+        le=3600,
+        description="Time after that for requests in hand, such as downloads, to be finished.",
+    )
     lift_threads: int = Field(
         default_factory=lambda: min(8, usable_cores()),
         ge=1,
@@ -150,6 +172,7 @@ class Settings(WorkerSettings):
         whole = {
             "max_pending_bytes": self.resolved_pending_bytes,
             "max_streams": self.max_streams,
+            "max_event_streams": self.max_event_streams,
             "lift_threads": self.lift_threads,
             "warm_model_bytes": self.warm_model_bytes,
         }

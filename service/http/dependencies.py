@@ -11,7 +11,7 @@ from fastapi.params import Query
 from redis import Redis
 from starlette.requests import HTTPConnection
 
-from service.http.errors import of_mistakes
+from service.http.errors import ApiError, of_mistakes
 from service.http.origins import refuse_foreign
 from service.settings import Settings
 from store.database import Store
@@ -43,6 +43,22 @@ async def refuse_foreign_changes(connection: HTTPConnection) -> None:
     """Refuse what a script of another web page would change; it cannot read what it gets."""
     if connection.scope.get("method") not in ("GET", "HEAD"):
         refuse_foreign(connection)
+
+
+def refuse_if_leaving(connection: HTTPConnection) -> None:
+    """Refuse, once this process leaves, what would have to be broken off.
+
+    Raises
+    ------
+    ApiError
+        503 that says so.
+    """
+    if connection.app.state.leaving.is_set():
+        raise ApiError(
+            "draining",
+            "This process of the service is stopping; another may take its place.",
+            headers={"Retry-After": "2"},
+        )
 
 
 async def refuse_unknown_query(connection: HTTPConnection) -> None:

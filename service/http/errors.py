@@ -35,6 +35,7 @@ PROBLEM_JSON = "application/problem+json"
 # code: status, title. The codes are part of the API: they are added to, never changed.
 PROBLEMS = {
     "malformed_body": (400, "The body cannot be read"),
+    "malformed_request": (400, "The request is no HTTP that can be read"),
     "origin_not_allowed": (403, "Web pages of this origin may not do this"),
     "not_found": (404, "There is no such resource"),
     "method_not_allowed": (405, "The method is not allowed here"),
@@ -50,10 +51,12 @@ PROBLEMS = {
     "too_many_fits": (429, "Too many fits are waiting"),
     "too_many_lifts": (429, "Too many lifts are waiting"),
     "host_not_allowed": (421, "The service has another name"),
+    "head_too_large": (431, "The request's head is too large"),
     "internal_error": (500, "Something went wrong inside"),
     "object_damaged": (500, "A stored object is damaged"),
     "overloaded": (503, "Too many requests are in hand"),
     "unavailable": (503, "A part of the service cannot be reached"),
+    "draining": (503, "The service is stopping"),
 }
 
 # What can be wrong with a body that carries arrays.
@@ -62,6 +65,7 @@ BODY_PROBLEMS = (
     "origin_not_allowed",
     "body_too_large",
     "unsupported_media_type",
+    "idle",
     "overloaded",
 )
 
@@ -140,7 +144,7 @@ class ApiError(Exception):
             errors=[FieldError(pointer=pointer, detail=detail) for pointer, detail in self.errors],
         )
         headers = dict(self.headers or {})
-        if status == 413:  # or the server would read the rest of the body, to throw it away
+        if status in (408, 413):  # or the rest of the body would be read, to be thrown away
             headers["Connection"] = "close"
         return Response(problem.model_dump_json(), status, headers, PROBLEM_JSON)
 

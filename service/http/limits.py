@@ -1,5 +1,7 @@
 """The limits on request bodies, held while they stream in."""
 
+import asyncio
+
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -8,18 +10,22 @@ from service.http.errors import ApiError
 SMALL_BYTES = 64 * 1024  # what a request takes at least, and what bodies may grow to in the reserve
 RESERVE = 4  # one part in so many is kept for small bodies: large ones cannot lock them out
 RETRY_SECONDS = "1"
+SLOWEST = 1024  # bytes a second
 
 
 class BodyLimit:
-    """Refuses a body that is too long, and any while those in hand fill the room for them.
+    """Refuses a body that is too long or slow, and any while those in hand fill the room for them.
 
     One that says how long it is is refused before it is read, any other as soon as it is too long.
-    FastAPI's own ``max_body_size`` answers in plain text, whatever the error handlers.
+    FastAPI's own ``max_body_size`` answers in plain text, whatever the error handlers. One whose
+    client falls silent, or sends less than a KiB a second, gives its room up.
     """
 
-    def __init__(self, app: ASGIApp, max_bytes: int, max_pending_bytes: int) -> None:
+    def __init__(
+        self, app: ASGIApp, max_bytes: int, max_pending_bytes: int, seconds: float
+    ) -> None:
         self._app, self._max_bytes, self._room = app, max_bytes, max_pending_bytes
-        self._reserve = max_pending_bytes // RESERVE
+        self._reserve, self._seconds = max_pending_bytes // RESERVE, seconds
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -35,10 +41,11 @@ class BodyLimit:
             await ApiError("body_too_large", detail).response()(scope, receive, send)
             return
         came = taken = 0
+        pace = _Pace(receive, self._seconds)
 
         async def counted() -> Message:
             nonlocal came, taken
-            message = await receive()
+            message = await pace.receive()
             size = len(message.get("body", b""))
             if size:
                 came += size
@@ -60,3 +67,31 @@ class BodyLimit:
             await self._app(scope, counted, send)
         finally:
             self._room += taken
+
+
+class _Pace:
+    """Waits for a body as long as it comes at the least pace: so many bytes in so many seconds."""
+
+    def __init__(self, receive: Receive, seconds: float) -> None:
+        self._receive, self._seconds = receive, seconds
+        self._left, self._came, self._whole = seconds, 0, False
+
+    async def receive(self) -> Message:
+        """Return what comes next; raise ``HTTPException`` 408 if that takes too long."""
+        if self._whole:
+            return await self._receive()
+        now = asyncio.get_running_loop().time
+        began = now()
+        try:
+            async with asyncio.timeout(self._left):
+                message = await self._receive()
+        except TimeoutError:
+            raise HTTPException(
+                408, f"expected {SLOWEST} bytes of the body a second, over {self._seconds:g} s each"
+            ) from None
+        self._left -= now() - began
+        self._came += len(message.get("body", b""))
+        if self._came >= SLOWEST * self._seconds:
+            self._left, self._came = self._seconds, 0
+        self._whole = not message.get("more_body", False)
+        return message

@@ -117,12 +117,12 @@ class Child:
             self.process, self.started_at = None, time.monotonic()
 
 
-def stop(children: Sequence[Child]) -> None:
+def stop(children: Sequence[Child], seconds: float = STOP_SECONDS) -> None:
     """End the processes side by side with SIGTERM, and with SIGKILL what does not heed that."""
     for child in children:
         if child.process is not None:
             child.process.terminate()
-    deadline = time.monotonic() + STOP_SECONDS
+    deadline = time.monotonic() + seconds
     for child in children:
         if child.process is None:
             continue
@@ -176,7 +176,7 @@ def serve(settings: Settings) -> None:
     except _Stop:
         print("Stopping: a running fit goes on at the next start.", flush=True)
     finally:
-        stop(users)
+        stop(users, STOP_SECONDS + settings.drain_seconds + settings.grace_seconds)
         stop(queue)  # which the others need until their end
     if lock is not None:
         lock.close()

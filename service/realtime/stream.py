@@ -13,6 +13,7 @@ from starlette.responses import Response
 from starlette.websockets import WebSocketDisconnect
 
 from models.lifting.lift import Lift
+from service.http.dependencies import refuse_if_leaving
 from service.http.errors import (
     PROBLEMS,
     ApiError,
@@ -113,6 +114,7 @@ def _refusal(websocket: WebSocket, places: asyncio.Semaphore) -> ApiError | None
     """Return why the handshake is refused, if it is."""
     try:
         refuse_foreign(websocket)
+        refuse_if_leaving(websocket)
     except ApiError as error:
         return error
     if places.locked():

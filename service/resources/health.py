@@ -8,13 +8,13 @@ from importlib.metadata import version
 from typing import Literal
 
 import redis.exceptions
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
 from obstore.exceptions import BaseError as ObjectStoreError
 from pydantic import BaseModel, ConfigDict, Field
 from rq import Worker
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.http.dependencies import RedisDep, StoreDep
+from service.http.dependencies import RedisDep, StoreDep, refuse_if_leaving
 from service.http.errors import ApiError, problems
 from store import deployment
 from store.errors import DeploymentError
@@ -85,9 +85,13 @@ async def check_live() -> Liveness:
     return Liveness()  # asynchronous: all threads may be waiting for the records
 
 
-@router.get("/health/ready", responses=problems("unavailable"))
-def check_ready(store: StoreDep, connection: RedisDep) -> Readiness:
-    """Reach queue, records and objects; 503 names those that cannot be reached."""
+@router.get("/health/ready", responses=problems("unavailable", "draining"))
+def check_ready(request: Request, store: StoreDep, connection: RedisDep) -> Readiness:
+    """Reach queue, records and objects; 503 names those that cannot be reached.
+
+    Once the service stops it is 503 with the code `draining`.
+    """
+    refuse_if_leaving(request)
     parts: dict[str, Callable[[], object]] = {
         "queue": connection.ping,
         "records": store.check_records,

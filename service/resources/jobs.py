@@ -1,12 +1,9 @@
 """What fits and lifts have in common: work that is queued, followed, cancelled and deleted."""
 
-import asyncio
 from collections.abc import AsyncIterator, Callable
-from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
 
 from fastapi import APIRouter, Depends, Header, Path, Query, Response, status
-from fastapi.concurrency import run_in_threadpool
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel
 from redis import Redis
@@ -15,14 +12,12 @@ from typing_extensions import TypeAliasType
 from service.http.dependencies import RedisDep, StoreDep
 from service.http.errors import problems
 from service.resources.changes import add_change_route
+from service.resources.events import EventsDep
 from service.resources.lists import Columns
 from store import jobs, lookup
 from store.database import Store
-from store.errors import NotFoundError
 from store.jobs import Job
 from worker.queue import offer
-
-POLL_SECONDS = 0.25
 
 JobStatus = TypeAliasType(
     "JobStatus", Literal["queued", "running", "succeeded", "failed", "cancelled"]
@@ -146,49 +141,21 @@ def _add_events_route(
         response_class=EventSourceResponse,
         description=f"Follow a {noun}: server-sent events `progress` {progress}, then one "
         f"`end`.\n\nThe data of every event is the {noun} as `GET /{noun}s/{{{noun}_id}}` gives "
-        "it, its id grows with every\nchange. Close the stream on `end`.",
-        responses=problems("not_found"),
+        "it, its id grows with every\nchange. Close the stream on `end`. Where it ends without "
+        "one, the service stopped or the job\nwas deleted: ask again with `Last-Event-ID`.",
+        responses=problems("not_found", "overloaded", "draining"),
     )
     async def stream_job_events(
         job: Annotated[Job, Depends(finder(kind))],
-        store: StoreDep,
+        events: EventsDep,
         last_event_id: LastEventId = None,
     ) -> AsyncIterator[ServerSentEvent]:
-        read = partial(lookup.get, store, kind, job.id)
-        async for event in _events(job, read, to_wire, last_event_id):
-            yield event
-
-
-async def _events(
-    job: Job,
-    read: Callable[[], Job],
-    to_wire: Callable[[Job], BaseModel],
-    last_event_id: int | None,
-) -> AsyncIterator[ServerSentEvent]:
-    """Yield `progress` with every change of a job's record, then `end`.
-
-    Parameters
-    ----------
-    job
-        The record as it is now; ``read`` gives it as it is later.
-    last_event_id
-        The revision that the client has.
-    """
-    seen = last_event_id or 0
-    while True:
-        ended = job.status in jobs.TERMINAL
-        if ended or job.revision > seen:
-            seen = job.revision
+        async for current in events.follow(job, last_event_id or 0):
             yield ServerSentEvent(
-                data=to_wire(job), event="end" if ended else "progress", id=str(seen)
+                data=to_wire(current),
+                event="end" if current.status in jobs.TERMINAL else "progress",
+                id=str(current.revision),
             )
-        if ended:
-            return
-        await asyncio.sleep(POLL_SECONDS)
-        try:
-            job = await run_in_threadpool(read)
-        except NotFoundError:  # it ended and was deleted since
-            return
 
 
 def _url(job: Any) -> str:

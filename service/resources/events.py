@@ -1,0 +1,128 @@
+"""Who follows a job hears of its changes: one look at the records, at a time, for all of them."""
+
+import asyncio
+import logging
+from collections import defaultdict
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from fastapi import Depends, Request
+from sqlalchemy import select
+
+from service.http.dependencies import refuse_if_leaving
+from service.http.errors import ApiError
+from store import jobs
+from store.database import Store
+from store.jobs import Job
+
+logger = logging.getLogger(__name__)
+
+LOOK_SECONDS = 0.25  # between two looks
+RETRY_SECONDS = "10"
+
+
+@dataclass(eq=False)
+class _Follower:
+    """Somebody who waits until a job has another revision than the one he has."""
+
+    kind: type[Any]
+    job_id: str
+    seen: int
+    newer: "asyncio.Future[Any]"
+
+
+class Events:
+    """The followers of one process. The records are read only while there are any."""
+
+    def __init__(self, store: Store, leaving: asyncio.Event) -> None:
+        self._store, self._leaving = store, leaving
+        self._followers: set[_Follower] = set()
+        self._looking: asyncio.Task[None] | None = None
+
+    async def follow(self, job: Job, seen: int) -> AsyncIterator[Job]:
+        """Yield the record of a job as it is and with every change, until it has ended.
+
+        It also ends where the job is deleted and where this process leaves: whoever still wants to
+        know asks another.
+
+        Parameters
+        ----------
+        seen
+            The revision that the follower has, 0 for none.
+        """
+        current: Job | None = job
+        while current is not None:
+            ended = current.status in jobs.TERMINAL
+            if ended or current.revision > seen:
+                seen = current.revision
+                yield current
+            if ended or self._leaving.is_set():
+                return
+            current = await self._newer(type(job), job.id, seen)
+
+    async def _newer(self, kind: type[Any], job_id: str, seen: int) -> Any:
+        """Return the record once it is newer than ``seen``; None if there will be none."""
+        newer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        follower = _Follower(kind, job_id, seen, newer)
+        self._followers.add(follower)
+        if self._looking is None or self._looking.done():
+            self._looking = asyncio.create_task(self._look())
+        try:
+            return await newer
+        finally:
+            self._followers.discard(follower)
+
+    async def _look(self) -> None:
+        """Look at the records while anybody follows; an outage of theirs is waited out."""
+        while self._followers:
+            await asyncio.sleep(LOOK_SECONDS)
+            waiting = [follower for follower in self._followers if not follower.newer.done()]
+            found: dict[tuple[type[Any], str], Any] = {}
+            try:
+                if not self._leaving.is_set():
+                    found = await asyncio.to_thread(self._read, waiting)
+            except Exception:  # those who follow go on waiting
+                logger.exception("The records of jobs cannot be read")
+                continue
+            for follower in waiting:
+                job = found.get((follower.kind, follower.job_id))
+                changed = job is None or job.revision > follower.seen
+                if changed and not follower.newer.done():
+                    follower.newer.set_result(job)
+
+    def _read(self, waiting: list[_Follower]) -> dict[tuple[type[Any], str], Any]:
+        """Return the records that are followed, those that are left."""
+        wanted: dict[type[Any], set[str]] = defaultdict(set)
+        for follower in waiting:
+            wanted[follower.kind].add(follower.job_id)
+        with self._store.reading() as session:
+            return {
+                (kind, job.id): job
+                for kind, ids in wanted.items()
+                for job in session.scalars(select(kind).where(kind.id.in_(ids)))
+            }
+
+
+async def take_place(request: Request) -> AsyncIterator[Events]:
+    """Give what tells of changes to one of so many followers as there may be at a time.
+
+    Raises
+    ------
+    ApiError
+        503 if there are as many, or if this process leaves.
+    """
+    refuse_if_leaving(request)
+    places: asyncio.Semaphore = request.app.state.event_places
+    if places.locked():
+        raise ApiError(
+            "overloaded",
+            "As many jobs are followed as may be; try again when some have ended, or ask for the "
+            "job itself now and then.",
+            headers={"Retry-After": RETRY_SECONDS},
+        )
+    async with places:
+        yield request.app.state.events
+
+
+EventsDep = Annotated[Events, Depends(take_place)]
