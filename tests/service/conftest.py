@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -195,10 +196,7 @@ def served(settings: Settings) -> Iterator[httpx2.Client]:
 def serving(settings: Settings) -> Iterator[tuple[httpx2.Client, Callable[[], None]]]:
     """Do the same; what is given besides tells the server to leave, as SIGTERM does."""
     server = make_server(settings)
-
-    def leave() -> None:
-        server.should_exit = True
-
+    leave = partial(setattr, server, "should_exit", True)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
