@@ -50,7 +50,12 @@ class Store:
 
     @contextmanager
     def writing(self) -> Iterator[Session]:
-        """Give a session whose writes are committed together on leaving, or not at all."""
+        """Give a session whose writes are committed together on leaving, or not at all.
+
+        In PostgreSQL, transactions run side by side: what one relies on, it locks first and checks
+        then. All lock in one order, or two would wait for each other: an idempotency key, a task
+        (``store.locks``), dataset, fit, model, lift, chunk of a lift, condemned objects by key.
+        """
         engine = self.engine.execution_options(writing=True)
         with Session(engine, expire_on_commit=False) as session, session.begin():
             yield session

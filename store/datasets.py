@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from sqlalchemy import delete as sql_delete
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
@@ -16,10 +15,10 @@ from store.capture import Capture, Float64, concatenate, extend_checksum
 from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import CaptureError, NotFoundError
-from store.idempotency import Idempotency, remember, replayed
+from store.idempotency import Idempotency, claim, replayed
 from store.ids import new_id
 from store.labels import Labels
-from store.lookup import get, lost
+from store.lookup import get, lock, lost
 from store.records import Chunk, Dataset, FitJob, LiftJob
 
 
@@ -52,7 +51,7 @@ def create(
     key = _put_chunk(store, dataset_id, capture)
     findings = dataset_findings.of_new(capture, description.image_sizes)
     with store.writing() as session:
-        earlier = replayed(session, idempotency)
+        earlier = claim(session, idempotency, dataset_id)
         if earlier is None:
             dataset = Dataset(
                 id=dataset_id,
@@ -77,7 +76,6 @@ def create(
             session.add(dataset)
             session.flush()
             session.add(Chunk(dataset_id=dataset_id, first_frame=0, frames=capture.frames, key=key))
-            remember(session, idempotency, dataset_id)
     if earlier is not None:
         discard(store, key)
         return get(store, Dataset, earlier)
@@ -140,7 +138,7 @@ def append(
                             key=key,
                         )
                     )
-                    remember(session, idempotency, dataset_id)
+                    claim(session, idempotency, dataset_id)  # nobody else has it: see above
     finally:
         if not appended:
             discard(store, key)
@@ -273,16 +271,13 @@ def delete(store: Store, dataset_id: str) -> None:
         If a fit or a lift of it is queued or running.
     """
     with store.writing() as session:
+        dataset = lock(session, Dataset, dataset_id)
         refuse = partial(jobs.refuse_if_used, session, "Dataset", dataset_id)
         refuse(FitJob, FitJob.dataset_id == dataset_id)
         refuse(LiftJob, LiftJob.dataset_id == dataset_id)
         chunks = session.scalars(select(Chunk.key).where(Chunk.dataset_id == dataset_id)).all()
-        gone = session.execute(
-            sql_delete(Dataset).where(Dataset.id == dataset_id).returning(Dataset.id)
-        ).first()
-        if gone is None:
-            raise NotFoundError("dataset", dataset_id)
         condemned = condemn(session, chunks)
+        session.delete(dataset)
     discard(store, *condemned)
 
 

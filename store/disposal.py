@@ -5,11 +5,12 @@ from collections.abc import Iterable
 from threading import BoundedSemaphore, Thread
 
 from obstore.exceptions import BaseError as ObjectStoreError
-from sqlalchemy import bindparam, delete, insert
+from sqlalchemy import bindparam, delete
 from sqlalchemy.orm import Session
 
 from store import clock
 from store.database import Store
+from store.engine import insert
 from store.objects import Objects
 from store.records import CondemnedObject
 
@@ -27,14 +28,18 @@ def condemn(session: Session, keys: Iterable[str | None]) -> list[str]:
     known = [key for key in keys if key is not None]
     if known:
         due = clock.read(session)
-        acquit(session, known)  # of what a sweep said of them
-        session.execute(insert(CondemnedObject), [{"key": key, "due_at": due} for key in known])
+        rows = [{"key": key, "due_at": due} for key in sorted(known)]  # all lock them in this order
+        condemned = insert(session, CondemnedObject)
+        known_due = {"due_at": condemned.excluded.due_at}  # where a sweep has condemned it already
+        session.connection().execute(
+            condemned.on_conflict_do_update(index_elements=["key"], set_=known_due), rows
+        )
     return known
 
 
 def acquit(session: Session, keys: Iterable[str]) -> None:
     """Forget that objects were condemned."""
-    rows = [{"acquitted": key} for key in keys]
+    rows = [{"acquitted": key} for key in sorted(keys)]
     if rows:
         mine = CondemnedObject.key == bindparam("acquitted")
         session.connection().execute(delete(CondemnedObject).where(mine), rows)

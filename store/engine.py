@@ -7,9 +7,12 @@ from weakref import WeakMethod
 
 import orjson
 from sqlalchemy import URL, Connection, Engine, create_engine, event
+from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy.orm import Session
 from sqlalchemy.pool import NullPool
 
 from store.errors import StoreError
+from store.records import Record
 
 WAIT_SECONDS = 20  # for a lock, or for an answer
 # Of PostgreSQL. What the URL says of the same wins.
@@ -45,6 +48,12 @@ def open_engine(url: URL, *, forks: bool) -> Engine:
     if url.get_backend_name() == "sqlite":
         return _open_sqlite(url, forks=forks)
     return _open_postgresql(url, forks=forks)
+
+
+def insert(session: Session, kind: type[Record]) -> postgresql.Insert | sqlite.Insert:
+    """Return an INSERT that can be told what to do ON CONFLICT: both databases mean the same."""
+    is_sqlite = session.get_bind().dialect.name == "sqlite"
+    return sqlite.insert(kind) if is_sqlite else postgresql.insert(kind)
 
 
 def _open_postgresql(url: URL, *, forks: bool) -> Engine:

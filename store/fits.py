@@ -21,7 +21,7 @@ from models.settings.priors import ARCHITECTURE
 from store import clock, jobs
 from store.database import Store
 from store.disposal import condemn
-from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
+from store.errors import ConfigError, ConflictError, SourceError
 from store.idempotency import Idempotency
 from store.labels import Labels
 from store.lookup import lock, lost
@@ -89,9 +89,7 @@ def create(
 
 def _suited(config: FitConfig, session: Session, from_model: str, dataset: Dataset) -> FitConfig:
     """Fill in a configuration for a start from a model; raise for one that does not suit it."""
-    model = session.get(Model, from_model)
-    if model is None:
-        raise NotFoundError("model", from_model)
+    model = lock(session, Model, from_model)  # against deletion, as the dataset is
     if model.keypoints != dataset.keypoints:
         raise SourceError(
             "from_model",
@@ -252,7 +250,8 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
         if session.scalar(select(FitJob.id).where(mine, heeds_not)) is None:
             return False
     with store.writing() as session:
-        condemn(session, session.scalars(select(FitJob.checkpoint_key).where(mine)))
+        locked = select(FitJob.checkpoint_key).where(mine).with_for_update()
+        condemn(session, session.scalars(locked))
         taken = session.execute(
             update(FitJob).where(mine).values(**ended("cancelled")).returning(FitJob.id)
         ).first()
@@ -267,9 +266,9 @@ def delete(store: Store, fit_id: str) -> None:
     """
 
     def forget(session: Session, fit: FitJob) -> list[str]:
-        of_model = LiftJob.model_id == fit.model_id
-        jobs.refuse_if_used(session, "Fit", fit_id, LiftJob, of_model, LiftJob.up.is_not(None))
         session.execute(update(Model).where(Model.fit_id == fit_id).values(fit_id=None))
+        of_model = LiftJob.model_id == fit.model_id  # locked by now: no lift of it begins
+        jobs.refuse_if_used(session, "Fit", fit_id, LiftJob, of_model, LiftJob.up.is_not(None))
         return [key for key in (fit.reconstruction_key, fit.checkpoint_key) if key is not None]
 
     jobs.delete(store, FitJob, fit_id, forget)

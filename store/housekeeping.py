@@ -4,12 +4,13 @@ import logging
 import time
 from typing import NamedTuple
 
-from sqlalchemy import delete, insert, select, update
+from sqlalchemy import delete, select, update
 from sqlalchemy.orm import Session
 
 from store import clock, deployment
 from store.database import Store
 from store.disposal import acquit
+from store.engine import insert
 from store.records import (
     Chunk,
     CondemnedObject,
@@ -86,7 +87,8 @@ def sweep(
         if new:
             logger.warning("No record knows %d objects: they are deleted in a day", len(new))
             rows = [{"key": key, "due_at": time_now + grace_seconds} for key in sorted(new)]
-            session.execute(insert(CondemnedObject), rows)
+            condemned = insert(session, CondemnedObject).on_conflict_do_nothing()
+            session.connection().execute(condemned, rows)
             due |= dict.fromkeys(new, time_now + grace_seconds)
         ended = {key for key, at in due.items() if key in orphans and at <= time_now}
         acquit(session, (due.keys() - orphans) | ended)

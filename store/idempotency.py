@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from sqlalchemy.orm import Session
 
 from store import clock
+from store.engine import insert
 from store.errors import KeyReusedError
 from store.records import IdempotencyKey
 
@@ -49,15 +50,29 @@ def replayed(session: Session, request: Idempotency | None) -> str | None:
     return earlier.resource_id
 
 
-def remember(session: Session, request: Idempotency | None, resource_id: str) -> None:
-    """Note, in the caller's transaction, what the request made."""
-    if request is not None:
-        session.add(
-            IdempotencyKey(
-                scope=request.scope,
-                key=request.key,
-                fingerprint=request.fingerprint,
-                resource_id=resource_id,
-                created_at=clock.now(),
-            )
+def claim(session: Session, request: Idempotency | None, resource_id: str) -> str | None:
+    """Note, in the caller's transaction, what the request makes; or return what it made before.
+
+    Where the same request is in another transaction, its end is waited for: of requests that come
+    at once, one makes something.
+
+    Raises
+    ------
+    KeyReusedError
+        If the key came before with a different request.
+    """
+    if request is None:
+        return None
+    noted = (
+        insert(session, IdempotencyKey)
+        .values(
+            scope=request.scope,
+            key=request.key,
+            fingerprint=request.fingerprint,
+            resource_id=resource_id,
+            created_at=clock.now(),
         )
+        .on_conflict_do_nothing()
+        .returning(IdempotencyKey.key)
+    )
+    return replayed(session, request) if session.scalar(noted) is None else None

@@ -14,8 +14,9 @@ from sqlalchemy.orm import Session
 from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import ConflictError, QueueFullError
-from store.idempotency import Idempotency, remember, replayed
+from store.idempotency import Idempotency, claim
 from store.ids import new_id
+from store.locks import alone
 from store.lookup import get, lock
 from store.records import FitJob, LiftJob
 
@@ -44,7 +45,9 @@ def create(
     """
     identifier = new_id(kind.noun)
     with store.writing() as session:
-        earlier = replayed(session, idempotency)
+        earlier = claim(session, idempotency, identifier)
+        if earlier is None:
+            alone(session, kind.__tablename__)  # so that none is made twice, or beyond the limit
         if earlier is None and job_id is not None:
             earlier = session.scalar(select(kind.id).where(kind.job_id == job_id))
         if earlier is None:
@@ -53,7 +56,6 @@ def create(
                 raise QueueFullError(kind.noun, max_queued)
             made = make(session, identifier)
             session.add(made)
-            remember(session, idempotency, identifier)
     return made if earlier is None else get(store, kind, earlier)
 
 
@@ -68,6 +70,7 @@ def refuse(
         What the job said of itself.
     """
     with store.writing() as session:
+        alone(session, kind.__tablename__)
         known = session.scalar(select(kind.id).where(kind.job_id == job_id))
         if known is not None:
             return known
@@ -142,7 +145,7 @@ def delete(
 def refuse_if_used(
     session: Session, what: str, identifier: str, kind: type[Job], *uses: ColumnElement[bool]
 ) -> None:
-    """Raise ``ConflictError`` if a job that has not ended uses something.
+    """Raise ``ConflictError`` if a job that has not ended uses something, which is locked.
 
     Parameters
     ----------

@@ -1,10 +1,12 @@
 """Tags and metadata: what people say of anything stored, to find it again."""
 
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 import orjson
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
-from sqlalchemy import ColumnElement, String, case, cast, func, literal, select
+from sqlalchemy import ColumnElement, cast, func, literal, or_, select
+from sqlalchemy.dialects.postgresql import JSONB
 
 from store.records import Labelled
 
@@ -18,6 +20,17 @@ def _printable(tag: str) -> str:
     return tag
 
 
+def _without_nul(text: str) -> str:
+    if "\0" in text:
+        raise ValueError("expected text without the character NUL (U+0000)")
+    return text
+
+
+def storable(text: str) -> str:
+    """Return a text with what no database can hold replaced: NUL, and halves of characters."""
+    return text.encode(errors="replace").decode().replace("\0", "?")
+
+
 def _once(tags: list[str]) -> list[str]:
     return list(dict.fromkeys(tags))
 
@@ -29,9 +42,24 @@ def _bounded(value: dict[str, Any]) -> dict[str, Any]:
         raise ValueError(f"expected JSON that can be given back: {error}") from error
     if size > MAX_METADATA:
         raise ValueError(f"expected {MAX_METADATA} bytes of JSON at most, got {size}")
+    for text in _texts(value):
+        _without_nul(text)
     return value
 
 
+def _texts(value: Any) -> Iterator[str]:
+    """Yield all texts in plain data, keys included."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for item in value.items():
+            yield from _texts(item)
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _texts(item)
+
+
+Text = Annotated[str, AfterValidator(_without_nul)]  # which every database can hold
 Tag = Annotated[str, Field(min_length=1, max_length=64), AfterValidator(_printable)]
 Tags = Annotated[list[Tag], Field(max_length=MAX_TAGS), AfterValidator(_once)]
 Metadata = Annotated[dict[str, Any], AfterValidator(_bounded)]
@@ -66,13 +94,16 @@ def tagged(dialect: str, kind: type[Labelled], tag: str) -> ColumnElement[bool]:
     dialect
         The database's, as SQLAlchemy calls it.
     """
-    each = func.json_each if dialect == "sqlite" else func.json_array_elements_text
-    elements = each(kind.tags).table_valued("value")
+    if dialect == "postgresql":
+        return cast(kind.tags, JSONB).contains([tag])  # which an index knows
+    elements = func.json_each(kind.tags).table_valued("value")
     return select(literal(1)).select_from(elements).where(elements.c.value == tag).exists()
 
 
 def says(dialect: str, kind: type[Labelled], key: str, text: str) -> ColumnElement[bool]:
     """Return the condition that a record's metadata has a text, or the JSON of a number, a truth.
+
+    Numbers are compared as such: 20, 2e1 and 20.0 are the same.
 
     Parameters
     ----------
@@ -81,13 +112,30 @@ def says(dialect: str, kind: type[Labelled], key: str, text: str) -> ColumnEleme
     key
         Of the metadata's first level.
     """
-    value: ColumnElement[str]
-    if dialect == "sqlite":
-        members = func.json_each(kind.user_metadata).table_valued("key", "value", "type")
-        kept = cast(members.c.value, String)  # which says 1 and 0 of truths
-        value = case((members.c.type.in_(("true", "false")), members.c.type), else_=kept)
-    else:
-        members = func.json_each_text(kind.user_metadata).table_valued("key", "value")
-        value = members.c.value
-    said = (members.c.key == key) & (value == text)
-    return select(literal(1)).select_from(members).where(said).exists()
+    number = _number(text)
+    if dialect == "postgresql":
+        meant = [text, *([] if number is None else [number]), *TRUTHS.get(text, ())]
+        kept = cast(kind.user_metadata, JSONB)
+        return or_(*(kept.contains({key: value}) for value in meant))
+    members = func.json_each(kind.user_metadata).table_valued("key", "value", "type")
+    value, is_a = members.c.value, members.c.type
+    said = (is_a == "text") & (value == text)
+    if number is not None:
+        said |= is_a.in_(("integer", "real")) & (value == number)
+    if text in TRUTHS:
+        said |= is_a == text
+    return select(literal(1)).select_from(members).where(members.c.key == key, said).exists()
+
+
+TRUTHS = {"true": [True], "false": [False]}
+
+
+def _number(text: str) -> int | float | None:
+    """Return the number that a text is the JSON of; None if it is no number, or beyond all."""
+    try:
+        number = orjson.loads(text)  # integers beyond 64 bits as the nearest number
+    except orjson.JSONDecodeError:
+        return None
+    if type(number) not in (int, float):
+        return None
+    return number if abs(number) < 2**63 else float(number)  # SQLite has no larger integers

@@ -3,6 +3,7 @@
 import hashlib
 import time
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 from sqlalchemy import select, update
@@ -11,7 +12,7 @@ from store import jobs, keys
 from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import DamagedError
-from store.idempotency import Idempotency, remember, replayed
+from store.idempotency import Idempotency, claim, replayed
 from store.ids import new_id
 from store.lookup import get, lock, lost
 from store.records import FitJob, LiftJob, Model
@@ -49,10 +50,9 @@ def create(
         return get(store, Model, earlier)
     model = new_record(store, weights, **columns)
     with store.writing() as session:
-        earlier = replayed(session, idempotency)
+        earlier = claim(session, idempotency, model.id)
         if earlier is None:
             session.add(model)
-            remember(session, idempotency, model.id)
     if earlier is not None:
         discard(store, model.weights_key)
         return get(store, Model, earlier)
@@ -93,12 +93,15 @@ def delete(store: Store, model_id: str) -> None:
     NotFoundError
         If there is no such model.
     ConflictError
-        If a lift with it is queued or running.
+        If a lift with it, or a fit that starts from it, is queued or running.
     """
     with store.writing() as session:
-        jobs.refuse_if_used(session, "Model", model_id, LiftJob, LiftJob.model_id == model_id)
-        model = lock(session, Model, model_id)
+        # Its fit before the model itself: as all do.
         session.execute(update(FitJob).where(FitJob.model_id == model_id).values(model_id=None))
+        model = lock(session, Model, model_id)
+        refuse = partial(jobs.refuse_if_used, session, "Model", model_id)
+        refuse(LiftJob, LiftJob.model_id == model_id)
+        refuse(FitJob, FitJob.from_model == model_id)
         condemned = condemn(session, [model.weights_key])
         session.delete(model)
     discard(store, *condemned)

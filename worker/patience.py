@@ -7,14 +7,14 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from obstore.exceptions import BaseError as ObjectStoreError
-from sqlalchemy.exc import InterfaceError, OperationalError
+from sqlalchemy.exc import InterfaceError, OperationalError, TimeoutError
 
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 OUTAGE_SECONDS = 900.0
 LONGEST_PAUSE_SECONDS = 5.0
-OUTAGES = (OperationalError, InterfaceError, ObjectStoreError, OSError)
+OUTAGES = (OperationalError, InterfaceError, TimeoutError, ObjectStoreError, OSError)
 
 
 def is_outage(error: BaseException) -> bool:

@@ -22,7 +22,7 @@ from models.settings.config import FitConfig, Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
 from store.database import Store
-from store.labels import Metadata, Tags
+from store.labels import Metadata, Tags, Text
 from store.lifts import waiting_job
 from store.mistakes import unknown
 from store.records import FitJob, LiftJob
@@ -223,10 +223,10 @@ def offer(connection: Redis, store: Store, record: FitJob | LiftJob) -> None:
 class FitArguments(BaseModel):
     """What :data:`FIT_JOB` may be told, in this order."""
 
-    dataset_id: str
+    dataset_id: Text
     config: FitConfig | None = None
-    name: str | None = None
-    from_model: str | None = None
+    name: Text | None = None
+    from_model: Text | None = None
     tags: Tags = []
     metadata: Metadata = {}
 
@@ -234,9 +234,9 @@ class FitArguments(BaseModel):
 class LiftArguments(BaseModel):
     """What :data:`LIFT_JOB` may be told, in this order."""
 
-    model_id: str
-    dataset_id: str
-    name: str | None = None
+    model_id: Text
+    dataset_id: Text
+    name: Text | None = None
     refine: Refine | None = None
     views: list[Index] | None = Field(None, max_length=MAX_VIEWS)
     frame: FrameOfReference = "canonical"

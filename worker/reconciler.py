@@ -13,7 +13,7 @@ from models.settings.config import FitConfig
 from store import clock, fits, jobs, lifts
 from store.database import Store
 from store.errors import InputError, NotFoundError
-from store.labels import Labels
+from store.labels import Labels, storable
 from store.mistakes import mistakes, summary
 from store.records import FitJob, LiftJob
 from worker.needs import queue_for
@@ -146,14 +146,14 @@ def _refuse(store: Store, job: KnownJob, arguments: dict[str, object], error: Ex
     """Record a fit or a lift that failed before it began, with what its job said."""
 
     def said(name: str, otherwise: str = "") -> str:
-        return str(arguments.get(name) or otherwise)[:200]
+        return storable(str(arguments.get(name) or otherwise))[:200]
 
     code = f"{error.kind}_not_found" if isinstance(error, NotFoundError) else "invalid_arguments"
     refusal = partial(
         jobs.refuse,
         store,
         job_id=job.id,
-        error={"code": code, "message": _in_words(error)},
+        error={"code": code, "message": storable(_in_words(error))},
         dataset_id=said("dataset_id"),
     )
     if calls(job, LIFT_JOB):

@@ -19,6 +19,7 @@ from store.mistakes import MOST, Mistake, pointer, unknown
 
 # Of a parameter that a route declares by this name, the dot and a key of the user's own follow.
 FREE_QUERY = "metadata"
+NUL = "expected text without the character NUL (%00)"
 
 
 async def get_settings(request: Request) -> Settings:
@@ -64,13 +65,20 @@ def refuse_if_leaving(connection: HTTPConnection) -> None:
 async def refuse_unknown_query(connection: HTTPConnection) -> None:
     """Refuse query parameters that the route does not know, before anything else is done.
 
+    And the character NUL, which no text of the records has and PostgreSQL cannot be asked for.
+
     Raises
     ------
     ApiError
-        422 that names them.
+        422 that names them; 404 for an identifier with NUL.
     """
+    if "\0" in connection.scope["path"]:
+        raise ApiError("not_found", "No identifier has the character NUL (%00).")
     if not connection.scope["query_string"]:
         return
+    said = connection.query_params.multi_items()
+    if nul := [name for name, value in said if "\0" in name + value]:
+        raise of_mistakes([Mistake(pointer(name), NUL) for name in nul[:MOST]])
     route = connection.scope["route"]
     known = [
         field.alias

@@ -10,7 +10,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from obstore.exceptions import BaseError as ObjectStoreError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import InterfaceError, OperationalError, TimeoutError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
@@ -282,6 +282,8 @@ TRANSLATIONS: dict[type[Exception], Callable[[Any], ApiError]] = {
     QueueFullError: _of_full_queue,
     HTTPException: _of_http,
     OperationalError: _of_outage("records"),
+    InterfaceError: _of_outage("records"),  # a connection that was lost
+    TimeoutError: _of_outage("records"),  # all connections are in use
     ObjectStoreError: _of_outage("objects"),
     redis.exceptions.RedisError: _of_outage("queue"),
     Exception: of_bug,

@@ -31,6 +31,7 @@ from service.wire.representations import Format, FormatQuery, arrays_response
 from service.wire.rooms import FRAME_OF_REFERENCE, UP, FrameQuery, UpQuery, is_room, read_up
 from service.wire.schemas import CONFIDENCE, KEYPOINTS, LIFTED_FRAME, REFINE, VIEWS, LiftedFrame
 from store.capture import Capture
+from store.labels import Text
 from worker.rooms import Room
 
 TINY_BYTES = 32 * 1024  # worked on in less time than it takes to switch threads, or not much more
@@ -60,7 +61,7 @@ class LiftRequest(BaseModel):
         },
     )
 
-    model: str = Field(max_length=200, description="The model's identifier.")
+    model: Text = Field(max_length=200, description="The model's identifier.")
     frames: KEYPOINTS
     confidence: CONFIDENCE = None
     refine: Refine | None = Field(None, description=REFINE)

@@ -18,14 +18,14 @@ from service.wire.skeletons import Skeleton
 from store.capture import Capture
 from store.capture_files import UNKNOWN_SIZE
 from store.datasets import Description
-from store.labels import Labels
+from store.labels import Labels, Text
 
 CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d", "times"})
 DESCRIPTION_ARRAYS = frozenset({"keypoint_names", "edges", "image_sizes", "fps", "view_names"})
 OF_DETECTORS = {"people", "annotations", "instance_info", "landmarks"}  # fields of their JSON
 MAX_LISTED = 10_000  # values of an array that describes
 
-ViewName = Annotated[str, Field(min_length=1, max_length=200)]
+ViewName = Annotated[Text, Field(min_length=1, max_length=200)]
 ImageSize = Annotated[
     list[Annotated[int, Field(ge=1, le=100_000)]], Field(min_length=2, max_length=2)
 ]

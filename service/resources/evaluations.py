@@ -38,6 +38,7 @@ from service.wire.schemas import POINTS3D
 from store import datasets, lookup, records
 from store.capture import Capture
 from store.database import Store
+from store.labels import Text
 
 router = APIRouter(tags=["evaluations"])
 
@@ -52,11 +53,11 @@ class EvaluationCreate(BaseModel):
         json_schema_extra={"example": {"fit_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c"}},
     )
 
-    fit_id: str | None = Field(
+    fit_id: Text | None = Field(
         None, max_length=200, description="A fit whose reconstruction is measured."
     )
     points: POINTS3D = None
-    dataset_id: str | None = Field(
+    dataset_id: Text | None = Field(
         None,
         max_length=200,
         description="A dataset with a ground truth; without it that of the fit.",

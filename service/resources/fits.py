@@ -34,7 +34,7 @@ from service.wire.findings import Findings
 from service.wire.schemas import Name
 from store import fits, records
 from store.database import Store
-from store.labels import Labels, labels_of
+from store.labels import Labels, Text, labels_of
 from worker.queue import open_queues
 
 router = APIRouter(prefix="/fits", tags=["fits"])
@@ -61,9 +61,9 @@ class FitCreate(Labels):
         },
     )
 
-    dataset_id: str = Field(max_length=200)
+    dataset_id: Text = Field(max_length=200)
     name: Name = "fit"
-    from_model: str | None = Field(
+    from_model: Text | None = Field(
         None,
         max_length=200,
         description="A model of the same keypoints to start from, of the same subject or species, "

@@ -42,7 +42,7 @@ from service.wire.schemas import REFINE, VIEWS, Name
 from store import lifts, lookup, records
 from store.database import Store
 from store.errors import ConflictError
-from store.labels import Labels, labels_of
+from store.labels import Labels, Text, labels_of
 from store.lift_files import ResultFormat, result_file
 
 router = APIRouter(prefix="/lifts", tags=["lifts"])
@@ -72,8 +72,8 @@ class LiftCreate(Labels):
         },
     )
 
-    model_id: str = Field(max_length=200)
-    dataset_id: str = Field(max_length=200, description="It has the keypoints of the model.")
+    model_id: Text = Field(max_length=200)
+    dataset_id: Text = Field(max_length=200, description="It has the keypoints of the model.")
     name: Name = "lift"
     refine: Refine | None = Field(None, description=REFINE)
     views: list[Index] | None = Field(None, max_length=MAX_VIEWS, description=VIEWS)

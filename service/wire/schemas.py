@@ -9,6 +9,7 @@ from typing_extensions import TypeAliasType
 from models.findings.catalogue import LiftCode
 from models.lifting.frames_json import frames_to_json
 from service.wire.arrays import Arrays
+from store.labels import Text
 
 _NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
 
@@ -65,7 +66,7 @@ FRAME_CONFIDENCE = Annotated[Any, WithJsonSchema(FRAME_CONFIDENCE_SCHEMA)]
 POINTS3D = Annotated[Any, WithJsonSchema(POINTS3D_SCHEMA)]
 TIMES = Annotated[Any, WithJsonSchema(TIMES_SCHEMA)]
 
-Name = Annotated[str, Field(min_length=1, max_length=200)]
+Name = Annotated[Text, Field(min_length=1, max_length=200)]
 
 REFINE = (
     "Perspective refinement: `auto` where the residuals say that it helps, `full` wherever it can "

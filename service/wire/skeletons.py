@@ -5,8 +5,9 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.http.errors import invalid
+from store.labels import Text
 
-KeypointName = Annotated[str, Field(min_length=1, max_length=100)]
+KeypointName = Annotated[Text, Field(min_length=1, max_length=100)]
 Edge = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
 
 

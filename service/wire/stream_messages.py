@@ -28,6 +28,7 @@ from service.wire.schemas import (
     VIEWS,
     LiftedFrame,
 )
+from store.labels import Text
 
 FRAME, ANSWER = 1, 2  # kinds
 WITH_CONFIDENCE = 1  # flag of a frame
@@ -69,7 +70,7 @@ class StreamStart(BaseModel):
         },
     )
 
-    model: str = Field(max_length=200, description="The model's identifier.")
+    model: Text = Field(max_length=200, description="The model's identifier.")
     views: list[Index] | None = Field(None, min_length=1, description=VIEWS)
     refine: Refine | None = Field(None, description=REFINE)
     on_overload: Overload = Field(

@@ -30,6 +30,7 @@ from models.settings.config import FitConfig
 from models.training.trainer import fit
 from service.app import create_app, make_server
 from service.settings import Settings
+from tests.deployments import deployed
 from tests.processes import free_port
 from tests.sharing import fitted_once
 from worker.process import python, tied
@@ -130,10 +131,19 @@ def valkey() -> Iterator[ValkeyServer]:
 
 
 @pytest.fixture(scope="session")
-def settings(valkey: ValkeyServer, tmp_path_factory: pytest.TempPathFactory) -> Settings:
+def deployment(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[dict[str, Any]]:
+    """Give the settings of where records and objects are: `on_every_deployment` asks for each."""
+    with deployed(request, tmp_path_factory.mktemp("api")) as settings:
+        yield settings
+
+
+@pytest.fixture(scope="session")
+def settings(valkey: ValkeyServer, deployment: dict[str, Any]) -> Settings:
     """Limits that a test can reach."""
     return Settings(
-        data_dir=tmp_path_factory.mktemp("api"),
+        **deployment,
         redis_url=RedisDsn(f"{valkey.connection_url}/0"),
         allowed_hosts="testserver",
         max_body_bytes=4 * MIB,

@@ -8,6 +8,7 @@ import orjson
 import pytest
 from starlette.testclient import TestClient
 
+from tests.deployments import on_every_deployment
 from tests.service.conftest import (
     BYTES,
     JSON,
@@ -135,6 +136,12 @@ def test_a_dataset_of_nothing(api: TestClient) -> None:
         ({"name": ""}, "/name"),
         ({"name": "n" * 201}, "/name"),
         ({"name": 5}, "/name"),
+        ({"name": "a\0"}, "/name"),
+        ({"tags": ["a\0"]}, "/tags/0"),
+        ({"metadata": {"deep": [{"a\0": 1}]}}, "/metadata"),
+        ({"metadata": {"deep": [{"a": "\0"}]}}, "/metadata"),
+        ({"view_names": ["a", "b\0"]}, "/view_names/1"),
+        ({"skeleton": {"keypoint_names": ["a", "b", "c", "\0"]}}, "/skeleton/keypoint_names/3"),
         ({"colour~of/x": 1}, "/colour~0of~1x"),
     ],
 )
@@ -232,6 +239,7 @@ def test_malformed_forms(
         problem(response, 422, "invalid_input", pointer)
 
 
+@on_every_deployment
 @pytest.mark.parametrize("identifier", ["x", "ds_00000000000000000000000000", "%00", "..", "%ff"])
 def test_unknown_identifiers(api: TestClient, identifier: str) -> None:
     for method, url in (
@@ -267,6 +275,19 @@ def test_too_long_identifiers(api: TestClient) -> None:
     problem(api.get(f"/datasets/{'x' * 201}"), 422, "invalid_input", "/dataset_id")
     body = {"dataset_id": "x" * 201}
     problem(api.post("/fits", json=body), 422, "invalid_input", "/dataset_id")
+
+
+def test_identifiers_with_nul(api: TestClient, model: str) -> None:
+    fit, lift = {"dataset_id": "ds_\0"}, {"dataset_id": "ds_", "model_id": "mdl_\0"}
+    problem(api.post("/fits", json=fit), 422, "invalid_input", "/dataset_id")
+    problem(
+        api.post("/fits", json=lift | {"from_model": "\0"}), 422, "invalid_input", "/from_model"
+    )
+    problem(api.post("/lifts", json=lift), 422, "invalid_input", "/model_id")
+    realtime = {"model": f"{model}\0", "frames": FRAME}
+    problem(api.post("/lift", json=realtime), 422, "invalid_input", "/model")
+    query = {"params": {"model": f"{model}\0"}, "content": b"", "headers": BYTES}
+    problem(api.post("/lift", **query), 422, "invalid_input", "/model")
 
 
 @pytest.mark.parametrize("kind", ["datasets", "fits", "models"])

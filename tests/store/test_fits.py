@@ -105,12 +105,15 @@ def test_a_fit_may_start_from_a_model_of_the_same_keypoints(store: Store, fit: F
     assert made.from_model == good
     assert made.config["dictionary_sizes"] == [16, 8]
     assert (made.config["steps"], made.config["seed"]) == (WARM_STEPS, 2)
-    assert start(good, {"steps": 9}).config["steps"] == 9
+    other = start(good, {"steps": 9})
+    assert other.config["steps"] == 9
     with pytest.raises(SourceError, match="expected 5 as in the dataset, got 6") as refused:
         start(_model(store, keypoints=6), {})
     assert refused.value.field == "from_model"
     with pytest.raises(ConfigError, match=r"expected \[16, 8\], got \[16, 4\]"):
         start(good, {"dictionary_sizes": [16, 4]})
+    for waiting in (made, other):
+        fits.cancel(store, waiting.id)
     models.delete(store, good)
     with pytest.raises(NotFoundError, match=good):
         start(good, {})

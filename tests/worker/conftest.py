@@ -24,6 +24,7 @@ from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
 from store.records import FitJob
+from tests.deployments import deployed
 from tests.processes import free_port, tied
 from tests.sharing import fitted_once
 from worker.settings import WorkerSettings
@@ -48,11 +49,18 @@ def valkey() -> Iterator[ValkeyServer]:
 
 
 @pytest.fixture
+def deployment(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, Any]]:
+    """Give the settings of where records and objects are: `on_every_deployment` asks for each."""
+    with deployed(request, tmp_path) as settings:
+        yield settings
+
+
+@pytest.fixture
 def settings(
-    valkey: ValkeyServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    valkey: ValkeyServer, deployment: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[WorkerSettings]:
     url = f"{valkey.connection_url}/0"
-    settings = WorkerSettings(data_dir=tmp_path, redis_url=RedisDsn(url), checkpoint_seconds=0.1)
+    settings = WorkerSettings(**deployment, redis_url=RedisDsn(url), checkpoint_seconds=0.1)
     yield settings
     with Redis.from_url(url) as client:
         client.flushall()

@@ -21,6 +21,7 @@ from store.capture import Capture
 from store.database import Store
 from store.jobs import by_job
 from store.records import FitJob, Model
+from tests.deployments import on_every_deployment
 from tests.processes import free_port, tied
 from tests.worker.conftest import (
     CONFIG,
@@ -77,6 +78,7 @@ def assert_as_if_nothing_had_happened(store: Store, fit: FitJob, undisturbed: by
     assert kinds == {"chunk", "weights", "reconstruction"}
 
 
+@on_every_deployment
 def test_the_worker_is_killed(
     store: Store, queued: FitJob, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
@@ -284,6 +286,7 @@ def test_cancel_stops_a_running_fit_and_its_process(
     assert lookup.get(store, FitJob, fit.id).checkpoint_key is None
 
 
+@on_every_deployment
 def test_cancel_stops_a_fit_that_does_not_listen(
     store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
 ) -> None:

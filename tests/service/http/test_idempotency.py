@@ -8,7 +8,11 @@ import pytest
 from starlette.testclient import TestClient
 
 from service.settings import Settings
+from store.objects import Objects
+from tests.deployments import on_every_deployment
 from tests.service.conftest import BYTES, make_dataset, problem, to_npz
+
+pytestmark = on_every_deployment
 
 FRAMES = np.random.default_rng(0).uniform(0, 900, (3, 2, 16, 2)).astype(np.float32)
 
@@ -18,7 +22,7 @@ def keyed(key: str) -> dict[str, str]:
 
 
 def objects(settings: Settings) -> int:
-    return sum(path.is_file() for path in (settings.data_dir / "objects").rglob("*"))
+    return len(list(Objects(settings.resolved_store_url).list()))
 
 
 def test_datasets(api: TestClient, settings: Settings) -> None:

@@ -6,7 +6,10 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from tests.deployments import on_every_deployment
 from tests.service.conftest import BYTES, JSON, make_dataset, problem
+
+pytestmark = on_every_deployment
 
 
 @pytest.fixture

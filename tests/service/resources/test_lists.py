@@ -7,7 +7,10 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from tests.deployments import on_every_deployment
 from tests.service.conftest import BYTES, make_dataset, problem
+
+pytestmark = on_every_deployment
 
 KINDS = ("datasets", "fits", "models", "lifts")
 
@@ -92,8 +95,14 @@ def test_tags_and_metadata_filter(
     api: TestClient, make: Callable[[str, str], dict[str, Any]], kind: str
 ) -> None:
     labels: list[dict[str, Any]] = [
-        {"tags": ["a", "b c"], "metadata": {"subject": "M7", "day": 2, "ok": True, "x.y": "ä"}},
-        {"tags": ["a"], "metadata": {"subject": "M7", "day": "2", "ok": 1, "deep": {"day": 2}}},
+        {
+            "tags": ["a", "b c"],
+            "metadata": {"subject": "M7", "day": 2, "ok": True, "x.y": "ä", "big": 1e20},
+        },
+        {
+            "tags": ["a"],
+            "metadata": {"subject": "M7", "day": "2", "ok": 1, "deep": {"day": 2}, "big": 1e20},
+        },
         {"tags": ["A", 'a"b'], "metadata": {"subject": "m7", "day": 2.5, "ok": False}},
         {},
     ]
@@ -110,6 +119,12 @@ def test_tags_and_metadata_filter(
         ({"metadata.subject": "M7"}, [second, first]),
         ({"metadata.day": "2"}, [second, first]),
         ({"metadata.day": "2.5"}, [third]),
+        ({"metadata.day": "25e-1"}, [third]),
+        ({"metadata.big": "1e20"}, [second, first]),
+        ({"metadata.big": "100000000000000000000"}, [second, first]),
+        ({"metadata.big": "1e999"}, []),
+        ({"metadata.day": "99999999999999999999"}, []),
+        ({"metadata.day": "18446744073709551615"}, []),
         ({"metadata.ok": "true"}, [first]),
         ({"metadata.ok": "false"}, [third]),
         ({"metadata.ok": "1"}, [second]),
@@ -131,6 +146,10 @@ def test_filters_are_bounded(api: TestClient) -> None:
         ({"metadata.a": "1" * 1001}, "/metadata.a"),
         ({"metadata": "a"}, "/metadata"),
         ({"meta.a": "1"}, "/meta.a"),
+        ({"name": "a\0"}, "/name"),
+        ({"tag": "a\0"}, "/tag"),
+        ({"metadata.a": "\0"}, "/metadata.a"),
+        ({"metadata.a\0": "1"}, "/metadata.a\0"),
     ):
         problem(api.get("/datasets", params=query), 422, "invalid_input", pointer)
     made = make_dataset(api, frames=1)["id"]
