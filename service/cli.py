@@ -102,7 +102,7 @@ def keep(command: str) -> Callable[[list[str]], None]:
     return run_command
 
 
-KEEPING = ("backup", "restore", "prune", "doctor")
+KEEPING = ("backup", "restore", "migrate", "prune", "doctor")
 COMMANDS = {"serve": serve, "worker": work, "precompile": precompile} | {
     command: keep(command) for command in KEEPING
 }

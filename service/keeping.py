@@ -1,4 +1,4 @@
-"""``fewview backup``, ``restore``, ``prune`` and ``doctor``: for who keeps a deployment."""
+"""The commands of who keeps a deployment: backup, restore, migrate, prune and doctor."""
 
 import os
 import sys
@@ -15,12 +15,13 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.doctor import examine, in_words, open_store
 from service.settings import Settings
 from store import backup as backups
-from store import housekeeping, retention
+from store import housekeeping, retention, schema
 from store.backup import Outcome
 from store.database import Store
+from store.engine import open_engine
 from store.errors import StoreError
 from store.private import keep_private
-from store.settings import StoreSettings
+from store.settings import StoreSettings, shown
 from worker.settings import WorkerSettings
 
 MEBIBYTE = 1024 * 1024
@@ -74,6 +75,21 @@ class Doctor(Settings):
     deep: CliImplicitFlag[bool] = Field(False, description="Read every stored object.")
 
 
+class Migrate(StoreSettings):
+    """Bring the tables of the records to this version, or make them in an empty database.
+
+    Before it, stop what uses the records and make a backup. Records in the data folder need no such
+    command: they are migrated when they are opened.
+    """
+
+    model_config = SettingsConfigDict(cli_prog_name="fewview migrate", cli_kebab_case=True)
+
+    check: CliImplicitFlag[bool] = Field(
+        False,
+        description="Change nothing; status 1 if the records are of another version.",
+    )
+
+
 def backup(arguments: list[str]) -> None:
     """Run ``fewview backup``: status 0, 1 if it is not whole, 2 if it cannot be made."""
     settings = CliApp.run(Backup, cli_args=arguments)
@@ -109,6 +125,27 @@ def prune(arguments: list[str]) -> None:
         f"{len(gone)} fits and lifts {would}deleted. Objects that no record names: "
         f"{swept.deleted} {would}deleted, {swept.condemned} {would}noted, to go in a day."
     )
+
+
+def migrate(arguments: list[str]) -> None:
+    """Run ``fewview migrate``: status 0, 1 if a check finds another version, 2 if it cannot be."""
+    settings = CliApp.run(Migrate, cli_args=arguments)
+    with _ending("migrate"):
+        engine = open_engine(settings.resolved_database_url, forks=False)
+        found = schema.look(engine) if settings.check else schema.migrate(engine)
+        engine.dispose()
+    where, to = shown(settings.resolved_database_url), schema.REVISIONS[-1]
+    was = f"tables {found.revision}" if found.revision else "tables without a number"
+    match found.state:
+        case "current":
+            print(f"The records in {where} are of this version (tables {to}).")
+        case "empty":
+            print(f"{where} is empty." if settings.check else f"Made tables {to} in {where}.")
+        case _ if settings.check:
+            print(f"The records in {where} are of another version: {was}, this one's are {to}.")
+        case _:
+            print(f"Migrated the records in {where} from {was} to {to}.")
+    sys.exit(int(settings.check and found.state != "current"))
 
 
 def doctor(arguments: list[str]) -> None:

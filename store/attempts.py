@@ -50,7 +50,7 @@ def claim(store: Store, fit_id: str, *, lease_seconds: float) -> Attempt | None:
                 status="running",
                 attempt=FitJob.attempt + 1,
                 revision=FitJob.revision + 1,
-                lease_expires_at=now + lease_seconds,
+                lease_expires_at=clock.now() + lease_seconds,  # once the record is locked
                 started_at=func.coalesce(FitJob.started_at, now),  # of the first attempt
             )
             .returning(FitJob.attempt)

@@ -3,17 +3,12 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from sqlalchemy import Connection, Engine, inspect, select, text
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy import text
 from sqlalchemy.orm import Session
-from sqlalchemy.schema import CreateColumn
 
-from store import deployment
+from store import deployment, schema
 from store.engine import open_engine
-from store.errors import StoreError
-from store.locks import alone
 from store.objects import Objects
-from store.records import Record
 from store.settings import StoreSettings
 
 
@@ -21,10 +16,11 @@ class Store:
     """Records and objects of one deployment. Safe to share between threads, never across a fork."""
 
     def __init__(self, settings: StoreSettings, *, forks: bool = False) -> None:
-        """Open records and objects, making folders, tables and nullable columns that are missing.
+        """Open records and objects, making folders and tables that are missing.
 
-        Raises ``StoreError`` for records of another version of Fewview that differ in more, and
-        ``DeploymentError`` for records and objects that do not belong together.
+        Raises ``StoreError`` for records of another version of Fewview, save that older ones in the
+        data folder are migrated, and ``DeploymentError`` for records and objects that do not belong
+        together.
 
         Parameters
         ----------
@@ -34,7 +30,7 @@ class Store:
         """
         self.engine = open_engine(settings.resolved_database_url, forks=forks)
         try:
-            _prepare(self.engine)
+            schema.prepare(self.engine, embedded=settings.database_url is None)
             self.objects = Objects(settings.resolved_store_url)
             if not forks:
                 self.identity = deployment.agree(self.reading, self.writing, self.objects)
@@ -68,35 +64,3 @@ class Store:
     def close(self) -> None:
         """Close the connections to the records."""
         self.engine.dispose()
-
-
-def _prepare(engine: Engine) -> None:
-    with engine.execution_options(writing=True).begin() as connection:
-        alone(connection, "the tables")
-        Record.metadata.create_all(connection)
-        _add_missing_columns(connection)
-    with engine.connect() as connection:
-        for table in Record.metadata.sorted_tables:
-            try:
-                connection.execute(select(table).limit(0))
-            except DBAPIError as error:
-                raise StoreError(
-                    f"The records in {engine.url} were written by another version of Fewview: its "
-                    f"table {table.name!r} differs. Use that version, or another data folder."
-                ) from error
-
-
-def _add_missing_columns(connection: Connection) -> None:
-    """Add the nullable columns that tables of an older version lack; their rows hold null there.
-
-    The connection must hold the write lock, so that of several processes that open an old folder
-    at once only the first adds them.
-    """
-    found = inspect(connection)
-    quote = connection.dialect.identifier_preparer.quote
-    for table in Record.metadata.sorted_tables:
-        there = {column["name"] for column in found.get_columns(table.name)}
-        for column in table.columns:
-            if column.nullable and column.name not in there:
-                definition = CreateColumn(column).compile(dialect=connection.dialect)
-                connection.execute(text(f"ALTER TABLE {quote(table.name)} ADD COLUMN {definition}"))

@@ -22,7 +22,7 @@ class Record(DeclarativeBase):
 class Labelled:
     """Columns of what people say of anything stored; older records hold null."""
 
-    name: Mapped[str]
+    name: Mapped[str] = mapped_column(index=True)
     tags: Mapped[list[Any] | None]
     user_metadata: Mapped[dict[str, Any] | None]
 
@@ -97,7 +97,7 @@ class FitJob(Job, Record):
     __table_args__ = (Index("fits_by_status", "status"),)
 
     config: Mapped[dict[str, Any]]
-    from_model: Mapped[str | None]  # whose weights it starts with
+    from_model: Mapped[str | None] = mapped_column(index=True)  # whose weights it starts with
     progress: Mapped[dict[str, Any] | None]
     cancel_requested_at: Mapped[float | None]
     attempt: Mapped[int] = mapped_column(default=0)
@@ -106,7 +106,7 @@ class FitJob(Job, Record):
     lease_expires_at: Mapped[float | None]
     checkpoint_key: Mapped[str | None]
     reconstruction_key: Mapped[str | None]
-    model_id: Mapped[str | None]
+    model_id: Mapped[str | None] = mapped_column(index=True)
 
 
 class LiftJob(Job, Record):
@@ -161,8 +161,8 @@ class Model(Labelled, Record):
 
     id: Mapped[str] = mapped_column(primary_key=True)
     created_at: Mapped[float]
-    fit_id: Mapped[str | None]
-    dataset_id: Mapped[str | None]
+    fit_id: Mapped[str | None] = mapped_column(index=True)
+    dataset_id: Mapped[str | None] = mapped_column(index=True)
     views: Mapped[int | None]
     keypoints: Mapped[int]
     frames: Mapped[int | None] = mapped_column(BigInteger)

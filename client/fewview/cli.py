@@ -71,6 +71,12 @@ def restore(context: typer.Context) -> None:
 
 
 @app.command(context_settings=ELSEWHERE)
+def migrate(context: typer.Context) -> None:
+    """Bring the tables of the records to this version."""
+    _run_of_server("migrate", context.args)
+
+
+@app.command(context_settings=ELSEWHERE)
 def prune(context: typer.Context) -> None:
     """Delete fits and lifts that ended long ago, and what crashes left."""
     _run_of_server("prune", context.args)

@@ -31,7 +31,7 @@ from models.training.trainer import fit
 from service.app import create_app, make_server
 from service.settings import Settings
 from tests.deployments import deployed
-from tests.processes import free_port
+from tests.processes import descendants, free_port, processes
 from tests.sharing import fitted_once
 from worker.process import python, tied
 
@@ -134,7 +134,6 @@ def valkey() -> Iterator[ValkeyServer]:
 def deployment(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[dict[str, Any]]:
-    """Give the settings of where records and objects are: `on_every_deployment` asks for each."""
     with deployed(request, tmp_path_factory.mktemp("api")) as settings:
         yield settings
 
@@ -323,27 +322,6 @@ def assert_can_be_resumed(live: Live, url: str) -> None:
     for header in ("bytes=0-1,4-5", "bytes=-", "bytes=a-b", "items=0-1", "bytes=\xb2-", "0-9"):
         ignored = get(url, headers={b"Range": header.encode("latin-1")})
         assert (ignored.status_code, ignored.content) == (200, whole.content)
-
-
-def processes() -> dict[int, int]:
-    """Return the parent of every process that lives; zombies do not."""
-    found = {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, parent = stat.read_text().rpartition(")")[2].split()[:2]
-        except OSError:
-            continue
-        if state != "Z":
-            found[int(stat.parent.name)] = int(parent)
-    return found
-
-
-def descendants(pid: int) -> set[int]:
-    parents = processes()
-    found = {pid}
-    while more := {child for child, parent in parents.items() if parent in found} - found:
-        found |= more
-    return found - {pid}
 
 
 def start_service(

@@ -16,11 +16,11 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
+from tests.processes import descendants
 from tests.service.conftest import (
     BYTES,
     JSON,
     Live,
-    descendants,
     frames_of,
     job_events,
     kill_service,

@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 
 from models.capture.synthetic import synthetic_capture
+from tests.processes import descendants, processes
 from tests.service.conftest import (
     BYTES,
     Live,
-    descendants,
     kill_service,
-    processes,
     start_service,
     to_npz,
     wait_for,

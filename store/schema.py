@@ -1,0 +1,122 @@
+"""Which version the tables are of, and bringing them to that of this code.
+
+The steps are in ``store/migrations``, run by Alembic, each noted in the table ``alembic_version``.
+Tables without a note are of a version before there were migrations: the first step knows them.
+"""
+
+import logging
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from sqlalchemy import Connection, Engine, inspect, select, text
+from sqlalchemy.exc import DBAPIError
+
+from store.errors import StoreError
+from store.locks import alone
+from store.records import Record
+from store.settings import shown
+
+logger = logging.getLogger(__name__)
+
+REVISIONS = ("0001", "0002")  # the oldest first
+MIGRATIONS = Path(__file__).parent / "migrations"
+
+State = Literal["empty", "older", "current", "newer"]
+
+
+class Version(NamedTuple):
+    """What the tables of some records are like to this code, and their revision if they tell."""
+
+    state: State
+    revision: str | None
+
+
+def version(connection: Connection) -> Version:
+    """Tell which version the tables are of."""
+    found = inspect(connection)
+    revision = None
+    if found.has_table("alembic_version"):
+        revision = connection.scalar(text("SELECT version_num FROM alembic_version"))
+    if revision is None:
+        some = any(found.has_table(table.name) for table in Record.metadata.sorted_tables)
+        return Version("older" if some else "empty", None)
+    if revision not in REVISIONS:
+        return Version("newer", revision)
+    return Version("current" if revision == REVISIONS[-1] else "older", revision)
+
+
+def look(engine: Engine) -> Version:
+    """Tell the same of the records of an engine."""
+    with engine.connect() as connection:
+        return version(connection)
+
+
+def prepare(engine: Engine, *, embedded: bool) -> None:
+    """Have the tables be those of this code.
+
+    Where there are none they are made. Those of an older version are migrated if the records are
+    ours alone, in the data folder.
+
+    Raises
+    ------
+    StoreError
+        If they are of a newer version, or of an older one in a database of the user's own, who may
+        want to choose the hour, and to stop others of the older version first.
+    """
+    found = look(engine)
+    if found.state == "older" and not embedded:
+        raise StoreError(
+            f"The records in {shown(engine.url)} are of an older version of Fewview: stop what "
+            "uses them, make a backup, and run `fewview migrate`."
+        )
+    if found.state != "current":
+        migrate(engine)
+
+
+def migrate(engine: Engine) -> Version:
+    """Bring the tables to the version of this code; return which they were of.
+
+    All of it happens or nothing. Of several processes the first does it and the others wait.
+
+    Raises
+    ------
+    StoreError
+        If the tables are of a newer version, or differ from all that were ever written.
+    """
+    with engine.execution_options(writing=True).begin() as connection:
+        alone(connection, "the tables")
+        found = version(connection)
+        if found.state == "newer":
+            raise StoreError(
+                f"The records in {shown(engine.url)} are of a newer version of Fewview (tables "
+                f"{found.revision}, this one knows {REVISIONS[-1]}): use that version."
+            )
+        if found.state != "current":
+            _upgrade(connection)
+            _check(connection)
+    return found
+
+
+def _upgrade(connection: Connection) -> None:
+    from alembic import command  # noqa: PLC0415 (takes long to import, and is hardly ever needed)
+    from alembic.config import Config  # noqa: PLC0415
+
+    logging.getLogger("alembic").setLevel(logging.WARNING)
+    if connection.dialect.name == "postgresql":
+        connection.execute(text("SET LOCAL statement_timeout = 0"))  # there may be many records
+    config = Config(attributes={"connection": connection})
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+    command.upgrade(config, "head")
+
+
+def _check(connection: Connection) -> None:
+    """Raise ``StoreError`` unless all tables can be read as they shall be."""
+    for table in Record.metadata.sorted_tables:
+        try:
+            connection.execute(select(table).limit(0))
+        except DBAPIError as error:
+            raise StoreError(
+                f"The records in {shown(connection.engine.url)} were written by another version "
+                f"of Fewview: its table {table.name!r} differs. Use that version, or another data "
+                "folder."
+            ) from error
