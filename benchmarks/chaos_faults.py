@@ -97,7 +97,7 @@ def disk_full(deployment: Deployment, _random: Random, seconds: float) -> None:
 def clock_off(deployment: Deployment, random: Random, _seconds: float) -> None:
     """Have a worker killed and started again with a clock that is an hour off."""
     workers = deployment.workers()
-    with deployment.clock_off(random.choice((-HOUR, HOUR))):
+    with deployment.clocks.off(random.choice((-HOUR, HOUR))):
         if workers:
             send(signal.SIGKILL, random.choice(workers))
         time.sleep(RESTART_SECONDS)
