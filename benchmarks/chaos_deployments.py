@@ -23,7 +23,7 @@ from store.settings import StoreSettings
 from worker.process import python
 
 START_SECONDS = 120.0
-WORKERS = 3
+APIS, WORKERS = 2, 3
 SETTINGS = {
     "FEWVIEW_LEASE_SECONDS": "4",
     "FEWVIEW_CHECKPOINT_SECONDS": "0.2",
@@ -142,7 +142,7 @@ class Deployment(ABC):
 
 
 class Embedded(Deployment):
-    """`fewview serve` on a folder: SQLite, files, its own Valkey and three workers."""
+    """`fewview serve` on a folder: SQLite, files, its own Valkey, two APIs, three workers."""
 
     kind = "embedded"
 
@@ -152,7 +152,7 @@ class Embedded(Deployment):
         self.environment["FEWVIEW_DATA_DIR"] = str(self._data)
         port = free_port()
         self.addresses = [f"http://127.0.0.1:{port}"]
-        options = (f"--port={port}", f"--workers={WORKERS}")
+        options = (f"--port={port}", f"--api-processes={APIS}", f"--workers={WORKERS}")
         self._part("serve", *python("-m", "service.cli", "serve", *options))
 
     def redis_url(self) -> str:
@@ -238,10 +238,12 @@ class Servers(Deployment):
             part.start()
             part.watch()
         _make_bucket(s3, "lab")
-        for number in (1, 2):
+        for number in range(1, APIS + 1):
             port = free_port()
             self.addresses.append(f"http://127.0.0.1:{port}")
-            serve = python("-m", "service.cli", "serve", f"--port={port}", "--workers=0")
+            serve = python(
+                "-m", "service.cli", "serve", f"--port={port}", "--api-processes=1", "--workers=0"
+            )
             self._part(f"serve {number}", *serve, FEWVIEW_DATA_DIR=str(folder / f"data{number}"))
         for number in range(1, WORKERS + 1):
             self._part(f"worker {number}", *python("-m", "service.cli", "worker"))

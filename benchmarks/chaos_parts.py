@@ -15,7 +15,7 @@ from worker.process import tied
 
 POLL_SECONDS = 0.1
 STOP_SECONDS = 40.0
-ENDED = re.compile(r"(The API\S*|Worker \d+|Valkey)(?: \d+)? ended \((-?\d+)\)")
+ENDED = re.compile(r"((?:API|Worker) \d+|Valkey) ended \((-?\d+)\)")
 # How a process ends that somebody ended, or (2) whose queue was away as it started.
 MEANT = (0, 2, -signal.SIGTERM, -signal.SIGKILL)
 
