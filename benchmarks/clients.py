@@ -5,10 +5,11 @@ import asyncio
 import random
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Hashable, Iterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from itertools import cycle
+from typing import NamedTuple, TypeVar
 
 import orjson
 
@@ -24,6 +25,7 @@ WARM_UP_SECONDS = 0.5
 SHARES = (0.25, 0.5, 0.75, 0.9, 1.1)  # of the most that clients got, as rates of arrival
 CONNECTIONS = 64  # that arrivals share
 Tables = dict[str, list[Row]]
+Key = TypeVar("Key", bound=Hashable)
 
 
 @dataclass
@@ -52,23 +54,21 @@ class Tally:
         return self.statuses[200] / self.elapsed
 
 
+class Load(NamedTuple):
+    """So many clients of a service, and what they ask for."""
+
+    running: Service
+    requests: list[bytes]
+    clients: int
+
+
 async def measure_requests(
     running: Service, model: str, keypoints: Float32, arguments: argparse.Namespace
 ) -> tuple[Tables, list[Bar]]:
     """Measure single frames over HTTP as JSON, closed loop, then open loop."""
-    requests = [
-        post(
-            "/lift",
-            orjson.dumps(
-                {"model": model, "frames": [frame], "refine": "off"},
-                option=orjson.OPT_SERIALIZE_NUMPY,
-            ),
-            content=JSON,
-            accept=JSON,
-        )
-        for frame in keypoints[:DIFFERENT]
-    ]
-    closed = await closed_loop(running, requests, arguments.clients, arguments.seconds)
+    requests = single_frames(model, keypoints)
+    cases = {count: Load(running, requests, count) for count in arguments.clients}
+    closed = await closed_loop(cases, arguments.seconds)
     most = max(tally.throughput for tally in closed.values())
     rates = arguments.rates or [round(share * most) for share in SHARES]
     opened = {rate: await open_loop(running, requests, rate, arguments.seconds) for rate in rates}
@@ -91,23 +91,38 @@ async def measure_requests(
     return tables, bars
 
 
-async def closed_loop(
-    running: Service, requests: list[bytes], clients: list[int], seconds: float
-) -> dict[int, Tally]:
-    """Let so many clients each send one request after the other; the numbers take turns."""
-    tallies = {count: Tally() for count in clients}
+def single_frames(model: str, keypoints: Float32) -> list[bytes]:
+    """Return requests of one frame each, as JSON both ways."""
+    return [
+        post(
+            "/lift",
+            orjson.dumps(
+                {"model": model, "frames": [frame], "refine": "off"},
+                option=orjson.OPT_SERIALIZE_NUMPY,
+            ),
+            content=JSON,
+            accept=JSON,
+        )
+        for frame in keypoints[:DIFFERENT]
+    ]
+
+
+async def closed_loop(cases: dict[Key, Load], seconds: float) -> dict[Key, Tally]:
+    """Let clients each send one request after the other; the cases take turns."""
+    tallies = {key: Tally() for key in cases}
     for _ in range(ROUNDS):
-        for count, tally in tallies.items():
-            async with connections(running, count) as open_ones:
-                bodies = cycle(requests)
-                await _all_busy(open_ones, bodies, Tally(), WARM_UP_SECONDS)
-                await _all_busy(open_ones, bodies, tally, seconds / ROUNDS)
+        for key, load in cases.items():
+            async with connections(load.running, load.clients) as open_ones:
+                bodies = cycle(load.requests)
+                await all_busy(open_ones, bodies, Tally(), WARM_UP_SECONDS)
+                await all_busy(open_ones, bodies, tallies[key], seconds / ROUNDS)
     return tallies
 
 
-async def _all_busy(
+async def all_busy(
     open_ones: list[Connection], requests: Iterator[bytes], tally: Tally, seconds: float
 ) -> None:
+    """Have each connection send one request after the other for so long."""
     started, own = time.perf_counter(), time.process_time()
 
     async def client(connection: Connection) -> None:
@@ -127,7 +142,7 @@ async def open_loop(running: Service, requests: list[bytes], rate: float, second
     """
     tally, chance, bodies = Tally(), random.Random(0), cycle(requests)  # noqa: S311
     async with connections(running, CONNECTIONS) as open_ones:
-        await _all_busy(open_ones[:4], bodies, Tally(), WARM_UP_SECONDS)
+        await all_busy(open_ones[:4], bodies, Tally(), WARM_UP_SECONDS)
         free: asyncio.LifoQueue[Connection] = asyncio.LifoQueue()
         for connection in open_ones:
             free.put_nowait(connection)

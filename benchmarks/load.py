@@ -1,6 +1,7 @@
 """How the service bears many clients at once: requests closed- and open-loop, streams, memory.
 
-    python benchmarks/load.py [--only requests streams memory] [--capture FILE.npz] [--model FILE]
+    python benchmarks/load.py [--only requests processes outage streams memory]
+                              [--capture FILE.npz] [--model FILE]
                               [--clients 1 2 8 32 64] [--rates 200 400] [--json FILE]
 
 This process sends and waits, nothing else; the service's processes do the work.
@@ -18,6 +19,8 @@ from benchmarks.captures import Float32, add_options, from_options, model_from_o
 from benchmarks.clients import measure_requests
 from benchmarks.figures import Bar, Results, Row, command
 from benchmarks.memory import measure_memory
+from benchmarks.outage import measure_outage
+from benchmarks.processes import measure_processes
 from benchmarks.service_rig import Service, service
 from benchmarks.streams import measure_streams
 from models.numerics.threads import use_threads
@@ -26,6 +29,8 @@ Measured = tuple[dict[str, list[Row]], list[Bar]]
 Case = Callable[[Service, str, Float32, argparse.Namespace], Coroutine[Any, Any, Measured]]
 CASES: dict[str, Case] = {
     "requests": measure_requests,
+    "processes": measure_processes,
+    "outage": measure_outage,
     "streams": measure_streams,
     "memory": measure_memory,
 }
@@ -58,6 +63,8 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--clients", type=int, nargs="+", default=[1, 2, 8, 32, 64])
     parser.add_argument("--seconds", type=float, default=10, help="for each number of clients: 10")
     parser.add_argument("--rates", type=float, nargs="+", help="frames/s; default: shares of most")
+    parser.add_argument("--processes", type=int, default=2, help="of the API, against one: 2")
+    parser.add_argument("--locked-seconds", type=float, default=30, help="of `outage`: 30")
     parser.add_argument("--stream-seconds", type=float, default=60, help="default: 60")
     parser.add_argument("--lifts", type=int, default=10_000, help="of `memory`: %(default)s")
     return parser.parse_args()

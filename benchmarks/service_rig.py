@@ -81,25 +81,35 @@ class Service:
         return found, seconds
 
 
+def copy_model(model: str, source: Service, target: Service) -> str:
+    """Store a model of one service in another and return its identifier there."""
+    weights = source.client.get(f"/models/{model}/weights").raise_for_status().content
+    answer = target.client.post("/models", content=weights, headers={"Content-Type": BYTES})
+    return str(answer.raise_for_status().json()["id"])
+
+
 @contextmanager
-def service(*options: str) -> Iterator[Service]:
-    """Run a service with everything embedded; `options` are those of ``fewview serve``."""
+def service(*options: str, data: Path | None = None) -> Iterator[Service]:
+    """Run a service with everything embedded; `options` are those of ``fewview serve``.
+
+    It stores in a folder `data` if that is told, else in a temporary one.
+    """
     with (
-        running_service(*options) as address,
+        running_service(*options, data=data) as address,
         httpx2.Client(base_url=address, timeout=600, trust_env=False) as client,
     ):
         yield Service(address, client)
 
 
-def api_process() -> int:
-    """Return the process that answers requests of the one service that runs below this process.
+def api_processes() -> list[int]:
+    """Return the processes that answer requests of the services that run below this process.
 
     Raises
     ------
     RuntimeError
-        If there is none, or no /proc to look for it.
+        If there is none, or no /proc to look for them.
     """
-    waiting = [os.getpid()]
+    waiting, found = [os.getpid()], []
     while waiting:
         process = waiting.pop()
         try:
@@ -113,11 +123,19 @@ def api_process() -> int:
         except OSError:  # it has just ended
             continue
         if b"service.app" in command:
-            return process
-    raise RuntimeError("found no process of the API below this one in /proc")
+            found.append(process)
+    if not found:
+        raise RuntimeError("found no process of the API below this one in /proc")
+    return found
 
 
 def resident_bytes(process: int) -> int:
     """Return how much memory a process has in use."""
     pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def proportional_bytes(process: int) -> int:
+    """Return the same with what several processes share divided among them."""
+    rows = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
+    return next(1024 * int(row.split()[1]) for row in rows if row.startswith("Pss:"))
