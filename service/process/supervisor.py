@@ -14,6 +14,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -42,6 +43,7 @@ START_SECONDS = 60.0
 STOP_SECONDS = 15.0
 LONGEST_SOCKET_PATH = 107  # bytes, of sockaddr_un (unix(7))
 LONGEST_PAUSE_SECONDS = 10.0
+LONGEST_BACKLOG = 1024  # connections that wait for a process
 OPEN_WARNING = """\
 Open to the network, and there are no keys yet: whoever reaches it can read and delete everything.
 """
@@ -151,7 +153,7 @@ def serve(settings: Settings) -> None:
         keep_private(settings)
         lock = _lock(settings) if embedded else None
         _open_store(settings)
-        listener = _listen(settings)
+        listeners = _listen(settings)
         if settings.redis_url is not None:
             _check_queue(settings.redis_url)
         else:
@@ -162,11 +164,11 @@ def serve(settings: Settings) -> None:
             settings = settings.model_copy(update={"redis_url": AnyUrl(url)})
         environment = settings.to_environment()
         workers = settings.workers if settings.workers is not None else int(embedded)
-        users += _apis(listener, settings)
+        users += _apis(listeners, settings)
         users += _workers(workers, settings, environment)
         for child in users:
             child.start()
-        address = f"http://{_host(settings)}:{listener.getsockname()[1]}"
+        address = f"http://{_host(settings)}:{listeners[0].getsockname()[1]}"
         _await_api(address, users, signals)
         _announce(settings, address, workers, embedded=embedded)
         while True:
@@ -217,10 +219,20 @@ def _open_store(settings: Settings) -> None:
         raise StartError(f"Records and objects cannot be used: {error}") from error
 
 
-def _listen(settings: Settings) -> socket.socket:
+def _listen(settings: Settings) -> list[socket.socket]:
+    """Return a socket for each process of the API, among which the kernel deals connections out.
+
+    Of one socket for all, the process that wakes first takes nearly every connection.
+    """
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    listen = partial(socket.create_server, family=family, backlog=LONGEST_BACKLOG)
     try:
-        family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-        return socket.create_server((settings.host, settings.port), family=family, backlog=1024)
+        alone = listen((settings.host, settings.port))  # refused where anybody listens
+        if settings.api_processes == 1:
+            return [alone]
+        address = alone.getsockname()
+        alone.close()
+        return [listen(address, reuse_port=True) for _ in range(settings.api_processes)]
     except OSError as error:
         raise StartError(
             f"Cannot listen on {settings.host}:{settings.port}: {error.strerror}. Choose another "
@@ -263,14 +275,12 @@ def _workers(count: int, settings: Settings, environment: dict[str, str]) -> lis
     return [Child(f"Worker {number}", command, environment) for number in range(1, count + 1)]
 
 
-def _apis(listener: socket.socket, settings: Settings) -> list[Child]:
-    """Return the processes of the API. Whichever is free first takes what comes to the socket."""
-    fileno = listener.fileno()
-    command = python("-m", "service.app", str(os.getpid()), str(fileno))
+def _apis(listeners: Sequence[socket.socket], settings: Settings) -> list[Child]:
     environment = settings.share().to_environment()
+    command = python("-m", "service.app", str(os.getpid()))
     return [
-        Child(f"API {number}", command, environment, inherited=(fileno,))
-        for number in range(1, settings.api_processes + 1)
+        Child(f"API {number}", [*command, str(fileno)], environment, inherited=(fileno,))
+        for number, fileno in enumerate((listener.fileno() for listener in listeners), 1)
     ]
 
 

