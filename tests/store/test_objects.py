@@ -15,6 +15,7 @@ from store import datasets, housekeeping, keys
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
+from store.errors import DamagedError
 from store.ids import new_id
 from store.objects import Objects
 from store.settings import StoreSettings
@@ -48,6 +49,24 @@ def test_what_is_not_there_is_said_so(objects: Objects) -> None:
         objects.get_range(key, 0, 8)
     objects.delete(key)
     objects.delete()
+
+
+@pytest.mark.parametrize("found", [b"capturf", b"captu", b""])
+def test_what_is_not_what_was_put_is_not_given(objects: Objects, found: bytes) -> None:
+    key = keys.of_chunk(new_id("ds"), b"capture")
+    objects.put(key, found)  # as if it had become so
+    with pytest.raises(DamagedError, match=key):
+        objects.get(key)
+    with pytest.raises(DamagedError):
+        objects.get_range(key, 0, 2)
+    with pytest.raises(DamagedError):
+        objects.check(key)
+    older = key.replace(key.split(".")[1] + ".", "")  # which says no checksum
+    objects.put(older, found)
+    assert objects.get(older) == found
+    with pytest.raises(DamagedError):
+        objects.get_range(older, 4, 20)
+    assert objects.damaged([key, older]) == {key}
 
 
 def test_all_of_ours_are_listed_and_deleted(objects: Objects) -> None:
