@@ -134,6 +134,8 @@ def main() -> None:
                     run.guarded(number, arguments.only)
         for run in runs.values():
             run.end()
+    except KeyboardInterrupt:
+        print("Stopped: what was seen until now follows.", flush=True)
     finally:
         for run in runs.values():
             run.deployment.stop()

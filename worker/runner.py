@@ -240,8 +240,12 @@ def run(settings: WorkerSettings) -> None:
             store = Store(settings, forks=True)
             connection = connect(str(settings.redis_url), retries=REDIS_RETRIES)
             worker = JobWorker(connection, settings, store)
-            worker.work(logging_level="WARNING", dequeue_strategy=DequeueStrategy.ROUND_ROBIN)
-            stopping = worker.stopping
+            try:
+                worker.work(logging_level="WARNING", dequeue_strategy=DequeueStrategy.ROUND_ROBIN)
+            finally:
+                stopping = worker.stopping
+                for number in (signal.SIGINT, signal.SIGTERM):  # it would raise from anywhere
+                    signal.signal(number, signal.SIG_DFL)
         except (redis.exceptions.RedisError, SQLAlchemyError, OSError):
             logger.exception("Cannot work; trying again")
         if not stopping:

@@ -199,6 +199,37 @@ def test_the_worker_is_told_to_leave_as_a_job_comes(
         worker.wait()
 
 
+# A worker that loses what it needs as a job comes, and gets SIGTERM before it tries again.
+TOLD_IN_AN_OUTAGE = """
+import os, signal
+from worker import runner
+from worker.settings import WorkerSettings
+
+class Cut(runner.JobWorker):
+    def execute_job(self, job, queue):
+        raise OSError("gone")
+
+runner.JobWorker = Cut
+runner.time.sleep = lambda seconds: os.kill(os.getpid(), signal.SIGTERM)
+runner.run(WorkerSettings())
+"""
+
+
+def test_the_worker_is_told_to_leave_in_an_outage(
+    store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
+) -> None:
+    queue(store, redis, dataset_id, LONG)
+    environment = os.environ | settings.to_environment()
+    done = subprocess.run(
+        tied("-c", TOLD_IN_AN_OUTAGE),
+        check=False,
+        env=environment,
+        timeout=60,
+        stderr=subprocess.PIPE,
+    )
+    assert done.returncode in (0, -signal.SIGTERM), done.stderr.decode()
+
+
 def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
     store: Store, queued: FitJob, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
