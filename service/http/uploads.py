@@ -1,10 +1,13 @@
 """Request bodies, read within their limits: JSON, raw bytes, or multipart/form-data."""
 
 import hashlib
+import io
 import os
+import zipfile
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated, Any, TypeVar
 
 import orjson
@@ -30,6 +33,12 @@ HOW_TO_SEND_FILES = (
     "curl -F files=@cam1.csv -F files=@cam2.csv ADDRESS/datasets"
 )
 LARGE_BYTES = 1024 * 1024
+MAX_MEMBERS = 64  # of a zip file of arrays
+ZIP_ENTRY = b"PK\x01\x02"  # begins every entry of a zip file's directory
+NULL_BYTES = 256  # what a null of JSON counts: it may stand for a keypoint, a view or a frame
+# What JSON takes as lists of numbers: of each list or object, and of each of its items.
+LIST_BYTES, ITEM_BYTES = 88, 32
+DECODED = 16  # times the largest JSON body: what a body may take as lists. Captures take 10 to 15
 LARGE_AT_A_TIME = min(4, os.cpu_count() or 1)
 
 
@@ -55,12 +64,30 @@ class Upload:
         Text fields that came beside the file in a form.
     files
         Those that a form calls `files`, if any; `data` are those of the first.
+    max_decoded_bytes
+        What its JSON may take as lists, about.
     """
 
     data: bytes
     is_json: bool
     fields: dict[str, str] = field(default_factory=dict)
     files: tuple[File, ...] = ()
+    max_decoded_bytes: int = 0
+
+    @cached_property
+    def decoded_bytes(self) -> int:
+        """About how much there will be to work on: npz may be packed, JSON full of nulls."""
+        size = len(self.data)
+        if self.is_json:
+            return size + NULL_BYTES * self.data.count(b"null")
+        is_zip = self.data.startswith(b"PK")
+        if size >= LARGE_BYTES or not is_zip or self.data.count(ZIP_ENTRY) > MAX_MEMBERS:
+            return size
+        try:
+            with zipfile.ZipFile(io.BytesIO(self.data)) as archive:
+                return size + sum(member.file_size for member in archive.infolist())
+        except (zipfile.BadZipFile, ValueError, OSError):  # none, or one that cannot be read
+            return size
 
     @property
     def is_large(self) -> bool:
@@ -68,7 +95,7 @@ class Upload:
 
         A form of files may be small, and yet be read for minutes, in a process of its own.
         """
-        return len(self.data) >= LARGE_BYTES or len(self.files) > 0
+        return self.decoded_bytes >= LARGE_BYTES or len(self.files) > 0
 
     def fingerprint(self) -> str:
         """Return a digest of everything in the body."""
@@ -83,6 +110,7 @@ class Upload:
         """Return the JSON body as ``model``."""
         if not self.is_json:
             raise ApiError("unsupported_media_type", "expected Content-Type application/json")
+        self._refuse_costly()
         try:
             return model.model_validate(orjson.loads(self.data))
         except orjson.JSONDecodeError as error:
@@ -93,6 +121,21 @@ class Upload:
             ) from error
         except ValidationError as error:
             raise from_validation(error, model) from error
+
+    def _refuse_costly(self) -> None:
+        """Refuse JSON that would take many times the memory that a capture of its length takes."""
+        most = self.max_decoded_bytes
+        if (LIST_BYTES + ITEM_BYTES) * len(self.data) <= most:
+            return
+        count = self.data.count
+        cost = LIST_BYTES * (count(b"[") + count(b"{")) + ITEM_BYTES * count(b",")
+        if cost > most:
+            raise ApiError(
+                "body_too_large",
+                f"JSON may take some {most} bytes as lists of numbers at most, this would take "
+                f"{cost}. Send safetensors or npz (application/octet-stream), or the frames in "
+                "parts.",
+            )
 
     def form(
         self, model: type[Body], extra: dict[str, Any], kind: type[BaseModel] | None = None
@@ -168,7 +211,8 @@ async def read_body(request: Request, *, max_files: int = 1) -> Upload:
                     f"JSON bodies may have {settings.max_json_bytes} bytes at most. Send "
                     "safetensors or npz (application/octet-stream), or the frames in parts.",
                 )
-        return Upload(b"".join(pieces), is_json=True)
+        most = DECODED * settings.max_json_bytes
+        return Upload(b"".join(pieces), is_json=True, max_decoded_bytes=most)
     hint = HOW_TO_SEND_FILES if max_files > 1 else "JSON: curl -H 'Content-Type: application/json'"
     raise ApiError(
         "unsupported_media_type",

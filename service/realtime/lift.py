@@ -27,7 +27,7 @@ from service.realtime.warm_models import WarmModel
 from service.settings import Settings
 from service.wire.captures import read_arrays
 from service.wire.findings import Findings
-from service.wire.representations import Format, FormatQuery, arrays_response
+from service.wire.representations import Format, FormatQuery, arrays_response, chosen_format
 from service.wire.rooms import FRAME_OF_REFERENCE, UP, FrameQuery, UpQuery, is_room, read_up
 from service.wire.schemas import CONFIDENCE, KEYPOINTS, LIFTED_FRAME, REFINE, VIEWS, LiftedFrame
 from store.capture import Capture
@@ -36,6 +36,8 @@ from worker.rooms import Room
 
 TINY_BYTES = 32 * 1024  # worked on in less time than it takes to switch threads, or not much more
 BODY_THREADS = LARGE_AT_A_TIME + 4  # for bodies of lifts that are not tiny; they wait for nothing
+# What an answer has: bytes of arrays for each keypoint and each view of a frame, and JSON for each.
+KEYPOINT_BYTES, VIEW_BYTES, JSON_BYTES = 13, 112, 6
 PATIENCE_SECONDS = 0.1  # before it is looked whether a client still waits
 
 Result = TypeVar("Result")
@@ -114,6 +116,7 @@ class _Query(NamedTuple):
     views: list[int] | None
     frame: FrameOfReference | None
     up: str | None
+    format: Format
 
 
 def _understand(
@@ -148,6 +151,7 @@ def _understand(
     if model is None:
         return None
     capture = to_frames(asked.frames, asked.confidence, views, model.prior, settings)
+    _check_answer(capture, query.format, settings)
     room = None
     if in_room:
         room = room_of(model, up)
@@ -155,6 +159,22 @@ def _understand(
             return None
         check_known(room, views, capture.keypoints.shape[1])
     return _Asked(model, capture, asked.refine or query.refine, views, room)
+
+
+def _check_answer(capture: Capture, format: Format, settings: Settings) -> None:
+    """Refuse frames whose answer would be longer than a body may be."""
+    frames, views, keypoints, _ = capture.keypoints.shape
+    answer = frames * (KEYPOINT_BYTES * keypoints + VIEW_BYTES * views)
+    if format == "json":
+        answer *= JSON_BYTES
+    if answer > settings.max_body_bytes:
+        npz = " Bytes take less than JSON: format=npz." if format == "json" else ""
+        raise invalid(
+            "/frames",
+            f"expected frames whose answer has {settings.max_body_bytes} bytes at most, these "
+            f"{frames} would have some {answer}: send them in parts, or store them and have them "
+            f"lifted by workers (POST /datasets, POST /lifts).{npz}",
+        )
 
 
 class DirectRoute(APIRoute):
@@ -212,11 +232,13 @@ async def lift(
     """
     engine: Engine = request.app.state.engine
     rooms: Rooms = request.app.state.rooms
+    format = chosen_format(request, format)
     upload = await read_body(request)
-    query = _Query(model, refine, views, frame, up)
+    query = _Query(model, refine, views, frame, up, format)
     understand = partial(_understand, upload, query, request.app.state.settings)
-    run = partial(_run, request, len(upload.data))
-    asked = await run(understand, engine.models.warm, rooms.remembered)
+    asked = await _run(
+        request, upload.decoded_bytes, understand, engine.models.warm, rooms.remembered
+    )
     if asked is None:  # the model or its room is cold, or there is none: records are waited for
         async with request.app.state.large_uploads:
             asked = await run_in_threadpool(understand, engine.models.get, rooms.find)
@@ -233,7 +255,8 @@ async def lift(
     )
     if lifted is None:
         return Response(status_code=499)  # which nobody reads
-    return await run(_answer, request, asked, lifted, format)
+    answer_bytes = JSON_BYTES * sum(array.nbytes for array in lifted.arrays.values())
+    return await _run(request, answer_bytes, _answer, request, asked, lifted, format)
 
 
 def _answer(request: Request, asked: _Asked, lifted: lifts.Lift, format: Format | None) -> Response:
@@ -252,7 +275,7 @@ def _answer(request: Request, asked: _Asked, lifted: lifts.Lift, format: Format 
 async def _run(
     request: Request, size: int, work: Callable[..., Result], *arguments: object
 ) -> Result:
-    """Do work on a body here if it is tiny, else in a thread; large ones take turns.
+    """Do work of about so many bytes here if that is tiny, else in a thread; large ones take turns.
 
     Neither threads nor turns are those of requests that wait for records.
     """

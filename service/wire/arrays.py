@@ -17,13 +17,11 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from service.http.errors import ApiError, invalid
-from service.http.uploads import HOW_TO_SEND_FILES
+from service.http.uploads import HOW_TO_SEND_FILES, MAX_MEMBERS, ZIP_ENTRY
 
 Arrays = dict[str, NDArray[Any]]
 
 _NPZ_MAGIC = b"PK\x03\x04"
-_NPZ_ENTRY = b"PK\x01\x02"  # begins every entry of a zip file's directory
-_MAX_MEMBERS = 64
 _MAX_HEADER = 1_000_000  # bytes of a safetensors header; a capture's has a few hundred
 
 
@@ -73,10 +71,10 @@ def _other_kind(data: bytes) -> str | None:
 def _from_npz(data: bytes, max_bytes: int) -> Arrays:
     too_large = ApiError(
         "body_too_large",
-        f"The .npz file unpacks to more than {max_bytes} bytes or {_MAX_MEMBERS} arrays. Send it "
+        f"The .npz file unpacks to more than {max_bytes} bytes or {MAX_MEMBERS} arrays. Send it "
         "in parts: POST /datasets/{id}/frames.",
     )
-    if data.count(_NPZ_ENTRY) > _MAX_MEMBERS:  # millions of them would fill the memory
+    if data.count(ZIP_ENTRY) > MAX_MEMBERS:  # millions of them would fill the memory
         raise too_large
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:

@@ -30,6 +30,11 @@ _FORMATS: dict[str, Format] = {
 }
 
 
+def chosen_format(request: Request, asked: Format | None) -> Format:
+    """Return the format that a client gets a lift's arrays in; raise ``ApiError`` 406 if none."""
+    return accepted_format(request, asked, _FORMATS)
+
+
 def arrays_response(
     request: Request,
     found: dict[str, NDArray[Any]],
@@ -44,7 +49,7 @@ def arrays_response(
     ``about`` and ``findings`` go into the JSON object beside ``frames``, or into the safetensors
     metadata, the findings as JSON.
     """
-    chosen = accepted_format(request, format, _FORMATS)
+    chosen = chosen_format(request, format)
     if chosen == "json":
         said = {**about, "frames": frames_json(found), "findings": dumped(findings)}
         body = orjson.dumps(said)

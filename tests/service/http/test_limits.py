@@ -2,12 +2,13 @@
 
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from starlette.testclient import TestClient
 
 from service.settings import Settings
-from tests.service.conftest import BYTES, JSON, MIB, Live, problem
+from tests.service.conftest import BYTES, JSON, MIB, Live, descendants, problem
 
 pytestmark = pytest.mark.usefixtures("unchanged")
 
@@ -93,3 +94,31 @@ def test_a_client_reads_the_refusal(live: Live) -> None:
     response = live.http.post("/lift", content=iter(body), headers=JSON)
     problem(response, 413, "body_too_large")
     assert body.taken < 120 * MIB
+
+
+@pytest.mark.parametrize("piece", [b"[],", b"{},", b"[[],[]],"])
+def test_json_that_grows_as_it_is_read_is_refused(api: TestClient, piece: bytes) -> None:
+    """Empty lists take two dozen times their length in memory."""
+    start = b'{"model": "mdl_none", "keypoints": ['
+    body = start + piece * (900_000 // len(piece)) + b"[]]}"
+    for url in ("/datasets", "/lift"):
+        detail = problem(api.post(url, content=body, headers=JSON), 413, "body_too_large")
+        assert "safetensors" in detail
+
+
+def test_the_memory_for_json_is_bounded(live: Live) -> None:
+    """64 MiB of empty lists took 1.5 GB."""
+    (pid,) = (
+        pid
+        for pid in descendants(live.process.pid)
+        if b"service.app" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    )
+
+    def peak() -> int:
+        status = Path(f"/proc/{pid}/status").read_text()
+        return 1024 * int(status.partition("VmHWM:")[2].split()[0])
+
+    before = peak()
+    body = b'{"keypoints": [' + b"[]," * (20 * MIB) + b"[]]}"
+    problem(live.http.post("/datasets", content=body, headers=JSON), 413, "body_too_large")
+    assert peak() - before < 400 * MIB

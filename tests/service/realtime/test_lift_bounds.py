@@ -1,0 +1,77 @@
+"""What one real-time request may cost the others, whatever its bytes look like as they come."""
+
+import io
+import time
+import zipfile
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+from starlette.testclient import TestClient
+
+from models.capture.synthetic import SyntheticCapture
+from service.app import create_app
+from service.realtime.lift import TINY_BYTES
+from service.settings import Settings
+from tests.service.conftest import BYTES, JSON, MIB, frames_of, problem, to_npz, zip_of
+
+FRAMES = 18_000
+
+
+@pytest.fixture(scope="module")
+def roomy(settings: Settings, model: str) -> Iterator[TestClient]:
+    """Serve in this process what takes as many frames as the service does by default."""
+    wide = {"max_frames": 100_000, "max_body_bytes": 64 * MIB, "max_pending_bytes": 128 * MIB}
+    with TestClient(create_app(settings.model_copy(update=wide))) as client:
+        yield client
+
+
+def busy(client: TestClient) -> float:
+    """Return the seconds of a processor that the event loop's thread has taken."""
+    assert client.portal is not None
+    taken: float = client.portal.call(time.thread_time)
+    return taken
+
+
+def packed(frames: np.ndarray[Any, Any]) -> bytes:
+    """Return frames as an npz file that is squeezed as far as it can be."""
+    with zipfile.ZipFile(io.BytesIO(to_npz(frames=frames))) as archive:
+        return zip_of({"frames.npy": archive.read("frames.npy")})
+
+
+def test_a_small_file_of_many_frames_keeps_nobody_waiting(roomy: TestClient, model: str) -> None:
+    """It was read, and its 27 MB of answer were made, in the event loop: for 0.3 s."""
+    body = packed(np.full((FRAMES, 3, 16, 2), 7, np.float32))
+    assert len(body) <= TINY_BYTES
+    url = f"/lift?model={model}&refine=off&format=npz"
+    assert roomy.post(url, content=packed(np.zeros((1, 3, 16, 2))), headers=BYTES).is_success
+    before = busy(roomy)
+    response = roomy.post(url, content=body, headers=BYTES)
+    assert response.status_code == 200, response.text
+    assert busy(roomy) - before < 0.1
+
+
+def test_a_few_nulls_of_many_views_keep_nobody_waiting(roomy: TestClient, model: str) -> None:
+    """A null may stand for a whole frame."""
+    frames = [[None] * 3, *[None] * 5000]
+    body = orjson.dumps({"model": model, "frames": frames, "refine": "off"})
+    assert len(body) <= TINY_BYTES
+    before = busy(roomy)
+    assert roomy.post("/lift", content=body, headers=JSON).status_code == 200
+    assert busy(roomy) - before < 0.1
+
+
+def test_an_answer_is_bounded_as_bodies_are(
+    api: TestClient, roomy: TestClient, model: str, capture: SyntheticCapture
+) -> None:
+    """More is for workers; bytes take less than JSON."""
+    body = packed(np.full((FRAMES * 2, 3, 16, 2), 7, np.float32))
+    url = f"/lift?model={model}&refine=off"
+    detail = problem(roomy.post(url, content=body, headers=BYTES), 422, "invalid_input", "/frames")
+    assert "POST /lifts" in detail
+    assert "format=npz" in detail
+    assert roomy.post(f"{url}&format=npz", content=body, headers=BYTES).status_code == 200
+    few = orjson.dumps({"model": model, "frames": frames_of(capture.keypoints)})
+    assert api.post("/lift", content=few, headers=JSON).status_code == 200
