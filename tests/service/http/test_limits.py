@@ -8,7 +8,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from service.settings import Settings
-from tests.service.conftest import BYTES, JSON, MIB, Live, descendants, problem
+from tests.processes import descendants
+from tests.service.conftest import BYTES, JSON, MIB, Live, problem
 
 pytestmark = pytest.mark.usefixtures("unchanged")
 
