@@ -15,11 +15,11 @@ from obstore.exceptions import BaseError as ObjectStoreError
 from pydantic import AnyUrl
 from redis import Redis
 from rq import Worker
-from sqlalchemy import func, inspect, select
+from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.settings import Settings
-from store import clock
+from store import clock, schema
 from store.database import Store
 from store.engine import open_engine
 from store.errors import StoreError
@@ -71,7 +71,8 @@ def examine(settings: Settings, *, deep: bool) -> Iterator[Verdict]:
     except (StoreError, *AWAY) as error:
         yield Verdict("failed", "records and objects", in_words(error))
         return
-    yield Verdict("ok", "records and objects", f"both of deployment {store.identity}")
+    words = f"both of deployment {store.identity}, tables {schema.REVISIONS[-1]}"
+    yield Verdict("ok", "records and objects", words)
     try:
         yield from _clocks(store, connection)
         if connection is not None:
@@ -92,10 +93,10 @@ def open_store(settings: StoreSettings) -> Store:
         )
     engine = open_engine(url, forks=False)
     try:
-        there = inspect(engine).has_table(FitJob.__tablename__)
+        tables = schema.look(engine)
     finally:
         engine.dispose()
-    if not there:
+    if tables.state == "empty":
         raise StoreError(
             f"There are no records in {shown(url)}: is FEWVIEW_DATABASE_URL that of the deployment?"
         )

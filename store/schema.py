@@ -98,10 +98,10 @@ def migrate(engine: Engine) -> Version:
 
 
 def _upgrade(connection: Connection) -> None:
+    logging.getLogger("alembic").setLevel(logging.WARNING)  # before it says what it imports
     from alembic import command  # noqa: PLC0415 (takes long to import, and is hardly ever needed)
     from alembic.config import Config  # noqa: PLC0415
 
-    logging.getLogger("alembic").setLevel(logging.WARNING)
     if connection.dialect.name == "postgresql":
         connection.execute(text("SET LOCAL statement_timeout = 0"))  # there may be many records
     config = Config(attributes={"connection": connection})
