@@ -121,11 +121,11 @@ def _checksum(objects: Objects, part: Part) -> int:
         noted = {(p.start, p.end): p.checksum for p in _layout(objects, part.key).values()}
         if (known := noted.get((part.start, part.end))) is not None:
             return known
-    return _read_checksum(objects, part)
+    return read_checksum(objects, part)
 
 
 @lru_cache(maxsize=100_000)
-def _read_checksum(objects: Objects, part: Part) -> int:
+def read_checksum(objects: Objects, part: Part) -> int:
     """Return the same of what an older version wrote, having read it a piece at a time."""
     checksum = 0
     whole = LaidOutFile([part])

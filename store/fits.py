@@ -291,6 +291,13 @@ def _end(session: Session, fit: FitJob, status: str, now: float) -> None:
     fit.lease_expires_at = fit.checkpoint_key = None
 
 
+def reconstruction_key(fit: FitJob) -> str:
+    """Return where the reconstruction of a fit is; raise ``ConflictError`` if it has none."""
+    if fit.reconstruction_key is None:
+        raise ConflictError(f"Fit {fit.id!r} is {fit.status}: only a fit that succeeded has one.")
+    return fit.reconstruction_key
+
+
 def load_reconstruction(store: Store, fit: FitJob) -> bytes:
     """Return the reconstruction of a fit (safetensors).
 
@@ -303,9 +310,7 @@ def load_reconstruction(store: Store, fit: FitJob) -> bytes:
     DamagedError
         If it is not what was stored.
     """
-    if fit.reconstruction_key is None:
-        raise ConflictError(f"Fit {fit.id!r} is {fit.status}: only a fit that succeeded has one.")
     try:
-        return store.objects.get(fit.reconstruction_key)
+        return store.objects.get(reconstruction_key(fit))
     except FileNotFoundError as error:
         raise lost(store, FitJob, fit.id, error) from error

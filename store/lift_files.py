@@ -18,13 +18,13 @@ from store.records import LiftChunk, LiftJob
 
 ResultFormat = TypeAliasType("ResultFormat", Literal["jsonl", "npz", "safetensors"])
 
-_DTYPES: dict[str, np.dtype[Any]] = {
+DTYPES: dict[str, np.dtype[Any]] = {
     "F32": np.dtype("<f4"),
     "I32": np.dtype("<i4"),
     "I8": np.dtype("i1"),
     "U8": np.dtype("u1"),
 }
-_NAMES = {dtype: name for name, dtype in _DTYPES.items()}
+_NAMES = {dtype: name for name, dtype in DTYPES.items()}
 
 # Of each array, in the order of safetensors: its name, its type as that calls it, and the shape it
 # has for one frame.
@@ -47,7 +47,7 @@ def pack(arrays: dict[str, NDArray[Any]]) -> Packed:
         for name in names
     ]
     parts = [
-        np.ascontiguousarray(arrays[name], _DTYPES[dtype]).tobytes() for name, dtype, _ in layout
+        np.ascontiguousarray(arrays[name], DTYPES[dtype]).tobytes() for name, dtype, _ in layout
     ]
     header = _header(layout, len(arrays[names[0]]), {})
     checksums = {name: zlib.crc32(part) for name, part in zip(names, parts, strict=True)}
@@ -82,7 +82,7 @@ def result_file(
 
     return npz_file(
         [
-            Array(name, _DTYPES[dtype], (lift.frames, *shape), parts)
+            Array(name, DTYPES[dtype], (lift.frames, *shape), parts)
             for (name, dtype, shape), parts in zip(layout, spans, strict=True)
         ],
         checksum_of,
@@ -102,10 +102,10 @@ def _spans(layout: Layout, index: int, chunks: Sequence[LiftChunk]) -> list[Span
 
 
 def _frame_bytes(_name: str, dtype: str, shape: list[int]) -> int:
-    return _DTYPES[dtype].itemsize * prod(shape)
+    return DTYPES[dtype].itemsize * prod(shape)
 
 
 def _header(layout: Layout, frames: int, metadata: dict[str, str]) -> bytes:
     """Return what stands before the arrays of ``frames`` frames in a safetensors file."""
-    arrays = [(n, d, (frames, *shape), _DTYPES[d].itemsize) for n, d, shape in layout]
+    arrays = [(n, d, (frames, *shape), DTYPES[d].itemsize) for n, d, shape in layout]
     return safetensors_header(arrays, metadata)

@@ -1,6 +1,7 @@
 """Reconstructions: every frame of a fitted dataset, lifted."""
 
 from collections.abc import AsyncIterator
+from functools import partial
 
 import numpy as np
 from fastapi import APIRouter, Depends, Request
@@ -12,6 +13,7 @@ from models.capture.clocks import in_step
 from models.findings.finding import Finding
 from models.settings.config import Refine
 from service.http.dependencies import SettingsDep, StoreDep
+from service.http.downloads import ranged_response
 from service.http.errors import invalid, problems
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses
@@ -20,11 +22,17 @@ from service.realtime.lift import RefineQuery
 from service.resources.fits import FitDep
 from service.wire.arrays import Arrays
 from service.wire.findings import Findings
-from service.wire.representations import FormatQuery, arrays_response
+from service.wire.representations import (
+    FormatQuery,
+    arrays_response,
+    chosen_format,
+    metadata_of,
+)
 from service.wire.rooms import FrameQuery, UpQuery, is_room, read_up
 from service.wire.schemas import LIFTED_FRAME, LiftedFrame
 from store import datasets, fits, lookup, records
 from store.errors import ConflictError
+from store.reconstruction_files import reconstruction_file
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
@@ -98,23 +106,37 @@ def get_reconstruction(
     With the fit's own `refine`, or without, this is what the fit stored. With another the frames
     are lifted when asked for, by the fit's model, which takes longer.
     """
-    if refine is None or refine == fit.config.get("refine", "off"):  # older fits refined nothing
-        found = stored_arrays(fit, store)
-    else:
-        found = _lift_again(fit, refine, store, engine, settings)
-    direction = read_up(up)
-    if is_room(frame, direction):
-        room = rooms.find(engine.models.get(model_of(fit)), direction)
-        found = room.place_arrays(found)
     about = {
         "fit_id": fit.id,
         "model_id": fit.model_id,
         "dataset_id": fit.dataset_id,
     }
     findings = [Finding.model_validate(finding) for finding in fit.findings or []]
-    return arrays_response(
-        request, found, about, findings, format=format, filename=f"{fit.id}-reconstruction"
-    )
+    filename = f"{fit.id}-reconstruction"
+    direction = read_up(up)
+    in_room = is_room(frame, direction)
+    chosen = chosen_format(request, format)
+    as_stored = refine in (None, fit.config.get("refine", "off"))  # older fits refined nothing
+    if as_stored and not in_room and chosen != "json":
+        file = reconstruction_file(store, fit, chosen, metadata_of(about, findings))
+        if file is not None:
+            return ranged_response(
+                request,
+                file.size,
+                partial(file.read, store.objects.get_range),
+                media_type=NPZ if chosen == "npz" else OCTETS,
+                filename=f"{filename}.{chosen}",
+                checksum=file.checksum(),
+            )
+    if as_stored:
+        found = stored_arrays(fit, store)
+    else:
+        assert refine is not None  # noqa: S101
+        found = _lift_again(fit, refine, store, engine, settings)
+    if in_room:
+        room = rooms.find(engine.models.get(model_of(fit)), direction)
+        found = room.place_arrays(found)
+    return arrays_response(request, found, about, findings, format=chosen, filename=filename)
 
 
 def stored_arrays(fit: records.FitJob, store: StoreDep) -> Arrays:

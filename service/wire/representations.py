@@ -58,11 +58,15 @@ def arrays_response(
         return bytes_response(
             request, arrays.to_npz(found), media_type=NPZ, filename=f"{filename}.npz"
         )
-    metadata = {name: value for name, value in about.items() if value is not None}
-    metadata["findings"] = orjson.dumps(dumped(findings)).decode()
     return bytes_response(
         request,
-        arrays.to_safetensors(found, metadata),
+        arrays.to_safetensors(found, metadata_of(about, findings)),
         media_type=OCTETS,
         filename=f"{filename}.safetensors",
     )
+
+
+def metadata_of(about: dict[str, str | None], findings: Sequence[Finding]) -> dict[str, str]:
+    """Return what a safetensors file says beside its arrays."""
+    metadata = {name: value for name, value in about.items() if value is not None}
+    return metadata | {"findings": orjson.dumps(dumped(findings)).decode()}

@@ -1,5 +1,7 @@
 """Reconstructions: of a fit's own frames, stored, and refined otherwise when asked."""
 
+import io
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -180,6 +182,32 @@ def test_records_of_older_versions_are_served(api: TestClient, settings: Setting
     assert found["translations"].shape == (3, 2, 3)
     assert found["camera_models"].tolist() == [[0, -1]] * 3
     assert all(found[name].dtype == np.float32 for name in ("translations", "focals"))
+
+
+@pytest.mark.parametrize("format", ["npz", "safetensors"])
+def test_a_stored_reconstruction_is_read_as_it_is_sent(
+    api: TestClient, settings: Settings, format: str
+) -> None:
+    """However long it is, and no more of it than is asked for."""
+    shapes = {"points3d": (16, 3), "scales": (2,), "camera_models": (2,)}
+    arrays = {name: np.ones((100_000, *shape), np.float32) for name, shape in shapes.items()}
+    arrays["camera_models"] = arrays["camera_models"].astype(np.int8)
+    fit = stored_fit(settings, make_dataset(api), save(arrays), frames=100_000)
+    url = f"/fits/{fit}/reconstruction?format={format}"
+    assert api.head(url).status_code == 200
+    tracemalloc.start()
+    try:
+        part = api.get(url, headers={"Range": "bytes=-100"})
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert part.status_code == 206
+    whole = api.get(url).content
+    assert peak < len(whole) / 4
+    assert part.content == whole[-100:]
+    found = load(whole) if format == "safetensors" else np.load(io.BytesIO(whole))
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(found[name], array)
 
 
 def test_a_long_fit_is_refined_otherwise_in_parts(api: TestClient, settings: Settings) -> None:
