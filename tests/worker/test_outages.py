@@ -5,18 +5,24 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from redis import Redis
 from rq import Queue, Worker
 
-from store import fits, jobs, lookup
+from store import datasets, fits, jobs, lifts, lookup, models
+from store.capture import Capture
 from store.database import Store
-from store.records import FitJob
-from tests.worker.conftest import CONFIG, StartWorker, wait_for, wait_for_step, wait_until
+from store.datasets import Description
+from store.jobs import TERMINAL
+from store.records import FitJob, LiftJob
+from tests.worker.conftest import CONFIG, FitHere, StartWorker, wait_for, wait_for_step, wait_until
 from worker import patience
 from worker.queue import enqueue, open_queue
 
+CHUNKS = 100
 BRIEF = CONFIG | {"steps": 1, "refine": "off"}
 SLOW = {"steps": 600, "dictionary_sizes": [64, 16], "refine": "off"}
 
@@ -45,19 +51,43 @@ def records_away(store: Store) -> Iterator[None]:
         holder.execute("ROLLBACK")
 
 
+@pytest.fixture
+def lift(store: Store, capture: Capture, fit_here: FitHere) -> LiftJob:
+    """Record a lift of many chunks."""
+    about: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
+    weights = fit_here(CONFIG).to_bytes()
+    model = models.create(store, weights, name="m", keypoints=16, **about)
+    many = Capture(np.tile(capture.keypoints, (CHUNKS, 1, 1, 1)))
+    dataset = datasets.create(store, many, Description("many"))
+    return lifts.create(
+        store,
+        model_id=model.id,
+        dataset_id=dataset.id,
+        name="l",
+        chunk_frames=capture.frames,
+    )
+
+
 @pytest.mark.parametrize(("away", "seconds"), [(objects_away, 3.0), (records_away, 22.0)])
-def test_a_fit_outlives_an_outage(
+def test_a_fit_and_a_lift_outlive_an_outage(
     store: Store,
     redis: Redis,
     dataset_id: str,
+    lift: LiftJob,
     start_worker: StartWorker,
     away: Callable[[Store], AbstractContextManager[None]],
     seconds: float,
 ) -> None:
+    def lifted() -> LiftJob:
+        return lookup.get(store, LiftJob, lift.id)
+
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=SLOW)
-    enqueue(open_queue(redis), fit)
-    start_worker()
+    for record in (fit, lift):  # a worker for each
+        enqueue(open_queue(redis), record)
+        start_worker()
     wait_for_step(store, fit.id, 20)
+    wait_for(lambda: lifted().chunks_done > 0, "a chunk")
+    assert lifted().status == "running"
     with away(store):
         time.sleep(seconds)
     ended = wait_until(store, fit.id, "succeeded", "failed")
@@ -65,6 +95,9 @@ def test_a_fit_outlives_an_outage(
     assert ended.crashes == 0
     assert ended.model_id is not None
     assert lookup.get(store, FitJob, fit.id).reconstruction_key is not None
+    wait_for(lambda: lifted().status in TERMINAL, "the lift's end")
+    assert (lifted().status, lifted().error) == ("succeeded", None)
+    assert {chunk.crashes for chunk in lifts.finished_chunks(store, lifted())} == {0}
 
 
 def test_a_job_that_comes_while_objects_are_away_waits_for_them(
