@@ -91,6 +91,13 @@ def precompile(arguments: list[str]) -> None:
     compile_all()
 
 
+def health(arguments: list[str]) -> None:
+    """Run ``fewview health``."""
+    from service import health_check  # noqa: PLC0415 (not needed by the others)
+
+    health_check.health(arguments)
+
+
 def keep(command: str) -> Callable[[list[str]], None]:
     """Return what runs one of the commands in ``service.keeping``."""
 
@@ -103,7 +110,7 @@ def keep(command: str) -> Callable[[list[str]], None]:
 
 
 KEEPING = ("backup", "restore", "migrate", "prune", "doctor")
-COMMANDS = {"serve": serve, "worker": work, "precompile": precompile} | {
+COMMANDS = {"serve": serve, "worker": work, "precompile": precompile, "health": health} | {
     command: keep(command) for command in KEEPING
 }
 

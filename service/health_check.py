@@ -1,0 +1,75 @@
+"""``fewview health``: does the API, or the worker, of this machine do its work? For containers."""
+
+import json
+import socket
+import sys
+from datetime import UTC, datetime
+from http.client import HTTPConnection, HTTPException
+from typing import Literal
+
+from pydantic import Field
+from pydantic_settings import CliApp, CliPositionalArg, SettingsConfigDict
+from redis.exceptions import RedisError
+from rq import Worker
+
+from service.settings import WILDCARDS, Settings
+from worker.queue import connect
+
+PATIENCE_SECONDS = 3.0
+SILENCE_SECONDS = 60.0  # a worker is heard of every two seconds
+
+
+class Health(Settings):
+    """Ask the API, or a worker, on this machine whether it does its work.
+
+    Exits with 0 if so, else with 1 and one line. A worker is one of this host's name on the queue;
+    while the queue is away nothing can be said against it, and it goes on with its job. The
+    settings are those of what is asked: the same variables, or options. Proxies are not used.
+    """
+
+    model_config = SettingsConfigDict(cli_prog_name="fewview health", cli_kebab_case=True)
+
+    part: CliPositionalArg[Literal["api", "worker"]] = Field(description="Which of them.")
+
+
+def health(arguments: list[str]) -> None:
+    """Run ``fewview health``."""
+    settings = CliApp.run(Health, cli_args=arguments)
+    well, words = _of_api(settings) if settings.part == "api" else _of_worker(settings)
+    print(words)
+    sys.exit(0 if well else 1)
+
+
+def _of_api(settings: Settings) -> tuple[bool, str]:
+    host = "127.0.0.1" if settings.host in WILDCARDS else settings.host
+    connection = HTTPConnection(host, settings.port, timeout=PATIENCE_SECONDS)
+    try:
+        connection.request("GET", "/health/ready")
+        answer = connection.getresponse()
+        said = json.loads(answer.read())
+    except (OSError, HTTPException, ValueError) as error:
+        return False, f"The API at {host}:{settings.port} does not answer: {error}"
+    finally:
+        connection.close()
+    if answer.status == 200:
+        return True, "The API is ready."
+    return False, f"The API is not ready: {said.get('detail', answer.reason)}"
+
+
+def _of_worker(settings: Settings) -> tuple[bool, str]:
+    if settings.redis_url is None:
+        return False, "FEWVIEW_REDIS_URL is not set: a worker needs the queue's address."
+    url = str(settings.redis_url)
+    try:
+        with connect(url, retries=0, timeout_seconds=PATIENCE_SECONDS) as redis:
+            workers = Worker.all(connection=redis)
+    except RedisError as error:
+        return True, f"The queue is away ({error}); a worker waits for it."
+    here = [worker for worker in workers if worker.hostname == socket.gethostname()]
+    heard = [worker.last_heartbeat for worker in here if worker.last_heartbeat is not None]
+    if not heard:
+        return False, "No worker of this host is on the queue."
+    silence = (datetime.now(UTC) - max(heard)).total_seconds()
+    if silence > SILENCE_SECONDS:
+        return False, f"The worker of this host was last heard of {silence:.0f} s ago."
+    return True, "The worker does its work."
