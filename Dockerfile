@@ -1,9 +1,11 @@
 # docker build -t fewview .
-# A torch without CUDA is a tenth of the size: pass the index that has it as TORCH_INDEX_URL.
+# With CUDA, ten times the size: docker build --build-arg TORCH=cu130 -t fewview .
 FROM python:3.12-slim AS build
-ARG TORCH_INDEX_URL=
+# A folder of https://download.pytorch.org/whl: cpu, cu130, ...
+ARG TORCH=cpu
 RUN python -m venv /opt/fewview
 ENV PATH=/opt/fewview/bin:$PATH PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
+RUN pip install --index-url "https://download.pytorch.org/whl/$TORCH" torch==2.13.0
 WORKDIR /src
 COPY pyproject.toml README.md LICENSE ./
 COPY client client
@@ -12,20 +14,27 @@ COPY models models
 COPY store store
 COPY worker worker
 COPY service service
-RUN if [ -n "$TORCH_INDEX_URL" ]; then pip install --index-url "$TORCH_INDEX_URL" torch==2.13.0; fi \
-    && pip install ./client .
+RUN pip install ./client '.[postgresql]'
+# Machine code for any processor of this architecture, beside the package: every user may read it.
+ENV NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
+RUN fewview precompile
 
 FROM python:3.12-slim
-RUN useradd --create-home --uid 1000 fewview && install -d -o fewview -g fewview /data
+RUN useradd --create-home --uid 1000 fewview && install -d -m 700 -o fewview -g fewview /data
 COPY --from=build /opt/fewview /opt/fewview
-ENV PATH=/opt/fewview/bin:$PATH FEWVIEW_DATA_DIR=/data FEWVIEW_HOST=0.0.0.0 FEWVIEW_OPEN_TO_NETWORK=true \
-    PYTHONUNBUFFERED=1
+ENV PATH=/opt/fewview/bin:$PATH \
+    PYTHONUNBUFFERED=1 \
+    PYTHONDONTWRITEBYTECODE=1 \
+    NUMBA_CPU_NAME=generic \
+    NUMBA_CPU_FEATURES= \
+    FEWVIEW_DATA_DIR=/data \
+    FEWVIEW_HOST=0.0.0.0 \
+    FEWVIEW_OPEN_TO_NETWORK=true
 USER fewview
 WORKDIR /data
-RUN fewview precompile
 VOLUME /data
 EXPOSE 8000
-HEALTHCHECK --interval=5s --timeout=5s --start-period=30s --retries=6 \
-    CMD ["python", "-P", "-c", "import urllib.request as u; u.urlopen('http://127.0.0.1:8000/health/ready', timeout=4)"]
+HEALTHCHECK --interval=10s --timeout=8s --start-period=60s --start-interval=2s --retries=3 \
+    CMD ["fewview", "health", "api"]
 ENTRYPOINT ["fewview"]
 CMD ["serve"]
