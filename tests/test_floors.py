@@ -36,7 +36,7 @@ ROOMS = {
         ("realtime",),
         ("resources",),
         ("app",),
-        ("doctor", "openapi", "process"),
+        ("doctor", "health_check", "openapi", "process"),
         ("keeping",),
         ("cli",),
     ),
