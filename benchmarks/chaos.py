@@ -71,9 +71,10 @@ class Run:
         """Do the work of one round while one fault or two happen, then check everything."""
         self._number, started = number, time.monotonic()
         random = Random(f"{self._seed} {self._kind} {number}")  # noqa: S311
-        plan = self.users.plan(number, random, WORK_SECONDS)
         names = random.sample(list(only), min(len(only), random.choice((1, 1, 2))))
         drawn = [(random.uniform(0, WORK_SECONDS), name, draw_seconds(random)) for name in names]
+        # Drawn last: what is deleted depends on what there is, and so on the rounds before.
+        plan = self.users.plan(number, random, WORK_SECONDS)
         ends = started + max(WORK_SECONDS, *(at + seconds for at, _, seconds in drawn))
         with ThreadPoolExecutor(len(plan) + len(drawn) + 1) as threads:
             done = [threads.submit(self.users.lift_now, ends)]
