@@ -109,24 +109,25 @@ def api_processes() -> list[int]:
     RuntimeError
         If there is none, or no /proc to look for them.
     """
-    waiting, found = [os.getpid()], []
-    while waiting:
-        process = waiting.pop()
-        try:
-            command = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
-            threads = list(Path(f"/proc/{process}/task").iterdir())
-            waiting += [
-                int(child)
-                for thread in threads
-                for child in (thread / "children").read_text().split()
-            ]
-        except OSError:  # it has just ended
-            continue
-        if b"service.app" in command:
-            found.append(process)
+    found = [process for process, _, command in processes_below() if b"service.app" in command]
     if not found:
         raise RuntimeError("found no process of the API below this one in /proc")
     return found
+
+
+def processes_below() -> Iterator[tuple[int, int, list[bytes]]]:
+    """Yield every process below this one: itself, its parent, the words of its command."""
+    waiting = [(os.getpid(), os.getppid())]
+    while waiting:
+        process, parent = waiting.pop()
+        try:
+            command = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
+            threads = list(Path(f"/proc/{process}/task").iterdir())
+            children = " ".join((thread / "children").read_text() for thread in threads)
+        except OSError:  # it has just ended
+            continue
+        yield process, parent, command
+        waiting += [(int(child), process) for child in children.split()]
 
 
 def resident_bytes(process: int) -> int:
