@@ -3,12 +3,13 @@
 from typing import Annotated, Literal, get_args
 
 from pydantic import AnyUrl, Field, UrlConstraints, field_validator
+from typing_extensions import TypeAliasType
 
 from store.retention import Retention
 from store.settings import StoreSettings
 
-QueueName = Literal["lifts", "fits", "gpu-fits"]
-QUEUES: tuple[QueueName, ...] = get_args(QueueName)
+QueueName = TypeAliasType("QueueName", Literal["lifts", "fits", "gpu-fits"])
+QUEUES: tuple[QueueName, ...] = get_args(QueueName.__value__)
 QueueUrl = Annotated[AnyUrl, UrlConstraints(allowed_schemes=["redis", "rediss", "unix"])]
 
 

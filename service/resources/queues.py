@@ -17,12 +17,6 @@ router = APIRouter(prefix="/queues", tags=["health"])
 class WaitingJobs(BaseModel):
     """Jobs of one kind that no worker has taken yet."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "example": {"queue": "fits", "waiting": 3, "oldest_seconds": 41.7, "workers": 2}
-        }
-    )
-
     queue: QueueName
     waiting: int = Field(description="Jobs on the queue.")
     oldest_seconds: float = Field(
@@ -33,6 +27,14 @@ class WaitingJobs(BaseModel):
 
 class Queues(BaseModel):
     """All queues."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "items": [{"queue": "fits", "waiting": 3, "oldest_seconds": 41.7, "workers": 2}]
+            }
+        }
+    )
 
     items: list[WaitingJobs]
 

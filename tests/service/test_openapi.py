@@ -31,6 +31,7 @@ from service.resources import (
     lifts,
     lists,
     models,
+    queues,
     reconstructions,
 )
 from tests.service.conftest import SEEKING, Live, frames_of, to_npz
@@ -45,6 +46,7 @@ MODULES = (
     lift,
     lifts,
     lists,
+    queues,
     health,
     errors,
 )
@@ -131,6 +133,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "list_fits",
         "list_lifts",
         "list_models",
+        "list_queues",
         "stream_fit_events",
         "stream_lift_events",
         "stream_lifts",
