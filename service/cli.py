@@ -51,9 +51,10 @@ def run(command: str, arguments: list[str]) -> None:
         COMMANDS[command](arguments)
     except ValidationError as error:
         for item in error.errors():
-            option = "--" + "-".join(str(part) for part in item["loc"]).replace("_", "-")
+            option = "-".join(str(part) for part in item["loc"]).replace("_", "-")
+            where = f"--{option}: " if option else ""  # what is wrong with several names them
             message = item["msg"].removeprefix("Value error, ")
-            print(f"fewview {command}: {option}: {message}", file=sys.stderr)
+            print(f"fewview {command}: {where}{message}", file=sys.stderr)
         sys.exit(2)
 
 

@@ -12,7 +12,7 @@ from pydantic_settings import CliApp, CliPositionalArg, SettingsConfigDict
 from redis.exceptions import RedisError
 from rq import Worker
 
-from service.settings import WILDCARDS, Settings
+from service.settings import Settings
 from worker.queue import connect
 
 PATIENCE_SECONDS = 3.0
@@ -41,14 +41,14 @@ def health(arguments: list[str]) -> None:
 
 
 def _of_api(settings: Settings) -> tuple[bool, str]:
-    host = "127.0.0.1" if settings.host in WILDCARDS else settings.host
-    connection = HTTPConnection(host, settings.port, timeout=PATIENCE_SECONDS)
+    where = f"{settings.reached_at}:{settings.port}"
+    connection = HTTPConnection(where, timeout=PATIENCE_SECONDS)
     try:
         connection.request("GET", "/health/ready")
         answer = connection.getresponse()
         said = json.loads(answer.read())
     except (OSError, HTTPException, ValueError) as error:
-        return False, f"The API at {host}:{settings.port} does not answer: {error}"
+        return False, f"The API at {where} does not answer: {error}"
     finally:
         connection.close()
     if answer.status == 200:

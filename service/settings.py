@@ -148,6 +148,13 @@ class Settings(WorkerSettings):
         return origins
 
     @property
+    def reached_at(self) -> str:
+        """The host under which this machine reaches what listens, as URLs have it."""
+        if self.host in WILDCARDS:
+            return "[::1]" if self.host == "::" else "127.0.0.1"
+        return f"[{self.host}]" if ":" in self.host else self.host
+
+    @property
     def allowed_origins(self) -> list[str]:
         """The origins of web pages that may call the API, one by one."""
         return _listed(self.cors_origins)

@@ -67,7 +67,7 @@ def prepare(engine: Engine, *, embedded: bool) -> None:
     if found.state == "older" and not embedded:
         raise StoreError(
             f"The records in {shown(engine.url)} are of an older version of Fewview: stop what "
-            "uses them, make a backup, and run `fewview migrate`."
+            "uses them, make a backup with that older version, and run `fewview migrate`."
         )
     if found.state != "current":
         migrate(engine)

@@ -23,6 +23,17 @@ app = typer.Typer(
     help="3D from the 2D keypoints of a few cameras that nobody calibrated.",
 )
 # Commands of the server, which has its own distribution: they read their options themselves.
+OF_SERVER = {
+    "serve": "Run the API; with no settings at all also a queue and a worker.",
+    "worker": "Run a worker that does what is on the queue: fits and lifts.",
+    "precompile": "Compile the server's inner loops ahead, which the first fit else does.",
+    "health": "Tell whether the API, or a worker, of this machine does its work: for containers.",
+    "backup": "Copy everything that a deployment holds into a folder, while it runs.",
+    "restore": "Fill an empty deployment with a backup.",
+    "migrate": "Bring the tables of the records to this version.",
+    "prune": "Delete fits and lifts that ended long ago, and what crashes left.",
+    "doctor": "Examine a deployment, and say what to do.",
+}
 ELSEWHERE = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
 
 
@@ -40,66 +51,21 @@ def _options(
         raise typer.Exit
 
 
-@app.command(context_settings=ELSEWHERE)
-def serve(context: typer.Context) -> None:
-    """Run the API; with no settings at all also a queue and a worker."""
-    _run_of_server("serve", context.args)
+def _run_of_server(context: typer.Context) -> None:
+    command = context.info_name
+    found = entry_points(group="fewview.commands", name=str(command))
+    if not found:
+        sys.exit(f"fewview {command}: the server is not installed: pip install fewview-server")
+    (entry,) = found
+    entry.load()(command, context.args)
 
 
-@app.command(context_settings=ELSEWHERE)
-def worker(context: typer.Context) -> None:
-    """Run a worker that fits what is on the queue."""
-    _run_of_server("worker", context.args)
-
-
-@app.command(context_settings=ELSEWHERE)
-def precompile(context: typer.Context) -> None:
-    """Compile the server's inner loops ahead, which the first fit else does."""
-    _run_of_server("precompile", context.args)
-
-
-@app.command(context_settings=ELSEWHERE)
-def backup(context: typer.Context) -> None:
-    """Copy everything that a deployment holds into a folder, while it runs."""
-    _run_of_server("backup", context.args)
-
-
-@app.command(context_settings=ELSEWHERE)
-def restore(context: typer.Context) -> None:
-    """Fill an empty deployment with a backup."""
-    _run_of_server("restore", context.args)
-
-
-@app.command(context_settings=ELSEWHERE)
-def migrate(context: typer.Context) -> None:
-    """Bring the tables of the records to this version."""
-    _run_of_server("migrate", context.args)
-
-
-@app.command(context_settings=ELSEWHERE)
-def prune(context: typer.Context) -> None:
-    """Delete fits and lifts that ended long ago, and what crashes left."""
-    _run_of_server("prune", context.args)
-
-
-@app.command(context_settings=ELSEWHERE)
-def doctor(context: typer.Context) -> None:
-    """Examine a deployment, and say what to do."""
-    _run_of_server("doctor", context.args)
-
-
+for name, words in OF_SERVER.items():
+    app.command(name, help=words, context_settings=ELSEWHERE)(_run_of_server)
 for command in (run, convert, upload, fit, cameras, lift, export, evaluate):
     app.command()(command)
 for kind in COLUMNS:
     app.add_typer(commands_of(kind), name=kind)
-
-
-def _run_of_server(command: str, arguments: list[str]) -> None:
-    found = entry_points(group="fewview.commands", name=command)
-    if not found:
-        sys.exit(f"fewview {command}: the server is not installed: pip install fewview-server")
-    (entry,) = found
-    entry.load()(command, arguments)
 
 
 if __name__ == "__main__":

@@ -175,10 +175,17 @@ def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
     """Return the OpenAPI responses of an operation that can end in these problems.
 
     All can end in ``invalid_input`` (of a parameter at least), ``host_not_allowed``,
-    ``internal_error``, ``unavailable``; those that read a body in ``overloaded``.
+    ``internal_error``, ``object_damaged``, ``unavailable``; those that read a body in
+    ``overloaded``.
     """
     described: dict[int | str, dict[str, Any]] = {}
-    of_all = ("invalid_input", "host_not_allowed", "internal_error", "unavailable")
+    of_all = (
+        "invalid_input",
+        "host_not_allowed",
+        "internal_error",
+        "object_damaged",
+        "unavailable",
+    )
     for code in dict.fromkeys((*codes, *of_all)):
         status, title = PROBLEMS[code]
         entry = described.setdefault(

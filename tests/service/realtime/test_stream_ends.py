@@ -19,6 +19,7 @@ from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
 from service.wire import stream_messages
 from service.wire.stream_messages import StreamError
+from tests.damage import flip
 from tests.service.conftest import (
     BYTES,
     problem,
@@ -115,6 +116,19 @@ def test_an_outage_ends_a_stream_with_its_own_code(
     assert (error.code, closed) == ("unavailable", 4503)
     with started(http, made):
         pass
+
+
+def test_damaged_weights_end_a_stream_and_are_named(
+    http: httpx2.Client, settings: Settings, weights: bytes
+) -> None:
+    made = http.post("/models", content=weights, headers=BYTES).json()["id"]
+    (file,) = (settings.data_dir / "objects" / "models" / made).iterdir()
+    flip(file)
+    with opened(http) as socket:
+        socket.send(orjson.dumps({"model": made}).decode())
+        error, closed = ending(socket)
+    assert (error.code, closed) == ("object_damaged", 4500)
+    assert f"models/{made}" in error.detail
 
 
 def test_messages_are_bounded(http: httpx2.Client, model: str) -> None:
