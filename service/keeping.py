@@ -78,8 +78,8 @@ class Doctor(Settings):
 class Migrate(StoreSettings):
     """Bring the tables of the records to this version, or make them in an empty database.
 
-    Before it, stop what uses the records and make a backup. Records in the data folder need no such
-    command: they are migrated when they are opened.
+    Before it, stop what uses the records and make a backup with the version that you had. Records
+    in the data folder need no such command: they are migrated when they are opened.
     """
 
     model_config = SettingsConfigDict(cli_prog_name="fewview migrate", cli_kebab_case=True)

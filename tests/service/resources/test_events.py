@@ -70,7 +70,9 @@ def test_all_who_follow_cost_one_look(store: Store) -> None:
         assert seen[0][0] < seen[1][0]
 
 
-def test_an_outage_of_the_records_ends_nothing(store: Store) -> None:
+def test_an_outage_of_the_records_ends_nothing(
+    store: Store, caplog: pytest.LogCaptureFixture
+) -> None:
     fit = queued(store)
 
     async def follow() -> list[tuple[int, str]]:
@@ -86,6 +88,8 @@ def test_an_outage_of_the_records_ends_nothing(store: Store) -> None:
             return await following
 
     assert [status for _, status in asyncio.run(follow())] == ["queued", "cancelled"]
+    said = [record for record in caplog.records if "cannot be read" in record.message]
+    assert len(said) == 1  # of several looks in vain
 
 
 def test_no_more_may_follow_than_are_allowed(settings: Settings, api: TestClient) -> None:
