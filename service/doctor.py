@@ -28,7 +28,7 @@ from store.ids import new_id
 from store.mistakes import unknown
 from store.records import FitJob, LiftJob
 from store.settings import StoreSettings, shown
-from worker.queue import connect
+from worker.queue import connect, open_queues
 
 MOST_CLOCK_SECONDS = 5.0
 MOST_WAITING_SECONDS = 3600.0
@@ -77,7 +77,10 @@ def examine(settings: Settings, *, deep: bool) -> Iterator[Verdict]:
         yield from _clocks(store, connection)
         if connection is not None:
             yield from _jobs(store, connection)
+            yield from _lonely_queues(connection)
         yield from _objects(store, deep=deep)
+    except redis.exceptions.RedisError as error:
+        yield _no_queue(settings, error)
     except AWAY as error:
         yield Verdict("failed", "records and objects", in_words(error))
     store.close()
@@ -207,6 +210,21 @@ def _jobs(store: Store, connection: Redis) -> Iterator[Verdict]:
         yield Verdict("warning", "workers", f"{words}: start more with `fewview worker`")
     else:
         yield Verdict("ok", "workers", words)
+
+
+def _lonely_queues(connection: Redis) -> Iterator[Verdict]:
+    """Name queues from which no worker takes, though there are workers."""
+    if not Worker.count(connection=connection):
+        return
+    for queue in open_queues(connection):
+        if not Worker.count(queue=queue):
+            waiting = queue.count
+            words = f"none takes from the queue {queue.name}, where {waiting} jobs wait: start "
+            yield Verdict(
+                "failed" if waiting else "warning",
+                "workers",
+                f"{words}`fewview worker --takes {queue.name}`, or one that takes all",
+            )
 
 
 def _objects(store: Store, *, deep: bool) -> Iterator[Verdict]:

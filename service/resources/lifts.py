@@ -94,8 +94,8 @@ class LiftFailure(BaseModel):
     """Why a lift failed."""
 
     code: str = Field(
-        description="`dataset_not_found`, `model_not_found`, `invalid_arguments`, `worker_lost` or "
-        "`internal_error`."
+        description="`dataset_not_found`, `model_not_found`, `object_damaged`, "
+        "`invalid_arguments`, `worker_lost` or `internal_error`."
     )
     message: str
 

@@ -178,7 +178,7 @@ def get_model(model_id: Identifier, store: StoreDep) -> Model:
 @router.get(
     "/{model_id}/cameras",
     response_model=ModelCameras,
-    responses=problems("not_found", "conflict")
+    responses=problems("not_found", "conflict", "range_not_satisfiable")
     | binary_responses("The cameras, as JSON or as a calibration file.", *MEDIA_TYPES),
 )
 def get_model_cameras(
@@ -357,7 +357,8 @@ add_change_route(router, records.Model, Model, Model.of)
 def delete_model(model_id: Identifier, store: StoreDep, engine: EngineDep) -> None:
     """Delete a model and its weights; the fit that made it keeps its reconstruction.
 
-    Lifts of datasets that are not done yet need it: cancel them first.
+    Lifts of datasets that are not done yet need it, and so do fits that start from it: cancel them
+    first.
     """
     models.delete(store, model_id)
     engine.models.forget(model_id)

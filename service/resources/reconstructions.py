@@ -72,7 +72,7 @@ async def take_turn(request: Request, refine: RefineQuery = None) -> AsyncIterat
     "/{fit_id}/reconstruction",
     response_model=Reconstruction,
     dependencies=[Depends(take_turn, scope="function")],
-    responses=problems("not_found", "conflict", "not_acceptable")
+    responses=problems("not_found", "conflict", "not_acceptable", "range_not_satisfiable")
     | binary_responses("Every frame of the fitted dataset, lifted.", OCTETS, NPZ),
 )
 def get_reconstruction(

@@ -15,6 +15,8 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from pydantic import AnyUrl
+from redis import Redis
+from rq import Worker
 from safetensors.numpy import load
 from sqlalchemy import text
 from starlette.testclient import TestClient
@@ -36,6 +38,7 @@ from tests.deployments import PostgreSQL
 from tests.object_stores import S3
 from tests.processes import free_port
 from tests.service.conftest import BYTES, Live, frames_of, to_safetensors
+from worker.queue import enqueue, open_queue, open_queues
 
 ARCHIVE = Path(__file__).parents[2] / "fixtures" / "data_folder.tar.xz"
 CAPTURE = Capture.checked(np.random.default_rng(0).uniform(0, 1000, (12, 2, 5, 2)))
@@ -341,6 +344,24 @@ def test_a_doctor_says_what_is_right_and_what_to_do(
     assert ill.status == 1
     assert "failed   queue" in ill.stdout
     assert "secret" not in ill.stdout + ill.stderr
+
+
+def test_a_doctor_names_queues_without_a_worker(
+    store: Store, here: tuple[str, ...], valkey: ValkeyServer
+) -> None:
+    url = f"{valkey.connection_url}/6"
+    with Redis.from_url(url) as redis:
+        worker = Worker(open_queues(redis, ["lifts", "fits"]), connection=redis)
+        worker.register_birth()  # type: ignore[no-untyped-call]
+        dataset = lookup.page(store, Dataset, limit=1, after=None)[0].id
+        fit = fits.create(store, dataset_id=dataset, name="large", config={})
+        enqueue(open_queue(redis, "gpu-fits"), fit)
+        ill = run("doctor", here[1], FEWVIEW_REDIS_URL=url)
+        assert ill.status == 1
+        (said,) = [line for line in ill.stdout.splitlines() if "none takes" in line]
+        assert said.startswith("failed   workers: ")
+        assert "gpu-fits, where 1 jobs wait" in said
+        worker.register_death()  # type: ignore[no-untyped-call]
 
 
 def test_a_doctor_sees_clocks_that_differ(
