@@ -31,7 +31,8 @@ OUT, CAPTURE, OTHERS = "out", "capture.npz", "others.json"
 LONGEST_LOG = 2000  # characters
 # OpenBLAS sets addresses aside for each thread.
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-OURS = "FEWVIEW_"  # settings, passwords among them, which are no business of the child's
+# Settings of ours, and of records and objects, passwords among them: no business of the child's.
+OURS = ("FEWVIEW_", "AWS_", "AZURE_", "GOOGLE_", "PG")
 
 
 def read_apart(

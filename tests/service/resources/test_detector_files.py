@@ -5,6 +5,8 @@ import json
 import os
 import pickle
 import sys
+import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,8 @@ from starlette.testclient import TestClient
 from service.wire import reading_apart
 from service.wire.reading_apart import read_apart
 from tests.client.readers import files
-from tests.service.conftest import problem, zip_of
+from tests.processes import descendants
+from tests.service.conftest import problem, wait_for, zip_of
 
 NAMES = files.NAMES
 LEFT, RIGHT = files.walk(12), files.walk(12, start=200, seed=2)
@@ -265,6 +268,33 @@ def test_what_was_unpacked_goes_even_if_reading_hangs(
         read_apart(folder, ["a.zip", "b"], ReadingOptions(), max_bytes=2**20)
     assert list(folder.glob("fewview-*"))
     assert not list(temporary.iterdir())
+
+
+def test_what_reads_files_of_strangers_knows_no_passwords(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    secrets = ("FEWVIEW_DATABASE_URL", "AWS_SECRET_ACCESS_KEY", "PGPASSWORD")
+    for name in secrets:
+        monkeypatch.setenv(name, "secret-of-the-service")
+    os.mkfifo(tmp_path / "a.csv")  # which keeps the reader waiting
+    monkeypatch.setattr(reading_apart, "SECONDS", 5)
+    seen: list[bytes] = []
+
+    def look() -> bool:
+        for child in descendants(os.getpid()):
+            with suppress(OSError):
+                told = Path(f"/proc/{child}/environ").read_bytes()
+                if f"TMPDIR={tmp_path}".encode() in told:
+                    seen.append(told)
+        return bool(seen)
+
+    looking = threading.Thread(target=wait_for, args=(look, "the reader"))
+    looking.start()
+    with pytest.raises(FormatError, match="took more than"):
+        read_apart(tmp_path, ["a.csv"], ReadingOptions(), max_bytes=2**20)
+    looking.join()
+    assert seen
+    assert not any(b"secret-of-the-service" in told for told in seen)
 
 
 def test_a_form_has_one_file_of_arrays_or_files_of_detectors(
