@@ -152,8 +152,8 @@ def end(
 ) -> None:
     """End the attempt's fit as ``failed`` or ``cancelled``."""
     with store.writing() as session:
-        key = session.scalar(select(FitJob.checkpoint_key).where(FitJob.id == attempt.fit_id))
-        condemned = condemn(session, [key])
+        locked = select(FitJob.checkpoint_key).where(FitJob.id == attempt.fit_id)
+        condemned = condemn(session, [session.scalar(locked.with_for_update())])
         _write(session, attempt, fits.ended(status) | {"error": error})
     discard(store, *condemned)
 

@@ -4,13 +4,13 @@ A function that treats both alike takes the kind of record, :class:`store.record
 :class:`store.records.LiftJob`. What differs is in ``store.fits`` and ``store.lifts``.
 """
 
-import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
+from store import clock
 from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import ConflictError, QueueFullError
@@ -74,7 +74,7 @@ def refuse(
         known = session.scalar(select(kind.id).where(kind.job_id == job_id))
         if known is not None:
             return known
-        now = time.time()
+        now = clock.read(session)
         refused = kind(
             id=new_id(kind.noun),
             job_id=job_id,

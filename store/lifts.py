@@ -14,6 +14,7 @@ from sqlalchemy import ColumnElement, select
 from sqlalchemy import delete as sql_delete
 from sqlalchemy.orm import Session
 
+from models.settings.keypoints import MAX_VIEWS
 from store import clock, jobs
 from store.database import Store
 from store.disposal import condemn, discard
@@ -123,6 +124,8 @@ def _check(views: list[int] | None, dataset: Dataset, model: Model) -> None:
             "views",
             f"expected one index per view of the dataset, none twice: {dataset.views}, got {views}",
         )
+    if views is not None and max(views) >= MAX_VIEWS:  # integers without end are no JSON
+        raise LiftError("views", f"expected indices below {MAX_VIEWS}, got {max(views)}")
 
 
 def helped(store: Store, job_id: str) -> LiftJob | None:

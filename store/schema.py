@@ -84,6 +84,8 @@ def migrate(engine: Engine) -> Version:
         If the tables are of a newer version, or differ from all that were ever written.
     """
     with engine.execution_options(writing=True).begin() as connection:
+        if connection.dialect.name == "postgresql":  # there may be many records
+            connection.execute(text("SET LOCAL statement_timeout = 0"))
         alone(connection, "the tables")
         found = version(connection)
         if found.state == "newer":
@@ -102,8 +104,6 @@ def _upgrade(connection: Connection) -> None:
     from alembic import command  # noqa: PLC0415 (takes long to import, and is hardly ever needed)
     from alembic.config import Config  # noqa: PLC0415
 
-    if connection.dialect.name == "postgresql":
-        connection.execute(text("SET LOCAL statement_timeout = 0"))  # there may be many records
     config = Config(attributes={"connection": connection})
     config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
     command.upgrade(config, "head")

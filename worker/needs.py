@@ -1,5 +1,7 @@
 """What machine a job needs, and so on which queue it waits."""
 
+from pydantic import ValidationError
+
 from models.settings.config import FitConfig
 from store import lookup
 from store.database import Store
@@ -27,7 +29,7 @@ def queue_for(store: Store, record: FitJob | LiftJob) -> QueueName:
         return "lifts"
     try:
         dataset = lookup.get(store, Dataset, record.dataset_id)
-    except NotFoundError:  # which the fit will say
+        config = FitConfig.model_validate(record.config)
+    except (NotFoundError, ValidationError):  # which the fit will say
         return "fits"
-    config = FitConfig.model_validate(record.config)
     return "gpu-fits" if gpu_pays(config, dataset.views, dataset.keypoints) else "fits"

@@ -4,9 +4,10 @@ import io
 import json
 import logging
 import pickle
+import re
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 from pydantic import AnyUrl, BaseModel, Field
 from redis import Redis
@@ -15,6 +16,7 @@ from redis.exceptions import RedisError
 from redis.retry import Retry
 from rq import Queue
 from rq.exceptions import DequeueTimeout, NoSuchJobError
+from rq.intermediate_queue import IntermediateQueue
 from rq.job import Job
 from rq.registry import CanceledJobRegistry
 
@@ -35,6 +37,7 @@ logger = logging.getLogger(__name__)
 FIT_JOB = "worker.jobs.fit"
 LIFT_JOB = "worker.jobs.lift"
 HELP_JOB = "worker.jobs.help_lift"
+JOB_ID = re.compile(rb"[A-Za-z0-9_-]{1,200}")  # what RQ takes for one, and records can hold
 
 START_PATIENCE_SECONDS = 3.0
 POLL_SECONDS = 0.1  # between two looks at several queues
@@ -90,9 +93,12 @@ class KnownJob(Job):
         except NoSuchJobError:
             raise
         except Exception as error:  # noqa: BLE001 (any, for anyone may have written it)
-            super().restore({b"data": b"", b"origin": b"fits"})
+            origin = raw_data.get(b"origin", b"fits").decode(errors="replace").encode()
+            super().restore({b"data": b"", b"origin": origin})
             self.unreadable = f"This job cannot be read: {error}"
         self.webhooks = []
+        if not isinstance(self.meta, dict):
+            self.meta = {}
 
     def check_function(self) -> None:
         """Raise ``ValueError`` if the job asks for another function, or cannot be read."""
@@ -141,8 +147,58 @@ def check_reachable(url: AnyUrl) -> None:
         ) from error
 
 
+class Taken(IntermediateQueue):
+    """The jobs between a queue and a worker: where they are found again if that one dies."""
+
+    def get_job_ids(self) -> list[str]:
+        """Return their identifiers."""
+        return [name.decode() for name in self._names() if JOB_ID.fullmatch(name) is not None]
+
+    def misnamed(self) -> list[bytes]:
+        """Return what a worker has met that can be no job's identifier."""
+        return [name for name in self._names() if JOB_ID.fullmatch(name) is None]
+
+    def _names(self) -> list[bytes]:
+        return cast(list[bytes], self.connection.lrange(self.key, 0, -1))
+
+    def set_aside(self, name: bytes) -> None:
+        """Take away what can be no job's identifier; its producer reads that the job failed."""
+        job = Job.redis_job_namespace_prefix.encode() + name
+        if self.connection.exists(job):
+            self.connection.hset(job, "status", "failed")
+            self.connection.expire(job, FAILURE_SECONDS)
+        self.connection.lrem(self.key, 0, name)  # type: ignore[arg-type]
+
+
 class WorkQueue(Queue):
-    """A queue of which no job is lost between it and a worker, however many that one takes from."""
+    """A queue of which no job is lost between it and a worker, however many that one takes from.
+
+    Other producers may have written anything: what can be no job's identifier goes where jobs are
+    found again, and is set aside there by the reconciler.
+    """
+
+    def get_job_ids(self, offset: int = 0, length: int = -1) -> list[str]:
+        """Return the identifiers of the jobs that wait."""
+        end = offset + length - 1 if length >= 0 else length
+        found = cast(list[bytes], self.connection.lrange(self.key, offset, end))
+        return [name.decode() for name in found if JOB_ID.fullmatch(name) is not None]
+
+    @property
+    def intermediate_queue(self) -> Taken:
+        """The jobs that a worker has taken and not begun."""
+        return Taken(self.key, connection=self.connection)
+
+    @classmethod
+    def lmove(
+        cls, connection: Redis, queue_key: str, timeout: int | None
+    ) -> tuple[str, bytes] | None:
+        """Do as RQ does, which could not go on from what is no job's identifier."""
+        found: tuple[str, bytes] | None = super().lmove(connection, queue_key, timeout)
+        if found is None or JOB_ID.fullmatch(found[1]) is not None:
+            return found
+        if timeout is None:
+            return None
+        raise DequeueTimeout(timeout, queue_key)
 
     @classmethod
     def lpop(
@@ -155,7 +211,7 @@ class WorkQueue(Queue):
         ends = time.monotonic() + (timeout or 0)
         while True:
             for key in queue_keys:
-                found: tuple[str, bytes] | None = cls.lmove(connection, key, None)  # type: ignore[arg-type]
+                found = cls.lmove(connection, key, None)  # type: ignore[arg-type]
                 if found is not None:
                     return found
             if timeout is None:

@@ -7,7 +7,7 @@ from functools import partial
 from pydantic import ValidationError
 from redis import Redis
 from rq import Queue
-from rq.exceptions import DeserializationError
+from rq.exceptions import DeserializationError, NoSuchJobError
 
 from models.settings.config import FitConfig
 from store import clock, fits, jobs, lifts
@@ -23,6 +23,8 @@ from worker.queue import (
     FitArguments,
     KnownJob,
     LiftArguments,
+    PlainDataSerializer,
+    WorkQueue,
     arguments_of,
     enqueue,
     open_queue,
@@ -57,6 +59,8 @@ class Reconciler:
         Work must be without a job for a while: between leaving the queue and being claimed, a
         job is in neither place for a moment.
         """
+        for queue in self._queues:
+            self._set_misnamed_aside(queue)
         waiting = {job_id: queue for queue in self._queues for job_id in queue.get_job_ids()}
         taken = {  # maybe by a worker that died
             job_id: queue
@@ -93,10 +97,32 @@ class Reconciler:
             jobs.by_job(self._store, FitJob, job_id) is None
             and lifts.helped(self._store, job_id) is None
         ):
-            job = queue.fetch_job(job_id)
+            try:
+                job = KnownJob.fetch(job_id, self._connection, PlainDataSerializer)
+            except NoSuchJobError:
+                queue.remove(job_id)
+                queue.intermediate_queue.remove(job_id)
+                return
             if isinstance(job, KnownJob) and not calls(job, HELP_JOB) and recorded_as(job) is None:
                 adopt(self._store, job, self._settings)
         self._known.add(job_id)
+
+    def _set_misnamed_aside(self, queue: WorkQueue) -> None:
+        for name in queue.intermediate_queue.misnamed():
+            why = "a job's identifier is 1 to 200 letters, digits, underscores and dashes"
+            logger.warning("%r on the queue %s is set aside: %s", name[:200], queue.name, why)
+            refuse = partial(
+                jobs.refuse,
+                self._store,
+                job_id=storable(name.decode(errors="replace"))[:200],
+                error={"code": "invalid_arguments", "message": f"job_id: {why}"},
+                dataset_id="",
+            )
+            if queue.name == "lifts":
+                refuse(LiftJob, name="lift", model_id="")
+            else:
+                refuse(FitJob, name="fit", config={})
+            queue.intermediate_queue.set_aside(name)
 
 
 def calls(job: KnownJob, function: str) -> bool:

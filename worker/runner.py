@@ -15,6 +15,7 @@ from obstore.exceptions import BaseError as ObjectStoreError
 from redis import Redis
 from redis.client import Pipeline
 from rq import Queue, Worker
+from rq.exceptions import StopRequested
 from rq.job import Job
 from rq.registry import StartedJobRegistry
 from rq.worker import DequeueStrategy
@@ -129,12 +130,15 @@ class JobWorker(Worker):
         job.timeout = self._settings.max_fit_seconds + TIMEOUT_SLACK_SECONDS
         job.result_ttl, job.failure_ttl = RESULT_SECONDS, FAILURE_SECONDS
         _import_for_jobs()
+        if self.stopping:  # an import may take for its own what SIGTERM raises in it
+            raise StopRequested
         try:
             super().execute_job(job, queue)
-        except (redis.exceptions.ConnectionError, redis.exceptions.TimeoutError):
+        except redis.exceptions.RedisError:
             # The record is the truth: a job does not need Redis to go on and finish.
-            logger.exception("Redis is gone: waiting for the running job")
-            self.wait_for_horse()
+            logger.exception("Redis is away: waiting for the running job")
+            if self.horse_pid:
+                self.wait_for_horse()
             raise
 
     def handle_exception(self, job: Job, *exc_info: Any) -> None:

@@ -3,6 +3,7 @@
 import os
 import subprocess
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -143,3 +144,45 @@ def test_a_large_capture_pays_sooner(store: Store) -> None:
         fit = fits.create(store, dataset_id=dataset.id, name="f", config=config)
         found.append(queue_for(store, fit))
     assert found == ["fits", "gpu-fits"]
+
+
+def test_a_fit_that_is_not_understood_waits_with_the_others(store: Store, dataset_id: str) -> None:
+    """Of another version, perhaps: it fails when it is its turn, and holds up nobody before."""
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config={})
+    assert queue_for(store, lookup.change(store, FitJob, fit.id, {"config": {"a": 1}})) == "fits"
+
+
+@pytest.mark.parametrize("deployment", ["scaled"], indirect=True)
+def test_what_no_record_can_hold_stops_no_worker(
+    store: Store, redis: Redis, dataset_id: str, start_taking: StartTaking
+) -> None:
+    """Names of jobs, and numbers; wherever they wait, or were taken to."""
+    columns: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
+    model = models.create(store, b"w", name="m", keypoints=16, **columns)
+    queues = {name: Queue(name, connection=redis) for name in ("fits", "lifts")}
+    ask = partial(queues["fits"].enqueue, "worker.jobs.fit", dataset_id="ds_none")
+    long = ask(job_id="n" * 201)
+    names = (b"\xff", b"my job:1", b"no\0thing")
+    redis.rpush(queues["fits"].key, *names)
+    redis.rpush(queues["lifts"].intermediate_queue_key, *names)
+    lift = partial(queues["lifts"].enqueue, "worker.jobs.lift", model.id, dataset_id)
+    unreadable, large = lift(), lift(views=[0, 1, 2**70])
+    redis.hset(unreadable.key, "status", "bogus")
+    redis.hset(large.key, "meta", b"[1]")
+    good = ask()
+    start_taking("lifts,fits,gpu-fits")
+    wait_for(lambda: all(job.is_failed for job in (long, large, good)), "the jobs to fail")
+    wait_for(
+        lambda: not any(redis.exists(q.key, q.intermediate_queue_key) for q in queues.values()),
+        "all to be gone",
+        30,
+    )
+    shown = ("\ufffd", "my job:1", "no?thing")
+    for job_id in (good.id, unreadable.id, "n" * 200, *shown):
+        fit = jobs.by_job(store, FitJob, job_id)
+        assert fit is not None
+        assert fit.status == "failed"
+    for job_id in (large.id, *shown):
+        refused = jobs.by_job(store, LiftJob, job_id)
+        assert refused is not None
+        assert refused.status == "failed"

@@ -182,15 +182,29 @@ class Told(runner.JobWorker):
 runner.JobWorker = Told
 runner.run(WorkerSettings())
 """
+# The same in an import that takes whatever is raised for its own.
+TOLD_IN_AN_IMPORT = """
+import os, signal
+from contextlib import suppress
+from worker import runner
+from worker.settings import WorkerSettings
+
+def import_for_jobs():
+    runner._import_for_jobs = lambda: None  # once
+    with suppress(Exception):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+runner._import_for_jobs = import_for_jobs
+runner.run(WorkerSettings())
+"""
 
 
+@pytest.mark.parametrize("script", [TOLD_BEFORE_THE_JOB, TOLD_IN_AN_IMPORT])
 def test_the_worker_is_told_to_leave_as_a_job_comes(
-    store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
+    store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings, script: str
 ) -> None:
     fit = queue(store, redis, dataset_id, LONG)
-    worker = subprocess.Popen(
-        tied("-c", TOLD_BEFORE_THE_JOB), env=os.environ | settings.to_environment()
-    )
+    worker = subprocess.Popen(tied("-c", script), env=os.environ | settings.to_environment())
     try:
         assert worker.wait(30) == 0
         assert lookup.get(store, FitJob, fit.id).status in ("queued", "running")
