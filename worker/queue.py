@@ -19,6 +19,7 @@ from rq.exceptions import DequeueTimeout, NoSuchJobError
 from rq.intermediate_queue import IntermediateQueue
 from rq.job import Job
 from rq.registry import CanceledJobRegistry
+from sqlalchemy.exc import SQLAlchemyError
 
 from models.settings.config import FitConfig, Index, Refine
 from models.settings.keypoints import MAX_VIEWS
@@ -266,14 +267,14 @@ def enqueue(queue: Queue, record: FitJob | LiftJob) -> None:
 
 
 def offer(connection: Redis, store: Store, record: FitJob | LiftJob) -> None:
-    """Do the same on the queue for what the record needs, if the queue can be reached.
+    """Do the same on the queue for what the record needs, if queue and records can be reached.
 
-    If it cannot, a reconciler will when it is back.
+    If they cannot, a reconciler will when they are back.
     """
     try:
         enqueue(open_queue(connection, queue_for(store, record)), record)
-    except RedisError:
-        logger.warning("The queue is away: %s waits in the records", record.id)
+    except (RedisError, SQLAlchemyError):
+        logger.warning("Queue or records are away: %s is queued when they are back", record.id)
 
 
 class FitArguments(BaseModel):

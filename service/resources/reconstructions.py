@@ -59,9 +59,16 @@ class Reconstruction(BaseModel):
     findings: Findings = Field(description="Of the fit.")
 
 
-async def take_turn(request: Request, refine: RefineQuery = None) -> AsyncIterator[None]:
-    """Have a reconstruction that is lifted anew wait its turn, as large uploads do."""
-    if refine is None:
+async def take_turn(
+    request: Request,
+    refine: RefineQuery = None,
+    frame: FrameQuery = None,
+    up: UpQuery = None,
+    format: FormatQuery = None,
+) -> AsyncIterator[None]:
+    """Have a reconstruction that is made in memory wait its turn, as large uploads do."""
+    as_stored = refine is None and frame is None and up is None
+    if as_stored and chosen_format(request, format) != "json":
         yield
     else:
         async with request.app.state.large_uploads:
