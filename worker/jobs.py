@@ -13,9 +13,7 @@ from store.database import Store
 from store.errors import NotFoundError
 from store.jobs import Job
 from store.records import FitJob, LiftJob
-from worker.fitting import run_attempt
 from worker.heartbeat import Heartbeat
-from worker.lifting import do_chunks
 from worker.patience import patiently
 from worker.queue import KnownJob
 from worker.reconciler import adopt, recorded_as
@@ -69,6 +67,8 @@ def fit(
         if attempt is not None:
             logger.info("Fit %s: attempt %d starts", fit_id, attempt.number)
             with Heartbeat(partial(attempts.beat, store, attempt)) as heartbeat:
+                from worker.fitting import run_attempt  # noqa: PLC0415 (torch takes seconds)
+
                 run_attempt(store, attempt, heartbeat, settings)
         record = _waiting(partial(lookup.get, store, FitJob, fit_id))
         _report(record)
@@ -136,6 +136,8 @@ def _help(
         time_slice = TimeSlice(job.connection, settings, lift_id)
         time_slice.call_next(store, job.id)
         with Heartbeat(partial(lift_chunks.beat, store, helper)) as heartbeat:
+            from worker.lifting import do_chunks  # noqa: PLC0415 (torch takes seconds)
+
             do_chunks(store, helper, chunk, heartbeat, settings, time_slice)
     try:
         record = _waiting(partial(lookup.get, store, LiftJob, lift_id))

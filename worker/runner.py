@@ -129,9 +129,6 @@ class JobWorker(Worker):
         self._reconciler.adopt(queue, job.id)
         job.timeout = self._settings.max_fit_seconds + TIMEOUT_SLACK_SECONDS
         job.result_ttl, job.failure_ttl = RESULT_SECONDS, FAILURE_SECONDS
-        _import_for_jobs()
-        if self.stopping:  # an import may take for its own what SIGTERM raises in it
-            raise StopRequested
         try:
             super().execute_job(job, queue)
         except redis.exceptions.RedisError:
@@ -140,6 +137,10 @@ class JobWorker(Worker):
             if self.horse_pid:
                 self.wait_for_horse()
             raise
+        if not self.stopping:
+            _import_for_later_jobs()
+        if self.stopping:  # an import may take for its own what SIGTERM raises in it
+            raise StopRequested
 
     def handle_exception(self, job: Job, *exc_info: Any) -> None:
         """Log what ended a job: one line if the record says why, else with the traceback."""
@@ -199,9 +200,13 @@ class JobWorker(Worker):
                 os.kill(self.horse_pid, signal.SIGTERM)
 
 
-def _import_for_jobs() -> None:
-    """Import what takes seconds, once: the processes of all later jobs are forked from this one."""
-    import worker.jobs  # noqa: F401, PLC0415
+def _import_for_later_jobs() -> None:
+    """Import what takes seconds, once: the processes of later jobs are forked from this one.
+
+    Not before the first job is done: it would wait, taken from the queue and not begun.
+    """
+    import worker.fitting  # noqa: PLC0415
+    import worker.lifting  # noqa: F401, PLC0415
 
 
 def _sweep(settings: WorkerSettings, parent: int) -> None:

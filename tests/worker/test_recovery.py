@@ -189,22 +189,34 @@ from contextlib import suppress
 from worker import runner
 from worker.settings import WorkerSettings
 
-def import_for_jobs():
-    runner._import_for_jobs = lambda: None  # once
+def import_for_later_jobs():
+    runner._import_for_later_jobs = lambda: None  # once
     with suppress(Exception):
         os.kill(os.getpid(), signal.SIGTERM)
 
-runner._import_for_jobs = import_for_jobs
+runner._import_for_later_jobs = import_for_later_jobs
 runner.run(WorkerSettings())
 """
 
 
-@pytest.mark.parametrize("script", [TOLD_BEFORE_THE_JOB, TOLD_IN_AN_IMPORT])
+def test_the_worker_is_told_to_leave_in_an_import(redis: Redis, settings: WorkerSettings) -> None:
+    Queue("fits", connection=redis).enqueue("worker.jobs.fit", dataset_id="ds_none")
+    environment = os.environ | settings.to_environment()
+    worker = subprocess.Popen(tied("-c", TOLD_IN_AN_IMPORT), env=environment)
+    try:
+        assert worker.wait(30) == 0
+    finally:
+        worker.kill()
+        worker.wait()
+
+
 def test_the_worker_is_told_to_leave_as_a_job_comes(
-    store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings, script: str
+    store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
 ) -> None:
     fit = queue(store, redis, dataset_id, LONG)
-    worker = subprocess.Popen(tied("-c", script), env=os.environ | settings.to_environment())
+    worker = subprocess.Popen(
+        tied("-c", TOLD_BEFORE_THE_JOB), env=os.environ | settings.to_environment()
+    )
     try:
         assert worker.wait(30) == 0
         assert lookup.get(store, FitJob, fit.id).status in ("queued", "running")
