@@ -6,6 +6,7 @@ from functools import partial
 
 from pydantic import ValidationError
 from redis import Redis
+from redis.exceptions import ResponseError
 from rq import Queue
 from rq.exceptions import DeserializationError, NoSuchJobError
 
@@ -99,7 +100,9 @@ class Reconciler:
         ):
             try:
                 job = KnownJob.fetch(job_id, self._connection, PlainDataSerializer)
-            except NoSuchJobError:
+            except (NoSuchJobError, ResponseError) as error:
+                if isinstance(error, ResponseError) and "WRONGTYPE" not in str(error):
+                    raise  # else: what has the name of a job's key is none
                 queue.remove(job_id)
                 queue.intermediate_queue.remove(job_id)
                 return

@@ -186,3 +186,15 @@ def test_what_no_record_can_hold_stops_no_worker(
         refused = jobs.by_job(store, LiftJob, job_id)
         assert refused is not None
         assert refused.status == "failed"
+
+
+def test_what_is_no_job_at_all_stops_no_worker(redis: Redis, start_taking: StartTaking) -> None:
+    fits = Queue("fits", connection=redis)
+    redis.set("rq:job:odd", "text")
+    redis.rpush(fits.key, "odd")
+    good = fits.enqueue("worker.jobs.fit", dataset_id="ds_none")
+    start_taking("fits")
+    wait_for(lambda: good.get_status() == "failed", "the job behind it")
+    wait_for(
+        lambda: not redis.lrange(fits.intermediate_queue_key, 0, -1), "nothing to be left of it"
+    )
