@@ -19,7 +19,7 @@ from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import FitConfig
 from models.training.trainer import fit
-from store import datasets, lookup
+from store import datasets, fits, lookup
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
@@ -27,6 +27,7 @@ from store.records import FitJob
 from tests.deployments import deployed
 from tests.processes import free_port, tied
 from tests.sharing import fitted_once
+from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
 
 # A small fit as users ask for it: the cameras are sought, which takes most of its time.
@@ -119,6 +120,13 @@ def start_worker(settings: WorkerSettings) -> Iterator[StartWorker]:
     for process in started:
         process.kill()
         process.wait()
+
+
+def queue(store: Store, redis: Redis, dataset_id: str, config: dict[str, Any]) -> FitJob:
+    """Record a fit and put it on its queue."""
+    fit = fits.create(store, dataset_id=dataset_id, name="f", config=config)
+    enqueue(open_queue(redis), fit)
+    return fit
 
 
 def wait_for(condition: Callable[[], bool], what: str, seconds: float = 120) -> None:

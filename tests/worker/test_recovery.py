@@ -8,7 +8,6 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 from pydantic import RedisDsn
@@ -32,6 +31,7 @@ from tests.worker.conftest import (
     StartWorker,
     is_alive,
     kill,
+    queue,
     wait_for,
     wait_for_step,
     wait_until,
@@ -57,12 +57,6 @@ def undisturbed(fit_here: FitHere) -> bytes:
 @pytest.fixture
 def queued(store: Store, redis: Redis, dataset_id: str) -> FitJob:
     return queue(store, redis, dataset_id, SLOW)
-
-
-def queue(store: Store, redis: Redis, dataset_id: str, config: dict[str, Any]) -> FitJob:
-    fit = fits.create(store, dataset_id=dataset_id, name="f", config=config)
-    enqueue(open_queue(redis), fit)
-    return fit
 
 
 def assert_as_if_nothing_had_happened(store: Store, fit: FitJob, undisturbed: bytes) -> None:
@@ -166,94 +160,6 @@ def test_the_worker_is_told_to_leave(
     assert (record.status, record.crashes) == ("queued", 0)
     start_worker()
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
-
-
-# A worker that gets SIGTERM when it has a job, but no process for it yet.
-TOLD_BEFORE_THE_JOB = """
-import os, signal
-from worker import runner
-from worker.settings import WorkerSettings
-
-class Told(runner.JobWorker):
-    def fork_work_horse(self, job, queue):
-        os.kill(os.getpid(), signal.SIGTERM)
-        super().fork_work_horse(job, queue)
-
-runner.JobWorker = Told
-runner.run(WorkerSettings())
-"""
-# The same in an import that takes whatever is raised for its own.
-TOLD_IN_AN_IMPORT = """
-import os, signal
-from contextlib import suppress
-from worker import runner
-from worker.settings import WorkerSettings
-
-def import_for_later_jobs():
-    runner._import_for_later_jobs = lambda: None  # once
-    with suppress(Exception):
-        os.kill(os.getpid(), signal.SIGTERM)
-
-runner._import_for_later_jobs = import_for_later_jobs
-runner.run(WorkerSettings())
-"""
-
-
-def test_the_worker_is_told_to_leave_in_an_import(redis: Redis, settings: WorkerSettings) -> None:
-    Queue("fits", connection=redis).enqueue("worker.jobs.fit", dataset_id="ds_none")
-    environment = os.environ | settings.to_environment()
-    worker = subprocess.Popen(tied("-c", TOLD_IN_AN_IMPORT), env=environment)
-    try:
-        assert worker.wait(30) == 0
-    finally:
-        worker.kill()
-        worker.wait()
-
-
-def test_the_worker_is_told_to_leave_as_a_job_comes(
-    store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
-) -> None:
-    fit = queue(store, redis, dataset_id, LONG)
-    worker = subprocess.Popen(
-        tied("-c", TOLD_BEFORE_THE_JOB), env=os.environ | settings.to_environment()
-    )
-    try:
-        assert worker.wait(30) == 0
-        assert lookup.get(store, FitJob, fit.id).status in ("queued", "running")
-    finally:
-        worker.kill()
-        worker.wait()
-
-
-# A worker that loses what it needs as a job comes, and gets SIGTERM before it tries again.
-TOLD_IN_AN_OUTAGE = """
-import os, signal
-from worker import runner
-from worker.settings import WorkerSettings
-
-class Cut(runner.JobWorker):
-    def execute_job(self, job, queue):
-        raise OSError("gone")
-
-runner.JobWorker = Cut
-runner.time.sleep = lambda seconds: os.kill(os.getpid(), signal.SIGTERM)
-runner.run(WorkerSettings())
-"""
-
-
-def test_the_worker_is_told_to_leave_in_an_outage(
-    store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
-) -> None:
-    queue(store, redis, dataset_id, LONG)
-    environment = os.environ | settings.to_environment()
-    done = subprocess.run(
-        tied("-c", TOLD_IN_AN_OUTAGE),
-        check=False,
-        env=environment,
-        timeout=60,
-        stderr=subprocess.PIPE,
-    )
-    assert done.returncode in (0, -signal.SIGTERM), done.stderr.decode()
 
 
 def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
