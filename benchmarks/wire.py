@@ -14,9 +14,13 @@ class Answer(NamedTuple):
 
 
 class Connection(asyncio.Protocol):
-    """One HTTP/1.1 connection that is kept open. Requests are bytes, made once by `post`."""
+    """One HTTP/1.1 connection that is kept open. Requests are bytes, made once by `post`.
 
-    def __init__(self) -> None:
+    The service ends connections on which nothing comes for seconds; then it connects anew.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._address = host, port
         self._transport: asyncio.Transport | None = None
         self._waiting: asyncio.Future[Answer] | None = None
         self._come = bytearray()
@@ -25,12 +29,19 @@ class Connection(asyncio.Protocol):
     @classmethod
     async def open(cls, host: str, port: int) -> "Connection":
         """Connect."""
-        _, connection = await asyncio.get_running_loop().create_connection(cls, host, port)
+        connection = cls(host, port)
+        await connection._connect()
         return connection
+
+    async def _connect(self) -> None:
+        self._come, self._whole = bytearray(), 0
+        await asyncio.get_running_loop().create_connection(lambda: self, *self._address)
 
     async def ask(self, request: bytes) -> Answer:
         """Send a request and wait for the whole answer, which must say its length."""
         assert self._transport is not None
+        if self._transport.is_closing():
+            await self._connect()
         self._waiting = asyncio.get_running_loop().create_future()
         self._transport.write(request)
         return await self._waiting
