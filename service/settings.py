@@ -8,7 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from models.settings.keypoints import MAX_KEYPOINTS, MAX_VIEWS
 from worker.cores import usable_cores
-from worker.settings import WorkerSettings
+from worker.settings import WorkerSettings, listed
 
 MEBIBYTE = 1024 * 1024
 WILDCARDS = ("", "0.0.0.0", "::")  # noqa: S104 (to listen on all addresses)
@@ -139,7 +139,7 @@ class Settings(WorkerSettings):
     @field_validator("cors_origins")
     @classmethod
     def _are_origins(cls, origins: str) -> str:
-        for origin in _listed(origins):
+        for origin in listed(origins):
             if not re.fullmatch(r"\*|[a-z][a-z0-9+.-]*://[^/?#\s]+", origin):
                 raise ValueError(
                     "expected origins such as https://lab.example or http://localhost:3000, "
@@ -157,12 +157,12 @@ class Settings(WorkerSettings):
     @property
     def allowed_origins(self) -> list[str]:
         """The origins of web pages that may call the API, one by one."""
-        return _listed(self.cors_origins)
+        return listed(self.cors_origins)
 
     @property
     def allowed_names(self) -> list[str]:
         """Further names under which the service is reached, one by one."""
-        return _listed(self.allowed_hosts)
+        return listed(self.allowed_hosts)
 
     @property
     def resolved_pending_bytes(self) -> int:
@@ -211,7 +211,3 @@ def is_address(host: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _listed(text: str) -> list[str]:
-    return [item.strip() for item in text.split(",") if item.strip()]

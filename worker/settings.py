@@ -97,7 +97,7 @@ class WorkerSettings(StoreSettings):
     @field_validator("takes")
     @classmethod
     def _are_queues(cls, takes: str) -> str:
-        names = _listed(takes)
+        names = listed(takes)
         if not names or set(names) - set(QUEUES) or len(set(names)) < len(names):
             raise ValueError(f"expected some of {', '.join(QUEUES)}, each once; got {takes!r}")
         return takes
@@ -110,8 +110,9 @@ class WorkerSettings(StoreSettings):
     @property
     def queues(self) -> list[QueueName]:
         """The queues that a worker takes jobs from."""
-        return [name for name in QUEUES if name in _listed(self.takes)]
+        return [name for name in QUEUES if name in listed(self.takes)]
 
 
-def _listed(text: str) -> list[str]:
+def listed(text: str) -> list[str]:
+    """Return the items of a setting that lists them, separated by commas."""
     return [item.strip() for item in text.split(",") if item.strip()]

@@ -30,6 +30,7 @@ def test_a_foreign_page_can_post_nothing(api: TestClient, model: str, unchanged:
         for path in ("/datasets", "/models", "/lift", f"/lift?model={model}", "/evaluations"):
             problem(api.post(path, files=form, headers=asking), 403, "origin_not_allowed")
         problem(api.post("/fits/fit_none/cancel", headers=asking), 403, "origin_not_allowed")
+        problem(api.delete("/fits/fit_none", headers=asking), 403, "origin_not_allowed")
     own = api.post("/models", files=form, headers={"Origin": "http://testserver"})
     problem(own, 400, "malformed_body")
 
