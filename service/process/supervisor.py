@@ -148,12 +148,13 @@ def serve(settings: Settings) -> None:
     signals = _Signals()
     queue: list[Child] = []
     users: list[Child] = []  # of the queue
+    listeners: list[socket.socket] = []
     embedded = settings.redis_url is None
     try:
         keep_private(settings)
         lock = _lock(settings) if embedded else None
         _open_store(settings)
-        listeners = _listen(settings)
+        listeners += _listen(settings)
         if settings.redis_url is not None:
             _check_queue(settings.redis_url)
         else:
@@ -178,6 +179,8 @@ def serve(settings: Settings) -> None:
     except _Stop:
         print("Stopping: a running fit goes on at the next start.", flush=True)
     finally:
+        for listener in listeners:
+            listener.close()  # or connections would still be dealt to a process that has left
         stop(users, STOP_SECONDS + settings.drain_seconds + settings.grace_seconds)
         stop(queue)  # which the others need until their end
     if lock is not None:

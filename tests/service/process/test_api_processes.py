@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -17,7 +18,7 @@ from websockets.sync.client import ClientConnection
 
 from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
-from tests.processes import descendants
+from tests.processes import descendants, processes
 from tests.service.conftest import (
     BYTES,
     JSON,
@@ -25,10 +26,12 @@ from tests.service.conftest import (
     frames_of,
     job_events,
     kill_service,
+    problem,
     start_service,
     to_npz,
     wait_for,
 )
+from tests.service.http.test_overload import send
 from tests.service.realtime.conftest import as_bytes, started
 
 STREAMS = 3  # of both processes, one each: a bound is divided, and rounded down
@@ -89,6 +92,23 @@ def answered(live: Live) -> httpx2.Client | None:
         return None
 
 
+def open_stream(live: Live, model: str, opened: ExitStack) -> ClientConnection | None:
+    try:
+        return opened.enter_context(started(live.http, model))
+    except InvalidStatus:
+        return None
+
+
+def stream_of_each(live: Live, model: str, opened: ExitStack) -> list[ClientConnection]:
+    """Open a stream of each process, where each may have one."""
+    return [wait_for(lambda: open_stream(live, model, opened), "a stream") for _ in range(2)]
+
+
+def ready_anew(live: Live) -> httpx2.Response:
+    """Ask by a new connection whether the service is ready."""
+    return httpx2.get(f"{live.url}/health/ready", timeout=2, trust_env=False)
+
+
 def lift(live: Live, model: str, capture: SyntheticCapture) -> int:
     body = {"model": model, "frames": frames_of(capture.keypoints[:1])}
     return int(live.http.post("/lift", json=body).status_code)
@@ -102,14 +122,8 @@ def test_a_model_that_one_process_deletes_is_refused_by_the_other(
     model = first.http.post("/models", content=weights, headers=BYTES).json()["id"]
     assert lift(first, model, capture) == lift(second, model, capture) == 200
 
-    def open_one() -> ClientConnection | None:
-        try:
-            return opened.enter_context(started(two.http, model))
-        except InvalidStatus:
-            return None
-
-    sockets = [wait_for(open_one, "a stream of each process") for _ in range(2)]
-    assert [open_one() for _ in range(6)] == [None] * 6
+    sockets = stream_of_each(two, model, opened)
+    assert [open_stream(two, model, opened) for _ in range(6)] == [None] * 6
     assert first.http.delete(f"/models/{model}").status_code == 204
     assert lift(first, model, capture) == 404
     wait_for(lambda: lift(second, model, capture) == 404, "the other process", 3)
@@ -128,13 +142,13 @@ def test_a_request_that_goes_to_both_makes_one_thing(
     body = to_npz(keypoints=capture.keypoints)
     both = by_process(two, opened)
 
-    def send(live: Live, key: str) -> Any:
+    def post(live: Live, key: str) -> Any:
         return live.http.post("/datasets", content=body, headers=BYTES | {"Idempotency-Key": key})
 
-    made = [send(live, "one after the other").json()["id"] for live in both]
+    made = [post(live, "one after the other").json()["id"] for live in both]
     assert made[0] == made[1]
     with ThreadPoolExecutor(8) as clients:
-        answers = list(clients.map(lambda n: send(both[n % 2], "at once"), range(8)))
+        answers = list(clients.map(lambda n: post(both[n % 2], "at once"), range(8)))
     assert {answer.status_code for answer in answers} == {201}
     assert len({answer.json()["id"] for answer in answers}) == 1
 
@@ -179,6 +193,40 @@ def test_services_with_a_queue_of_their_own_share_a_folder(
         made = replicas[0].http.post("/datasets", json=body, headers=JSON)
         assert made.status_code == 201, made.text
         assert replicas[1].get(made.headers["location"])["frames"] == 1
+
+
+def test_all_processes_drain_and_leave(
+    tmp_path: Path, weights: bytes, capture: SyntheticCapture, opened: ExitStack
+) -> None:
+    options = ("--max-streams=2", "--workers=0", "--drain-seconds=1", "--grace-seconds=20")
+    live = start_service(tmp_path, "--api-processes=2", *options)
+    opened.callback(kill_service, live)
+    model = live.http.post("/models", content=weights, headers=BYTES).json()["id"]
+    streams = stream_of_each(live, model, opened)
+    family, apis = descendants(live.process.pid), set(api_processes(live))
+    body = to_npz(keypoints=capture.keypoints)
+    upload = opened.enter_context(
+        send(live.http, "/datasets", BYTES["Content-Type"], body[:-1], len(body))
+    )
+
+    live.process.send_signal(signal.SIGTERM)
+    for stream in streams:
+        with pytest.raises(ConnectionClosed) as closed:
+            stream.recv(timeout=10)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1012
+    drained = time.monotonic() + 0.7
+    while time.monotonic() < drained:
+        problem(ready_anew(live), 503, "draining")
+    # The process that has nothing in hand leaves; what comes then is the other's.
+    wait_for(lambda: len(apis & processes().keys()) == 1, "one process to leave")
+    for _ in range(8):
+        problem(ready_anew(live), 503, "draining")
+    upload.sendall(body[-1:])
+    upload.settimeout(10)
+    assert upload.recv(4096).startswith(b"HTTP/1.1 201 ")
+    assert live.process.wait(10) == 0
+    assert not family & processes().keys()
 
 
 def test_what_is_bounded_is_divided_among_processes() -> None:
