@@ -1,7 +1,11 @@
-"""A stored reconstruction as a file: laid out, and read from its object by ranges."""
+"""A stored reconstruction, read from its object by ranges: as a file, or some frames at a time."""
 
 import json
-from typing import Any, Literal
+from collections.abc import Iterator
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from store.array_files import Array, LaidOutFile, Span, npz_file, safetensors_header
 from store.capture_files import read_checksum
@@ -10,6 +14,17 @@ from store.fits import reconstruction_key
 from store.lift_files import DTYPES
 from store.lookup import lost
 from store.records import FitJob
+
+PART_BYTES = 256 * 1024  # of arrays read at a time; as JSON they take six times as much
+
+
+class _Stored(NamedTuple):
+    """An array of a stored reconstruction, frames first."""
+
+    name: str
+    dtype: str  # as safetensors calls it
+    shape: tuple[int, ...]
+    span: Span
 
 
 def reconstruction_file(
@@ -24,6 +39,46 @@ def reconstruction_file(
     metadata
         Goes into a safetensors file.
     """
+    found = _stored(store, fit)
+    if all(array.name != "camera_models" for array in found):
+        return None
+    if wanted == "safetensors":
+        arrays = [(name, kind, shape, DTYPES[kind].itemsize) for name, kind, shape, _ in found]
+        whole = Span(found[0].span.key, found[0].span.start, found[-1].span.end)
+        return LaidOutFile([safetensors_header(arrays, metadata), whole])
+    return npz_file(
+        [Array(name, DTYPES[kind], shape, [span]) for name, kind, shape, span in found],
+        lambda _array, part: read_checksum(store.objects, part),
+    )
+
+
+def reconstruction_parts(store: Store, fit: FitJob) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield the arrays of a fit's reconstruction for some of its frames after others.
+
+    Raises as ``fits.load_reconstruction`` does.
+    """
+    found = _stored(store, fit)
+    frames = found[0].shape[0]
+    sizes = [len(array.span) // frames for array in found]  # bytes of a frame
+    step = max(1, PART_BYTES // sum(sizes))
+    for first in range(0, frames, step):
+        count = min(step, frames - first)
+        ranges = [
+            (array.span.start + first * size, array.span.start + (first + count) * size)
+            for array, size in zip(found, sizes, strict=True)
+        ]
+        try:
+            read = store.objects.get_ranges(reconstruction_key(fit), ranges)
+        except FileNotFoundError as error:
+            raise lost(store, FitJob, fit.id, error) from error
+        yield {
+            name: np.frombuffer(data, DTYPES[kind]).reshape(count, *shape[1:])
+            for (name, kind, shape, _), data in zip(found, read, strict=True)
+        }
+
+
+def _stored(store: Store, fit: FitJob) -> list[_Stored]:
+    """Return the arrays of a fit's reconstruction in the order of their bytes."""
     key, objects = reconstruction_key(fit), store.objects
     try:
         size = int.from_bytes(objects.get_range(key, 0, 8), "little")
@@ -31,23 +86,11 @@ def reconstruction_file(
     except FileNotFoundError as error:
         raise lost(store, FitJob, fit.id, error) from error
     header.pop("__metadata__", None)
-    if "camera_models" not in header:
-        return None
-    found = sorted(header.items(), key=lambda item: item[1]["data_offsets"])
-    begin = 8 + size
-    if wanted == "safetensors":
-        arrays = [(n, a["dtype"], tuple(a["shape"]), DTYPES[a["dtype"]].itemsize) for n, a in found]
-        end = begin + max(about["data_offsets"][1] for _, about in found)
-        return LaidOutFile([safetensors_header(arrays, metadata), Span(key, begin, end)])
-    return npz_file(
-        [
-            Array(
-                name,
-                DTYPES[about["dtype"]],
-                tuple(about["shape"]),
-                [Span(key, *(begin + offset for offset in about["data_offsets"]))],
-            )
-            for name, about in found
-        ],
-        lambda _array, part: read_checksum(objects, part),
-    )
+    spans = {
+        name: Span(key, *(8 + size + offset for offset in about["data_offsets"]))
+        for name, about in header.items()
+    }
+    return [
+        _Stored(name, header[name]["dtype"], tuple(header[name]["shape"]), span)
+        for name, span in sorted(spans.items(), key=lambda item: item[1].start)
+    ]

@@ -55,11 +55,7 @@ def ranged_response(
     """
     headers, etag = _headers(filename), f'"{checksum}"'
     headers |= {"ETag": etag, "Accept-Ranges": "bytes"}
-    matches = [
-        tag.strip().removeprefix("W/")
-        for tag in request.headers.get("if-none-match", "").split(",")
-    ]
-    if etag in matches or "*" in matches:
+    if _is_known(request, etag):
         return Response(status_code=304, headers=headers)
     wanted = request.headers.get("range")
     span = None
@@ -73,9 +69,36 @@ def ranged_response(
     if isinstance(body, bytes):
         return Response(body, status_code, headers, media_type)
     headers["Content-Length"] = str(end - start)
-    # Errors of what is read first still become problem details: the first piece may be a header.
-    first = list(islice(body, 2))
-    return StreamingResponse(chain(first, body), status_code, headers, media_type)
+    return StreamingResponse(_begun(body), status_code, headers, media_type)
+
+
+def streamed_response(
+    request: Request, pieces: Iterator[bytes], *, media_type: str, checksum: str
+) -> Response:
+    """Answer a GET with what is made piece by piece, of a size that nobody knows: without ranges.
+
+    ``checksum`` is its entity tag.
+    """
+    etag = f'"{checksum}"'
+    headers = _headers(None) | {"ETag": etag}
+    if _is_known(request, etag):
+        return Response(status_code=304, headers=headers)
+    return StreamingResponse(_begun(pieces), headers=headers, media_type=media_type)
+
+
+def _is_known(request: Request, etag: str) -> bool:
+    """Tell whether the client has what it asks for."""
+    matches = [
+        tag.strip().removeprefix("W/")
+        for tag in request.headers.get("if-none-match", "").split(",")
+    ]
+    return etag in matches or "*" in matches
+
+
+def _begun(pieces: Iterator[bytes]) -> Iterator[bytes]:
+    """Have errors of what is read first become problem details: the first piece may be a header."""
+    first = list(islice(pieces, 2))
+    return chain(first, pieces)
 
 
 def _headers(filename: str | None) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """Reconstructions: every frame of a fitted dataset, lifted."""
 
-from collections.abc import AsyncIterator
+import hashlib
+from collections.abc import AsyncIterator, Iterator
 from functools import partial
 
 import numpy as np
@@ -13,7 +14,7 @@ from models.capture.clocks import in_step
 from models.findings.finding import Finding
 from models.settings.config import Refine
 from service.http.dependencies import SettingsDep, StoreDep
-from service.http.downloads import ranged_response
+from service.http.downloads import ranged_response, streamed_response
 from service.http.errors import invalid, problems
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses
@@ -23,16 +24,19 @@ from service.resources.fits import FitDep
 from service.wire.arrays import Arrays
 from service.wire.findings import Findings
 from service.wire.representations import (
+    JSON,
     FormatQuery,
     arrays_response,
     chosen_format,
+    json_pieces,
     metadata_of,
 )
 from service.wire.rooms import FrameQuery, UpQuery, is_room, read_up
 from service.wire.schemas import LIFTED_FRAME, LiftedFrame
 from store import datasets, fits, lookup, records
 from store.errors import ConflictError
-from store.reconstruction_files import reconstruction_file
+from store.fits import reconstruction_key
+from store.reconstruction_files import reconstruction_file, reconstruction_parts
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
@@ -60,15 +64,16 @@ class Reconstruction(BaseModel):
 
 
 async def take_turn(
+    fit: FitDep,
     request: Request,
     refine: RefineQuery = None,
     frame: FrameQuery = None,
     up: UpQuery = None,
     format: FormatQuery = None,
 ) -> AsyncIterator[None]:
-    """Have a reconstruction that is made in memory wait its turn, as large uploads do."""
-    as_stored = refine is None and frame is None and up is None
-    if as_stored and chosen_format(request, format) != "json":
+    """Have a reconstruction that is made whole in memory wait its turn, as large uploads do."""
+    in_parts = frame != "room" or chosen_format(request, format) == "json"
+    if in_parts and up is None and _is_stored(fit, refine):  # up may be found from all frames
         yield
     else:
         async with request.app.state.large_uploads:
@@ -123,10 +128,21 @@ def get_reconstruction(
     direction = read_up(up)
     in_room = is_room(frame, direction)
     chosen = chosen_format(request, format)
-    as_stored = refine in (None, fit.config.get("refine", "off"))  # older fits refined nothing
-    if as_stored and not in_room and chosen != "json":
-        file = reconstruction_file(store, fit, chosen, metadata_of(about, findings))
-        if file is not None:
+    room = rooms.find(engine.models.get(model_of(fit)), direction) if in_room else None
+    if _is_stored(fit, refine):
+        if chosen == "json":
+            said = (request.app.version, reconstruction_key(fit), about, findings, frame, direction)
+            parts: Iterator[Arrays] = map(_completed, reconstruction_parts(store, fit))
+            if room is not None:
+                parts = map(room.place_arrays, parts)
+            return streamed_response(
+                request,
+                json_pieces(parts, about, findings),
+                media_type=JSON,
+                checksum=hashlib.sha256(repr(said).encode()).hexdigest(),
+            )
+        metadata = metadata_of(about, findings)
+        if room is None and (file := reconstruction_file(store, fit, chosen, metadata)) is not None:
             return ranged_response(
                 request,
                 file.size,
@@ -135,15 +151,18 @@ def get_reconstruction(
                 filename=f"{filename}.{chosen}",
                 checksum=file.checksum(),
             )
-    if as_stored:
         found = stored_arrays(fit, store)
     else:
         assert refine is not None  # noqa: S101
         found = _lift_again(fit, refine, store, engine, settings)
-    if in_room:
-        room = rooms.find(engine.models.get(model_of(fit)), direction)
+    if room is not None:
         found = room.place_arrays(found)
     return arrays_response(request, found, about, findings, format=chosen, filename=filename)
+
+
+def _is_stored(fit: records.FitJob, refine: Refine | None) -> bool:
+    """Tell whether a fit has stored its frames refined like this."""
+    return refine in (None, fit.config.get("refine", "off"))  # older fits refined nothing
 
 
 def stored_arrays(fit: records.FitJob, store: StoreDep) -> Arrays:

@@ -1,19 +1,18 @@
 """Answers that carry a lift's arrays: as JSON, safetensors or npz."""
 
-from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Annotated, Literal
 
 import orjson
 from fastapi import Query, Request
-from numpy.typing import NDArray
 from starlette.responses import Response
 from typing_extensions import TypeAliasType
 
 from models.findings.finding import Finding, dumped
+from models.lifting.frames_json import frames_to_json
 from service.http.downloads import bytes_response
 from service.http.negotiation import BINARY_FORMATS, NPZ, OCTETS, accepted_format
-from service.wire import arrays
-from service.wire.schemas import frames_json
+from service.wire.arrays import Arrays, to_npz, to_safetensors
 
 Format = TypeAliasType("Format", Literal["json", "safetensors", "npz"])
 FormatQuery = Annotated[
@@ -21,11 +20,11 @@ FormatQuery = Annotated[
     Query(description="Representation; without it the `Accept` header decides."),
 ]
 
-_JSON = "application/json"
+JSON = "application/json"
 _FORMATS: dict[str, Format] = {
     "*/*": "json",
     "application/*": "json",
-    _JSON: "json",
+    JSON: "json",
     **BINARY_FORMATS,
 }
 
@@ -37,7 +36,7 @@ def chosen_format(request: Request, asked: Format | None) -> Format:
 
 def arrays_response(
     request: Request,
-    found: dict[str, NDArray[Any]],
+    found: Arrays,
     about: dict[str, str | None],
     findings: Sequence[Finding],
     *,
@@ -51,19 +50,32 @@ def arrays_response(
     """
     chosen = chosen_format(request, format)
     if chosen == "json":
-        said = {**about, "frames": frames_json(found), "findings": dumped(findings)}
-        body = orjson.dumps(said)
-        return bytes_response(request, body, media_type=_JSON, filename=None)
+        body = b"".join(json_pieces([found], about, findings))
+        return bytes_response(request, body, media_type=JSON, filename=None)
     if chosen == "npz":
-        return bytes_response(
-            request, arrays.to_npz(found), media_type=NPZ, filename=f"{filename}.npz"
-        )
+        return bytes_response(request, to_npz(found), media_type=NPZ, filename=f"{filename}.npz")
     return bytes_response(
         request,
-        arrays.to_safetensors(found, metadata_of(about, findings)),
+        to_safetensors(found, metadata_of(about, findings)),
         media_type=OCTETS,
         filename=f"{filename}.safetensors",
     )
+
+
+def json_pieces(
+    parts: Iterable[Arrays], about: dict[str, str | None], findings: Sequence[Finding]
+) -> Iterator[bytes]:
+    """Yield the JSON of a lift whose arrays come in parts, frame after frame.
+
+    Between its beginning and its end there is a piece for each part, so that no more than one has
+    to be in memory.
+    """
+    yield orjson.dumps(about)[:-1] + b',"frames":['
+    comma = b""
+    for part in parts:
+        yield comma + b",".join(frames_to_json(part))
+        comma = b","
+    yield b'],"findings":' + orjson.dumps(dumped(findings)) + b"}"
 
 
 def metadata_of(about: dict[str, str | None], findings: Sequence[Finding]) -> dict[str, str]:

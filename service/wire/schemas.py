@@ -2,13 +2,10 @@
 
 from typing import Annotated, Any, Literal
 
-import orjson
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 from typing_extensions import TypeAliasType
 
 from models.findings.catalogue import LiftCode
-from models.lifting.frames_json import frames_to_json
-from service.wire.arrays import Arrays
 from store.labels import Text
 
 _NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
@@ -163,8 +160,3 @@ class LiftedFrame(BaseModel):
         description="One camera per view, null where the view shows too few keypoints."
     )
     findings: list[LiftCode] = Field(description="Codes of what was noticed of this frame.")
-
-
-def frames_json(arrays: Arrays) -> list[orjson.Fragment]:
-    """Return the JSON form of a lift's arrays, one like :class:`LiftedFrame` a frame."""
-    return [orjson.Fragment(text) for text in frames_to_json(arrays)]

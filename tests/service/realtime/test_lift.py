@@ -11,8 +11,9 @@ from starlette.testclient import TestClient
 
 from models.capture.synthetic import SyntheticCapture
 from models.lifting.fitted_prior import FittedPrior
+from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import CAMERA_MODELS, Lift
-from service.wire.schemas import LiftedFrame, frames_json
+from service.wire.schemas import LiftedFrame
 from tests.service.conftest import BYTES, JSON, frames_of, problem, to_npz, to_safetensors
 
 Array = np.ndarray[Any, Any]
@@ -278,7 +279,7 @@ def test_every_kind_of_camera_on_the_wire() -> None:
         misfits=np.ones(1, np.float32),
         rig_residuals=np.ones(1, np.float32),
     ).arrays
-    frames = orjson.loads(orjson.dumps(frames_json(arrays)))
+    frames = [orjson.loads(text) for text in frames_to_json(arrays)]
     check_json(frames, arrays)
     TypeAdapter(list[LiftedFrame]).validate_python(frames)
     assert len(frames[0]["views"][0]["translation"]) == 2

@@ -2,25 +2,31 @@
 
 import io
 import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
 import pytest
 from safetensors.numpy import load, save
 from starlette.testclient import TestClient
 
 from models.capture.synthetic import SyntheticCapture
 from models.lifting.fitted_prior import FittedPrior
+from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import CAMERA_MODELS
 from service.settings import Settings
 from store import attempts, fits, records
 from store.database import Store
+from tests.damage import HARMS
 from tests.service.conftest import (
     CONFIG,
     Live,
     assert_can_be_resumed,
     make_dataset,
     problem,
+    served,
 )
 
 
@@ -208,6 +214,45 @@ def test_a_stored_reconstruction_is_read_as_it_is_sent(
     found = load(whole) if format == "safetensors" else np.load(io.BytesIO(whole))
     for name, array in arrays.items():
         np.testing.assert_array_equal(found[name], array)
+
+
+def test_as_json_it_is_that_of_its_arrays_however_long_it_is(
+    settings: Settings, live: Live, fitted: dict[str, Any]
+) -> None:
+    stored = live.http.get(f"/fits/{fitted['id']}/reconstruction?format=safetensors").content
+    arrays = {name: np.concatenate([array] * 100) for name, array in load(stored).items()}
+    arrays["scales"] += np.arange(len(arrays["scales"]))[:, None]  # no frame is like another
+    with served(settings) as http:
+        fit = stored_fit(settings, make_dataset(http), save(arrays))
+        url = f"/fits/{fit}/reconstruction"
+        whole = http.get(url)
+        said = {name: whole.json()[name] for name in ("fit_id", "model_id", "dataset_id")}
+        texts = [orjson.Fragment(text) for text in frames_to_json(arrays)]
+        assert len(texts) == 100 * 60
+        assert whole.content == orjson.dumps({**said, "frames": texts, "findings": []})
+        assert http.get(url, headers={"If-None-Match": whole.headers["etag"]}).status_code == 304
+        tracemalloc.start()
+        try:
+            with http.stream("GET", url) as answer:
+                size = sum(map(len, answer.iter_raw()))
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert size == len(whole.content)
+    assert peak < size / 2
+
+
+@pytest.mark.parametrize("harm", HARMS)
+def test_a_damaged_reconstruction_is_not_served(
+    api: TestClient, settings: Settings, harm: Callable[[Path], None]
+) -> None:
+    arrays = {name: np.ones((9, 2), np.float32) for name in ("scales", "camera_models")}
+    fit = stored_fit(settings, make_dataset(api), save(arrays))
+    (file,) = (settings.data_dir / "objects" / "fits" / fit).iterdir()
+    harm(file)
+    for query in ("", "?format=npz"):
+        said = problem(api.get(f"/fits/{fit}/reconstruction{query}"), 500, "object_damaged")
+        assert f"fits/{fit}/reconstruction" in said
 
 
 def test_a_long_fit_is_refined_otherwise_in_parts(api: TestClient, settings: Settings) -> None:
