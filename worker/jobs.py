@@ -60,10 +60,12 @@ def fit(
         If the fit failed: its code and message, as in the record.
     """
     with _opened() as (job, store, settings):
-        fit_id = _recorded(store, FitJob, job, settings)
+        fit_id = _waiting(partial(_recorded, store, FitJob, job, settings))
         if fit_id is None:
             return {"fit_id": recorded_as(job), "status": None, "model_id": None}
-        attempt = attempts.claim(store, fit_id, lease_seconds=settings.lease_seconds)
+        attempt = _waiting(
+            partial(attempts.claim, store, fit_id, lease_seconds=settings.lease_seconds)
+        )
         if attempt is not None:
             logger.info("Fit %s: attempt %d starts", fit_id, attempt.number)
             with Heartbeat(partial(attempts.beat, store, attempt)) as heartbeat:
@@ -111,7 +113,7 @@ def lift(
         If the lift failed: its code and message, as in the record.
     """
     with _opened() as (job, store, settings):
-        lift_id = _recorded(store, LiftJob, job, settings)
+        lift_id = _waiting(partial(_recorded, store, LiftJob, job, settings))
         if lift_id is None:
             return {"lift_id": recorded_as(job), "status": None}
         return _help(job, store, settings, lift_id)
@@ -131,11 +133,11 @@ def _help(
     job: KnownJob, store: Store, settings: WorkerSettings, lift_id: str
 ) -> dict[str, str | None]:
     helper = lift_chunks.join(lift_id, lease_seconds=settings.lease_seconds)
-    chunk = lift_chunks.claim(store, helper)
+    chunk = _waiting(partial(lift_chunks.claim, store, helper))
     if chunk is not None:
         time_slice = TimeSlice(job.connection, settings, lift_id)
-        time_slice.call_next(store, job.id)
         with Heartbeat(partial(lift_chunks.beat, store, helper)) as heartbeat:
+            _waiting(partial(time_slice.call_next, store, job.id))
             from worker.lifting import do_chunks  # noqa: PLC0415 (torch takes seconds)
 
             do_chunks(store, helper, chunk, heartbeat, settings, time_slice)
