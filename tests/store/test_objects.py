@@ -38,6 +38,8 @@ def test_what_is_put_is_got_whole_and_in_part(objects: Objects) -> None:
     assert objects.get(key) == data
     assert objects.get_range(key, 5, 5) == b""
     assert objects.get_range(key, 6_000_000, 6_000_003) == data[6_000_000:6_000_003]
+    ranges = [(6_000_000, 6_000_003), (6_000_100, 9_000_000), (0, 8)]  # two of them near
+    assert objects.get_ranges(key, ranges) == [data[start:end] for start, end in ranges]
 
 
 def test_what_is_not_there_is_said_so(objects: Objects) -> None:
@@ -66,6 +68,8 @@ def test_what_is_not_what_was_put_is_not_given(objects: Objects, found: bytes) -
     assert objects.get(older) == found
     with pytest.raises(DamagedError):
         objects.get_range(older, 4, 20)
+    with pytest.raises(DamagedError):
+        objects.get_ranges(older, [(0, 1), (4, 20)])
     assert objects.damaged([key, older]) == {key}
 
 
