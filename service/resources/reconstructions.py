@@ -73,7 +73,7 @@ async def take_turn(
 ) -> AsyncIterator[None]:
     """Have a reconstruction that is made whole in memory wait its turn, as large uploads do."""
     in_parts = frame != "room" or chosen_format(request, format) == "json"
-    if in_parts and up is None and _is_stored(fit, refine):  # up may be found from all frames
+    if in_parts and up is None and _is_stored(fit, refine):  # `up` may read all frames
         yield
     else:
         async with request.app.state.large_uploads:
