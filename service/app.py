@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import resource
 import socket
 import sys
 import threading
@@ -22,7 +23,7 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import Response
 
 from service.http import errors
-from service.http.connections import Connection
+from service.http.connections import KEEP_ALIVE_SECONDS, Connection
 from service.http.dependencies import refuse_foreign_changes, refuse_unknown_query
 from service.http.faults import Faults
 from service.http.head import Head
@@ -30,10 +31,8 @@ from service.http.hosts import Hosts
 from service.http.leaving import CLOSE_SECONDS, Server
 from service.http.limits import BodyLimit
 from service.http.operations import registered_schemas
-from service.http.uploads import LARGE_AT_A_TIME
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
-from service.realtime.lift import BODY_THREADS
 from service.realtime.rooms import Rooms
 from service.resources import (
     captures,
@@ -98,12 +97,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.redis = connect(
             str(settings.redis_url), retries=1, timeout_seconds=QUEUE_PATIENCE_SECONDS
         )
-        app.state.large_uploads = asyncio.Semaphore(LARGE_AT_A_TIME)
-        app.state.calculations = asyncio.Semaphore(LARGE_AT_A_TIME)
-        app.state.large_lifts = asyncio.Semaphore(LARGE_AT_A_TIME)
-        app.state.lift_bodies = ThreadPoolExecutor(BODY_THREADS, thread_name_prefix="lift-body")
-        app.state.streams = asyncio.Semaphore(settings.max_streams)
-        app.state.event_places = asyncio.Semaphore(settings.max_event_streams)
+        _set_bounds(app, settings)
         app.state.events = Events(app.state.store, app.state.leaving)
         app.state.engine = Engine(
             app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
@@ -152,6 +146,18 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(Hosts, settings=settings)
     _describe(app)
     return app
+
+
+def _set_bounds(app: FastAPI, settings: Settings) -> None:
+    """Say how much is done at a time."""
+    large = settings.large_at_a_time
+    app.state.large_uploads = asyncio.Semaphore(large)
+    app.state.calculations = asyncio.Semaphore(large)
+    app.state.large_lifts = asyncio.Semaphore(large)
+    # As many again are for small ones, which wait for nothing.
+    app.state.lift_bodies = ThreadPoolExecutor(2 * large, thread_name_prefix="lift-body")
+    app.state.streams = asyncio.Semaphore(settings.max_streams)
+    app.state.event_places = asyncio.Semaphore(settings.max_event_streams)
 
 
 def _operation_id(route: APIRoute) -> str:
@@ -219,6 +225,7 @@ def make_server(settings: Settings) -> Server:
         ws_per_message_deflate=False,  # numbers hardly shrink, and it takes longer than the lift
         log_level="warning",
         access_log=False,
+        timeout_keep_alive=KEEP_ALIVE_SECONDS,
         timeout_graceful_shutdown=CLOSE_SECONDS,
         server_header=False,
     )
@@ -238,6 +245,8 @@ def main() -> None:
     """
     parent, listener = (int(argument) for argument in sys.argv[1:])
     die_with_parent(parent)
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # for connections that are kept open
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
     server = make_server(Settings())
     server.run(sockets=[socket.socket(fileno=listener)])

@@ -21,6 +21,8 @@ PRECOMPILE_HELP = """Compile the inner loops of fits and lifts, about a minute, 
 for it: when an image is built, for one. Later processes of this user read the machine code that it
 leaves in NUMBA_CACHE_DIR."""
 
+POSITIONAL = ("part", "folder")  # arguments that are given without their name
+
 
 class Serve(Settings):  # noqa: D101
     __doc__ = f"""Run the API on http://127.0.0.1:8000.
@@ -51,8 +53,9 @@ def run(command: str, arguments: list[str]) -> None:
         COMMANDS[command](arguments)
     except ValidationError as error:
         for item in error.errors():
-            option = "-".join(str(part) for part in item["loc"]).replace("_", "-")
-            where = f"--{option}: " if option else ""  # what is wrong with several names them
+            name = "-".join(str(part) for part in item["loc"]).replace("_", "-")
+            dashes = "" if name in POSITIONAL else "--"
+            where = f"{dashes}{name}: " if name else ""  # what is wrong with several names them
             message = item["msg"].removeprefix("Value error, ")
             print(f"fewview {command}: {where}{message}", file=sys.stderr)
         sys.exit(2)

@@ -43,8 +43,8 @@ class Settings(WorkerSettings):
         ge=1,
         le=64,
         description="Processes that answer requests. They share what is said below of bodies in "
-        "hand, streams, threads and warm models: each may take its part. Default: one for every "
-        "two CPUs, up to 4.",
+        "hand, large ones, streams, threads and warm models: each may take its part. Default: one "
+        "for every two CPUs, up to 4.",
     )
     workers: int | None = Field(
         None,
@@ -68,6 +68,13 @@ class Settings(WorkerSettings):
         "counts as 64 KiB at least, and a quarter is kept for those that have no more. "
         "Beyond that a request is refused with 503. Default: 512 MiB, or what as many of the "
         "largest bodies need as there are API processes.",
+    )
+    large_at_a_time: int = Field(
+        default_factory=lambda: min(4, usable_cores()),
+        ge=1,
+        le=64,
+        description="Bodies of more than a MiB that are worked on at a time, which takes many "
+        "times their size in memory; others wait their turn. Default: the CPUs there are, up to 4.",
     )
     max_frames: int = Field(
         100_000, ge=1, description="Most frames in one request, be it an upload or a lift."
@@ -178,6 +185,7 @@ class Settings(WorkerSettings):
         """Return the settings of one of the API's processes: its part of what all may take."""
         whole = {
             "max_pending_bytes": self.resolved_pending_bytes,
+            "large_at_a_time": self.large_at_a_time,
             "max_streams": self.max_streams,
             "max_event_streams": self.max_event_streams,
             "lift_threads": self.lift_threads,

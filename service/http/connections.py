@@ -8,6 +8,9 @@ from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from service.http.errors import ApiError
 
 MAX_HEAD_BYTES = 64 * 1024
+# Between requests. Proxies keep theirs for 60 s, as a rule, and a request that they
+# send as we close one is answered 502.
+KEEP_ALIVE_SECONDS = 75
 READING_PATIENCE = 3  # times as long as for a head: people page through a download
 
 

@@ -16,7 +16,6 @@ from starlette.datastructures import FormData, UploadFile
 
 from service.http.errors import ApiError, from_validation, invalid
 from service.settings import Settings
-from worker.cores import usable_cores
 
 Body = TypeVar("Body", bound=BaseModel)
 
@@ -39,7 +38,6 @@ NULL_BYTES = 256  # what a null of JSON counts: it may stand for a keypoint, a v
 # What JSON takes as lists of numbers: of each list or object, and of each of its items.
 LIST_BYTES, ITEM_BYTES = 88, 32
 DECODED = 16  # times the largest JSON body: what a body may take as lists. Captures take 10 to 15
-LARGE_AT_A_TIME = min(4, usable_cores())
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from models.settings.rooms import FrameOfReference, Up
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses, request_body
-from service.http.uploads import LARGE_AT_A_TIME, LARGE_BYTES, Upload, read_body
+from service.http.uploads import LARGE_BYTES, Upload, read_body
 from service.realtime.engine import Engine
 from service.realtime.frames import to_frames
 from service.realtime.rooms import Rooms, check_known
@@ -35,7 +35,6 @@ from store.labels import Text
 from worker.rooms import Room
 
 TINY_BYTES = 32 * 1024  # worked on in less time than it takes to switch threads, or not much more
-BODY_THREADS = LARGE_AT_A_TIME + 4  # for bodies of lifts that are not tiny; they wait for nothing
 # What an answer has: bytes of arrays for each keypoint and each view of a frame, and JSON for each.
 KEYPOINT_BYTES, VIEW_BYTES, JSON_BYTES = 13, 112, 6
 PATIENCE_SECONDS = 0.1  # before it is looked whether a client still waits

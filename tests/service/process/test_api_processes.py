@@ -230,9 +230,12 @@ def test_all_processes_drain_and_leave(
 
 
 def test_what_is_bounded_is_divided_among_processes() -> None:
-    whole = Settings(api_processes=4, max_streams=10, lift_threads=3, warm_model_bytes=1000)
+    whole = Settings(
+        api_processes=4, max_streams=10, lift_threads=3, warm_model_bytes=1000, large_at_a_time=8
+    )
     part = whole.share()
     assert (part.max_streams, part.lift_threads, part.warm_model_bytes) == (2, 1, 250)
+    assert part.large_at_a_time == 2
     assert 4 * part.resolved_pending_bytes <= whole.resolved_pending_bytes
     assert 3 * part.resolved_pending_bytes >= 4 * part.max_body_bytes
     assert Settings.model_validate(part.model_dump()) == part  # as a process reads them

@@ -132,6 +132,13 @@ def test_health_is_asked_for_where_the_service_listens(
     assert f"The API at {asked}:9 does not answer" in capsys.readouterr().out
 
 
+def test_health_names_the_argument_that_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.run("health", ["x"])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "fewview health: part: Input should be 'api' or 'worker'\n"
+
+
 def test_the_image_asks_for_its_health_as_compose_does() -> None:
     dockerfile = (ROOT / "Dockerfile").read_text()
     asked = re.search(r"HEALTHCHECK .*?CMD (\[.*?\])", dockerfile, re.DOTALL)
