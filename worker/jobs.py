@@ -13,9 +13,9 @@ from store.database import Store
 from store.errors import NotFoundError
 from store.jobs import Job
 from store.records import FitJob, LiftJob
+from worker.contract import KnownJob
 from worker.heartbeat import Heartbeat
 from worker.patience import patiently
-from worker.queue import KnownJob
 from worker.reconciler import adopt, recorded_as
 from worker.settings import WorkerSettings
 from worker.time_slice import TimeSlice

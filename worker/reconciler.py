@@ -17,20 +17,17 @@ from store.errors import InputError, NotFoundError
 from store.labels import Labels, storable
 from store.mistakes import mistakes, summary
 from store.records import FitJob, LiftJob
-from worker.needs import queue_for
-from worker.queue import (
+from worker.contract import (
     HELP_JOB,
     LIFT_JOB,
     FitArguments,
     KnownJob,
     LiftArguments,
     PlainDataSerializer,
-    WorkQueue,
     arguments_of,
-    enqueue,
-    open_queue,
-    open_queues,
 )
+from worker.needs import queue_for
+from worker.queue import WorkQueue, enqueue, open_queue, open_queues
 from worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)

@@ -26,13 +26,12 @@ from store.database import Store
 from store.errors import StoreError
 from store.private import keep_private
 from store.records import FitJob, LiftJob
+from worker.contract import KnownJob, PlainDataSerializer
 from worker.housekeeping import keep_house
 from worker.process import die_with_parent
 from worker.queue import (
     FAILURE_SECONDS,
     RESULT_SECONDS,
-    KnownJob,
-    PlainDataSerializer,
     WorkQueue,
     check_reachable,
     connect,
