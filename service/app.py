@@ -48,6 +48,7 @@ from service.resources import (
 from service.resources.events import Events
 from service.settings import Settings
 from store.database import Store
+from worker.patience import patiently
 from worker.process import die_with_parent
 from worker.queue import connect
 
@@ -241,14 +242,17 @@ def main() -> None:
     """Serve the API as a child of ``fewview serve``, with the settings in the environment.
 
     The arguments are the parent's process and the socket that it listens on: a restarted API finds
-    the requests that came while it was away.
+    the requests that came while it was away. While records or objects are away it waits for them:
+    one that could not start would be started again and again.
     """
     parent, listener = (int(argument) for argument in sys.argv[1:])
     die_with_parent(parent)
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # for connections that are kept open
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
-    server = make_server(Settings())
+    settings = Settings()
+    patiently(lambda: Store(settings).close(), hurry=lambda: False)  # SIGTERM ends it
+    server = make_server(settings)
     server.run(sockets=[socket.socket(fileno=listener)])
 
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from urllib.error import URLError
 from urllib.request import Request, urlopen
 from uuid import uuid4
@@ -74,3 +75,16 @@ def _make_bucket(url: str) -> None:
         except URLError:
             assert time.monotonic() < deadline, "the object store did not start"
             time.sleep(0.05)
+
+
+@contextmanager
+def folder_away(folder: Path) -> Iterator[None]:
+    """Have nothing but errors from a folder of objects."""
+    kept = folder.with_name(f"{folder.name}.away")
+    folder.rename(kept)
+    folder.write_text("no folder")
+    try:
+        yield
+    finally:
+        folder.unlink()
+        kept.rename(folder)

@@ -18,6 +18,7 @@ from store.database import Store
 from store.datasets import Description
 from store.jobs import TERMINAL
 from store.records import FitJob, LiftJob
+from tests.object_stores import folder_away
 from tests.worker.conftest import CONFIG, FitHere, StartWorker, wait_for, wait_for_step, wait_until
 from worker import patience
 from worker.queue import enqueue, open_queue
@@ -30,15 +31,8 @@ SLOW = {"steps": 600, "dictionary_sizes": [64, 16], "refine": "off"}
 @contextmanager
 def objects_away(store: Store) -> Iterator[None]:
     """Have nothing but errors from the objects."""
-    folder = Path(store.objects.url.removeprefix("file://"))
-    kept = folder.with_name("objects.away")
-    folder.rename(kept)
-    folder.write_text("no folder")
-    try:
+    with folder_away(Path(store.objects.url.removeprefix("file://"))):
         yield
-    finally:
-        folder.unlink()
-        kept.rename(folder)
 
 
 @contextmanager

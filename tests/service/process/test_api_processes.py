@@ -18,6 +18,7 @@ from websockets.sync.client import ClientConnection
 
 from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
+from tests.object_stores import folder_away
 from tests.processes import descendants, processes
 from tests.service.conftest import (
     BYTES,
@@ -177,6 +178,17 @@ def test_a_fit_is_followed_from_any_process_and_outlives_one(
     (fresh,) = set(api_processes(two)) - {other}
     with connected(two, fresh) as http:
         assert http.get(f"/fits/{fit}").json()["status"] == "succeeded"
+
+
+def test_a_process_that_starts_while_objects_are_away_waits_for_them(two: Live) -> None:
+    victim, other = api_processes(two)
+    with folder_away(two.data_dir / "objects"):
+        os.kill(victim, signal.SIGKILL)
+        (fresh,) = wait_for(lambda: set(api_processes(two)) - {victim, other}, "the new process")
+        time.sleep(5)  # it would have ended by now, and be started again
+    with connected(two, fresh) as http:
+        assert http.get("/health/ready").status_code == 200
+    assert set(api_processes(two)) == {fresh, other}
 
 
 def test_services_with_a_queue_of_their_own_share_a_folder(
