@@ -2,8 +2,9 @@
 
 Cameras that rest see a subject whose keypoints, views stacked into one vector, have few principal
 components; noise has as many as there are coordinates. Where a capture's smaller components look
-like white noise, probabilistic PCA (Tipping & Bishop, 1999) tells what of a coordinate is signal.
-Cameras that move spoil the low dimension, and the smaller components show it: nothing is done then.
+like white noise, probabilistic PCA (Tipping & Bishop, 1999) tells what of a coordinate is signal,
+and a mixture of Gaussians what the signals of a capture are like. Cameras that move spoil the low
+dimension, and the smaller components show it: nothing is done then.
 """
 
 from collections.abc import Sequence
@@ -14,10 +15,19 @@ import torch
 from numpy.typing import NDArray
 
 from models.capture.observations import Observations, as_observations
+from models.capture.score_mixture import (
+    ScoreMixture,
+    learn_mixture,
+    posterior_means_into,
+    standard_normal,
+)
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError
+from models.numerics.threads import in_slices
 
 Float64 = NDArray[np.float64]
 
+FRAMES_AT_A_TIME = 64  # that a thread denoises
+LEAST_FRAMES = 40  # with fewer, noise and signal are hardly told apart
 MOST_FRAMES = 4000  # plenty to learn components from
 MOST_COORDINATES = 2000  # of a frame: the covariance has as many rows
 OBSERVED_SHARE = 0.7  # of its coordinates that a frame must have to be learnt from
@@ -29,46 +39,70 @@ LEAST_NOISE = 0.02  # of a view's size: with less noise than that, geometry does
 
 
 class Denoiser(NamedTuple):
-    """y = mean + B z + e with z ~ N(0, 1), e ~ N(0, noise^2), of all views of a frame; pixels."""
+    """y = mean + B z + e with z ~ mixture, e ~ N(0, noise^2), of all views of a frame; pixels."""
 
     mean: Float64  # (K, P, 2)
     basis: Float64  # (K, P, 2, Q)
     noise: float
+    mixture: ScoreMixture
 
     @property
     def remaining_noise(self) -> float:
         """The noise that denoising leaves in a coordinate, pixels."""
-        flat = self.basis.reshape(self.mean.size, -1)
-        signal = (flat**2).sum(0)  # (Q,) of every component
-        return float(self.noise * np.sqrt((signal / (signal + self.noise**2)).sum() / len(flat)))
+        flat = self.basis.reshape(self.mean.size, -1)  # (D, Q)
+        inner = flat.T @ flat
+        left = np.linalg.inv(self.mixture.precisions + inner / self.noise**2)  # (M, Q, Q)
+        size = (left * inner).sum((1, 2))  # (M,)
+        determinants = np.linalg.slogdet(self.mixture.precisions).logabsdet
+        shares = np.exp(self.mixture.heights - determinants / 2)
+        return float(np.sqrt(size @ shares / shares.sum() / len(flat)))
 
     def denoise(self, observations: Observations, views: Sequence[int]) -> Observations:
-        """Replace what was observed in `views` (of the fit) by its posterior mean."""
+        """Replace what was observed in `views` (of the fit) by its expectation."""
         mean, basis = self.mean[list(views)], self.basis[list(views)]
         pixels, observed = _pixels(observations)
-        offset = np.where(observed[..., None], pixels - mean, 0).reshape(len(pixels), -1)  # (N, D)
-        flat = basis.reshape(offset.shape[1], -1)  # (D, Q)
-        shown = np.repeat(observed.reshape(len(pixels), -1), 2, axis=1).astype(np.float64)
-        products = (flat[:, :, None] * flat[:, None]).reshape(len(flat), -1)  # (D, Q Q)
-        inner = (shown @ products).reshape(len(pixels), flat.shape[1], flat.shape[1])
-        inner += self.noise**2 * np.eye(flat.shape[1])
-        z = np.linalg.solve(inner, (offset @ flat)[..., None])[..., 0]  # (N, Q)
-        signal = mean + (z @ flat.T).reshape(pixels.shape)
+        rows = (len(pixels), mean.size)
+        offsets = np.where(observed[..., None], pixels - mean, 0).reshape(rows)  # (N, D)
+        shown = np.repeat(observed.reshape(len(pixels), -1), 2, axis=1)
+        flat = np.ascontiguousarray(basis.reshape(mean.size, -1))  # (D, Q)
+        scores = np.empty((len(pixels), flat.shape[1]))
+
+        def denoise_part(part: slice) -> None:
+            posterior_means_into(
+                self.mixture, flat, self.noise, offsets[part], shown[part], scores[part]
+            )
+
+        in_slices(len(pixels), FRAMES_AT_A_TIME, denoise_part)
+        signal = mean + (scores @ flat.T).reshape(pixels.shape)
         return as_observations(np.where(observed[..., None], signal, np.nan), observations.weights)
 
     def to_arrays(self) -> Arrays:
         """Return the denoiser as tensors, for a file."""
-        parts = self._asdict().items()
-        return {n: torch.from_numpy(np.array(v, np.float64, ndmin=1, order="C")) for n, v in parts}
+        parts = {"mean": self.mean, "basis": self.basis, "noise": self.noise}
+        parts |= self.mixture._asdict()
+        return {
+            name: torch.from_numpy(np.array(value, np.float64, ndmin=1, order="C"))
+            for name, value in parts.items()
+        }
 
     @classmethod
-    def shapes(cls, keypoints: int) -> Shapes:
-        """Shapes of what `to_arrays` returns, for P keypoints; None stands for any length."""
-        return {
+    def shapes(cls, keypoints: int, *, mixture: bool) -> Shapes:
+        """Shapes of what `to_arrays` returns, for P keypoints; None stands for any length.
+
+        Older versions knew no `mixture` but probabilistic PCA.
+        """
+        shapes: Shapes = {
             "mean": (None, keypoints, 2),
             "basis": (None, keypoints, 2, None),
             "noise": (1,),
         }
+        if mixture:
+            shapes |= {
+                "heights": (None,),
+                "centres": (None, None),
+                "precisions": (None, None, None),
+            }
+        return shapes
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "Denoiser":
@@ -80,10 +114,20 @@ class Denoiser(NamedTuple):
             When the tensors contradict each other.
         """
         mean, basis = arrays["mean"].numpy(), arrays["basis"].numpy()
-        noise = arrays["noise"].item()
-        if len(mean) != len(basis) or not noise > 0:
+        noise, size = arrays["noise"].item(), basis.shape[-1]
+        mixture = standard_normal(size)
+        if "heights" in arrays:
+            mixture = ScoreMixture(*(arrays[name].numpy() for name in ScoreMixture._fields))
+        count = len(mixture.heights)
+        fits = (
+            mixture.centres.shape == (count, size)
+            and mixture.precisions.shape == (count, size, size)
+            and count > 0
+            and bool((np.linalg.eigvalsh(mixture.precisions) > 0).all())
+        )
+        if len(mean) != len(basis) or not noise > 0 or not fits:
             raise WeightsError("the file contradicts itself about the noise")
-        return cls(mean, basis, noise)
+        return cls(mean, basis, noise, mixture)
 
 
 def _pixels(observations: Observations) -> tuple[Float64, NDArray[np.bool_]]:
@@ -106,13 +150,14 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
     frames = np.flatnonzero(observed.mean((1, 2)) >= OBSERVED_SHARE)
     frames = frames[:: max(1, -(-len(frames) // MOST_FRAMES))]
     width = 2 * views * count  # D
-    if len(frames) < 2 * width or width > MOST_COORDINATES:
+    if len(frames) < LEAST_FRAMES or width > MOST_COORDINATES:
         return None
     known = np.repeat(observed[frames].reshape(len(frames), -1), 2, axis=1)  # (N, D)
     given = np.where(known, keypoints[frames].reshape(len(frames), -1), 0)
     filled = np.where(known, given, given.sum(0) / np.maximum(known.sum(0), 1))
     white = _eigenvalues(np.random.default_rng(0).standard_normal(filled.shape))[0]  # (D,)
-    half = slice(width // 2, None)
+    rank = min(len(frames) - 1, width)
+    half = slice(rank // 2, rank)
     for _ in range(1 if known.all() else FILLING_ROUNDS):
         mean = filled.mean(0)
         values, vectors = _eigenvalues(filled - mean)
@@ -121,14 +166,14 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
         basis = vectors[:, kept]
         share = np.clip(1 - variance / values[kept], 0, None)
         filled = np.where(known, given, mean + ((filled - mean) @ basis * share) @ basis.T)
-    start, end = int(TAIL_START * width), int(TAIL_END * width)
+    start, end = int(TAIL_START * rank), int(TAIL_END * rank)
     if values[start] * white[end] > MOST_STEEPNESS * values[end] * white[start]:
         return None
     if variance < (LEAST_NOISE * size) ** 2 or not kept.any():
         return None
-    basis = basis * np.sqrt(values[kept] - variance)
-    shape = (views, count, 2)
-    return Denoiser(mean.reshape(shape), basis.reshape(*shape, -1), float(np.sqrt(variance)))
+    shape, noise = (views, count, 2), float(np.sqrt(variance))
+    mixture = learn_mixture((filled - mean) @ basis, noise)
+    return Denoiser(mean.reshape(shape), basis.reshape(*shape, -1), noise, mixture)
 
 
 def _eigenvalues(centred: Float64) -> tuple[Float64, Float64]:

@@ -264,7 +264,7 @@ class FittedPrior:
             cameras, about["cameras"] = to_arrays(self._self_calibration)
             arrays |= prefixed(CAMERAS, cameras)
         if self._denoiser is not None:
-            about["denoiser"] = str(len(self._denoiser.mean))
+            about["denoiser"] = "mixture"
             arrays |= prefixed(DENOISER, self._denoiser.to_arrays())
         return pack(arrays, kind="prior", about=about)
 
@@ -292,7 +292,8 @@ class FittedPrior:
         if "cameras" in about:
             shapes |= prefixed(CAMERAS, array_shapes(about["cameras"], keypoints, None))
         if "denoiser" in about:
-            shapes |= prefixed(DENOISER, Denoiser.shapes(keypoints))
+            newer = about["denoiser"] == "mixture"
+            shapes |= prefixed(DENOISER, Denoiser.shapes(keypoints, mixture=newer))
         arrays = unpack(data, shapes=shapes)
         found = denoiser = None
         if "cameras" in about:

@@ -100,7 +100,7 @@ class FitConfig(BaseModel):
         default=True,
         description=(
             "Remove noise from the keypoints before anything else, in the fit and in lifts, where"
-            " the capture shows that it is white and strong (cameras at rest, many frames)."
+            " the capture shows that it is white and strong (cameras at rest, 40 frames or more)."
         ),
     )
     synchronise: Synchronise = Field(

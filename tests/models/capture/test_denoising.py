@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from models.capture.denoising import Denoiser, learn_denoiser
+from models.capture.denoising import LEAST_FRAMES, Denoiser, learn_denoiser
 from models.capture.metrics import pa_mpjpe
 from models.capture.observations import as_observations
 from models.lifting.fitted_prior import FittedPrior
+from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
 from models.training.trainer import fit
 from tests.models.rigs import Float64
@@ -87,8 +88,35 @@ def test_detail_is_not_taken_for_noise(clean: Float64) -> None:
     assert learn_denoiser(as_observations(clean + turned.reshape(clean.shape))) is None
 
 
-def test_few_frames_are_left_alone(noisy: Float64) -> None:
-    assert learn_denoiser(as_observations(noisy[: 2 * noisy[0].size - 1])) is None
+def test_fewer_frames_than_coordinates_are_enough() -> None:
+    rng = np.random.default_rng(7)
+    clean = rng.normal(size=(70, MODES)) @ rng.normal(0, 40, (MODES, 120)) + 500
+    clean = clean.reshape(70, VIEWS, 30, 2)
+    noisy = clean + rng.normal(0, NOISE, clean.shape)
+    model = learn_denoiser(as_observations(noisy))
+    assert model is not None
+    assert model.noise == pytest.approx(NOISE, rel=0.05)
+    assert np.sqrt(np.mean((pixels(noisy, model, [0, 1]) - clean) ** 2)) < 0.5 * NOISE
+
+
+def test_very_few_frames_are_left_alone(noisy: Float64) -> None:
+    assert learn_denoiser(as_observations(noisy[: LEAST_FRAMES - 1])) is None
+
+
+def test_poses_that_come_back_tell_of_each_other() -> None:
+    """One Gaussian for all frames could not do better than its exact posterior."""
+    rng = np.random.default_rng(6)
+    modes = rng.normal(size=(5, MODES))[rng.integers(5, size=FRAMES)]
+    axes = np.linalg.qr(rng.normal(size=(VIEWS * KEYPOINTS * 2, MODES)))[0].T
+    poses = 200 * modes @ axes + rng.uniform(100, 500, axes.shape[1])
+    clean = poses.reshape(FRAMES, VIEWS, KEYPOINTS, 2)
+    noisy = clean + rng.normal(0, NOISE, clean.shape)
+    model = learn_denoiser(as_observations(noisy))
+    assert model is not None
+    left = np.mean((pixels(noisy, model, [0, 1]) - clean) ** 2)
+    signal = np.linalg.eigvalsh(np.cov(poses.T, bias=True))
+    gaussian = (signal * NOISE**2 / (signal + NOISE**2)).sum() / poses.shape[1]
+    assert left < 0.3 * gaussian
 
 
 def test_a_fit_stores_it_and_lifts_with_it(noisy: Float64) -> None:
@@ -102,3 +130,11 @@ def test_a_fit_stores_it_and_lifts_with_it(noisy: Float64) -> None:
     named, unknown = prior.lift(noisy[:, :1], views=[0]), prior.lift(noisy[:, :1])
     np.testing.assert_array_equal(plain.lift(noisy).keypoints_used, 12)
     assert pa_mpjpe(named.points3d, unknown.points3d).mean > 0.01
+
+
+@pytest.mark.parametrize("name", ["heights", "centres", "precisions", "basis"])
+def test_a_file_that_contradicts_itself_is_refused(model: Denoiser, name: str) -> None:
+    arrays = model.to_arrays()
+    arrays[name] = arrays[name][..., :-1]
+    with pytest.raises(WeightsError, match="noise"):
+        Denoiser.from_arrays(arrays)
