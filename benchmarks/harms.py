@@ -198,7 +198,7 @@ def run_case(code: str, keypoints: Float64, names: list[str] | None, case: int) 
     planted = HARMS[code](k, rng, partners)
     k = _spoil(planted.keypoints, SPOILT[case % len(SPOILT)] if planted.order_noise else None, rng)
     read = put_in_step(k.astype(np.float32), None, None, "auto")
-    return judge(code, planted, observe(read, None, None).capture.findings)
+    return judge(code, planted, observe(read, None, None, outlier_rejection=False).capture.findings)
 
 
 def main() -> None:

@@ -14,13 +14,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from models.capture.observations import Observations, as_observations
+from models.capture.observations import Observations, as_observations, pixels_of
 from models.capture.score_mixture import (
     ScoreMixture,
     learn_mixture,
     posterior_means_into,
     standard_normal,
 )
+from models.numerics.eigenvalues import falling_eigenvalues, white_eigenvalues
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError
 from models.numerics.threads import in_slices
 
@@ -60,7 +61,7 @@ class Denoiser(NamedTuple):
     def denoise(self, observations: Observations, views: Sequence[int]) -> Observations:
         """Replace what was observed in `views` (of the fit) by its expectation."""
         mean, basis = self.mean[list(views)], self.basis[list(views)]
-        pixels, observed = _pixels(observations)
+        pixels, observed = pixels_of(observations)
         rows = (len(pixels), mean.size)
         offsets = np.where(observed[..., None], pixels - mean, 0).reshape(rows)  # (N, D)
         shown = np.repeat(observed.reshape(len(pixels), -1), 2, axis=1)
@@ -130,20 +131,13 @@ class Denoiser(NamedTuple):
         return cls(mean, basis, noise, mixture)
 
 
-def _pixels(observations: Observations) -> tuple[Float64, NDArray[np.bool_]]:
-    """Keypoints (N, K, P, 2) in pixels, and whether they were observed (N, K, P)."""
-    sizes, centres = observations.sizes, observations.centres
-    pixels = observations.keypoints * sizes[..., None, None] + centres[..., None, :]
-    return pixels.astype(np.float64), observations.weights > 0
-
-
 def learn_denoiser(observations: Observations) -> Denoiser | None:
     """Learn from a capture; None if there is no use in it.
 
     Noise and the number of components are told by the eigenvalues of white noise, a Gaussian
     matrix of the same shape.
     """
-    keypoints, observed = _pixels(observations)
+    keypoints, observed = pixels_of(observations)
     usable = observations.usable
     size = float(np.median(observations.sizes[usable])) if usable.any() else 1.0
     views, count = keypoints.shape[1:3]
@@ -155,12 +149,12 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
     known = np.repeat(observed[frames].reshape(len(frames), -1), 2, axis=1)  # (N, D)
     given = np.where(known, keypoints[frames].reshape(len(frames), -1), 0)
     filled = np.where(known, given, given.sum(0) / np.maximum(known.sum(0), 1))
-    white = _eigenvalues(np.random.default_rng(0).standard_normal(filled.shape))[0]  # (D,)
+    white = white_eigenvalues(*filled.shape)  # (D,)
     rank = min(len(frames) - 1, width)
     half = slice(rank // 2, rank)
     for _ in range(1 if known.all() else FILLING_ROUNDS):
         mean = filled.mean(0)
-        values, vectors = _eigenvalues(filled - mean)
+        values, vectors = falling_eigenvalues(filled - mean)
         variance = values[half].mean() / white[half].mean()
         kept = values > variance * (1 + np.sqrt(width / len(frames))) ** 2
         basis = vectors[:, kept]
@@ -174,9 +168,3 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
     shape, noise = (views, count, 2), float(np.sqrt(variance))
     mixture = learn_mixture((filled - mean) @ basis, noise)
     return Denoiser(mean.reshape(shape), basis.reshape(*shape, -1), noise, mixture)
-
-
-def _eigenvalues(centred: Float64) -> tuple[Float64, Float64]:
-    """Eigenvalues (D,), falling, and eigenvectors (D, D) of the covariance of rows (N, D)."""
-    values, vectors = np.linalg.eigh(centred.T @ centred / len(centred))
-    return np.maximum(values[::-1], 1e-12), vectors[:, ::-1]

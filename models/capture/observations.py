@@ -32,6 +32,13 @@ class Observations(NamedTuple):
     usable: NDArray[np.bool_]  # (N, K) at least MIN_KEYPOINTS keypoints that do not coincide
 
 
+def pixels_of(observations: Observations) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Keypoints (N, K, P, 2) in pixels, and whether they were observed (N, K, P)."""
+    sizes, centres = observations.sizes, observations.centres
+    pixels = observations.keypoints * sizes[..., None, None] + centres[..., None, :]
+    return pixels.astype(np.float64), observations.weights > 0
+
+
 def as_observations(keypoints: ArrayLike, confidence: ArrayLike | None = None) -> Observations:
     """Check `keypoints` (N, K, P, 2) in pixels and normalise every view by what it shows.
 

@@ -21,6 +21,7 @@ CaptureCode = TypeAliasType(
         "views_out_of_step",
         "views_swapped",
         "left_right_swapped",
+        "outliers",
     ],
 )
 CameraCode = TypeAliasType(
@@ -124,6 +125,12 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "warning",
         "The view shows left and right keypoints the other way round than the other views do.",
         "Exchange left and right in this view, or turn off mirroring of its images.",
+    ),
+    "outliers": Entry(
+        "info",
+        "Keypoints of these views lie where the rest of their frame says that they cannot be."
+        " Neither the fit nor its lifts use them.",
+        "Nothing, if they are few; else look at what the detector wrote for these views.",
     ),
     "cameras_not_found": Entry(
         "warning",

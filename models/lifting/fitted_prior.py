@@ -10,6 +10,7 @@ from models.calibrating.result import SelfCalibration, camera_report
 from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
 from models.capture.denoising import Denoiser
 from models.capture.observations import Observations, as_observations
+from models.capture.outliers import OutlierJudge, OutlierModel
 from models.findings.finding import Finding
 from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.lifting.explanations import Refiner
@@ -39,7 +40,11 @@ from models.settings.keypoints import (
     check_keypoints,
 )
 
-DENOISER, CAMERAS = "denoiser.", "cameras."  # before the names of their arrays in a file
+DENOISER, OUTLIERS, CAMERAS = (
+    "denoiser.",
+    "outliers.",
+    "cameras.",
+)  # before the names of their arrays in a file
 LIFTED_FRAMES, REFINED_FRAMES = 64, 16  # that a thread takes at a time
 MOST_REFINERS = 64  # choices of views to be prepared for at once
 
@@ -56,9 +61,12 @@ class FittedPrior:
         self_calibration: SelfCalibration | None = None,
         denoiser: Denoiser | None = None,
         capture: FittedCapture | None = None,
+        outliers: OutlierModel | None = None,
     ) -> None:
         self.config = config
         self._denoiser = denoiser
+        self._outliers = outliers
+        self._judges: dict[tuple[int, ...], OutlierJudge] = {}
         self.cameras = None if self_calibration is None else camera_report(self_calibration)
         self._self_calibration = self_calibration
         self.curve = curve
@@ -68,7 +76,9 @@ class FittedPrior:
         self._refiners: dict[int | tuple[int, ...], Refiner] = {}
         self.capture = whole_capture(self._network.keypoints) if capture is None else capture
 
-    def of_capture(self, config: FitConfig, capture: FittedCapture) -> "FittedPrior":
+    def of_capture(
+        self, config: FitConfig, capture: FittedCapture, outliers: OutlierModel | None = None
+    ) -> "FittedPrior":
         """Return the same prior for frames such as the capture's, of which it has the known."""
         return FittedPrior(
             config,
@@ -78,6 +88,7 @@ class FittedPrior:
             self._self_calibration,
             self._denoiser,
             capture,
+            outliers,
         )
 
     @property
@@ -157,6 +168,8 @@ class FittedPrior:
                 f"previous must have the shape of the keypoints, {frames} frames of {count} views,"
                 f" got {previous.scales.shape}"
             )
+        if self._outliers is not None and views_of_fit is not None:
+            observations = self._judge_of(views_of_fit).without_outliers(observations)
         if self._denoiser is not None and views_of_fit is not None:
             observations = self._denoiser.denoise(observations, views_of_fit)
         mode = self.config.refine if refine is None else refine
@@ -226,8 +239,21 @@ class FittedPrior:
             refiner = self._refiners[key] = make_refiner(self._self_calibration, views, count)
         return refiner
 
+    def _judge_of(self, views: Sequence[int]) -> OutlierJudge:
+        """Return what judges frames of `views` of the fit; made once and kept, as refiners are."""
+        assert self._outliers is not None  # noqa: S101
+        key = tuple(views)
+        judge = self._judges.get(key)
+        if judge is None:
+            if len(self._judges) >= MOST_REFINERS:
+                self._judges.clear()
+            judge = self._judges[key] = OutlierJudge(self._outliers, key)
+        return judge
+
     def _known_views(self) -> int:
         """How many views the fit had; 0 if it learned nothing about its views."""
+        if self._outliers is not None:
+            return len(self._outliers.mean)
         if self._denoiser is not None:
             return len(self._denoiser.mean)
         return 0 if self._self_calibration is None else len(self._self_calibration.rig.groups)
@@ -266,6 +292,9 @@ class FittedPrior:
         if self._denoiser is not None:
             about["denoiser"] = "mixture"
             arrays |= prefixed(DENOISER, self._denoiser.to_arrays())
+        if self._outliers is not None:
+            about["outliers"] = "yes"
+            arrays |= prefixed(OUTLIERS, self._outliers.to_arrays())
         return pack(arrays, kind="prior", about=about)
 
     @classmethod
@@ -294,12 +323,16 @@ class FittedPrior:
         if "denoiser" in about:
             newer = about["denoiser"] == "mixture"
             shapes |= prefixed(DENOISER, Denoiser.shapes(keypoints, mixture=newer))
+        if "outliers" in about:
+            shapes |= prefixed(OUTLIERS, OutlierModel.shapes(keypoints))
         arrays = unpack(data, shapes=shapes)
-        found = denoiser = None
+        found = denoiser = outliers = None
         if "cameras" in about:
             found = from_arrays(without_prefix(CAMERAS, arrays), about["cameras"])
         if "denoiser" in about:
             denoiser = Denoiser.from_arrays(without_prefix(DENOISER, arrays))
+        if "outliers" in about:
+            outliers = OutlierModel.from_arrays(without_prefix(OUTLIERS, arrays))
         return cls(
             config,
             {name: arrays[name] for name in weights},
@@ -308,4 +341,5 @@ class FittedPrior:
             found,
             denoiser,
             capture,
+            outliers,
         )

@@ -103,6 +103,13 @@ class FitConfig(BaseModel):
             " the capture shows that it is white and strong (cameras at rest, 40 frames or more)."
         ),
     )
+    outlier_rejection: bool = Field(
+        default=True,
+        description=(
+            "Leave out keypoints that lie where the rest of their frame says that they cannot be,"
+            " in the fit and in lifts (40 frames or more)."
+        ),
+    )
     synchronise: Synchronise = Field(
         default="auto",
         description=(

@@ -13,11 +13,15 @@ from models.calibrating.image_sizes import ImageSizes
 from models.capture.checks import capture_findings, observed
 from models.capture.frozen import frozen_places
 from models.capture.observations import Observations, as_observations
+from models.capture.outliers import OutlierJudge, OutlierModel, learn_outliers
 from models.epipolar.order_checks import order_findings
+from models.findings.finding import Finding
 from models.lifting.fitted_capture import FittedCapture
 from models.network.answers import nothing_unusual
 from models.settings.config import FitConfig
 from models.training.synchronising import InStep
+
+WORTH_TELLING = 0.005  # share of the keypoints of a view that are outliers
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
@@ -26,11 +30,18 @@ Bool = NDArray[np.bool_]
 class Observed(NamedTuple):
     """N frames of K views of the Q known of P keypoints, and what was noticed of them."""
 
-    observations: Observations
+    observations: Observations  # without outliers
     capture: FittedCapture
+    outliers: OutlierModel | None
 
 
-def observe(read: InStep, image_sizes: ImageSizes | None, known: Bool | None) -> Observed:
+def observe(
+    read: InStep,
+    image_sizes: ImageSizes | None,
+    known: Bool | None,
+    *,
+    outlier_rejection: bool = True,
+) -> Observed:
     """Return what a fit learns from.
 
     Parameters
@@ -72,7 +83,12 @@ def observe(read: InStep, image_sizes: ImageSizes | None, known: Bool | None) ->
         order = order_findings(detected, observations.weights, late=late)
         capture = capture._replace(findings=(*capture.findings, *order))
     capture = capture._replace(known=shown if known is None else _suited(known, shown))
-    return Observed(_among(observations, capture.known), capture)
+    observations = _among(observations, capture.known)
+    outliers = learn_outliers(observations) if outlier_rejection else None
+    if outliers is not None:
+        observations, found = _without(observations, outliers)
+        capture = capture._replace(findings=(*capture.findings, *found))
+    return Observed(observations, capture, outliers)
 
 
 def among_known(config: FitConfig, known: Bool) -> FitConfig:
@@ -96,6 +112,20 @@ def among_known(config: FitConfig, known: Bool) -> FitConfig:
         a, b, c, d = (int(place[keypoint]) for keypoint in hand)
         hand = (a, b, c, d)
     return config.model_copy(update={"known_length": length, "handedness": hand})
+
+
+def _without(
+    observations: Observations, outliers: OutlierModel
+) -> tuple[Observations, tuple[Finding, ...]]:
+    """Return the observations without outliers, and what is to be said of these."""
+    kept = OutlierJudge(outliers, range(len(outliers.mean))).without_outliers(observations)
+    there, left = observations.weights > 0, kept.weights > 0
+    shares = 1 - left.sum((0, 2)) / there.sum((0, 2)).clip(1)  # (K,)
+    if not (shares >= WORTH_TELLING).any():
+        return kept, ()
+    views = np.flatnonzero(shares >= WORTH_TELLING).tolist()
+    share = float(1 - left.sum() / there.sum())
+    return kept, (Finding.of("outliers", views=views, share=share),)
 
 
 def _suited(known: Bool, shown: Bool) -> Bool:

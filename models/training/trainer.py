@@ -113,7 +113,9 @@ class Trainer:
         if times is not None:
             times = check_times(times, frames=len(pixels), views=pixels.shape[1])
         read = put_in_step(pixels, confidence, times, config.synchronise)
-        observations, self._capture = observe(read, image_sizes, known)
+        observations, self._capture, self._outliers = observe(
+            read, image_sizes, known, outlier_rejection=config.outlier_rejection
+        )
         frames = _usable_frames(observations)
         self.config = config
         self._fingerprint = _fingerprint(observations, image_sizes)
@@ -199,7 +201,7 @@ class Trainer:
         if self.config.refine != "off" and prior.cameras is None:
             found = (*capture.findings, Finding.of("cameras_not_found"))
             capture = capture._replace(findings=found)
-        return prior.of_capture(self.config, capture)
+        return prior.of_capture(self.config, capture, self._outliers)
 
     def checkpoint(self) -> bytes:
         """Return everything needed to go on, as safetensors bytes."""
