@@ -105,10 +105,6 @@ class OutlierJudge:
             hat = flat @ np.linalg.solve(inner, flat.T)
             used = np.ones(len(flat), np.bool_)
             self._residuals.append((np.eye(len(flat)) - hat) / _deviations(hat.diagonal(), used))
-        variances = model.scales**2
-        odds = model.share / (1 - model.share) / model.sides[:, None] ** 2
-        tail = (2 * np.pi * variances * odds) ** (-2 / (FREEDOM + 2)) - 1
-        self._least = FREEDOM * variances * tail.clip(0)  # (K, P) squared errors of outliers
 
     def probabilities(self, observations: Observations) -> Float64:
         """Return how probably each keypoint (N, K, P) is an outlier.
@@ -138,11 +134,27 @@ class OutlierJudge:
     def _clear(self, pixels: Float64, observed: Bool) -> Bool:
         """Tell which frames (N,) show everything, and nothing that could be an outlier."""
         clear = np.asarray(observed.all((1, 2)))
+        if not clear.any():
+            return clear
         offsets = (pixels - self._model.mean).reshape(len(pixels), -1)
         for residuals in self._residuals:
             squared = np.square(offsets @ residuals.T).reshape(*observed.shape, 2).sum(-1)
-            clear &= (squared < self._least).all((1, 2))
+            relative = squared / self._model.scales**2
+            rows = (len(relative), -1)
+            usual = _median(relative.reshape(rows), observed.reshape(rows)) / MEDIAN_OF_SQUARES
+            clear &= (relative < self._least(usual.clip(1))).all((1, 2))
         return clear
+
+    def _least(self, usual: Float64) -> Float64:
+        """Return the squared errors from which keypoints are probably outliers (N, K, P).
+
+        They are in units of the variances of inliers, as `usual` (N,) are those of the frames.
+        """
+        model = self._model
+        variances = model.scales**2 * usual[:, None, None]
+        odds = model.share / (1 - model.share) / model.sides[:, None] ** 2
+        tails = (2 * np.pi * variances * odds) ** (-2 / (FREEDOM + 2)) - 1
+        return np.asarray(FREEDOM * usual[:, None, None] * tails.clip(0))
 
     def _judge(self, pixels: Float64, observed: Bool) -> Float64:
         """Return the probabilities, predicting from what is no outlier."""
@@ -220,20 +232,26 @@ def _sides(pixels: Float64, observed: Bool) -> Float64:
 
 def _far(pixels: Float64, observed: Bool) -> Bool:
     """Tell which keypoints lie far from the others of their view."""
-    shown = np.where(observed[..., None], pixels, np.nan)
-    there = observed.any(-1)
-    shown[~there] = 0
-    middle = np.nanmedian(shown, axis=2, keepdims=True)
-    distances = np.linalg.norm(shown - middle, axis=-1)
-    usual = np.nanmedian(distances, axis=2, keepdims=True)
-    return np.asarray(observed & (distances > FAR * usual))
+    middle = _median(np.moveaxis(pixels, -1, -2), observed[:, :, None])  # (N, K, 2)
+    distances = np.linalg.norm(pixels - middle[:, :, None], axis=-1)
+    usual = _median(distances, observed)  # (N, K)
+    return np.asarray(observed & (distances > FAR * usual[..., None]))
+
+
+def _median(numbers: Float64, shown: Bool) -> Float64:
+    """Return the lower median of what is shown along the last axis; 0 where nothing is.
+
+    NumPy's median without NaN takes many times as long for one frame.
+    """
+    ordered = np.sort(np.where(shown, numbers, np.inf), axis=-1)
+    middle = (shown.sum(-1, keepdims=True) - 1).clip(0) // 2
+    found = np.take_along_axis(ordered, np.broadcast_to(middle, (*ordered.shape[:-1], 1)), -1)
+    return np.where(np.isfinite(found), found, 0)[..., 0]
 
 
 def _scales(squared: Float64, used: Bool, sides: Float64) -> Float64:
     """Return the scale of the errors of every keypoint of every view (K, P)."""
-    shown = np.where(used, squared, np.nan)
-    shown[:, used.sum(0) < LEAST_SEEN] = 0  # nothing is said of these
-    medians: Float64 = np.nanmedian(shown, axis=0) / MEDIAN_OF_SQUARES
+    medians = _median(squared.transpose(1, 2, 0), used.transpose(1, 2, 0)) / MEDIAN_OF_SQUARES
     medians[used.sum(0) < LEAST_SEEN] = np.nan
     pooled = float(np.nanmedian(medians)) if np.isfinite(medians).any() else 0.0
     scales = np.sqrt(np.sqrt(np.where(np.isfinite(medians), medians, pooled) * pooled))
@@ -245,9 +263,9 @@ def _outlying(
 ) -> Float64:
     """Return how probably keypoints (N, K, P) are outliers, by their squared errors."""
     # In a frame that is unlike the others, all errors are larger.
-    relative = np.where(observed, squared / scales**2, np.nan).reshape(len(squared), -1)
-    relative[~observed.any((1, 2))] = 0
-    usual = np.nanmedian(relative, axis=1) / MEDIAN_OF_SQUARES  # (N,)
+    rows = (len(squared), -1)
+    relative = (squared / scales**2).reshape(rows)
+    usual = _median(relative, observed.reshape(rows)) / MEDIAN_OF_SQUARES  # (N,)
     spread = scales**2 * usual.clip(1)[:, None, None]
     inlying = (1 + squared / (FREEDOM * spread)) ** (-(FREEDOM + 2) / 2) / (2 * np.pi * spread)
     anywhere = share / sides[:, None] ** 2
