@@ -22,8 +22,8 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 LEAST_FRAMES = 40  # with fewer, what is usual is not known
-MOST_FRAMES = 4000  # plenty to learn it from
-MOST_COORDINATES = 2000  # of a frame
+MOST_FRAMES, MOST_NUMBERS = 4000, 1_000_000  # to learn it from: plenty, and what takes seconds
+MOST_COORDINATES = 1200  # of a frame
 MOST_COMPONENTS = 40
 LEARNING_ROUNDS, FILLING_ROUNDS = 12, 4
 JUDGING_ROUNDS, FIRST_NOISE = 8, 0.05  # of a frame with outliers; of a view's side
@@ -99,12 +99,13 @@ class OutlierJudge:
         self._first = max(FIRST_NOISE * float(model.sides.mean()), model.noise)
         size = model.basis.shape[-1]
         flat = model.basis.reshape(model.mean.size, size)  # (D, Q)
-        self._residuals = []  # (D, D) of frames that show everything, from their offsets
+        # Of frames that show everything: scores from offsets (D, Q), deviations of residuals (D,).
+        self._predictions = []
         for noise in (self._first, model.noise):
-            inner = flat.T @ flat + noise**2 * np.eye(size)
-            hat = flat @ np.linalg.solve(inner, flat.T)
-            used = np.ones(len(flat), np.bool_)
-            self._residuals.append((np.eye(len(flat)) - hat) / _deviations(hat.diagonal(), used))
+            gains = np.linalg.solve(flat.T @ flat + noise**2 * np.eye(size), flat.T).T
+            leverage = (flat * gains).sum(-1)
+            deviations = _deviations(leverage, np.ones(len(flat), np.bool_))
+            self._predictions.append((gains, deviations))
 
     def probabilities(self, observations: Observations) -> Float64:
         """Return how probably each keypoint (N, K, P) is an outlier.
@@ -137,8 +138,10 @@ class OutlierJudge:
         if not clear.any():
             return clear
         offsets = (pixels - self._model.mean).reshape(len(pixels), -1)
-        for residuals in self._residuals:
-            squared = np.square(offsets @ residuals.T).reshape(*observed.shape, 2).sum(-1)
+        flat = self._model.basis.reshape(offsets.shape[1], -1)
+        for gains, deviations in self._predictions:
+            missed = (offsets - offsets @ gains @ flat.T) / deviations
+            squared = np.square(missed).reshape(*observed.shape, 2).sum(-1)
             relative = squared / self._model.scales**2
             rows = (len(relative), -1)
             usual = _median(relative.reshape(rows), observed.reshape(rows)) / MEDIAN_OF_SQUARES
@@ -177,9 +180,9 @@ def learn_outliers(observations: Observations) -> OutlierModel | None:
     """Learn what keypoints are like that are no outliers; None if there are too few frames."""
     pixels, observed = pixels_of(observations)
     frames = np.flatnonzero(observed.any((1, 2)))
-    frames = frames[:: max(1, -(-len(frames) // MOST_FRAMES))]
     views, count = observed.shape[1:]
     width = 2 * views * count  # D
+    frames = frames[:: max(1, -(-len(frames) // min(MOST_FRAMES, MOST_NUMBERS // width)))]
     if len(frames) < LEAST_FRAMES or width > MOST_COORDINATES:
         return None
     pixels, observed = pixels[frames], observed[frames]
