@@ -177,13 +177,18 @@ class OutlierJudge:
 
 
 def learn_outliers(observations: Observations) -> OutlierModel | None:
-    """Learn what keypoints are like that are no outliers; None if there are too few frames."""
+    """Learn what keypoints are like that are no outliers; None if that cannot be told.
+
+    That takes 40 frames, of 1200 coordinates at most.
+    """
     pixels, observed = pixels_of(observations)
-    frames = np.flatnonzero(observed.any((1, 2)))
     views, count = observed.shape[1:]
-    width = 2 * views * count  # D
+    width = 2 * views * count  # D, 0 where no view shows anything
+    if not 0 < width <= MOST_COORDINATES:
+        return None
+    frames = np.flatnonzero(observed.any((1, 2)))
     frames = frames[:: max(1, -(-len(frames) // min(MOST_FRAMES, MOST_NUMBERS // width)))]
-    if len(frames) < LEAST_FRAMES or width > MOST_COORDINATES:
+    if len(frames) < LEAST_FRAMES:
         return None
     pixels, observed = pixels[frames], observed[frames]
     sides = _sides(pixels, observed)
