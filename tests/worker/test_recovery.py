@@ -168,8 +168,7 @@ def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
     frozen = start_worker()
     wait_for_step(store, queued.id, 100)
     horse = work_horse(frozen)
-    for pid in (frozen.pid, horse):
-        subprocess.run(["kill", "-STOP", str(pid)], check=True)
+    freeze(store, queued, frozen.pid, horse)
     start_worker()
     wait_for(
         lambda: lookup.get(store, FitJob, queued.id).attempt >= 2, "another worker to take over"
@@ -249,6 +248,14 @@ def test_cancel_stops_a_running_fit_and_its_process(
     assert lookup.get(store, FitJob, fit.id).checkpoint_key is None
 
 
+def freeze(store: Store, fit: FitJob, *pids: int) -> None:
+    """Stop processes while none of them writes, or they would keep everybody else from it."""
+    with store.writing() as session:
+        lookup.lock(session, FitJob, fit.id)
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)
+
+
 @on_every_deployment
 def test_cancel_stops_a_fit_that_does_not_listen(
     store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
@@ -258,7 +265,7 @@ def test_cancel_stops_a_fit_that_does_not_listen(
     worker = start_worker()
     wait_for_step(store, fit.id, 10)
     horse = work_horse(worker)
-    subprocess.run(["kill", "-STOP", str(horse)], check=True)
+    freeze(store, fit, horse)
     fits.cancel(store, fit.id)
     wait_until(store, fit.id, "cancelled", seconds=4)
     wait_for(lambda: not is_alive(horse), "the work-horse to be killed", 2)
