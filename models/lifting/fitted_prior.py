@@ -169,7 +169,7 @@ class FittedPrior:
                 f" got {previous.scales.shape}"
             )
         if self._outliers is not None and views_of_fit is not None:
-            observations = self._judge_of(views_of_fit).without_outliers(observations)
+            observations, _ = self._judge_of(views_of_fit).without_outliers(observations)
         if self._denoiser is not None and views_of_fit is not None:
             observations = self._denoiser.denoise(observations, views_of_fit)
         mode = self.config.refine if refine is None else refine

@@ -118,7 +118,7 @@ def _without(
     observations: Observations, outliers: OutlierModel
 ) -> tuple[Observations, tuple[Finding, ...]]:
     """Return the observations without outliers, and what is to be said of these."""
-    kept = OutlierJudge(outliers, range(len(outliers.mean))).without_outliers(observations)
+    kept, _ = OutlierJudge(outliers, range(len(outliers.mean))).without_outliers(observations)
     there, left = observations.weights > 0, kept.weights > 0
     shares = 1 - left.sum((0, 2)) / there.sum((0, 2)).clip(1)  # (K,)
     if not (shares >= WORTH_TELLING).any():

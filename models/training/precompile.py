@@ -4,6 +4,7 @@ Compiling takes about a minute. Later processes read the machine code that this 
 `models.numerics.compiled`).
 """
 
+from models.capture.outliers import LEAST_FRAMES
 from models.capture.synthetic import synthetic_capture
 from models.network.priors.registry import PRIORS
 from models.settings.config import Arrangement, FitConfig
@@ -14,7 +15,7 @@ STEPS = 30  # enough for every kind of teacher
 
 def compile_all() -> None:
     """Fit every prior to a small capture, with and without perspective, and lift in every way."""
-    capture = synthetic_capture(frames=24, views=2, hidden_keypoints=0.05, seed=1)
+    capture = synthetic_capture(frames=LEAST_FRAMES, views=2, hidden_keypoints=0.05, seed=1)
     for number, name in enumerate(PRIORS):
         cameras: Arrangement = "moving" if number else "auto"  # one search for rest is enough
         for refine in ("auto", "off"):

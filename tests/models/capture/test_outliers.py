@@ -5,9 +5,18 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import multivariate_t
 
-from models.capture.observations import as_observations
-from models.capture.outliers import LEAST_FRAMES, OutlierJudge, OutlierModel, learn_outliers
+from models.capture.observations import as_observations, pixels_of
+from models.capture.outlier_kernels import FAR, FREEDOM, MEDIAN_OF_SQUARES, MOST_LEVERAGE
+from models.capture.outliers import (
+    FIRST_NOISE,
+    JUDGING_ROUNDS,
+    LEAST_FRAMES,
+    OutlierJudge,
+    OutlierModel,
+    learn_outliers,
+)
 from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError
@@ -78,6 +87,93 @@ def test_outliers_are_found_beside_gaps(clean: Float64) -> None:
     found = found_in(model, keypoints)
     assert not found[hidden].any()
     check(found, planted & ~hidden)
+
+
+def expected(model: OutlierModel, offsets: Float64, noise: float, used: Bool) -> Float64:
+    """Return how probably keypoints (V,) are outliers, from the inverse of their covariance.
+
+    Parameters
+    ----------
+    offsets, used
+        (V, 2) from the mean, NaN where not observed; which of them (V,) are predicted from.
+    """
+    basis = model.basis.reshape(offsets.size, -1)
+    covariance = basis @ basis.T + noise**2 * np.eye(offsets.size)
+    y, given = offsets.ravel(), np.repeat(used, 2)
+    inverse = np.linalg.inv(covariance[np.ix_(given, given)])
+    squared = np.full(len(y), np.nan)
+    own = np.diag(inverse)  # what is used is predicted from the others that are
+    residuals, leverage = (inverse @ y[given]) / own, 1 - noise**2 * own
+    squared[given] = (residuals * noise**2 * own) ** 2 / (1 - leverage.clip(max=MOST_LEVERAGE))
+    rest = covariance[np.ix_(~given, given)] @ inverse
+    variance = np.diag(covariance)[~given] - (rest * covariance[np.ix_(~given, given)]).sum(1)
+    missed = y[~given] - rest @ y[given]
+    squared[~given] = missed**2 / (1 + (variance / noise**2 - 1).clip(max=1))
+    errors = squared.reshape(-1, 2).sum(1)
+    variances = model.scales.ravel() ** 2
+    seen = np.isfinite(errors)
+    usual = np.sort((errors / variances)[seen])[(seen.sum() - 1) // 2] / MEDIAN_OF_SQUARES
+    spread = variances * max(usual, 1)
+    inlying = [
+        multivariate_t(shape=v * np.eye(2), df=int(FREEDOM)).pdf([np.sqrt(e), 0])
+        if there
+        else np.nan
+        for e, v, there in zip(errors, spread, seen, strict=True)
+    ]
+    anywhere = model.share / np.repeat(model.sides, model.scales.shape[1]) ** 2
+    return np.asarray(anywhere / (anywhere + (1 - model.share) * np.array(inlying)))
+
+
+def expected_in_frame(model: OutlierModel, pixels: Float64) -> Float64:
+    """Return how probably keypoints (K, P) of a frame are outliers, as the docs tell it."""
+    offsets = (pixels - model.mean).reshape(-1, 2)
+    seen = np.isfinite(offsets[:, 0])
+    first = FIRST_NOISE * model.sides.mean()
+    coarse, fine = (expected(model, offsets, noise, seen) for noise in (first, model.noise))
+    if not (np.fmax(coarse, fine) > 0.5).any():
+        return fine.reshape(model.scales.shape)
+    middle = np.nanquantile(pixels, 0.5, axis=1, keepdims=True, method="lower")
+    distances = np.linalg.norm(pixels - middle, axis=-1)
+    usual = np.nanquantile(distances, 0.5, axis=1, keepdims=True, method="lower")
+    used = seen & ~(distances > FAR * usual).ravel()
+    for noise in np.geomspace(first, model.noise, JUDGING_ROUNDS):
+        found = expected(model, offsets, noise, used)
+        used = seen & (found < 0.5)
+    return found.reshape(model.scales.shape)
+
+
+@pytest.mark.filterwarnings("ignore:All-NaN slice")
+@pytest.mark.parametrize("views", [(0, 1, 2), (2, 0)])
+def test_probabilities_are_those_of_the_model(
+    model: OutlierModel, harmed: Harmed, clean: Float64, views: tuple[int, ...]
+) -> None:
+    """Predicted with the inverse of the covariance of all coordinates, without compiled code."""
+    frames = np.concatenate((harmed.keypoints[:8], harmed.keypoints[:8], clean[:8]))
+    hidden = np.random.default_rng(6).random(frames.shape[:3]) < 0.15
+    hidden[:4] = hidden[16:20] = False  # these show everything
+    hidden[7, 1:] = True  # and this but one view
+    hidden[7, 0] = False
+    observations = as_observations(np.where(hidden[..., None], np.nan, frames)[:, views])
+    pixels, observed = pixels_of(observations)
+    pixels[~observed] = np.nan
+    some = model._replace(
+        mean=model.mean[list(views)],
+        basis=model.basis[list(views)],
+        scales=model.scales[list(views)],
+        sides=model.sides[list(views)],
+    )
+    truth = np.stack([expected_in_frame(some, frame) for frame in pixels])
+    assert ((truth > 1e-3) & (truth < 1 - 1e-3)).sum() > 10  # not all is certain
+    judged = OutlierJudge(model, views).probabilities(observations)
+    np.testing.assert_allclose(judged, truth, rtol=1e-7, atol=1e-12)
+
+
+def test_nothing_is_said_of_what_is_not_observed(model: OutlierModel, clean: Float64) -> None:
+    keypoints = clean[:3].copy()
+    keypoints[0] = np.nan
+    keypoints[1, 2, 4] = np.nan
+    judged = OutlierJudge(model, (0, 1, 2)).probabilities(as_observations(keypoints))
+    np.testing.assert_array_equal(np.isnan(judged), np.isnan(keypoints).any(-1))
 
 
 def test_frames_are_judged_each_on_its_own(model: OutlierModel, harmed: Harmed) -> None:

@@ -1,0 +1,302 @@
+"""Judging frames for outliers, compiled: see `models.capture.outliers`."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.numerics.compiled import compiled, inner, reordered
+from models.numerics.matrices import copy, fill, total
+from models.numerics.medians import median_of
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+OUTLIER = 0.5  # probability above which a keypoint is left out
+FREEDOM = 6.0  # of Student's t: errors of inliers have tails
+FAR = 6.0  # times the median distance from the median keypoint: outlier until more is known
+MOST_LEVERAGE = 0.9  # of an observation on its own prediction that is reckoned with
+MEDIAN_OF_SQUARES = 2 * math.log(2)  # of two coordinates with variance 1
+
+
+class Predictor(NamedTuple):
+    """Predicts the coordinates y of a frame from those that are used, as F^T F y."""
+
+    # (Q, Q + D): L^T, and F = L^-1 B^T, of L L^T = B^T B + noise^2 of what is used
+    factors: Float64
+    leverage: Float64  # (K, P, 2) what that of a coordinate changes by with it, were it used
+
+
+class Judge(NamedTuple):
+    """An `OutlierModel` of K views, and what is prepared of it."""
+
+    mean: Float64  # (K, P, 2)
+    basis: Float64  # (D, Q) B; D = 2 K P
+    products: Float64  # (Q, Q + D): B^T B, and B^T
+    scales: Float64  # (K, P)
+    sides: Float64  # (K,)
+    share: float
+    noises: Float64  # (R,) of the rounds, falling
+
+
+class Prepared(NamedTuple):
+    """What predicts frames that show everything."""
+
+    coarse: Predictor  # with the first noise
+    fine: Predictor  # with the last
+
+
+class Scratch(NamedTuple):
+    """What judging one frame writes on; frames first, of which there is one."""
+
+    predictor: Predictor
+    offsets: Float64  # (1, K, P, 2) from the mean; 0 where not observed
+    residuals: Float64  # (1, K, P, 2)
+    squared: Float64  # (1, K, P)
+    found: Float64  # (1, K, P)
+    used: Bool  # (1, K, P)
+    far: Bool  # (1, K, P)
+
+
+@inner
+def make_predictor(shape: tuple[int, int], size: int) -> Predictor:
+    """Return one for K views of P keypoints and Q components, to be filled."""
+    views, count = shape
+    return Predictor(np.empty((size, size + 2 * views * count)), np.empty((views, count, 2)))
+
+
+@compiled
+def prepare(judge: Judge) -> Prepared:
+    """Return what predicts frames that show everything."""
+    shape, size = judge.scales.shape, len(judge.products)
+    used = np.ones(shape, np.bool_)
+    result = Prepared(make_predictor(shape, size), make_predictor(shape, size))
+    _predictor_into(judge, judge.noises[0], used, result.coarse)
+    _predictor_into(judge, judge.noises[-1], used, result.fine)
+    return result
+
+
+@inner
+def _predictor_into(judge: Judge, noise: float, used: Bool, out: Predictor) -> None:
+    """Write what predicts from the keypoints that are `used` (K, P), with so much noise."""
+    factors, size = out.factors, len(out.factors)
+    copy(judge.products, factors)
+    _use_only(judge.basis, used.ravel(), factors)
+    leverage = out.leverage.ravel()
+    fill(leverage, 0.0)
+    for i in range(size):
+        row = factors[i]
+        row[i] += noise**2
+        for k in range(0, i - i % 4, 4):  # four at a time are twice as fast
+            a, b, c, d = factors[k], factors[k + 1], factors[k + 2], factors[k + 3]
+            by_a, by_b, by_c, by_d = a[i], b[i], c[i], d[i]
+            for j in range(len(row)):
+                row[j] -= by_a * a[j] + by_b * b[j] + by_c * c[j] + by_d * d[j]
+        for k in range(i - i % 4, i):
+            a = factors[k]
+            by_a = a[i]
+            for j in range(len(row)):
+                row[j] -= by_a * a[j]
+        # No pivot is less than the variance of the noise, but by rounding.
+        scale = 1.0 / math.sqrt(max(row[i], noise**2))
+        for j in range(len(row)):
+            row[j] *= scale
+        done = row[size:]
+        for j in range(len(done)):
+            leverage[j] += done[j] * done[j]
+
+
+@inner
+def _use_only(basis: Float64, used: Bool, products: Float64) -> None:
+    """Make B^T B of all keypoints that of those which are used, by adding or subtracting few."""
+    size, sign = len(products), -1.0
+    few = 2 * total(used) < len(used)
+    if few:
+        sign = 1.0
+        for i in range(size):
+            for j in range(size):
+                products[i, j] = 0.0
+    for v in range(len(used)):
+        if used[v] == few:
+            x, y = basis[2 * v], basis[2 * v + 1]
+            for i in range(size):
+                a, b, row = sign * x[i], sign * y[i], products[i, :size]
+                for j in range(size):
+                    row[j] += a * x[j] + b * y[j]
+
+
+@compiled
+def judge_frames_into(
+    judge: Judge, prepared: Prepared, pixels: Float64, observed: Bool, out: Float64
+) -> None:
+    """Write how probably each keypoint (N, K, P) is an outlier; NaN where not observed.
+
+    Parameters
+    ----------
+    pixels, observed
+        (N, K, P, 2) and whether it was (N, K, P).
+    """
+    frames, views, count, _ = pixels.shape
+    shape = (1, views, count)
+    scratch = Scratch(
+        make_predictor((views, count), len(judge.products)),
+        np.empty((1, views, count, 2)),
+        np.empty((1, views, count, 2)),
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape, np.bool_),
+        np.empty(shape, np.bool_),
+    )
+    for n in range(frames):
+        here = slice(n, n + 1)
+        _judge_frame_into(judge, prepared, pixels[here], observed[here], scratch, out[here])
+        for k in range(views):
+            for p in range(count):
+                if not observed[n, k, p]:
+                    out[n, k, p] = np.nan
+
+
+@inner
+def _judge_frame_into(
+    judge: Judge,
+    prepared: Prepared,
+    pixels: Float64,
+    observed: Bool,
+    scratch: Scratch,
+    out: Float64,
+) -> None:
+    """Judge a frame, predicting from what is no outlier."""
+    offsets = scratch.offsets.ravel()
+    places, means, shown = pixels.ravel(), judge.mean.ravel(), observed.ravel()
+    for d in range(len(offsets)):
+        offsets[d] = places[d] - means[d] if shown[d // 2] else 0.0
+    used, found = scratch.used.ravel(), scratch.found.ravel()
+    copy(observed, scratch.used)
+    if shown.all():
+        _outlying_given(judge, prepared.coarse, observed, scratch, scratch.found)
+        _outlying_given(judge, prepared.fine, observed, scratch, out)
+    else:
+        _predictor_into(judge, judge.noises[0], observed[0], scratch.predictor)
+        _outlying_given(judge, scratch.predictor, observed, scratch, scratch.found)
+        _predictor_into(judge, judge.noises[-1], observed[0], scratch.predictor)
+        _outlying_given(judge, scratch.predictor, observed, scratch, out)
+    if max(found.max(), out.max()) <= OUTLIER:  # where all together look right, they are
+        return
+    far_into(pixels, observed, scratch.far)
+    far = scratch.far.ravel()
+    for v in range(len(used)):
+        used[v] = shown[v] and not far[v]
+    for r in range(len(judge.noises)):
+        _predictor_into(judge, judge.noises[r], scratch.used[0], scratch.predictor)
+        _outlying_given(judge, scratch.predictor, observed, scratch, out)
+        found = out.ravel()
+        for v in range(len(used)):
+            used[v] = shown[v] and found[v] < OUTLIER
+
+
+@inner
+def _outlying_given(
+    judge: Judge, given: Predictor, observed: Bool, scratch: Scratch, out: Float64
+) -> None:
+    """Judge the keypoints of a frame by a prediction from what is used."""
+    _residuals_into(
+        given.factors, scratch.offsets.ravel(), scratch.used.ravel(), scratch.residuals.ravel()
+    )
+    squared_errors_into(scratch.residuals, given.leverage, scratch.used, scratch.squared)
+    outlying_into(scratch.squared, observed, judge.scales, judge.sides, judge.share, out)
+
+
+@reordered
+def _residuals_into(factors: Float64, offsets: Float64, used: Bool, out: Float64) -> None:
+    """Write how far coordinates (D,) are off their prediction."""
+    size = len(factors)
+    copy(offsets, out)
+    for k in range(size):
+        row, score = factors[k, size:], 0.0
+        for d in range(len(row)):
+            score += row[d] * (offsets[d] if used[d // 2] else 0.0)
+        for d in range(len(row)):
+            out[d] -= score * row[d]
+
+
+@compiled
+def squared_errors_into(residuals: Float64, leverage: Float64, used: Bool, out: Float64) -> None:
+    """Write squared residuals (N, K, P), in each coordinate in units of its variance.
+
+    Parameters
+    ----------
+    residuals
+        (N, K, P, 2) of predictions, errors having variance 1.
+    leverage
+        (K, P, 2) what the prediction of a coordinate changes by with the coordinate, were it used.
+    used
+        (N, K, P) whether it was.
+    """
+    frames, views, count = used.shape
+    for n in range(frames):
+        for k in range(views):
+            for p in range(count):
+                out[n, k, p] = 0.0
+                for i in range(2):
+                    own = leverage[k, p, i]
+                    more = -min(own, MOST_LEVERAGE) if used[n, k, p] else min(own, 1.0)
+                    out[n, k, p] += residuals[n, k, p, i] ** 2 / (1.0 + more)
+
+
+@compiled
+def outlying_into(
+    squared: Float64, observed: Bool, scales: Float64, sides: Float64, share: float, out: Float64
+) -> None:
+    """Write how probably keypoints (N, K, P) are outliers, by their squared errors; 0 if unseen.
+
+    Scales, sides and share are those of an `OutlierModel`.
+    """
+    frames, views, count = squared.shape
+    relative = np.empty(views * count)
+    for n in range(frames):
+        known = 0
+        for k in range(views):
+            for p in range(count):
+                if observed[n, k, p]:
+                    relative[known] = squared[n, k, p] / scales[k, p] ** 2
+                    known += 1
+        # In a frame that is unlike the others, all errors are larger.
+        usual = max(median_of(relative[:known]) / MEDIAN_OF_SQUARES, 1.0) if known else 1.0
+        for k in range(views):
+            anywhere = share / sides[k] ** 2
+            for p in range(count):
+                out[n, k, p] = 0.0
+                if observed[n, k, p]:
+                    spread = scales[k, p] ** 2 * usual
+                    tail = (1.0 + squared[n, k, p] / (FREEDOM * spread)) ** (-(FREEDOM + 2) / 2)
+                    inlying = (1.0 - share) * tail / (2.0 * math.pi * spread)
+                    out[n, k, p] = anywhere / (anywhere + inlying)
+
+
+@compiled
+def far_into(pixels: Float64, observed: Bool, out: Bool) -> None:
+    """Write which observed keypoints (N, K, P) lie far from the others of their view."""
+    frames, views, count, _ = pixels.shape
+    seen, distances, middle = np.empty(count), np.empty(count), np.empty(2)
+    for n in range(frames):
+        for k in range(views):
+            known = 0
+            for i in range(2):
+                known = 0
+                for p in range(count):
+                    if observed[n, k, p]:
+                        seen[known] = pixels[n, k, p, i]
+                        known += 1
+                middle[i] = median_of(seen[:known]) if known else 0.0
+            known = 0
+            for p in range(count):
+                distances[p] = math.hypot(
+                    pixels[n, k, p, 0] - middle[0], pixels[n, k, p, 1] - middle[1]
+                )
+                if observed[n, k, p]:
+                    seen[known] = distances[p]
+                    known += 1
+            limit = FAR * median_of(seen[:known]) if known else 0.0
+            for p in range(count):
+                out[n, k, p] = observed[n, k, p] and distances[p] > limit
