@@ -123,7 +123,9 @@ def finish(
     LeaseLostError
         If the chunk is no longer this helper's.
     """
-    packed = pack(arrays)
+    with store.reading() as session:  # an older version may have begun it, with fewer arrays
+        layout = session.scalar(select(LiftJob.layout).where(LiftJob.id == helper.lift_id))
+    packed = pack({name: arrays[name] for name, *_ in layout} if layout else arrays)
     arrays_key, lines_key = keys.of_lifted(helper.lift_id, packed.data, lines)
     done = False
     try:

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from models.numerics.compiled import compiled, inner, reordered
 from models.numerics.matrices import copy, fill, total
 from models.numerics.medians import median_of
+from models.settings.keypoints import OUTLIER
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-OUTLIER = 0.5  # probability above which a keypoint is left out
 FREEDOM = 6.0  # of Student's t: errors of inliers have tails
 FAR = 6.0  # times the median distance from the median keypoint: outlier until more is known
 MOST_LEVERAGE = 0.9  # of an observation on its own prediction that is reckoned with

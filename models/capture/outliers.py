@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from models.capture.observations import Observations, as_observations, pixels_of
 from models.capture.outlier_kernels import (
     MEDIAN_OF_SQUARES,
-    OUTLIER,
     Judge,
     far_into,
     judge_frames_into,
@@ -27,6 +26,7 @@ from models.capture.outlier_kernels import (
 from models.numerics.eigenvalues import falling_eigenvalues, white_eigenvalues
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError
 from models.numerics.threads import in_slices
+from models.settings.keypoints import OUTLIER
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

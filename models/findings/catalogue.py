@@ -129,7 +129,7 @@ CATALOGUE: dict[FindingCode, Entry] = {
     "outliers": Entry(
         "info",
         "Keypoints of these views lie where the rest of their frame says that they cannot be."
-        " Neither the fit nor its lifts use them.",
+        " Neither the fit nor its lifts use them; `outlier_probability` of a lift says which.",
         "Nothing, if they are few; else look at what the detector wrote for these views.",
     ),
     "cameras_not_found": Entry(

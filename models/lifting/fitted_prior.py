@@ -168,13 +168,14 @@ class FittedPrior:
                 f"previous must have the shape of the keypoints, {frames} frames of {count} views,"
                 f" got {previous.scales.shape}"
             )
+        answers = make_answers(frames, count, points)
         if self._outliers is not None and views_of_fit is not None:
-            observations, _ = self._judge_of(views_of_fit).without_outliers(observations)
+            observations, judged = self._judge_of(views_of_fit).without_outliers(observations)
+            answers = answers._replace(outlier_probability=judged)
         if self._denoiser is not None and views_of_fit is not None:
             observations = self._denoiser.denoise(observations, views_of_fit)
         mode = self.config.refine if refine is None else refine
         refiner = None if mode == "off" else self._refiner_of(views_of_fit, count)
-        answers = make_answers(frames, count, points)
         before = make_answers(0, count, points)
         if previous is not None:
             before = Answers(*previous.of_keypoints(self.capture.known))

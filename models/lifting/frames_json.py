@@ -24,7 +24,7 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
     ----------
     arrays
         What `Lift.arrays` gives; NaN, and -1 in ``camera_models``, where there is no answer. Lifts
-        of older versions have no ``keypoints_seen`` and no ``findings``.
+        of older versions have no ``keypoints_seen``, ``outlier_probability`` and ``findings``.
     """
     models = arrays["camera_models"]
     views = np.full(models.shape, b"null", object)
@@ -38,11 +38,12 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
         texts = [text.replace(_NO_POINT, b"null") for text in texts]
     return [
         (_ANSWERED if fine else _NOT_IN_ROOM if b"not_in_room" in found else _UNANSWERED)
-        % {b"points": text, b"seen": seen, b"findings": found, b"views": rest}
-        for fine, text, seen, found, rest in zip(
+        % {b"points": text, b"seen": seen, b"odd": odd, b"findings": found, b"views": rest}
+        for fine, text, seen, odd, found, rest in zip(
             answered.tolist(),
             texts,
             _seen(arrays),
+            _outlying(arrays),
             _findings(arrays),
             map(b",".join, views.tolist()),
             strict=True,
@@ -55,6 +56,16 @@ def _seen(arrays: Arrays) -> Iterable[bytes]:
     if "keypoints_seen" not in arrays:
         return repeat(b"null", len(arrays["points3d"]))
     return [b"[%b]" % text for text in _texts(arrays["keypoints_seen"])]
+
+
+def _outlying(arrays: Arrays) -> Iterable[bytes]:
+    """Return the JSON of how probably keypoints are outliers; null for frames not judged."""
+    found = arrays.get("outlier_probability")
+    if found is None or np.isnan(found).all():
+        return repeat(b"null", len(arrays["points3d"]))
+    judged: list[bool] = np.any(np.isfinite(found), axis=(1, 2)).tolist()
+    texts = zip(judged, _texts(found), strict=True)
+    return [b"[[%b]]" % text if known else b"null" for known, text in texts]
 
 
 def _findings(arrays: Arrays) -> Iterable[bytes]:
@@ -107,11 +118,11 @@ _CODES = [  # of every sum of bits
 ]
 _ANSWERED = (
     b'{"status":"ok","reason":null,"points3d":%(points)b,"keypoints_seen":%(seen)b,'
-    b'"views":[%(views)b],"findings":%(findings)b}'
+    b'"outlier_probability":%(odd)b,"views":[%(views)b],"findings":%(findings)b}'
 )
 _UNANSWERED, _NOT_IN_ROOM = (
     b'{"status":%b,"reason":%b,"points3d":null,"keypoints_seen":%%(seen)b,'
-    b'"views":[%%(views)b],"findings":%%(findings)b}'
+    b'"outlier_probability":%%(odd)b,"views":[%%(views)b],"findings":%%(findings)b}'
     % (orjson.dumps(status), orjson.dumps(REASONS[status]))
     for status in ("too_few_keypoints", "not_in_room")
 )

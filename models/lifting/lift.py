@@ -67,7 +67,9 @@ class Lift(Answers):
         if chosen.all():
             return self
         return self._replace(
-            points3d=self.points3d[:, chosen], keypoints_seen=self.keypoints_seen[:, chosen]
+            points3d=self.points3d[:, chosen],
+            keypoints_seen=self.keypoints_seen[:, chosen],
+            outlier_probability=self.outlier_probability[:, :, chosen],
         )
 
     def among(self, known: NDArray[np.bool_]) -> "Lift":
@@ -78,7 +80,9 @@ class Lift(Answers):
         points[:, known] = self.points3d
         seen = np.zeros(points.shape[:2], np.uint8)
         seen[:, known] = self.keypoints_seen
-        return self._replace(points3d=points, keypoints_seen=seen)
+        judged = np.full((*self.scales.shape, len(known)), np.nan, np.float32)
+        judged[:, :, known] = self.outlier_probability
+        return self._replace(points3d=points, keypoints_seen=seen, outlier_probability=judged)
 
     def frames(self, chosen: slice | NDArray[np.bool_]) -> "Lift":
         """Return some of the frames; of a slice, as views of the arrays."""

@@ -33,6 +33,9 @@ class Answers(NamedTuple):
     keypoints_used: NDArray[np.int32]  # (N, K)
     # (N, P): usable views that show the keypoint; 0 where it is inferred from the others.
     keypoints_seen: NDArray[np.uint8]
+    # (N, K, P): how probably the prior holds each keypoint for an outlier, in thousandths; NaN
+    # where nothing was observed, or nothing judged. More than `OUTLIER` is left out of the lift.
+    outlier_probability: Float32
     findings: NDArray[np.uint8]  # (N,) sums of what stands below this class
     continued: NDArray[np.bool_]  # (N,) whether refinement started from the answer before
     # What the findings rest on:
@@ -73,6 +76,7 @@ def make_answers(frames: int, views: int, keypoints: int) -> Answers:
         reprojection_errors=np.empty(per_view, np.float32),
         keypoints_used=np.empty(per_view, np.int32),
         keypoints_seen=np.empty((frames, keypoints), np.uint8),
+        outlier_probability=np.full((*per_view, keypoints), np.nan, np.float32),
         findings=np.empty(frames, np.uint8),
         continued=np.empty(frames, np.bool_),
         sizes=np.empty(frames, np.float32),

@@ -8,6 +8,7 @@ MAX_KEYPOINTS = 512
 MAX_VIEWS = 64
 MAX_COORDINATE = 1e6  # pixels; far beyond any sensor, and safe to square in float32
 MIN_CONFIDENCE = 1e-3  # below this a keypoint counts as not observed
+OUTLIER = 0.5  # probability of being an outlier above which a keypoint is left out
 MIN_SIZE = 1e-3  # pixels; a view whose keypoints all coincide shows no shape
 
 Float32 = NDArray[np.float32]

@@ -35,8 +35,9 @@ from store.labels import Text
 from worker.rooms import Room
 
 TINY_BYTES = 32 * 1024  # worked on in less time than it takes to switch threads, or not much more
-# What an answer has: bytes of arrays for each keypoint and each view of a frame, and JSON for each.
-KEYPOINT_BYTES, VIEW_BYTES, JSON_BYTES = 13, 112, 6
+# What an answer has: bytes of arrays for each keypoint, each view and each keypoint of a view, and
+# JSON for each of these.
+KEYPOINT_BYTES, VIEW_BYTES, SEEN_BYTES, JSON_BYTES = 13, 112, 4, 6
 PATIENCE_SECONDS = 0.1  # before it is looked whether a client still waits
 
 Result = TypeVar("Result")
@@ -163,7 +164,9 @@ def _understand(
 def _check_answer(capture: Capture, format: Format, settings: Settings) -> None:
     """Refuse frames whose answer would be longer than a body may be."""
     frames, views, keypoints, _ = capture.keypoints.shape
-    answer = frames * (KEYPOINT_BYTES * keypoints + VIEW_BYTES * views)
+    answer = frames * (
+        KEYPOINT_BYTES * keypoints + VIEW_BYTES * views + SEEN_BYTES * views * keypoints
+    )
     if format == "json":
         answer *= JSON_BYTES
     if answer > settings.max_body_bytes:

@@ -172,6 +172,8 @@ def write_answer(frame: Frame, lift: Lift, prior: FittedPrior) -> str | bytes:
     flags = LIFTED * (lift.status[0] == "ok") | CONTINUED * continued
     flags |= int(lift.findings[0]) << FINDINGS
     header = HEADER.pack(ANSWER, flags, len(views), frame.sequence)
-    points: NDArray[np.float32] = lift.points3d.astype("<f4", copy=False)
+    points, outlying = (
+        numbers.astype("<f4", copy=False) for numbers in (lift.points3d, lift.outlier_probability)
+    )
     seen = lift.keypoints_seen.tobytes().ljust(seen_bytes(lift.keypoints_seen.shape[1]), b"\0")
-    return header + points.tobytes() + views.tobytes() + seen
+    return b"".join((header, points.tobytes(), views.tobytes(), seen, outlying.tobytes()))

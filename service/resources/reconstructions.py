@@ -107,9 +107,11 @@ def get_reconstruction(
     and `camera_models` (N, K): 0 weak perspective, 1 perspective, 2 fisheye, -1 no camera. Of weak
     perspective a translation is (x, y) in pixels and NaN. `keypoints_seen` (N, P) counts the views
     that show a keypoint, 0 where it is inferred from the others; a keypoint that no view of the fit
-    shows is NaN. `findings` (N,) adds up what was noticed of a frame: 1 `rig_not_used`, 2
+    shows is NaN. `outlier_probability` (N, K, P) says how probably a keypoint of a view is an
+    outlier, 0 to 1, NaN where nothing was observed or judged; what exceeds 0.5 was left out.
+    `findings` (N,) adds up what was noticed of a frame: 1 `rig_not_used`, 2
     `frame_unlike_fit`, 4 `coordinates_of_another_scale`, 8 `not_in_room`. Reconstructions that
-    older versions stored lack these two.
+    older versions stored lack these three.
 
     With `frame=room` all frames are in one room, and the cameras as they see that room. Canonical
     translations have the unit of each frame's first view: where that view moves while others rest,

@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 from typing_extensions import TypeAliasType
 
 from models.findings.catalogue import LiftCode
+from models.settings.keypoints import OUTLIER
 from store.labels import Text
 
 _NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
@@ -124,6 +125,7 @@ LIFTED_FRAME: dict[str, Any] = {
     "reason": None,
     "points3d": [[0.1, -0.9, 0.0], [0.1, 0.3, 0.1], [-0.3, 0.2, 0.0], [0.1, 0.4, -0.1]],
     "keypoints_seen": [1, 1, 0, 1],
+    "outlier_probability": [[0.001, 0.0, 0.998, 0.004], [None, None, None, None]],
     "views": [
         {
             "camera": "perspective",
@@ -155,6 +157,12 @@ class LiftedFrame(BaseModel):
     keypoints_seen: list[int] | None = Field(
         description="How many views show each keypoint: 0, it is inferred from the others; 1, so "
         "is its depth. Null in what older versions stored."
+    )
+    outlier_probability: list[list[float | None]] | None = Field(
+        description="How probably each keypoint of each view (views x keypoints) is an outlier, 0 "
+        f"to 1. What exceeds {OUTLIER} was left out of the lift. Null for what was not observed, "
+        "and in all where the model judges no outliers, of cameras that the fit does not know, and "
+        "in what older versions stored."
     )
     views: list[LiftedView | None] = Field(
         description="One camera per view, null where the view shows too few keypoints."

@@ -3,9 +3,10 @@
 A frame in bytes:  kind u8 = 1, flags u8, views u16 (K), sequence u32, keypoints f32 (K, P, 2) and,
                    with flag 1, confidence f32 (K, P). NaN: not observed.
 Its answer:        kind u8 = 2, flags u8, views u16 (K), sequence u32, points3d f32 (P, 3) and K
-                   times `VIEW`, keypoints_seen u8 (P), zeros up to a multiple of 4 bytes. NaN: no
-                   answer. Flag 1: the frame could be lifted, 2: its refinement started from the
-                   answer before, 4, 8, 16 and 32: see `FINDINGS`.
+                   times `VIEW`, keypoints_seen u8 (P), zeros up to a multiple of 4 bytes,
+                   outlier_probability f32 (K, P). NaN: no answer. Flag 1: the frame
+                   could be lifted, 2: its refinement started from the answer before, 4, 8, 16 and
+                   32: see `FINDINGS`.
 """
 
 import struct
@@ -131,8 +132,8 @@ class StreamReady(BaseModel):
     header_bytes: int = Field(HEADER.size, description="Of a binary message, before its arrays.")
     view_bytes: int = Field(VIEW.itemsize, description="Of each view in a binary answer.")
     seen_bytes: int = Field(
-        description="Of `keypoints_seen` at the end of a binary answer: one for each keypoint, "
-        f"and zeros up to a multiple of {ALIGNED}."
+        description="Of `keypoints_seen` after the views of a binary answer: one for each "
+        f"keypoint, and zeros up to a multiple of {ALIGNED}. `outlier_probability` follows."
     )
     limits: StreamLimits
 

@@ -133,6 +133,8 @@ def test_a_fit_is_followed_and_its_reconstruction_is_arrays(served: Served) -> N
     assert lift.rotations.shape == (frames, views, 3, 3)
     assert lift.frame_findings is not None
     assert lift.frame_findings.shape == (frames,)
+    assert lift.outlier_probability is not None
+    assert lift.outlier_probability.shape == (frames, views, keypoints)
     assert lift.lifted.all()
     assert lift.model_id == done.model_id
 

@@ -44,6 +44,9 @@ class Lift:
         (N, K): -1 no camera, 0 weak perspective, 1 perspective, 2 fisheye.
     keypoints_seen
         (N, P) how many views show each; 0 is inferred. None of old reconstructions.
+    outlier_probability
+        (N, K, P) in [0, 1]: how probably a keypoint of a view is an outlier. What exceeds 0.5 was
+        left out of the lift. NaN where nothing was observed or judged; None of old reconstructions.
     frame_findings
         (N,) sums of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``,
         8 ``not_in_room``; None of old reconstructions.
@@ -64,6 +67,7 @@ class Lift:
     keypoints_used: NDArray[np.integer[Any]]
     camera_models: NDArray[np.integer[Any]]
     keypoints_seen: NDArray[np.integer[Any]] | None = None
+    outlier_probability: Float32 | None = None
     frame_findings: NDArray[np.integer[Any]] | None = None
     findings: tuple[Finding, ...] = ()
     model_id: str | None = None

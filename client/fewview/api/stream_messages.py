@@ -17,6 +17,7 @@ from fewview.errors import ApiError, ConnectionFailed, api_error
 FRAME, ANSWER = 1, 2
 WITH_CONFIDENCE = 1
 LIFTED, CONTINUED = 1, 2
+ALIGNED = 4  # bytes that what an answer says of keypoints is filled up to
 HEADER = struct.Struct("<BBHI")
 VIEW = np.dtype(
     [
@@ -70,6 +71,8 @@ class Answer:
         what they mean in :class:`~fewview.Lift`.
     keypoints_seen
         (P,) how many views show each; 0 is inferred.
+    outlier_probability
+        (K, P) as in :class:`~fewview.Lift`.
     findings
         Sum of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``,
         8 ``not_in_room``.
@@ -81,6 +84,7 @@ class Answer:
     points3d: Float32
     views: NDArray[np.void]
     keypoints_seen: NDArray[np.uint8]
+    outlier_probability: Float32
     findings: int
 
 
@@ -127,14 +131,18 @@ def read_message(message: str | bytes, keypoints: int) -> Answer | Dropped:
     _kind, flags, count, sequence = HEADER.unpack_from(message)
     points3d = np.frombuffer(message, "<f4", 3 * keypoints, HEADER.size).reshape(-1, 3)
     views = np.frombuffer(message, VIEW, count, HEADER.size + points3d.nbytes)
-    place = HEADER.size + points3d.nbytes + views.nbytes
+    seen_at = HEADER.size + points3d.nbytes + views.nbytes
+    judged_at = seen_at + -(-keypoints // ALIGNED) * ALIGNED
     return Answer(
         sequence=sequence,
         lifted=bool(flags & LIFTED),
         continued=bool(flags & CONTINUED),
         points3d=points3d,
         views=views,
-        keypoints_seen=np.frombuffer(message, np.uint8, keypoints, place),
+        keypoints_seen=np.frombuffer(message, np.uint8, keypoints, seen_at),
+        outlier_probability=np.frombuffer(message, "<f4", count * keypoints, judged_at).reshape(
+            count, keypoints
+        ),
         findings=flags >> 2,
     )
 

@@ -21,6 +21,7 @@ from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
+from models.settings.keypoints import OUTLIER
 from models.training.trainer import fit
 from tests.models.rigs import Float64
 
@@ -222,11 +223,19 @@ def test_a_fit_leaves_them_out_and_so_do_its_lifts(harmed: Harmed) -> None:
     lift = prior.lift(harmed.keypoints)
     shown = (~harmed.planted).sum((1, 2))
     assert np.abs(lift.keypoints_used.sum(1) - shown).mean() < 1
+    found = lift.outlier_probability > OUTLIER
+    check(found, harmed.planted)
+    np.testing.assert_array_equal(lift.keypoints_used, (~found).sum(-1))
+    alone = prior.lift(harmed.keypoints[:5, [1]], views=[1]).outlier_probability
+    assert np.isfinite(alone).all()
+    assert np.isnan(prior.lift(harmed.keypoints[:5, [1]]).outlier_probability).all()  # unknown
     again = FittedPrior.from_bytes(prior.to_bytes())
     np.testing.assert_array_equal(again.lift(harmed.keypoints).points3d, lift.points3d)
     keeping = fit(harmed.keypoints, quick.model_copy(update={"outlier_rejection": False}))
     assert not [found for found in keeping.findings if found.code == "outliers"]
-    assert (keeping.lift(harmed.keypoints).keypoints_used == harmed.planted.shape[2]).all()
+    kept = keeping.lift(harmed.keypoints)
+    assert (kept.keypoints_used == harmed.planted.shape[2]).all()
+    assert np.isnan(kept.outlier_probability).all()
 
 
 @pytest.mark.parametrize("name", ["basis", "scales", "sides"])

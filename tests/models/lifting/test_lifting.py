@@ -23,7 +23,7 @@ AZIMUTHS = [0.0, 80.0, -120.0]
 PERSPECTIVE = CAMERA_MODELS.index("perspective")
 OF_VIEWS = (
     *("rotations", "scales", "translations", "focals", "principal_points", "distortions"),
-    *("camera_models", "reprojection_errors", "keypoints_used"),
+    *("camera_models", "reprojection_errors", "outlier_probability", "keypoints_used"),
 )
 SHIN = (keypoint("left_knee"), keypoint("left_ankle"))
 

@@ -66,6 +66,10 @@ def test_a_keypoint_that_no_view_shows_is_not_invented(
             np.testing.assert_array_equal(lift.rotations, expected.rotations)
             assert np.isnan(lift.points3d[:, GONE]).all()
             assert not lift.keypoints_seen[:, GONE].any()
+            assert np.isnan(lift.outlier_probability[:, :, GONE]).all()
+            np.testing.assert_array_equal(
+                lift.outlier_probability[:, :, known], expected.outlier_probability
+            )
     again = prior.lift(capture.keypoints, previous=prior.lift(capture.keypoints))
     assert np.isfinite(again.points3d[:, known]).all()
 

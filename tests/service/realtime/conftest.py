@@ -84,6 +84,7 @@ class Answer(NamedTuple):
     points: Array  # (P, 3)
     views: Array  # (K,) of VIEW
     seen: Array  # (P,) how many views show a keypoint
+    outlying: Array  # (K, P) how probably it is an outlier
 
 
 def read_bytes(data: str | bytes) -> Answer:
@@ -93,13 +94,15 @@ def read_bytes(data: str | bytes) -> Answer:
     keypoints = 16  # of the model of these tests
     views_at = 8 + 12 * keypoints
     seen_at = views_at + 108 * count
-    assert len(data) == seen_at + keypoints
+    judged_at = seen_at + keypoints
+    assert len(data) == judged_at + 4 * count * keypoints
     return Answer(
         sequence,
         flags,
         np.frombuffer(data[8:views_at], "<f4").reshape(-1, 3),
         np.frombuffer(data[views_at:seen_at], VIEW),
-        np.frombuffer(data[seen_at:], np.uint8),
+        np.frombuffer(data[seen_at:judged_at], np.uint8),
+        np.frombuffer(data[judged_at:], "<f4").reshape(count, keypoints),
     )
 
 

@@ -37,6 +37,12 @@ def check_json(frames: list[Any], arrays: dict[str, Array]) -> None:
             np.testing.assert_allclose(frame["points3d"], arrays["points3d"][n], rtol=1e-6)
         else:
             assert np.isnan(arrays["points3d"][n]).all()
+        outlying = arrays["outlier_probability"][n]
+        if frame["outlier_probability"] is None:
+            assert np.isnan(outlying).all()
+        else:
+            said = np.array(frame["outlier_probability"], np.float32)  # None is NaN
+            np.testing.assert_array_equal(said, outlying)
         for k, view in enumerate(frame["views"]):
             for name, value in (
                 ("rotation", arrays["rotations"][n, k]),
@@ -273,6 +279,7 @@ def test_every_kind_of_camera_on_the_wire() -> None:
         reprojection_errors=values(),
         keypoints_used=np.array([[5, 5, 5, 0]], np.int32),
         keypoints_seen=np.array([[3, 2, 0, 1, 3]], np.uint8),
+        outlier_probability=np.array([[[np.nan, 0.25, 0, 1, 0.001]] * 4], np.float32),
         findings=np.array([5], np.uint8),
         continued=np.zeros(1, np.bool_),
         sizes=np.ones(1, np.float32),

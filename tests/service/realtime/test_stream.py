@@ -47,11 +47,13 @@ def test_answers_are_those_of_a_lift_in_the_order_and_form_of_the_frames(
                     answer["frame"]["points3d"], known["points3d"], rtol=1e-3, atol=1e-4
                 )
             else:
-                sequence, flags, points, views, seen = read_bytes(message)
+                sequence, flags, points, views, seen, outlying = read_bytes(message)
                 assert sequence == 1000 + n
                 assert flags == 1
                 check(points, views, known)
                 np.testing.assert_array_equal(seen, known["keypoints_seen"])
+                judged = np.array(known["outlier_probability"], np.float32)
+                np.testing.assert_array_equal(outlying, judged)
 
 
 def test_views_and_confidence(http: httpx2.Client, model: str, capture: SyntheticCapture) -> None:
@@ -60,7 +62,7 @@ def test_views_and_confidence(http: httpx2.Client, model: str, capture: Syntheti
     with started(http, model, views=[2, 0]) as socket:
         for n in range(3):
             socket.send(as_bytes(n, keypoints[n], confidence[n]))
-            sequence, _, points, views, _ = read_bytes(socket.recv(timeout=300))
+            sequence, _, points, views, *_ = read_bytes(socket.recv(timeout=300))
             assert sequence == n
             check(points, views, expected[n])
             socket.send(
@@ -82,11 +84,12 @@ def test_a_frame_that_shows_too_little_says_so(
     nothing = np.full_like(capture.keypoints[0], np.nan)
     with started(http, model) as socket:
         socket.send(as_bytes(5, nothing))
-        sequence, flags, points, views, seen = read_bytes(socket.recv(timeout=300))
+        sequence, flags, points, views, seen, outlying = read_bytes(socket.recv(timeout=300))
         assert (sequence, flags) == (5, 0)
         assert np.isnan(points).all()
         assert (views["camera"] == -1).all()
         assert not seen.any()
+        assert np.isnan(outlying).all()
         socket.send(as_json(6, nothing))
         assert read_json(socket.recv(timeout=300))["frame"]["status"] == "too_few_keypoints"
 
@@ -111,7 +114,7 @@ def test_with_continuity_a_frame_may_start_from_the_one_before(
                 if n == 5:
                     continued.append(read_json(message)["continued"])
                     continue
-                sequence, flags, points, _, _ = read_bytes(message)
+                sequence, flags, points, *_ = read_bytes(message)
                 assert sequence == n
                 assert flags & 1
                 continued.append(flags & 2 == 2)
@@ -137,7 +140,7 @@ def test_streams_do_not_mix(http: httpx2.Client, model: str, capture: SyntheticC
                 for n in range(start, start + 50):
                     socket.send(as_bytes(n, capture.keypoints[n % 60]))
                 for n in range(start, start + 50):
-                    sequence, _, points, views, _ = read_bytes(socket.recv(timeout=300))
+                    sequence, _, points, views, *_ = read_bytes(socket.recv(timeout=300))
                     assert sequence == n
                     check(points, views, expected[n % 60])
         except Exception as error:  # noqa: BLE001 - for the main thread to show

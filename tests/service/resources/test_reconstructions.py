@@ -61,6 +61,7 @@ def test_the_reconstruction_is_the_same_in_every_format(
         "reprojection_errors": (n, k),
         "keypoints_used": (n, k),
         "keypoints_seen": (n, p),
+        "outlier_probability": (n, k, p),
         "findings": (n,),
     }
     body = data.json()
@@ -70,6 +71,8 @@ def test_the_reconstruction_is_the_same_in_every_format(
     for index, frame in enumerate(body["frames"]):
         assert frame["status"] == "ok"
         assert frame["reason"] is None
+        judged = np.array(frame["outlier_probability"], np.float32)  # None is NaN
+        np.testing.assert_array_equal(judged, arrays["outlier_probability"][index])
         np.testing.assert_array_equal(np.float32(frame["points3d"]), arrays["points3d"][index])
         for view, camera in enumerate(frame["views"]):
             if camera is None:
@@ -94,6 +97,8 @@ def test_the_reconstruction_is_the_same_in_every_format(
                 else:
                     np.testing.assert_array_equal(np.float32(camera[name]), value)
     assert body["frames"][7]["views"][1] is None  # the view that saw nothing
+    observed = np.isfinite(capture.keypoints).all(-1) & (capture.confidence > 0)
+    np.testing.assert_array_equal(np.isfinite(arrays["outlier_probability"]), observed)
     np.testing.assert_array_equal(arrays["keypoints_used"][0], (capture.confidence[0] > 0).sum(-1))
     problem(live.http.get(url, headers={"Accept": "image/png"}), 406, "not_acceptable")
     problem(live.http.get(f"{url}?format=png"), 422, "invalid_input", "/format")
