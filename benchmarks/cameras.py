@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.captures import Capture, read_capture
+from benchmarks.captures import Capture, read_capture, said_beside
 from benchmarks.deviations import Kind, draw, found_by
 from benchmarks.rig import add_noise, find_lenses, hide
 from models.calibrating.result import CameraReport, camera_report
@@ -98,8 +98,7 @@ def of_capture(path: Path, arguments: argparse.Namespace) -> Iterator[Row]:
     capture = read_capture(path)
     if capture.points3d is None:
         raise SystemExit(f"{path.name} has no points3d: nothing to measure against")
-    beside = path.with_suffix(".json")
-    said = json.loads(beside.read_text()) if beside.exists() else {}
+    said = said_beside(path)
     moves = path.stem in arguments.moving
     truth = None if moves else true_cameras(capture, said)
     sizes = image_sizes(capture, said, arguments.image_size)

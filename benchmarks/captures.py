@@ -1,8 +1,10 @@
 """Captures of any size and the models fitted to them, for benchmarks of speed."""
 
 import argparse
+import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ __all__ = [
     "from_options",
     "model_from_options",
     "read_capture",
+    "said_beside",
     "studio",
 ]
 
@@ -62,6 +65,13 @@ def studio(views: int = 4, keypoints: int = 17, *, frames: int = FRAMES, seed: i
     return Capture(seen.astype(np.float32), points3d=points.astype(np.float32), image_sizes=sizes)
 
 
+def said_beside(path: Path) -> dict[str, Any]:
+    """Return what CAPTURE.json beside CAPTURE.npz says, such as `image_sizes` and `edges`."""
+    beside = path.with_suffix(".json")
+    said: dict[str, Any] = json.loads(beside.read_text()) if beside.exists() else {}
+    return said
+
+
 def fitted(capture: Capture, config: FitConfig | None = None) -> FittedPrior:
     """Fit with a configuration, the default one if there is none; the truth takes no part."""
     sizes = None
@@ -72,6 +82,7 @@ def fitted(capture: Capture, config: FitConfig | None = None) -> FittedPrior:
         config or FitConfig(),
         confidence=capture.confidence,
         image_sizes=sizes,
+        edges=capture.edges,
     )
 
 

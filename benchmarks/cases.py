@@ -51,6 +51,7 @@ class Bench:
     given_confidence: Float | None  # (N, K, P)
     truth: Float  # (N, P, 3)
     sizes: list[tuple[int, int]] | None  # of the images, one per view
+    edges: Any  # (E, 2) of the skeleton, or None
     config: FitConfig
     metre: float  # in the unit of the truth
     pair: Views
@@ -89,6 +90,7 @@ class Bench:
                 config,
                 confidence=self.confidence(views, which),
                 image_sizes=sizes,
+                edges=self.edges,
             )
             self.fits[name] = Fit(prior, time.perf_counter() - started)
         return self.fits[name]

@@ -14,6 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from benchmarks.captures import said_beside
 from benchmarks.cases import CASES, PCK_MM, Bench
 from benchmarks.report import TRNG, Report, draw, markdown
 from benchmarks.rig import find_rig
@@ -104,6 +105,7 @@ def prepare(arguments: argparse.Namespace) -> Bench:
         given_confidence=capture.confidence,
         truth=capture.points3d,
         sizes=sizes,
+        edges=said_beside(arguments.capture).get("edges", capture.edges),
         config=FitConfig.model_validate(changes),
         metre=1000 / MILLIMETRES[arguments.unit],
         pair=tuple(arguments.pair),

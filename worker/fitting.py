@@ -70,7 +70,7 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
     source = partial(waiting, partial(_load_prior, store, fit))
     device = _device(settings, capture, config)
     times = datasets.times_of(dataset, capture)
-    trainer = _resume(capture, times, dataset.image_sizes, config, source, checkpoint, device)
+    trainer = _resume(capture, times, dataset, config, source, checkpoint, device)
 
     def stopped() -> bool:
         """End the attempt if it has to end now; return whether it did."""
@@ -180,13 +180,15 @@ def _load_prior(store: Store, fit: FitJob) -> FittedPrior | None:
 def _resume(
     capture: Capture,
     times: Float64 | None,
-    image_sizes: list[Any] | None,
+    dataset: Dataset,
     config: FitConfig,
     source: Callable[[], FittedPrior | None],
     checkpoint: bytes | None,
     device: str,
 ) -> Trainer:
-    sizes = image_sizes and [size and tuple(size) for size in image_sizes]  # JSON has no tuples
+    sizes = dataset.image_sizes and [  # JSON has no tuples
+        size and tuple(size) for size in dataset.image_sizes
+    ]
     make = partial(
         Trainer,
         capture.keypoints,
@@ -194,6 +196,7 @@ def _resume(
         confidence=capture.confidence,
         times=times,
         image_sizes=sizes,
+        edges=(dataset.skeleton or {}).get("edges"),
         device=device,
     )
     if checkpoint is not None:

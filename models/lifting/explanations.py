@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.frame import cost_of, descend, make_scene
-from models.bundle.frame_equations import point_in_camera_into, point_in_group_into
+from models.bundle.frame_equations import point_in_camera_into
 from models.bundle.initial_poses import gather_frame, start_view
 from models.bundle.problem import Rig, Scene, ShapePrior, Views, prior_about
+from models.lifting.skeleton_lengths import SkeletonLengths
 from models.network.answers import Answers
 from models.numerics.compiled import inner
 from models.numerics.matrices import copy, fill, identity, product, total
@@ -36,6 +37,7 @@ class Refiner(NamedTuple):
     scales: Float64  # (V,) of the prior with one view, two, ... V or more
     noise: float  # pixels
     unit: float  # the user's, of a unit of the structure
+    held: SkeletonLengths  # of frames that two views or more show
 
 
 class Explanation(NamedTuple):
@@ -180,7 +182,6 @@ def explain(
     scene = make_scene(len(mean), len(rig.size_precision))
     _as_groups(rig, usable, start, scene)
     cost = descend(views, rig, _prior(refiner, usable, mean), scene, ITERATIONS)
-    turned, held, camera, pixel = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
     size = math.exp(scene.sizes[0])  # views that move on their own have size 1, distance tells
     for p in range(len(mean)):
         for i in range(3):
@@ -192,19 +193,30 @@ def explain(
         point_in_camera_into(rig, k, scene.translations[g], out.translations[k])
         for i in range(3):
             out.translations[k, i] *= size / growth
+    write_errors(rig, views, out)
+    return cost
+
+
+@inner
+def write_errors(rig: Rig, views: Views, explanation: Explanation) -> None:
+    """Write the mean reprojection error of each view."""
+    points, camera, pixel = explanation.points, np.empty(3), np.empty(2)
+    for k in range(len(explanation.errors)):
+        rotation, translation = explanation.rotations[k], explanation.translations[k]
         summed, observed = 0.0, 0
-        for p in range(len(mean)):
+        for p in range(len(points)):
             if views.weights[k, p] > 0:
-                point_in_group_into(scene, g, growth, p, turned, held)
-                point_in_camera_into(rig, k, held, camera)
+                for i in range(3):
+                    camera[i] = translation[i]
+                    for j in range(3):
+                        camera[i] += rotation[i, j] * points[p, j]
                 project_into(camera, rig.lenses, k, pixel)
                 summed += math.sqrt(
                     (pixel[0] - views.keypoints[k, p, 0]) ** 2
                     + (pixel[1] - views.keypoints[k, p, 1]) ** 2
                 )
                 observed += 1
-        out.errors[k] = summed / max(observed, 1)
-    return cost
+        explanation.errors[k] = summed / max(observed, 1)
 
 
 @inner

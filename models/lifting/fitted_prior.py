@@ -17,6 +17,7 @@ from models.lifting.explanations import Refiner
 from models.lifting.fitted_capture import FittedCapture, whole_capture
 from models.lifting.frame_refinement import make_refiner, refine_frames
 from models.lifting.lift import Lift
+from models.lifting.skeleton_lengths import SkeletonLengths
 from models.network.answers import Answers, make_answers
 from models.network.feed_forward import feed_forward
 from models.network.priors.registry import lay_out, parameter_shapes
@@ -40,10 +41,11 @@ from models.settings.keypoints import (
     check_keypoints,
 )
 
-DENOISER, OUTLIERS, CAMERAS = (
+DENOISER, OUTLIERS, CAMERAS, SKELETON = (
     "denoiser.",
     "outliers.",
     "cameras.",
+    "skeleton.",
 )  # before the names of their arrays in a file
 LIFTED_FRAMES, REFINED_FRAMES = 64, 16  # that a thread takes at a time
 MOST_REFINERS = 64  # choices of views to be prepared for at once
@@ -62,10 +64,12 @@ class FittedPrior:
         denoiser: Denoiser | None = None,
         capture: FittedCapture | None = None,
         outliers: OutlierModel | None = None,
+        skeleton: SkeletonLengths | None = None,
     ) -> None:
         self.config = config
         self._denoiser = denoiser
         self._outliers = outliers
+        self._skeleton = skeleton
         self._judges: dict[tuple[int, ...], OutlierJudge] = {}
         self.cameras = None if self_calibration is None else camera_report(self_calibration)
         self._self_calibration = self_calibration
@@ -89,6 +93,7 @@ class FittedPrior:
             self._denoiser,
             capture,
             outliers,
+            self._skeleton,
         )
 
     @property
@@ -106,6 +111,11 @@ class FittedPrior:
     def denoises(self) -> bool:
         """Whether noise is removed from keypoints before the network sees them."""
         return self._denoiser is not None
+
+    @property
+    def holds_lengths(self) -> bool:
+        """Whether edges of the skeleton keep their lengths in refined lifts."""
+        return self._skeleton is not None
 
     @property
     def settling(self) -> SettlingPolicy:
@@ -237,7 +247,9 @@ class FittedPrior:
         if refiner is None:
             if len(self._refiners) >= MOST_REFINERS:
                 self._refiners.clear()
-            refiner = self._refiners[key] = make_refiner(self._self_calibration, views, count)
+            refiner = self._refiners[key] = make_refiner(
+                self._self_calibration, views, count, self._skeleton
+            )
         return refiner
 
     def _judge_of(self, views: Sequence[int]) -> OutlierJudge:
@@ -296,6 +308,9 @@ class FittedPrior:
         if self._outliers is not None:
             about["outliers"] = "yes"
             arrays |= prefixed(OUTLIERS, self._outliers.to_arrays())
+        if self._skeleton is not None:
+            about["skeleton"] = "yes"
+            arrays |= prefixed(SKELETON, self._skeleton.to_arrays())
         return pack(arrays, kind="prior", about=about)
 
     @classmethod
@@ -326,14 +341,19 @@ class FittedPrior:
             shapes |= prefixed(DENOISER, Denoiser.shapes(keypoints, mixture=newer))
         if "outliers" in about:
             shapes |= prefixed(OUTLIERS, OutlierModel.shapes(keypoints))
+        if "skeleton" in about:
+            shapes |= prefixed(SKELETON, SkeletonLengths.shapes())
         arrays = unpack(data, shapes=shapes)
-        found = denoiser = outliers = None
+        found = denoiser = outliers = skeleton = None
         if "cameras" in about:
             found = from_arrays(without_prefix(CAMERAS, arrays), about["cameras"])
         if "denoiser" in about:
             denoiser = Denoiser.from_arrays(without_prefix(DENOISER, arrays))
         if "outliers" in about:
             outliers = OutlierModel.from_arrays(without_prefix(OUTLIERS, arrays))
+        if "skeleton" in about:
+            of_skeleton = without_prefix(SKELETON, arrays)
+            skeleton = SkeletonLengths.from_arrays(of_skeleton, keypoints)
         return cls(
             config,
             {name: arrays[name] for name in weights},
@@ -343,4 +363,5 @@ class FittedPrior:
             denoiser,
             capture,
             outliers,
+            skeleton,
         )

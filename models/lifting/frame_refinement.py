@@ -23,7 +23,9 @@ from models.lifting.explanations import (
     network_start_into,
     previous_start_into,
     start_cost,
+    write_errors,
 )
+from models.lifting.skeleton_lengths import SkeletonLengths, hold_lengths, no_lengths
 from models.network.answers import RIG_NOT_USED, Answers
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import total
@@ -52,8 +54,16 @@ OTHER_HYPOTHESES = (
 )
 
 
-def make_refiner(calibration: SelfCalibration, views: Sequence[int] | None, count: int) -> Refiner:
-    """Prepare to refine frames of `views` of the fit, or of `count` cameras it does not know."""
+def make_refiner(
+    calibration: SelfCalibration,
+    views: Sequence[int] | None,
+    count: int,
+    skeleton: SkeletonLengths | None = None,
+) -> Refiner:
+    """Prepare to refine frames of `views` of the fit, or of `count` cameras it does not know.
+
+    Lengths of the `skeleton` are held where a rig at rest says how large structures are.
+    """
     rig = sub_rig(calibration, views, count)
     errors, shapes = calibration.network_errors, calibration.shapes
     believed = errors if errors.known else shapes
@@ -65,6 +75,7 @@ def make_refiner(calibration: SelfCalibration, views: Sequence[int] | None, coun
         np.ascontiguousarray(errors.scales) if errors.known else np.ones(1),
         calibration.noise,
         calibration.unit,
+        no_lengths() if skeleton is None or not rig.resting.all() else skeleton,
     )
 
 
@@ -148,6 +159,8 @@ def refine_frames(
         accepted = _accept(best, cost, answers.reprojection_errors[n], usable, always)
         if accepted:
             answers.continued[n] = continued
+            if there > 1 and not apart and len(refiner.held.lengths):
+                _hold_lengths(refiner, views, best)
             _write(refiner, best, n, usable, answers)
         if (apart or not accepted) and _shares_group(refiner.rig.groups, usable):
             answers.findings[n] += RIG_NOT_USED
@@ -165,6 +178,21 @@ def _pixels_into(seen: Observations, n: int, noise: float, views: Views) -> None
                 views.keypoints[k, p, i] = (
                     seen.keypoints[n, k, p, i] * seen.sizes[n, k] + seen.centres[n, k, i]
                 )
+
+
+@inner
+def _hold_lengths(refiner: Refiner, views: Views, explanation: Explanation) -> None:
+    """Give the edges of the skeleton their lengths; poses stay."""
+    hold_lengths(
+        refiner.held,
+        views,
+        refiner.noise,
+        refiner.rig.lenses,
+        explanation.points,
+        explanation.rotations,
+        explanation.translations,
+    )
+    write_errors(refiner.rig, views, explanation)
 
 
 @inner

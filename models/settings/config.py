@@ -110,6 +110,13 @@ class FitConfig(BaseModel):
             " in the fit and in lifts (40 frames or more)."
         ),
     )
+    bone_lengths: bool = Field(
+        default=True,
+        description=(
+            "Hold edges of the skeleton at their lengths in refined lifts, where noise was removed"
+            " and the capture shows that they keep them."
+        ),
+    )
     synchronise: Synchronise = Field(
         default="auto",
         description=(

@@ -12,6 +12,7 @@ OUTLIER = 0.5  # probability of being an outlier above which a keypoint is left 
 MIN_SIZE = 1e-3  # pixels; a view whose keypoints all coincide shows no shape
 
 Float32 = NDArray[np.float32]
+Int64 = NDArray[np.int64]
 
 
 def check_keypoints(keypoints: ArrayLike) -> Float32:
@@ -63,3 +64,24 @@ def check_confidence(confidence: ArrayLike, *, expected: tuple[int, ...]) -> Flo
             " clip what is a little above 1, and divide by the highest what goes far beyond"
         )
     return np.where(values < MIN_CONFIDENCE, np.float32(0), values)
+
+
+def check_edges(edges: ArrayLike | None, keypoints: int) -> Int64:
+    """Return which of so many keypoints are joined, (E, 2), each pair once; None is of none.
+
+    Raises ValueError unless each names two different ones.
+    """
+    pairs = np.asarray([] if edges is None else edges)
+    if not pairs.size:
+        return np.zeros((0, 2), np.int64)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
+        raise ValueError(
+            f"edges must be pairs of keypoint indices, (edges, 2), got {pairs.dtype} of shape"
+            f" {pairs.shape}"
+        )
+    for a, b in pairs.tolist():
+        if a == b or min(a, b) < 0 or max(a, b) >= keypoints:
+            raise ValueError(
+                f"edges must name two different keypoints from 0 to {keypoints - 1}, got [{a}, {b}]"
+            )
+    return np.unique(np.sort(pairs.astype(np.int64), axis=1), axis=0)

@@ -1,8 +1,9 @@
 """Checkpoints of a fit, as safetensors bytes: its numbers in the header, the rest as tensors."""
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -10,8 +11,10 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from torch import Tensor
 
+from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
 from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
+from models.capture.observations import Observations
 from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.numerics.tensor_files import (
     Arrays,
@@ -40,6 +43,18 @@ class Checkpoint(NamedTuple):
     curve: Sequence[CurvePoint]
     teachers: Teachers | None
     self_calibration: SelfCalibration | None
+
+
+def fingerprint(
+    observations: Observations, image_sizes: ImageSizes | None, edges: NDArray[np.int64]
+) -> str:
+    """Return what identifies the data of a fit; without edges, as older versions had it."""
+    digest = hashlib.sha256(repr(image_sizes and [s and tuple(s) for s in image_sizes]).encode())
+    arrays: list[NDArray[Any]] = [observations.keypoints, observations.weights]
+    for array in (*arrays, edges) if len(edges) else arrays:
+        digest.update(str(array.shape).encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def write(

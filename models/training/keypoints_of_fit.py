@@ -25,6 +25,7 @@ WORTH_TELLING = 0.005  # share of the keypoints of a view that are outliers
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
+Int64 = NDArray[np.int64]
 
 
 class Observed(NamedTuple):
@@ -112,6 +113,13 @@ def among_known(config: FitConfig, known: Bool) -> FitConfig:
         a, b, c, d = (int(place[keypoint]) for keypoint in hand)
         hand = (a, b, c, d)
     return config.model_copy(update={"known_length": length, "handedness": hand})
+
+
+def edges_among_known(edges: Int64, known: Bool) -> Int64:
+    """Return the edges (E, 2) that join known keypoints, these counted among the known."""
+    place = np.cumsum(known) - 1
+    between: Int64 = place[edges[known[edges].all(1)]]
+    return between
 
 
 def _without(

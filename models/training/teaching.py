@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from models.bundle.initial_poses import WeakPerspectiveScene
+from models.bundle.problem import Views
 from models.calibrating.handedness import NothingFoundError, same_hand
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
@@ -21,6 +22,7 @@ from models.capture.denoising import Denoiser
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
+from models.lifting.skeleton_lengths import SkeletonLengths, learn_skeleton_lengths
 from models.network.answers import Usual
 from models.network.priors.prior import Prior
 from models.network.settling import estimate_foreshortening
@@ -35,6 +37,7 @@ logger = logging.getLogger(__name__)
 
 LIFTED_FRAMES = 256  # between two chances to stop
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
+LENGTH_FRAMES = 2000  # plenty to learn the lengths of a skeleton
 
 
 class Teaching:
@@ -49,6 +52,7 @@ class Teaching:
         image_sizes: ImageSizes | None,
         denoiser: Denoiser | None,
         detected: Data,
+        edges: NDArray[np.int64],
     ) -> None:
         self.state = TeachingState("not_sought" if config.refine == "off" else "sought")
         self.teachers: Teachers | None = None
@@ -60,6 +64,7 @@ class Teaching:
         self._image_sizes = image_sizes
         self._denoiser = denoiser
         self._detected = detected  # the data with the noise that was removed
+        self._edges = edges  # (E, 2) of the skeleton
 
     def make_teachers(self, step: int, *, most: int) -> Iterator[None]:
         """Make teachers anew, and find the cameras first if they are sought.
@@ -100,7 +105,11 @@ class Teaching:
         found = self.self_calibration
         if found is not None:
             found = self._with_network_errors(found, step)
-        return self._as_prior(found, self._denoiser, curve)
+        prior = self._as_prior(found, self._denoiser, curve)
+        skeleton = self._learn_lengths(prior, found)
+        if skeleton is None:
+            return prior
+        return self._as_prior(found, self._denoiser, curve, skeleton)
 
     def usual(self) -> Usual:
         """Return what is usual of the frames of the fit, with the network as it is now."""
@@ -111,8 +120,9 @@ class Teaching:
         self_calibration: SelfCalibration | None,
         denoiser: Denoiser | None = None,
         curve: list[CurvePoint] | None = None,
+        skeleton: SkeletonLengths | None = None,
     ) -> FittedPrior:
-        every = slice(None, None, math.ceil(len(self._data.keypoints) / HANDEDNESS_FRAMES))
+        every = slice(None, None, self._every(HANDEDNESS_FRAMES))
         keypoints, weights = self._data.keypoints[every], self._data.weights[every]
         with torch.inference_mode():
             points, _, matrices = self._network.reproject(keypoints, weights)
@@ -128,7 +138,12 @@ class Teaching:
             foreshortening=foreshortening,
             self_calibration=self_calibration,
             denoiser=denoiser,
+            skeleton=skeleton,
         )
+
+    def _every(self, most: int) -> int:
+        """Return which part of the frames is at most so many."""
+        return math.ceil(len(self._data.keypoints) / most)
 
     def _find_cameras(self, frames: Tensor) -> Iterator[None]:
         """Find the cameras from frames (T,) with two views or more, if their keypoints tell."""
@@ -156,6 +171,28 @@ class Teaching:
         self.self_calibration = found
         scene_is_mirrored = not same_hand(scene.points, answers.points)
         self.state.mirrored = (prior.foreshortening < 0) != scene_is_mirrored
+
+    def _learn_lengths(
+        self, prior: FittedPrior, found: SelfCalibration | None
+    ) -> SkeletonLengths | None:
+        """Learn what edges of the skeleton keep their lengths, where it is known what noise is.
+
+        Only white noise that was removed is: what detectors do beyond it looks like steady edges.
+        """
+        if found is None or self._denoiser is None or not found.resting.all():
+            return None
+        if not self._config.bone_lengths or not len(self._edges):
+            return None
+        frames = torch.arange(0, len(self._detected.weights), self._every(LENGTH_FRAMES))
+        pixels, weights = self._detected.pixels(frames), self._detected.weights[frames]
+        return learn_skeleton_lengths(
+            self._edges,
+            prior.lift(pixels, confidence=weights, refine="full"),
+            Views(pixels.numpy(), weights.double().numpy()),
+            found.rig,
+            unit=found.unit,
+            noise=self._denoiser.noise,
+        )
 
     def _with_network_errors(self, self_calibration: SelfCalibration, step: int) -> SelfCalibration:
         """Measure the network's errors as they are now, and the time that it takes."""

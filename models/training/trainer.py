@@ -1,6 +1,5 @@
 """Fitting a prior to keypoints alone: minimise the reprojection error, resumably."""
 
-import hashlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from models.lifting.fitted_prior import FittedPrior
 from models.network.priors.prior import Prior
 from models.network.priors.registry import make_prior
 from models.settings.config import FitConfig
-from models.settings.keypoints import check_confidence, check_keypoints
+from models.settings.keypoints import check_confidence, check_edges, check_keypoints
 from models.settings.priors import ARCHITECTURE
 from models.settings.times import check_times
 from models.training import checkpoints
@@ -33,7 +32,7 @@ from models.training.budget import (
 )
 from models.training.checkpoints import Checkpoint
 from models.training.holdout import Holdout, split
-from models.training.keypoints_of_fit import among_known, observe
+from models.training.keypoints_of_fit import among_known, edges_among_known, observe
 from models.training.learner import Learner
 from models.training.schedule import Schedule
 from models.training.state import BestError, TrainerState
@@ -80,6 +79,7 @@ class Trainer:
         confidence: ArrayLike | None = None,
         times: ArrayLike | None = None,
         image_sizes: ImageSizes | None = None,
+        edges: ArrayLike | None = None,
         start: FittedPrior | None = None,
         checkpoint: bytes | None = None,
         device: str = "cpu",
@@ -88,17 +88,18 @@ class Trainer:
 
         `times` (N,) or (N, K) in seconds tell when frames, or their views, were taken: views are
         then put in step (`models.training.synchronising`). `image_sizes` are (width, height) in
-        pixels, one per view, None where unknown. `start` is a prior whose weights the fit begins
-        with; `models.settings.config.warm` says what suits it. Training steps are taken on the
-        `device`, everything else on the CPU.
+        pixels, one per view, None where unknown. `edges` (E, 2) are the keypoints that a skeleton
+        joins, whose distances are held in lifts where noise hides that they stay the same. `start`
+        is a prior whose weights the fit begins with; `models.settings.config.warm` says what suits
+        it. Training steps are taken on the `device`, everything else on the CPU.
 
         Raises
         ------
         ValueError
-            When no frame has a usable view, the arrays are malformed (see `as_observations`),
-            `image_sizes` or the configuration's calibration do not have one entry per view, or
-            `start` has other keypoints, another prior, or other sizes of it, or the configuration
-            names a keypoint that no view shows.
+            When no frame has a usable view, the arrays are malformed (see `as_observations`), an
+            edge does not name two keypoints, `image_sizes` or the configuration's calibration do
+            not have one entry per view, or `start` has other keypoints, another prior, or other
+            sizes of it, or the configuration names a keypoint that no view shows.
         WeightsError
             When the checkpoint is damaged, was written by another version, or was made for other
             data or another configuration.
@@ -106,6 +107,7 @@ class Trainer:
         pixels = check_keypoints(keypoints)
         if confidence is not None:
             confidence = check_confidence(confidence, expected=pixels.shape[:3])
+        pairs = check_edges(edges, pixels.shape[2])
         _check_entries_per_view(pixels.shape[1], config, image_sizes)
         known = None if start is None else start.capture.known
         if checkpoint is not None:
@@ -118,7 +120,7 @@ class Trainer:
         )
         frames = _usable_frames(observations)
         self.config = config
-        self._fingerprint = _fingerprint(observations, image_sizes)
+        self._fingerprint = checkpoints.fingerprint(observations, image_sizes, pairs)
         detected = observations
         denoiser = learn_denoiser(observations) if config.denoising else None
         if denoiser is not None:
@@ -146,6 +148,7 @@ class Trainer:
             image_sizes,
             denoiser,
             self._data if denoiser is None else Data.of(detected, frames),
+            edges_among_known(pairs, self._capture.known),
         )
         self._state = TrainerState(Schedule.of(config), self._teaching.state)
         self._curve: list[CurvePoint] = []
@@ -342,6 +345,7 @@ def fit(
     confidence: ArrayLike | None = None,
     times: ArrayLike | None = None,
     image_sizes: ImageSizes | None = None,
+    edges: ArrayLike | None = None,
     start: FittedPrior | None = None,
     device: str = "cpu",
     on_progress: Callable[[Progress], None] | None = None,
@@ -353,6 +357,7 @@ def fit(
         confidence=confidence,
         times=times,
         image_sizes=image_sizes,
+        edges=edges,
         start=start,
         device=device,
     )
@@ -390,11 +395,3 @@ def _check_entries_per_view(views: int, config: FitConfig, image_sizes: ImageSiz
 def _running_mean(mean: float, value: float, newest: float | None) -> float:
     """Let a running mean follow a value by the share `newest`; it begins with the first one."""
     return value if newest is None else mean + newest * (value - mean)
-
-
-def _fingerprint(observations: Observations, image_sizes: ImageSizes | None) -> str:
-    digest = hashlib.sha256(repr(image_sizes and [s and tuple(s) for s in image_sizes]).encode())
-    for array in (observations.keypoints, observations.weights):
-        digest.update(str(array.shape).encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()

@@ -19,7 +19,14 @@ class Skeleton(BaseModel):
     keypoint_names: list[KeypointName] | None = Field(
         None, description="One unique name per keypoint, in the order of the arrays."
     )
-    edges: list[Edge] = Field([], max_length=5000, description="Pairs of keypoint indices.")
+    edges: list[Edge] = Field(
+        [],
+        max_length=5000,
+        description=(
+            "Pairs of keypoint indices. Where keypoints are noisy, a fit holds those whose lengths"
+            " stay the same at these (`bone_lengths`)."
+        ),
+    )
 
     def check(self, keypoints: int) -> None:
         """Raise ``ApiError`` if this is no skeleton of so many keypoints."""

@@ -24,6 +24,7 @@ from worker.settings import WorkerSettings
 LIFT = FittedPrior.lift
 RESULT = Trainer.result
 SIZES = [[1280, 1024], None, [640, 480]]
+EDGES = [[0, 1], [1, 2]]
 
 
 @pytest.fixture
@@ -35,7 +36,7 @@ def store(tmp_path: Path) -> Any:
 
 def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked: Any) -> FitJob:
     """Fit in slices of 16 frames; after the second slice set what is ``asked`` of the heartbeat."""
-    described = Description("figure", image_sizes=SIZES)
+    described = Description("figure", skeleton={"edges": EDGES}, image_sizes=SIZES)
     dataset_id = datasets.create(store, capture, described).id
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 5})
     attempt = attempts.claim(store, fit.id, lease_seconds=60)
@@ -95,15 +96,15 @@ def test_what_is_asked_counts_between_two_slices(
     assert (fit.checkpoint_key is not None) == (asked == "leave")
 
 
-def test_the_trainer_is_told_the_image_sizes(
+def test_the_trainer_is_told_the_image_sizes_and_the_edges(
     store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[Any] = []
 
-    def trainer(*arguments: Any, image_sizes: Any, **more: Any) -> Trainer:
-        told.append(image_sizes)
-        return Trainer(*arguments, image_sizes=image_sizes, **more)
+    def trainer(*arguments: Any, **more: Any) -> Trainer:
+        told.extend((more["image_sizes"], more["edges"]))
+        return Trainer(*arguments, **more)
 
     monkeypatch.setattr(fitting, "Trainer", trainer)
     run(store, capture, monkeypatch)
-    assert told == [[(1280, 1024), None, (640, 480)]]
+    assert told == [[(1280, 1024), None, (640, 480)], EDGES]
