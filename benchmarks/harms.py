@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from models.findings.finding import Finding
 from models.numerics.rotations import rotations_from_vectors
+from models.settings.config import FitConfig
 from models.training.keypoints_of_fit import observe
 from models.training.synchronising import put_in_step
 
@@ -28,6 +29,7 @@ Bool = NDArray[np.bool_]
 Rng = np.random.Generator
 
 # Noise in pixels, share of outliers, share of gaps: taken in turns.
+AS_THEY_ARE = FitConfig(outlier_rejection=False, denoising=False)
 SPOILT = ((0, 0, 0), (2, 0, 0), (5, 0, 0), (15, 0, 0), (5, 0.1, 0.3), (8, 0.1, 0))
 SAME_FRAMES = 0.97  # of all frames said rightly to be harmed or not
 SIDES = (("left", "right"), ("l", "r"))  # what a name begins or ends with
@@ -198,7 +200,7 @@ def run_case(code: str, keypoints: Float64, names: list[str] | None, case: int) 
     planted = HARMS[code](k, rng, partners)
     k = _spoil(planted.keypoints, SPOILT[case % len(SPOILT)] if planted.order_noise else None, rng)
     read = put_in_step(k.astype(np.float32), None, None, "auto")
-    return judge(code, planted, observe(read, None, None, outlier_rejection=False).capture.findings)
+    return judge(code, planted, observe(read, None, None, AS_THEY_ARE).capture.findings)
 
 
 def main() -> None:

@@ -15,6 +15,7 @@ from safetensors.numpy import save
 from models.calibrating.handedness import DECIDED
 from models.capture.clocks import in_step
 from models.capture.metrics import Reflection, pa_mpjpe, pck
+from models.capture.motion import with_neighbours
 from models.findings.finding import dumped, log_findings
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
@@ -137,9 +138,16 @@ def _reconstruct(
     for start in range(0, capture.frames, LIFT_FRAMES):
         if stopped():
             return None
-        part = slice(start, start + LIFT_FRAMES)
-        confidence = None if trust is None else trust[part]
-        lifts.append(prior.lift(keypoints[part], confidence=confidence))
+        own = slice(start, start + LIFT_FRAMES)
+        around = with_neighbours(own) if prior.smooths and times is not None else own
+        lifts.append(
+            prior.lift(
+                keypoints[around],
+                confidence=None if trust is None else trust[around],
+                times=None if times is None else times[around],
+                only=slice(own.start - around.start, own.stop - around.start),
+            )
+        )
     return join(lifts)
 
 

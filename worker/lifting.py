@@ -2,9 +2,10 @@
 
 import logging
 from functools import partial
-from typing import cast
+from typing import NamedTuple, cast
 
 from models.capture.clocks import frames_apart, in_step
+from models.capture.motion import with_neighbours
 from models.findings.finding import Finding, log_findings
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
@@ -13,7 +14,7 @@ from models.lifting.lift_findings import lift_findings
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
 from store import datasets, lift_chunks, lookup, models
-from store.capture import Capture
+from store.capture import Capture, Float64
 from store.database import Store
 from store.errors import ConflictError
 from store.lift_chunks import Helper
@@ -84,23 +85,49 @@ def _find_room(store: Store, lift_id: str, prior: FittedPrior) -> Room | None:
         raise ValueError(str(error)) from error
 
 
-def _load_in_step(store: Store, lift: LiftJob, chunk: LiftChunk, prior: FittedPrior) -> Capture:
+class _Loaded(NamedTuple):
+    """The frames of a chunk, with the views in step, and what is around them."""
+
+    capture: Capture
+    times: Float64 | None  # seconds, of each frame or of its views
+    own: slice  # the frames of the chunk among these
+
+
+def _load_in_step(store: Store, lift: LiftJob, chunk: LiftChunk, prior: FittedPrior) -> _Loaded:
     """Load a chunk's frames with the views in step, as far as the dataset tells times."""
     dataset = lookup.get(store, Dataset, lift.dataset_id)
-    first, end = chunk.first_frame, chunk.first_frame + chunk.frames
-    capture = datasets.load_frames(store, dataset.id, first, end)
-    times = datasets.times_of(dataset, capture, first)
+    own = slice(chunk.first_frame, chunk.first_frame + chunk.frames)
+    capture = datasets.load_frames(store, dataset.id, own.start, own.stop)
+    times = datasets.times_of(dataset, capture, own.start)
+    if times is None:
+        return _Loaded(capture, None, slice(0, chunk.frames))
     clocks = prior.capture.clocks_of(lift.views, dataset.views)
-    apart = 0 if times is None else frames_apart(times, clocks)
-    if not apart:
-        return capture
-    begin = max(first - apart - AROUND, 0)
-    stop = min(end + apart + AROUND, lift.frames)
-    around = datasets.load_frames(store, dataset.id, begin, stop)
-    times = datasets.times_of(dataset, around, begin)
-    keypoints, confidence = in_step(around.keypoints, around.confidence, times, clocks)
-    own = slice(first - begin, end - begin)
-    return Capture(keypoints[own], None if confidence is None else confidence[own])
+    around = with_neighbours(own) if prior.smooths else own
+    apart = frames_apart(times, clocks)
+    if apart:
+        around = slice(max(around.start - apart - AROUND, 0), around.stop + apart + AROUND)
+    if around != own:
+        stop = min(around.stop, lift.frames)
+        capture = datasets.load_frames(store, dataset.id, around.start, stop)
+        times = datasets.times_of(dataset, capture, around.start)
+    read = in_step(capture.keypoints, capture.confidence, times, clocks)
+    return _Loaded(Capture(*read), times, slice(own.start - around.start, own.stop - around.start))
+
+
+def _lift(loaded: _Loaded, start: int, job: LiftJob, prior: FittedPrior) -> Lift:
+    """Lift some of a chunk's frames."""
+    keypoints, trust, times = loaded.capture.keypoints, loaded.capture.confidence, loaded.times
+    first = loaded.own.start + start
+    own = slice(first, min(first + SLICE_FRAMES, loaded.own.stop))
+    around = with_neighbours(own) if prior.smooths and times is not None else own
+    return prior.lift(
+        keypoints[around],
+        confidence=None if trust is None else trust[around],
+        refine=cast(Refine | None, job.refine),
+        views=job.views,
+        times=None if times is None else times[around],
+        only=slice(own.start - around.start, own.stop - around.start),
+    )
 
 
 def _do(
@@ -113,7 +140,7 @@ def _do(
 ) -> None:
     """Do one chunk, unless the process must leave: then it is given back."""
     lift = lookup.get(store, LiftJob, helper.lift_id)
-    capture = _load_in_step(store, lift, chunk, prior)
+    loaded = _load_in_step(store, lift, chunk, prior)
     parts: list[Lift] = []
     findings: list[Finding] = []
     for start in range(0, chunk.frames, SLICE_FRAMES):
@@ -122,13 +149,7 @@ def _do(
         if heartbeat.leave:
             lift_chunks.release(store, helper, chunk)
             return
-        part = slice(start, start + SLICE_FRAMES)
-        lifted = prior.lift(
-            capture.keypoints[part],
-            confidence=None if capture.confidence is None else capture.confidence[part],
-            refine=cast(Refine | None, lift.refine),
-            views=lift.views,
-        )
+        lifted = _lift(loaded, start, lift, prior)
         if room is not None:
             lifted = room.place(lifted, lift.views)
         parts.append(lifted)

@@ -31,6 +31,13 @@ class Observations(NamedTuple):
     sizes: Float32  # (N, K) pixels
     usable: NDArray[np.bool_]  # (N, K) at least MIN_KEYPOINTS keypoints that do not coincide
 
+    def frames(self, chosen: slice) -> "Observations":
+        """Return some of the frames."""
+        keypoints, weights, centres, sizes, usable = self
+        return Observations(
+            keypoints[chosen], weights[chosen], centres[chosen], sizes[chosen], usable[chosen]
+        )
+
 
 def pixels_of(observations: Observations) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Keypoints (N, K, P, 2) in pixels, and whether they were observed (N, K, P)."""

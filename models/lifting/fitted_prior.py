@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike
 from models.calibrating.result import SelfCalibration, camera_report
 from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
 from models.capture.denoising import Denoiser
+from models.capture.motion import MotionModel
+from models.capture.noise_removal import NoiseRemoval
 from models.capture.observations import Observations, as_observations
 from models.capture.outliers import OutlierJudge, OutlierModel
 from models.findings.finding import Finding
@@ -40,13 +42,11 @@ from models.settings.keypoints import (
     check_confidence,
     check_keypoints,
 )
+from models.settings.times import check_times
 
-DENOISER, OUTLIERS, CAMERAS, SKELETON = (
-    "denoiser.",
-    "outliers.",
-    "cameras.",
-    "skeleton.",
-)  # before the names of their arrays in a file
+# Before the names of their arrays in a file.
+DENOISER, MOTION, OUTLIERS = "denoiser.", "motion.", "outliers."
+CAMERAS, SKELETON = "cameras.", "skeleton."
 LIFTED_FRAMES, REFINED_FRAMES = 64, 16  # that a thread takes at a time
 MOST_REFINERS = 64  # choices of views to be prepared for at once
 
@@ -61,13 +61,13 @@ class FittedPrior:
         curve: tuple[CurvePoint, ...],
         foreshortening: float,
         self_calibration: SelfCalibration | None = None,
-        denoiser: Denoiser | None = None,
+        noise_removal: NoiseRemoval | None = None,
         capture: FittedCapture | None = None,
         outliers: OutlierModel | None = None,
         skeleton: SkeletonLengths | None = None,
     ) -> None:
         self.config = config
-        self._denoiser = denoiser
+        self._noise_removal = noise_removal or NoiseRemoval()
         self._outliers = outliers
         self._skeleton = skeleton
         self._judges: dict[tuple[int, ...], OutlierJudge] = {}
@@ -81,7 +81,11 @@ class FittedPrior:
         self.capture = whole_capture(self._network.keypoints) if capture is None else capture
 
     def of_capture(
-        self, config: FitConfig, capture: FittedCapture, outliers: OutlierModel | None = None
+        self,
+        config: FitConfig,
+        capture: FittedCapture,
+        outliers: OutlierModel | None = None,
+        noise_removal: NoiseRemoval | None = None,
     ) -> "FittedPrior":
         """Return the same prior for frames such as the capture's, of which it has the known."""
         return FittedPrior(
@@ -90,7 +94,7 @@ class FittedPrior:
             self.curve,
             self.foreshortening,
             self._self_calibration,
-            self._denoiser,
+            noise_removal,
             capture,
             outliers,
             self._skeleton,
@@ -110,7 +114,12 @@ class FittedPrior:
     @property
     def denoises(self) -> bool:
         """Whether noise is removed from keypoints before the network sees them."""
-        return self._denoiser is not None
+        return self._noise_removal.denoiser is not None
+
+    @property
+    def smooths(self) -> bool:
+        """Whether noise is removed by what frames before and after show, if times are told."""
+        return self._noise_removal.motion is not None
 
     @property
     def holds_lengths(self) -> bool:
@@ -141,12 +150,14 @@ class FittedPrior:
         refine: Refine | None = None,
         views: Sequence[int] | None = None,
         previous: Lift | None = None,
+        times: ArrayLike | None = None,
+        only: slice | None = None,
     ) -> Lift:
         """Lift frames (N, K, P, 2) in pixels, with any number of views K and any gaps.
 
-        Every frame is lifted on its own: neither its neighbours nor the order of the frames
-        changes its answer. Structures have the handedness that the fit settled on. Keypoints that
-        no view of the fit showed are NaN, whatever these frames show of them.
+        Every frame is lifted on its own: unless `times` are told, neither its neighbours nor the
+        order of the frames changes its answer. Structures have the handedness that the fit settled
+        on. Keypoints that no view of the fit showed are NaN, whatever these frames show of them.
 
         Parameters
         ----------
@@ -171,19 +182,23 @@ class FittedPrior:
             the fit.
         """
         observations = self._observe(keypoints, confidence, views)
+        views_of_fit = self._views_of_fit(views, observations.weights.shape[1])
+        judged = None
+        if self._outliers is not None and views_of_fit is not None:
+            observations, judged = self._judge_of(views_of_fit).without_outliers(observations)
+        if views_of_fit is not None:
+            observations = self._without_noise(observations, views_of_fit, times)
+        if only is not None:
+            observations = observations.frames(only)
         frames, count, points, _ = observations.keypoints.shape
-        views_of_fit = self._views_of_fit(views, count)
         if previous is not None and previous.scales.shape != (frames, count):
             raise ValueError(
                 f"previous must have the shape of the keypoints, {frames} frames of {count} views,"
                 f" got {previous.scales.shape}"
             )
         answers = make_answers(frames, count, points)
-        if self._outliers is not None and views_of_fit is not None:
-            observations, judged = self._judge_of(views_of_fit).without_outliers(observations)
-            answers = answers._replace(outlier_probability=judged)
-        if self._denoiser is not None and views_of_fit is not None:
-            observations = self._denoiser.denoise(observations, views_of_fit)
+        if judged is not None:
+            answers = answers._replace(outlier_probability=judged[only or slice(None)])
         mode = self.config.refine if refine is None else refine
         refiner = None if mode == "off" else self._refiner_of(views_of_fit, count)
         before = make_answers(0, count, points)
@@ -228,6 +243,16 @@ class FittedPrior:
             weights = check_confidence(confidence, expected=pixels.shape[:3])
         return as_observations(*self.capture.observations(pixels, weights, views))
 
+    def _without_noise(
+        self, observations: Observations, views: Sequence[int], times: ArrayLike | None
+    ) -> Observations:
+        """Return what was observed in `views` of the fit without noise."""
+        if times is None:
+            return self._noise_removal.remove(observations, views, None)
+        frames, count = observations.usable.shape
+        seconds = check_times(times, frames=frames, views=count).reshape(frames, -1)[:, 0]
+        return self._noise_removal.remove(observations, views, seconds)
+
     def _check_count(self, came: int) -> None:
         if came != self.keypoints_per_frame:
             raise ValueError(
@@ -267,8 +292,8 @@ class FittedPrior:
         """How many views the fit had; 0 if it learned nothing about its views."""
         if self._outliers is not None:
             return len(self._outliers.mean)
-        if self._denoiser is not None:
-            return len(self._denoiser.mean)
+        if self._noise_removal.views:
+            return self._noise_removal.views
         return 0 if self._self_calibration is None else len(self._self_calibration.rig.groups)
 
     def _views_of_fit(self, views: Sequence[int] | None, count: int) -> Sequence[int] | None:
@@ -302,9 +327,13 @@ class FittedPrior:
         if self._self_calibration is not None:
             cameras, about["cameras"] = to_arrays(self._self_calibration)
             arrays |= prefixed(CAMERAS, cameras)
-        if self._denoiser is not None:
+        denoiser, motion = self._noise_removal
+        if denoiser is not None:
             about["denoiser"] = "mixture"
-            arrays |= prefixed(DENOISER, self._denoiser.to_arrays())
+            arrays |= prefixed(DENOISER, denoiser.to_arrays())
+        if motion is not None:
+            about["motion"] = "yes"
+            arrays |= prefixed(MOTION, motion.to_arrays())
         if self._outliers is not None:
             about["outliers"] = "yes"
             arrays |= prefixed(OUTLIERS, self._outliers.to_arrays())
@@ -339,16 +368,20 @@ class FittedPrior:
         if "denoiser" in about:
             newer = about["denoiser"] == "mixture"
             shapes |= prefixed(DENOISER, Denoiser.shapes(keypoints, mixture=newer))
+        if "motion" in about:
+            shapes |= prefixed(MOTION, MotionModel.shapes(keypoints))
         if "outliers" in about:
             shapes |= prefixed(OUTLIERS, OutlierModel.shapes(keypoints))
         if "skeleton" in about:
             shapes |= prefixed(SKELETON, SkeletonLengths.shapes())
         arrays = unpack(data, shapes=shapes)
-        found = denoiser = outliers = skeleton = None
+        found = denoiser = motion = outliers = skeleton = None
         if "cameras" in about:
             found = from_arrays(without_prefix(CAMERAS, arrays), about["cameras"])
         if "denoiser" in about:
             denoiser = Denoiser.from_arrays(without_prefix(DENOISER, arrays))
+        if "motion" in about:
+            motion = MotionModel.from_arrays(without_prefix(MOTION, arrays))
         if "outliers" in about:
             outliers = OutlierModel.from_arrays(without_prefix(OUTLIERS, arrays))
         if "skeleton" in about:
@@ -360,7 +393,7 @@ class FittedPrior:
             curve_from_tensor(arrays["curve"]),
             arrays["foreshortening"].item(),
             found,
-            denoiser,
+            NoiseRemoval(denoiser, motion),
             capture,
             outliers,
             skeleton,

@@ -46,12 +46,17 @@ class Checkpoint(NamedTuple):
 
 
 def fingerprint(
-    observations: Observations, image_sizes: ImageSizes | None, edges: NDArray[np.int64]
+    observations: Observations,
+    times: NDArray[np.float64] | None,
+    image_sizes: ImageSizes | None,
+    edges: NDArray[np.int64],
 ) -> str:
-    """Return what identifies the data of a fit; without edges, as older versions had it."""
+    """Return what identifies the data of a fit."""
     digest = hashlib.sha256(repr(image_sizes and [s and tuple(s) for s in image_sizes]).encode())
     arrays: list[NDArray[Any]] = [observations.keypoints, observations.weights]
-    for array in (*arrays, edges) if len(edges) else arrays:
+    arrays += [] if times is None else [times]
+    arrays += [edges] if len(edges) else []
+    for array in arrays:
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

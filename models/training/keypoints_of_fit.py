@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from models.calibrating.image_sizes import ImageSizes
 from models.capture.checks import capture_findings, observed
 from models.capture.frozen import frozen_places
+from models.capture.noise_removal import NoiseRemoval, learn_noise_removal
 from models.capture.observations import Observations, as_observations
 from models.capture.outliers import OutlierJudge, OutlierModel, learn_outliers
 from models.epipolar.order_checks import order_findings
@@ -31,17 +32,20 @@ Int64 = NDArray[np.int64]
 class Observed(NamedTuple):
     """N frames of K views of the Q known of P keypoints, and what was noticed of them."""
 
-    observations: Observations  # without outliers
+    detected: Observations  # without outliers
+    observations: Observations  # and without noise; the same ones if none was removed
     capture: FittedCapture
     outliers: OutlierModel | None
+    noise_removal: NoiseRemoval
+
+    @property
+    def as_detected(self) -> bool:
+        """Whether no noise was removed."""
+        return self.observations is self.detected
 
 
 def observe(
-    read: InStep,
-    image_sizes: ImageSizes | None,
-    known: Bool | None,
-    *,
-    outlier_rejection: bool = True,
+    read: InStep, image_sizes: ImageSizes | None, known: Bool | None, config: FitConfig
 ) -> Observed:
     """Return what a fit learns from.
 
@@ -51,6 +55,8 @@ def observe(
         The keypoints, checked, with the views in step.
     known
         Which keypoints (P,) the weights have that it starts from; None for a fit of its own.
+    config
+        Says whether outliers and noise are to be removed.
 
     Raises
     ------
@@ -85,11 +91,15 @@ def observe(
         capture = capture._replace(findings=(*capture.findings, *order))
     capture = capture._replace(known=shown if known is None else _suited(known, shown))
     observations = _among(observations, capture.known)
-    outliers = learn_outliers(observations) if outlier_rejection else None
+    outliers = learn_outliers(observations) if config.outlier_rejection else None
     if outliers is not None:
         observations, found = _without(observations, outliers)
         capture = capture._replace(findings=(*capture.findings, *found))
-    return Observed(observations, capture, outliers)
+    if not config.denoising:
+        return Observed(observations, observations, capture, outliers, NoiseRemoval())
+    removal = learn_noise_removal(observations, read.times)
+    clear = removal.remove(observations, range(views), read.times)
+    return Observed(observations, clear, capture, outliers, removal)
 
 
 def among_known(config: FitConfig, known: Bool) -> FitConfig:

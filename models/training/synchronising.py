@@ -24,6 +24,7 @@ class InStep(NamedTuple):
 
     keypoints: Float32  # (N, K, P, 2) pixels
     confidence: Float32 | None  # (N, K, P)
+    times: Float64 | None  # (N,) seconds, of the first view, if they were told
     clocks: Clocks | None  # of views that were shifted although their times are those of others
     findings: tuple[Finding, ...]
 
@@ -41,10 +42,10 @@ def put_in_step(
     is told of frames that do not follow each other in time. `synchronise: off` looks for nothing.
     """
     read, trust = in_step(keypoints, confidence, times)
-    nothing = InStep(read, trust, None, ())
+    first = None if times is None else times.reshape(len(times), -1)[:, 0]
+    nothing = InStep(read, trust, first, None, ())
     if synchronise == "off" or (times is None and not is_film(read.astype(np.float64))):
         return nothing
-    first = None if times is None else times.reshape(len(times), -1)[:, 0]
     step = None if first is None or len(first) < 2 else float(np.median(np.diff(first)))
     reach = reach_at(None if step is None else 1 / step)
     slots = np.arange(len(read)) if first is None or step is None else _slots(first, step)
@@ -60,7 +61,7 @@ def put_in_step(
         return nothing._replace(findings=findings)
     knots = np.interp(timing.frames, frames, first)
     clocks = Clocks(knots, np.where(timing.late, timing.offsets, 0.0) * step)
-    return InStep(*in_step(keypoints, confidence, times, clocks), clocks, findings)
+    return InStep(*in_step(keypoints, confidence, times, clocks), first, clocks, findings)
 
 
 def _timing(pixels: Float64, weights: Float64, slots: Int, reach: int) -> Timing | None:

@@ -18,7 +18,6 @@ from models.calibrating.handedness import NothingFoundError, same_hand
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
 from models.calibrating.self_calibration import most_frames, self_calibrate
-from models.capture.denoising import Denoiser
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
@@ -50,7 +49,7 @@ class Teaching:
         unseen: Data,
         config: FitConfig,
         image_sizes: ImageSizes | None,
-        denoiser: Denoiser | None,
+        removed_noise: tuple[float, float] | None,
         detected: Data,
         edges: NDArray[np.int64],
     ) -> None:
@@ -62,7 +61,7 @@ class Teaching:
         self._unseen = unseen  # frames that the network is not taught
         self._config = config
         self._image_sizes = image_sizes
-        self._denoiser = denoiser
+        self._removed_noise = removed_noise  # and what is left of it, pixels
         self._detected = detected  # the data with the noise that was removed
         self._edges = edges  # (E, 2) of the skeleton
 
@@ -105,11 +104,9 @@ class Teaching:
         found = self.self_calibration
         if found is not None:
             found = self._with_network_errors(found, step)
-        prior = self._as_prior(found, self._denoiser, curve)
+        prior = self._as_prior(found, curve)
         skeleton = self._learn_lengths(prior, found)
-        if skeleton is None:
-            return prior
-        return self._as_prior(found, self._denoiser, curve, skeleton)
+        return prior if skeleton is None else self._as_prior(found, curve, skeleton)
 
     def usual(self) -> Usual:
         """Return what is usual of the frames of the fit, with the network as it is now."""
@@ -118,7 +115,6 @@ class Teaching:
     def _as_prior(
         self,
         self_calibration: SelfCalibration | None,
-        denoiser: Denoiser | None = None,
         curve: list[CurvePoint] | None = None,
         skeleton: SkeletonLengths | None = None,
     ) -> FittedPrior:
@@ -137,7 +133,6 @@ class Teaching:
             curve=tuple(curve or ()),
             foreshortening=foreshortening,
             self_calibration=self_calibration,
-            denoiser=denoiser,
             skeleton=skeleton,
         )
 
@@ -163,11 +158,10 @@ class Teaching:
         except (LinAlgError, NothingFoundError):
             logger.warning("The keypoints do not say what the cameras are", exc_info=True)
             return
-        if self._denoiser is not None:
-            reason = f"{found.reason}; {self._denoiser.noise:.3g} px of noise were removed"
-            found = replace(
-                found, reason=reason, noise=max(found.noise, self._denoiser.remaining_noise)
-            )
+        if self._removed_noise is not None:
+            noise, left = self._removed_noise
+            reason = f"{found.reason}; {noise:.3g} px of noise were removed"
+            found = replace(found, reason=reason, noise=max(found.noise, left))
         self.self_calibration = found
         scene_is_mirrored = not same_hand(scene.points, answers.points)
         self.state.mirrored = (prior.foreshortening < 0) != scene_is_mirrored
@@ -179,19 +173,19 @@ class Teaching:
 
         Only white noise that was removed is: what detectors do beyond it looks like steady edges.
         """
-        if found is None or self._denoiser is None or not found.resting.all():
+        if found is None or self._removed_noise is None or not found.resting.all():
             return None
         if not self._config.bone_lengths or not len(self._edges):
             return None
         frames = torch.arange(0, len(self._detected.weights), self._every(LENGTH_FRAMES))
-        pixels, weights = self._detected.pixels(frames), self._detected.weights[frames]
+        weights = self._data.weights[frames]
         return learn_skeleton_lengths(
             self._edges,
-            prior.lift(pixels, confidence=weights, refine="full"),
-            Views(pixels.numpy(), weights.double().numpy()),
+            prior.lift(self._data.pixels(frames), confidence=weights, refine="full"),
+            Views(self._detected.pixels(frames).numpy(), weights.double().numpy()),
             found.rig,
             unit=found.unit,
-            noise=self._denoiser.noise,
+            noise=self._removed_noise[0],
         )
 
     def _with_network_errors(self, self_calibration: SelfCalibration, step: int) -> SelfCalibration:

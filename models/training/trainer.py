@@ -10,7 +10,6 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from models.calibrating.image_sizes import ImageSizes
-from models.capture.denoising import learn_denoiser
 from models.capture.observations import Observations
 from models.findings.finding import Finding
 from models.lifting.curve import CurvePoint
@@ -87,11 +86,12 @@ class Trainer:
         """Prepare a fit of `keypoints` (N, K, P, 2) pixels, from a `checkpoint` if given.
 
         `times` (N,) or (N, K) in seconds tell when frames, or their views, were taken: views are
-        then put in step (`models.training.synchronising`). `image_sizes` are (width, height) in
-        pixels, one per view, None where unknown. `edges` (E, 2) are the keypoints that a skeleton
-        joins, whose distances are held in lifts where noise hides that they stay the same. `start`
-        is a prior whose weights the fit begins with; `models.settings.config.warm` says what suits
-        it. Training steps are taken on the `device`, everything else on the CPU.
+        then put in step (`models.training.synchronising`), and noise is removed by what the frames
+        before and after show. `image_sizes` are (width, height) in pixels, one per view, None where
+        unknown. `edges` (E, 2) are the keypoints that a skeleton joins, whose distances are held in
+        lifts where noise hides that they stay the same. `start` is a prior whose weights the fit
+        begins with; `models.settings.config.warm` says what suits it. Training steps are taken on
+        the `device`, everything else on the CPU.
 
         Raises
         ------
@@ -115,16 +115,12 @@ class Trainer:
         if times is not None:
             times = check_times(times, frames=len(pixels), views=pixels.shape[1])
         read = put_in_step(pixels, confidence, times, config.synchronise)
-        observations, self._capture, self._outliers = observe(
-            read, image_sizes, known, outlier_rejection=config.outlier_rejection
-        )
+        seen = observe(read, image_sizes, known, config)
+        observations, self._capture = seen.observations, seen.capture
+        self._outliers, self._noise_removal = seen.outliers, seen.noise_removal
         frames = _usable_frames(observations)
         self.config = config
-        self._fingerprint = checkpoints.fingerprint(observations, image_sizes, pairs)
-        detected = observations
-        denoiser = learn_denoiser(observations) if config.denoising else None
-        if denoiser is not None:
-            observations = denoiser.denoise(observations, range(observations.keypoints.shape[1]))
+        self._fingerprint = checkpoints.fingerprint(seen.detected, read.times, image_sizes, pairs)
         self._holdout: Holdout | None = None
         held_out = frames[:0]
         if config.early_stopping or config.refine != "off":
@@ -146,8 +142,8 @@ class Trainer:
             unseen,
             among,
             image_sizes,
-            denoiser,
-            self._data if denoiser is None else Data.of(detected, frames),
+            seen.noise_removal.removed,
+            self._data if seen.as_detected else Data.of(seen.detected, frames),
             edges_among_known(pairs, self._capture.known),
         )
         self._state = TrainerState(Schedule.of(config), self._teaching.state)
@@ -204,7 +200,7 @@ class Trainer:
         if self.config.refine != "off" and prior.cameras is None:
             found = (*capture.findings, Finding.of("cameras_not_found"))
             capture = capture._replace(findings=found)
-        return prior.of_capture(self.config, capture, self._outliers)
+        return prior.of_capture(self.config, capture, self._outliers, self._noise_removal)
 
     def checkpoint(self) -> bytes:
         """Return everything needed to go on, as safetensors bytes."""

@@ -242,13 +242,12 @@ def _lift_together(pieces: list[_Piece]) -> list[_Outcome]:
     previous = [
         c.previous.frames(slice(start, stop)) for c, start, stop in pieces if c.previous is not None
     ]
-    more = {"previous": join(previous)} if previous else {}
     lift = way.model.prior.lift(
         np.concatenate([call.keypoints[start:stop] for call, start, stop in pieces]),
         confidence=np.concatenate(confidence) if confidence else None,
         refine=way.refine,
         views=way.views,
-        **more,
+        previous=join(previous) if previous else None,
     )
     stops = accumulate(stop - start for _, start, stop in pieces)
     return [

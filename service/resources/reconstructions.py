@@ -215,7 +215,7 @@ def _lift_again(
     keypoints, confidence = in_step(
         capture.keypoints, capture.confidence, times, prior.capture.clocks
     )
-    return prior.lift(keypoints, confidence=confidence, refine=refine).arrays
+    return prior.lift(keypoints, confidence=confidence, refine=refine, times=times).arrays
 
 
 def model_of(fit: records.FitJob) -> str:

@@ -1,0 +1,70 @@
+"""Removing noise from keypoints before anything else, in the way that suits their frames.
+
+Frames whose times are known are smoothed with their neighbours; others, and single ones, are
+denoised each by itself.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.capture.denoising import Denoiser, learn_denoiser
+from models.capture.motion import MotionModel, learn_motion
+from models.capture.observations import Observations
+
+Float64 = NDArray[np.float64]
+
+
+class NoiseRemoval(NamedTuple):
+    """What a fit learnt about the noise of its keypoints; None where it is of no use."""
+
+    denoiser: Denoiser | None = None
+    motion: MotionModel | None = None
+
+    @property
+    def views(self) -> int:
+        """How many views the fit had; 0 if no noise is removed."""
+        if self.denoiser is not None:
+            return len(self.denoiser.mean)
+        return 0 if self.motion is None else len(self.motion.noise)
+
+    @property
+    def removed(self) -> tuple[float, float] | None:
+        """The noise of the fit's own frames and what was left of it, pixels; None if none went."""
+        if self.motion is not None:
+            return float(np.sqrt(np.square(self.motion.noise).mean())), self.motion.left
+        if self.denoiser is not None:
+            return self.denoiser.noise, self.denoiser.remaining_noise
+        return None
+
+    def remove(
+        self, observations: Observations, views: Sequence[int], times: Float64 | None
+    ) -> Observations:
+        """Replace what was observed in `views` (of the fit) by its expectation.
+
+        `times` (N,) are in seconds, rising; None if they are not known.
+        """
+        if self.motion is None or times is None:
+            return self._one_by_one(observations, views)
+        smoothed, together = self.motion.smooth(observations, times, views)
+        if together.all():
+            return smoothed
+        alone, shape = self._one_by_one(observations, views), (-1, 1, 1, 1)
+        return Observations(
+            np.where(together.reshape(shape), smoothed.keypoints, alone.keypoints),
+            np.where(together.reshape(shape[:3]), smoothed.weights, alone.weights),
+            np.where(together.reshape(shape[:3]), smoothed.centres, alone.centres),
+            np.where(together.reshape(shape[:2]), smoothed.sizes, alone.sizes),
+            np.where(together.reshape(shape[:2]), smoothed.usable, alone.usable),
+        )
+
+    def _one_by_one(self, observations: Observations, views: Sequence[int]) -> Observations:
+        return observations if self.denoiser is None else self.denoiser.denoise(observations, views)
+
+
+def learn_noise_removal(observations: Observations, times: Float64 | None) -> NoiseRemoval:
+    """Learn from a capture; `times` (N,) are those of its frames in seconds, None if not told."""
+    motion = None if times is None else learn_motion(observations, times)
+    return NoiseRemoval(learn_denoiser(observations), motion)
