@@ -25,6 +25,7 @@ ALL = "fitted to all views"
 ALONE = "fitted to these views alone"
 REFINES: tuple[Refine, ...] = ("off", "auto")
 Float = NDArray[np.floating[Any]]
+Float64 = NDArray[np.float64]
 Views = tuple[int, ...]
 Key = tuple[Any, ...]
 
@@ -58,6 +59,7 @@ class Bench:
     full: bool
     report: Report
     rig: Rig | None
+    times: Float64 | None = None  # (N,) seconds, if frames follow each other
     fits: dict[Key, Fit] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -74,12 +76,16 @@ class Bench:
         keypoints: Float | None = None,
         frames: NDArray[np.int64] | None = None,
         sized: bool = True,
+        timed: bool = False,
         key: str = "",
         **changes: Any,
     ) -> Fit:
-        """Fit to some views; `key` tells keypoints and frames apart that are not the capture's."""
+        """Fit to some views; `key` tells keypoints and frames apart that are not the capture's.
+
+        `timed`: the fit is told when the frames were taken.
+        """
         config = self.config.model_copy(update={"seed": seed, **changes})
-        name: Key = (views, key, sized, config)
+        name: Key = (views, key, sized, timed, config)
         if name not in self.fits:
             pixels = self.keypoints if keypoints is None else keypoints
             which = slice(None) if frames is None else frames
@@ -89,6 +95,7 @@ class Bench:
                 pixels[which][:, views],
                 config,
                 confidence=self.confidence(views, which),
+                times=self.times[which] if timed and self.times is not None else None,
                 image_sizes=sizes,
                 edges=self.edges,
             )
@@ -108,17 +115,19 @@ class Bench:
         keypoints: Float | None = None,
         known_as: Views | None = None,
         unknown: bool = False,
+        timed: bool = False,
         refine: Refine | None = None,
     ) -> Float:
         """Lift every frame from some views; `known_as` are their numbers in the fit.
 
-        `unknown`: as cameras that the fit does not know.
+        `unknown`: as cameras that the fit does not know. `timed`: with the times of the frames.
         """
         pixels = self.keypoints if keypoints is None else keypoints
         return fitted.prior.lift(
             pixels[:, views],
             confidence=self.confidence(views, slice(None)),
             views=None if unknown else views if known_as is None else known_as,
+            times=self.times if timed else None,
             refine=refine,
         ).points3d
 
@@ -208,9 +217,14 @@ def noise(bench: Bench, seed: int) -> None:
         for views in bench.sets if bench.full else [bench.pair]:
             which = bench.showing(views, 2)
             key = f"noise {sigma}" if sigma else ""  # without noise: the fit of the other cases
-            fitted = bench.fit(seed, views, keypoints=spoilt, key=key)
-            points = bench.lift(fitted, views, keypoints=spoilt, known_as=tuple(range(len(views))))
-            bench.score("noise", ALONE, views, points, which, seed=seed, level=sigma, fitted=fitted)
+            own = tuple(range(len(views)))
+            for timed in (False, True) if bench.times is not None else (False,):
+                fitted = bench.fit(seed, views, keypoints=spoilt, key=key, timed=timed)
+                points = bench.lift(fitted, views, keypoints=spoilt, known_as=own, timed=timed)
+                how = f"{ALONE}, times told" if timed else ALONE
+                bench.score(
+                    "noise", how, views, points, which, seed=seed, level=sigma, fitted=fitted
+                )
             if bench.rig is not None:
                 points = bench.triangulated(views, bench.rig.projections[list(views)], spoilt)
                 how = f"{TRNG}, exact calibration"

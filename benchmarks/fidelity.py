@@ -1,7 +1,8 @@
 """How true the structures are, on any capture with a ground truth: the paper's tables and more.
 
     python benchmarks/fidelity.py [CAPTURE.npz] [--full] [--seeds 0 1 2] [--only views noise ...]
-                                  [--image-size WxH] [--prior NAME] [--json FILE] [--output DIR]
+                                  [--image-size WxH] [--fps F] [--prior NAME]
+                                  [--json FILE] [--output DIR]
 
 README.md says what each case measures. The truth takes no part in any fit.
 """
@@ -13,6 +14,8 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from benchmarks.captures import said_beside
 from benchmarks.cases import CASES, PCK_MM, Bench
@@ -64,6 +67,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--pair", type=int, nargs=2, default=(0, 1), help="views; default: 0 1")
     parser.add_argument("--unit", choices=list(MILLIMETRES), default="m", help="of points3d")
     parser.add_argument("--image-size", type=_size, help="WxH of every view, if the file has none")
+    parser.add_argument("--fps", type=float, help="of frames that follow each other: told as well")
     parser.add_argument("--steps", type=int, default=None, help="of a fit; fewer for a try")
     parser.add_argument(
         "--prior", choices=list(PRIOR_SETTINGS), default="hierarchical", help="to fit"
@@ -112,6 +116,7 @@ def prepare(arguments: argparse.Namespace) -> Bench:
         full=arguments.full,
         report=Report(say=lambda line: print(line, flush=True)),
         rig=rig,
+        times=None if arguments.fps is None else np.arange(frames) / arguments.fps,
     )
 
 
@@ -125,6 +130,7 @@ def about(arguments: argparse.Namespace, bench: Bench) -> dict[str, Any]:
         "views": views,
         "keypoints": points,
         "image_sizes": bench.sizes,
+        "fps": arguments.fps,
         "set": "full" if bench.full else "quick",
         "cases": arguments.only,
         "pair": bench.pair,

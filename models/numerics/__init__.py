@@ -2,5 +2,5 @@
 
 Offers `compiled.compiled` and `compiled.inner`, the 3x3 algebra of `matrices`, rotations from
 vectors (Rodrigues) and nearest to matrices (Kabsch) in `rotations`, centred points of unit size in
-`normalisation`, `threads.in_slices`, and tensors as bytes in `tensor_files`.
+`normalisation`, `kalman.smooth`, `threads.in_slices`, and tensors as bytes in `tensor_files`.
 """

@@ -101,6 +101,8 @@ class FitConfig(BaseModel):
         description=(
             "Remove noise from the keypoints before anything else, in the fit and in lifts, where"
             " the capture shows that it is white and strong (cameras at rest, 40 frames or more)."
+            " Frames of datasets with `fps` or `times` are smoothed in time instead, in fits, their"
+            " reconstructions and lift jobs, also if cameras move."
         ),
     )
     outlier_rejection: bool = Field(

@@ -1,0 +1,97 @@
+"""Datasets that tell times: their fits and lifts are smoothed, whatever parts they are done in."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from redis import Redis
+from safetensors.numpy import load
+
+from models.lifting.fitted_prior import FittedPrior
+from models.settings.config import FitConfig
+from models.training.trainer import fit
+from store import datasets, lifts, lookup, models
+from store.capture import Capture
+from store.database import Store
+from store.datasets import Description
+from store.lift_files import result_file
+from store.records import LiftJob
+from tests.models.walk import film
+from tests.worker.conftest import StartWorker, wait_for
+from worker.queue import enqueue, open_queue
+from worker.settings import WorkerSettings
+
+FRAMES, CHUNK, FPS, NOISE = 300, 64, 50.0, 8.0
+MOMENTS = np.arange(FRAMES, dtype=np.float64)
+TIMES = MOMENTS / FPS
+CONFIG = FitConfig(steps=40, batch_size=16, refine="off")
+
+
+@pytest.fixture(scope="module")
+def keypoints() -> NDArray[np.float64]:
+    return film([0, 90, 200], MOMENTS, noise=NOISE)
+
+
+@pytest.fixture(scope="module")
+def prior(keypoints: NDArray[np.float64]) -> FittedPrior:
+    return fit(keypoints, CONFIG, times=TIMES)
+
+
+@pytest.fixture
+def settings(settings: WorkerSettings) -> WorkerSettings:
+    return settings.model_copy(update={"lift_chunk_frames": CHUNK})
+
+
+def test_times_smooth_a_lift_and_its_order_matters_only_then(
+    prior: FittedPrior, keypoints: NDArray[np.float64]
+) -> None:
+    assert prior.smooths
+    clean = film([0, 90, 200], MOMENTS)
+    of_clean = prior.lift(clean).points3d
+    alone, together = prior.lift(keypoints), prior.lift(keypoints, times=TIMES)
+
+    def off(points: NDArray[np.float32]) -> float:
+        return float(np.linalg.norm(points - of_clean, axis=-1).mean())
+
+    assert off(together.points3d) < 0.85 * off(alone.points3d)
+    order = np.random.default_rng(0).permutation(FRAMES)
+    shuffled = prior.lift(keypoints[order]).points3d
+    np.testing.assert_allclose(shuffled, alone.points3d[order], atol=1e-3)
+    again = FittedPrior.from_bytes(prior.to_bytes()).lift(keypoints, times=TIMES)
+    np.testing.assert_array_equal(again.points3d, together.points3d)
+    some = prior.lift(keypoints, times=TIMES, only=slice(100, 110))
+    np.testing.assert_allclose(some.points3d, together.points3d[100:110], atol=1e-5)
+
+
+def test_a_lift_job_in_chunks_is_the_whole(
+    store: Store,
+    redis: Redis,
+    prior: FittedPrior,
+    keypoints: NDArray[np.float64],
+    settings: WorkerSettings,
+    start_worker: StartWorker,
+) -> None:
+    description = Description(name="film", fps=FPS)
+    dataset = datasets.create(store, Capture.checked(keypoints), description)
+    columns: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
+    model = models.create(store, prior.to_bytes(), name="m", keypoints=16, **columns)
+    lift = lifts.create(
+        store,
+        dataset_id=dataset.id,
+        model_id=model.id,
+        name="l",
+        chunk_frames=settings.lift_chunk_frames,
+    )
+    enqueue(open_queue(redis), lift)
+    start_worker()
+    wait_for(
+        lambda: lookup.get(store, LiftJob, lift.id).status in ("succeeded", "failed"), "the lift"
+    )
+    record = lookup.get(store, LiftJob, lift.id)
+    assert record.error is None
+    file = result_file(record, lifts.finished_chunks(store, record), "safetensors", {})
+    found = load(b"".join(file.read(store.objects.get_range, 0, file.size)))
+    whole = prior.lift(keypoints, times=TIMES)
+    # Parts are smoothed with 200 frames around them, which leave a little to say to those beyond.
+    np.testing.assert_allclose(found["points3d"], whole.points3d, atol=2e-3)
