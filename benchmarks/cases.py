@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.report import TRNG, Curve, Report, Row
-from benchmarks.rig import Rig, add_noise, hide, miscalibrate
+from benchmarks.rig import Rig, add_noise, hide, keep_few_views, miscalibrate
 from models.capture.metrics import Accuracy, pa_mpjpe, pck
 from models.capture.observations import as_observations
 from models.capture.triangulation import triangulate
@@ -20,6 +20,7 @@ from models.training.trainer import fit
 
 PCK_MM = 100.0  # the paper's threshold
 THRESHOLDS_MM = [float(mm) for mm in range(5, 155, 5)]
+FEW = (0.6, 0.25, 0.15)  # shares of the frames that keep one, two, three of their views
 SEEN = 0.7  # share of the frames that a fit sees where the others are to be unseen
 ALL = "fitted to all views"
 ALONE = "fitted to these views alone"
@@ -289,6 +290,20 @@ def missing(bench: Bench, seed: int) -> None:
                 )
 
 
+def few_views(bench: Bench, seed: int) -> None:
+    """Most frames keep one view, some two, few three, in the fit and in the lift."""
+    if len(bench.views) <= len(FEW):
+        return
+    sparse = keep_few_views(bench.keypoints, FEW, seed)
+    fitted = bench.fit(seed, bench.views, keypoints=sparse, key="few views")
+    shown = as_observations(sparse, bench.given_confidence).usable.sum(1)  # (N,)
+    for refine in REFINES:
+        points = bench.lift(fitted, bench.views, keypoints=sparse, refine=refine)
+        for count in range(1, len(FEW) + 1):
+            how, which = f"{count} shown{_refined(refine)}", shown == count
+            bench.score("few", how, bench.views, points, which, seed=seed, fitted=fitted)
+
+
 def _refined(refine: Refine) -> str:
     return ", feed-forward" if refine == "off" else ", refined"
 
@@ -366,5 +381,6 @@ CASES: dict[str, Callable[[Bench, int], None]] = {
     "pck": correct_keypoints,
     "unseen": unseen,
     "missing": missing,
+    "few": few_views,
     "ablations": ablations,
 }

@@ -3,6 +3,7 @@
 Only the benchmark of fidelity uses this: a fit never sees a calibration or a truth.
 """
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -155,6 +156,17 @@ def hide(keypoints: ArrayLike, share: float, seed: int) -> Float64:
     pixels[np.random.default_rng([seed, round(1000 * share)]).random(pixels.shape[:3]) < share] = (
         np.nan
     )
+    return pixels
+
+
+def keep_few_views(keypoints: ArrayLike, shares: Sequence[float], seed: int) -> Float64:
+    """Keep one view in a share of the frames, two in the next share, and so on, drawn at random."""
+    pixels = np.array(keypoints, np.float64)
+    frames, views = pixels.shape[:2]
+    rng = np.random.default_rng([seed, 60])
+    kept = rng.choice(np.arange(1, len(shares) + 1), frames, p=shares)  # (N,)
+    order = rng.random((frames, views)).argsort(1).argsort(1)
+    pixels[order >= kept[:, None]] = np.nan
     return pixels
 
 
