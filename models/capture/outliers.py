@@ -98,7 +98,8 @@ class OutlierJudge:
     def __init__(self, model: OutlierModel, views: Sequence[int]) -> None:
         chosen = list(views)
         mean, sides = model.mean[chosen], model.sides[chosen]
-        basis = model.basis[chosen].reshape(mean.size, -1)  # (D, Q)
+        # Learnt or read from a file, in one order of its numbers: each would be compiled apart.
+        basis = np.ascontiguousarray(model.basis[chosen].reshape(mean.size, -1))  # (D, Q)
         # With little noise a prediction would follow outliers, so it begins with a lot.
         first = max(FIRST_NOISE * float(sides.mean()), model.noise)
         self._judge = Judge(
