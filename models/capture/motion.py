@@ -39,6 +39,7 @@ LONGEST_STEP = 10.0  # usual steps: a longer pause parts two clips
 MOST_LEFT = 0.7  # of the noise: where more is left, frames are too far apart to tell of each other
 MOST_PEAK = 1.5  # times the largest eigenvalue of white noise that what is removed may have
 LEAST_NOISE = 0.01  # of a view's size: with less noise than that, geometry does better alone
+MOSTLY = 0.95  # of the frames it must follow, or there are jumps and clips that nobody told of
 # Within so many frames of one, the mean square of what is removed from a keypoint, in variances.
 REACH, MOST_SQUARES = 5, 2.5
 FILLING_ROUNDS = 30  # of filling what was not observed
@@ -168,8 +169,9 @@ def learn_motion(observations: Observations, times: Float64) -> MotionModel | No
         covariance = _shrunk((covariance + covariance.T) / 2, len(chosen))
         noise = _noise(np.where(shown, given - part, 0), shown, left, count)
     white = np.where(shown, (given - part) / noise, 0.0)
+    follows = _explained(white.reshape(*seen.shape, 2), seen)
     levels = float(np.sqrt(np.square(noise).mean())), float(np.sqrt(left.mean()))
-    if not _is_noise(white) or levels[1] > MOST_LEFT * levels[0]:
+    if not _is_noise(white) or levels[1] > MOST_LEFT * levels[0] or follows.mean() < MOSTLY:
         return None
     if levels[0] < LEAST_NOISE * float(np.median(observations.sizes[observations.usable])):
         return None
