@@ -42,7 +42,7 @@ LEAST_NOISE = 0.01  # of a view's size: with less noise than that, geometry does
 MOSTLY = 0.95  # of the frames it must follow, or there are jumps and clips that nobody told of
 # Within so many frames of one, the mean square of what is removed from a keypoint, in variances.
 REACH, MOST_SQUARES = 5, 2.5
-FILLING_ROUNDS = 30  # of filling what was not observed
+FILLING_ROUNDS, FILLED = 30, 0.02  # of filling what was not observed; no change, in noise
 FIRST_RATES = np.logspace(-6, 3, 28)  # that are tried to begin with, in variances of the noise
 MEDIAN_OF_SQUARES = 0.455  # of numbers with variance 1
 TINY = 1e-12
@@ -81,14 +81,15 @@ class MotionModel(NamedTuple):
             now[0] = 0.0
             given, there = part.copy(), np.any(shown, axis=1)
             for _ in range(1 if shown.all() else FILLING_ROUNDS):
-                part = np.where(shown, given, part)
-                part = (basis @ smooth((part @ basis).T, now, there, rates, 1.0).values).T
+                before = part
+                filled = np.where(shown, given, part)
+                part = (basis @ smooth((filled @ basis).T, now, there, rates, 1.0).values).T
+                if np.abs(part - before)[~shown].max(initial=0.0) < FILLED:
+                    break
             own = slice(begin - around.start, end - around.start)
             smoothed[begin:end] = (part[own] * noise).reshape(smoothed[begin:end].shape)
-        residuals = np.where(observed[..., None], pixels - smoothed, 0) / noise.reshape(
-            pixels.shape[1:]
-        )
-        enough &= _explained(residuals, observed)
+        removed = np.where(observed[..., None], pixels - smoothed, 0)
+        enough &= _explained(removed / noise.reshape(pixels.shape[1:]), observed)
         smoothed = np.where(enough[:, None, None, None], smoothed, pixels)
         shown = np.where(observed[..., None], smoothed, np.nan)
         return as_observations(shown, observations.weights), enough
@@ -150,6 +151,8 @@ def learn_motion(observations: Observations, times: Float64) -> MotionModel | No
         return None
     steps = np.diff(moments[chosen], prepend=moments[chosen[0]])
     steps[(np.diff(clips[chosen], prepend=-1) != 0) | (steps > LONGEST_STEP)] = 0.0
+    if np.count_nonzero((steps[1:-1] > 0) & (steps[2:] > 0)) < LEAST_FRAMES:
+        return None  # hardly a frame has both neighbours
     seen = observed[chosen]
     shown = np.repeat(seen.reshape(len(chosen), -1), 2, axis=1)  # (N, D)
     given = _filled(pixels[chosen], seen)

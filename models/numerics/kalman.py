@@ -26,9 +26,7 @@ class Smoothed(NamedTuple):
     values: Float64  # (D, N)
     variances: Float64  # (D, N) of these
     forces: Float64  # (D, N, 2) what changed value and velocity before a time, over the rate
-    doubts: (
-        Float64  # (D, N) expected square of what is not known of the change, over its covariance
-    )
+    doubts: Float64  # (D, N) what is not known of that change: its variance for a rate of 1
     likelihoods: Float64  # (D,) log, of the numbers, up to a constant
 
 

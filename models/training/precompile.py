@@ -4,6 +4,8 @@ Compiling takes about a minute. Later processes read the machine code that this 
 `models.numerics.compiled`).
 """
 
+import numpy as np
+
 from models.capture.outliers import LEAST_FRAMES
 from models.capture.synthetic import synthetic_capture
 from models.network.priors.registry import PRIORS
@@ -20,8 +22,14 @@ def compile_all() -> None:
         cameras: Arrangement = "moving" if number else "auto"  # one search for rest is enough
         for refine in ("auto", "off"):
             config = FitConfig(
-                prior=name, steps=STEPS, batch_size=8, refine=refine, cameras=cameras
+                prior=name,
+                steps=STEPS,
+                batch_size=8,
+                refine=refine,
+                cameras=cameras,
+                synchronise="off",
             )
-            prior = fit(capture.keypoints, config, confidence=capture.confidence)
+            times = np.arange(LEAST_FRAMES, dtype=np.float64)
+            prior = fit(capture.keypoints, config, confidence=capture.confidence, times=times)
             lift = prior.lift(capture.keypoints)
             prior.lift(capture.keypoints, previous=lift)

@@ -15,15 +15,15 @@ NOISE = 6.0
 TIMES = np.arange(FRAMES) / 50
 
 
-def film(seed: int = 1) -> Float64:
+def film(times: Float64) -> Float64:
     """Keypoints (N, K, P, 2) that swing about with a few frequencies, at random places."""
-    rng = np.random.default_rng(seed)
-    waves = np.sin(TIMES[:, None] * rng.uniform(1, 6, 4) + rng.uniform(0, 6, 4))
+    rng = np.random.default_rng(1)
+    waves = np.sin(times[:, None] * rng.uniform(1, 6, 4) + rng.uniform(0, 6, 4))
     moves = waves @ rng.normal(0, 40, (4, VIEWS * KEYPOINTS * 2))
     return (moves + rng.uniform(100, 500, moves.shape[1])).reshape(FRAMES, VIEWS, KEYPOINTS, 2)
 
 
-CLEAN = film()
+CLEAN = film(TIMES)
 NOISY = CLEAN + np.random.default_rng(2).normal(0, NOISE, CLEAN.shape)
 
 
@@ -112,6 +112,13 @@ def test_what_moves_in_a_new_way_is_not_smoothed_away(model: MotionModel) -> Non
     [
         pytest.param(CLEAN, TIMES, id="clear keypoints"),
         pytest.param(NOISY[: LEAST_FRAMES - 1], TIMES[: LEAST_FRAMES - 1], id="few frames"),
+        pytest.param(
+            CLEAN
+            + (NOISY - CLEAN) * np.where(np.arange(FRAMES) % 100 < 10, 6, 1)[:, None, None, None],
+            TIMES,
+            id="noise that comes and goes",
+        ),
+        pytest.param(NOISY, np.arange(FRAMES) ** 5 * 1.0, id="pauses between all frames"),
         pytest.param(
             NOISY[np.random.default_rng(8).permutation(FRAMES)], TIMES, id="frames of no film"
         ),
