@@ -95,7 +95,7 @@ def observe(
     if outliers is not None:
         observations, found = _without(observations, outliers)
         capture = capture._replace(findings=(*capture.findings, *found))
-    if not config.denoising:
+    if not config.denoising or not observations.usable.any():
         return Observed(observations, observations, capture, outliers, NoiseRemoval())
     removal = learn_noise_removal(observations, read.times)
     clear = removal.remove(observations, range(views), read.times)
