@@ -11,8 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from models.capture.observations import Observations, as_observations, pixels_of
 from models.capture.score_mixture import (
@@ -22,7 +21,7 @@ from models.capture.score_mixture import (
     standard_normal,
 )
 from models.numerics.eigenvalues import falling_eigenvalues, white_eigenvalues
-from models.numerics.tensor_files import Arrays, Shapes, WeightsError
+from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
 
 Float64 = NDArray[np.float64]
@@ -79,12 +78,8 @@ class Denoiser(NamedTuple):
 
     def to_arrays(self) -> Arrays:
         """Return the denoiser as tensors, for a file."""
-        parts = {"mean": self.mean, "basis": self.basis, "noise": self.noise}
-        parts |= self.mixture._asdict()
-        return {
-            name: torch.from_numpy(np.array(value, np.float64, ndmin=1, order="C"))
-            for name, value in parts.items()
-        }
+        parts: dict[str, ArrayLike] = {"mean": self.mean, "basis": self.basis, "noise": self.noise}
+        return as_tensors(parts | self.mixture._asdict())
 
     @classmethod
     def shapes(cls, keypoints: int, *, mixture: bool) -> Shapes:

@@ -11,14 +11,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from models.capture.observations import Observations, as_observations, pixels_of
 from models.capture.tracks import number_clips
 from models.numerics.eigenvalues import falling_eigenvalues, white_eigenvalues
 from models.numerics.kalman import smooth, summed_products
-from models.numerics.tensor_files import Arrays, Shapes, WeightsError
+from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -102,8 +101,7 @@ class MotionModel(NamedTuple):
 
     def to_arrays(self) -> Arrays:
         """Return the model as tensors, for a file."""
-        parts = self._asdict().items()
-        return {n: torch.from_numpy(np.array(v, np.float64, ndmin=1, order="C")) for n, v in parts}
+        return as_tensors(self._asdict())
 
     @classmethod
     def shapes(cls, keypoints: int) -> Shapes:

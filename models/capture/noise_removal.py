@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from models.capture.denoising import Denoiser, learn_denoiser
 from models.capture.motion import MotionModel, learn_motion
 from models.capture.observations import Observations
+from models.settings.times import check_times
 
 Float64 = NDArray[np.float64]
 
@@ -40,15 +41,20 @@ class NoiseRemoval(NamedTuple):
         return None
 
     def remove(
-        self, observations: Observations, views: Sequence[int], times: Float64 | None
+        self, observations: Observations, views: Sequence[int], times: ArrayLike | None
     ) -> Observations:
         """Replace what was observed in `views` (of the fit) by its expectation.
 
-        `times` (N,) are in seconds, rising; None if they are not known.
+        `times` (N,) or (N, K) are in seconds, rising, those of the first view counting; None if
+        they are not known. Raises ValueError if they are malformed (see `check_times`).
         """
-        if self.motion is None or times is None:
+        if times is None:
             return self._one_by_one(observations, views)
-        smoothed, together = self.motion.smooth(observations, times, views)
+        frames, count = observations.usable.shape
+        seconds = check_times(times, frames=frames, views=count).reshape(frames, -1)[:, 0]
+        if self.motion is None:
+            return self._one_by_one(observations, views)
+        smoothed, together = self.motion.smooth(observations, seconds, views)
         if together.all():
             return smoothed
         alone, shape = self._one_by_one(observations, views), (-1, 1, 1, 1)

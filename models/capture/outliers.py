@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from models.capture.observations import Observations, as_observations, pixels_of
@@ -24,7 +23,7 @@ from models.capture.outlier_kernels import (
     squared_errors_into,
 )
 from models.numerics.eigenvalues import falling_eigenvalues, white_eigenvalues
-from models.numerics.tensor_files import Arrays, Shapes, WeightsError
+from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
 from models.settings.keypoints import OUTLIER
 
@@ -57,8 +56,7 @@ class OutlierModel(NamedTuple):
 
     def to_arrays(self) -> Arrays:
         """Return the model as tensors, for a file."""
-        parts = self._asdict().items()
-        return {n: torch.from_numpy(np.array(v, np.float64, ndmin=1, order="C")) for n, v in parts}
+        return as_tensors(self._asdict())
 
     @classmethod
     def shapes(cls, keypoints: int) -> Shapes:

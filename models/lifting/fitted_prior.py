@@ -42,7 +42,6 @@ from models.settings.keypoints import (
     check_confidence,
     check_keypoints,
 )
-from models.settings.times import check_times
 
 # Before the names of their arrays in a file.
 DENOISER, MOTION, OUTLIERS = "denoiser.", "motion.", "outliers."
@@ -173,13 +172,18 @@ class FittedPrior:
             Answers for the frames before, one for each frame and of the same views: where they
             explain a frame's keypoints better than the network's own answer, its refinement starts
             from them, and the lift says so in `continued`. NaN where there is none.
+        times
+            When frames were taken, (N,) or (N, K) in seconds, rising. They are smoothed in time
+            then, if the fit was told times, too, and these are views of it.
+        only
+            Which of the frames to answer; the others are there to be neighbours. Default: all.
 
         Raises
         ------
         ValueError
-            When the arrays are malformed (see `as_observations`), P differs from the fit's,
-            `previous` is of other frames or views, or `views` does not name K different views of
-            the fit.
+            When the arrays or times are malformed (see `as_observations`, `check_times`), P differs
+            from the fit's, `previous` is of other frames or views, or `views` does not name K
+            different views of the fit.
         """
         observations = self._observe(keypoints, confidence, views)
         views_of_fit = self._views_of_fit(views, observations.weights.shape[1])
@@ -187,7 +191,7 @@ class FittedPrior:
         if self._outliers is not None and views_of_fit is not None:
             observations, judged = self._judge_of(views_of_fit).without_outliers(observations)
         if views_of_fit is not None:
-            observations = self._without_noise(observations, views_of_fit, times)
+            observations = self._noise_removal.remove(observations, views_of_fit, times)
         if only is not None:
             observations = observations.frames(only)
         frames, count, points, _ = observations.keypoints.shape
@@ -242,16 +246,6 @@ class FittedPrior:
         if confidence is not None:
             weights = check_confidence(confidence, expected=pixels.shape[:3])
         return as_observations(*self.capture.observations(pixels, weights, views))
-
-    def _without_noise(
-        self, observations: Observations, views: Sequence[int], times: ArrayLike | None
-    ) -> Observations:
-        """Return what was observed in `views` of the fit without noise."""
-        if times is None:
-            return self._noise_removal.remove(observations, views, None)
-        frames, count = observations.usable.shape
-        seconds = check_times(times, frames=frames, views=count).reshape(frames, -1)[:, 0]
-        return self._noise_removal.remove(observations, views, seconds)
 
     def _check_count(self, came: int) -> None:
         if came != self.keypoints_per_frame:

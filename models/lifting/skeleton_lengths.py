@@ -12,7 +12,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from models.bundle.problem import LENS, Rig, Views
@@ -26,7 +25,7 @@ from models.numerics.matrices import (
     fill,
     inverse_symmetric,
 )
-from models.numerics.tensor_files import Arrays, Shapes, WeightsError
+from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import empty_aligned, in_slices
 from models.optics.lenses.projection import Lenses, differentiate_into
 
@@ -54,8 +53,7 @@ class SkeletonLengths(NamedTuple):
 
     def to_arrays(self) -> Arrays:
         """Return the lengths as tensors, for a file."""
-        parts = self._asdict().items()
-        return {n: torch.from_numpy(np.array(v, np.float64, ndmin=1, order="C")) for n, v in parts}
+        return as_tensors(self._asdict())
 
     @classmethod
     def shapes(cls) -> Shapes:

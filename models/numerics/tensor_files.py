@@ -3,9 +3,12 @@
 import json
 import math
 import struct
+from collections.abc import Mapping
 from typing import TypeVar
 
+import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
@@ -86,6 +89,14 @@ def unpack(data: bytes, *, shapes: Shapes) -> Arrays:
         if not math.isfinite(arrays[name].abs().sum().item()):
             raise WeightsError(f"{name} holds numbers that are not finite")
     return arrays
+
+
+def as_tensors(numbers: Mapping[str, ArrayLike]) -> Arrays:
+    """Return numbers and arrays as tensors in float64, single numbers with the shape (1,)."""
+    return {
+        name: torch.from_numpy(np.array(value, np.float64, ndmin=1, order="C"))
+        for name, value in numbers.items()
+    }
 
 
 def prefixed(prefix: str, parts: dict[str, Part]) -> dict[str, Part]:
