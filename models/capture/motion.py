@@ -66,7 +66,7 @@ class MotionModel(NamedTuple):
         """
         pixels, observed = pixels_of(observations)
         noise = np.repeat(self.noise[list(views)].reshape(-1), 2)  # (D,)
-        basis, rates = _falling_apart(self._covariance_of(views), noise)
+        basis, rates = falling_apart(self.covariance_of(views), noise)
         steps = _steps(pixels, observed, times, self.step)
         clips = np.cumsum(steps == 0)
         enough = (np.bincount(clips) >= LEAST_CLIP)[clips]  # (N,)
@@ -74,7 +74,7 @@ class MotionModel(NamedTuple):
         for begin in range(0, len(pixels), FRAMES_AT_A_TIME):
             end = begin + FRAMES_AT_A_TIME
             around = with_neighbours(slice(begin, end))
-            part = _filled(pixels[around], observed[around]) / noise
+            part = bridged(pixels[around], observed[around]) / noise
             shown = np.repeat(observed[around].reshape(len(part), -1), 2, axis=1)
             now = steps[around].copy()
             now[0] = 0.0
@@ -88,12 +88,12 @@ class MotionModel(NamedTuple):
             own = slice(begin - around.start, end - around.start)
             smoothed[begin:end] = (part[own] * noise).reshape(smoothed[begin:end].shape)
         removed = np.where(observed[..., None], pixels - smoothed, 0)
-        enough &= _explained(removed / noise.reshape(pixels.shape[1:]), observed)
+        enough &= explained(removed / noise.reshape(pixels.shape[1:]), observed)
         smoothed = np.where(enough[:, None, None, None], smoothed, pixels)
         shown = np.where(observed[..., None], smoothed, np.nan)
         return as_observations(shown, observations.weights), enough
 
-    def _covariance_of(self, views: Sequence[int]) -> Float64:
+    def covariance_of(self, views: Sequence[int]) -> Float64:
         """Return the covariance of the velocities in some of the views."""
         size = self.covariance.shape[0] // len(self.noise)
         chosen = np.concatenate([np.arange(size) + view * size for view in views])
@@ -153,12 +153,12 @@ def learn_motion(observations: Observations, times: Float64) -> MotionModel | No
         return None  # hardly a frame has both neighbours
     seen = observed[chosen]
     shown = np.repeat(seen.reshape(len(chosen), -1), 2, axis=1)  # (N, D)
-    given = _filled(pixels[chosen], seen)
+    given = bridged(pixels[chosen], seen)
     there = np.any(shown, axis=1)
     covariance, noise = _first_guess(given, steps, there)
     part, changes = given.copy(), 2 * np.count_nonzero(steps)
     for _ in range(ROUNDS):
-        basis, rates = _falling_apart(covariance, noise)
+        basis, rates = falling_apart(covariance, noise)
         scores = (np.where(shown, given, part) / noise) @ basis
         smoothed = smooth(scores.T, steps, there, rates, 1.0)
         part = (smoothed.values.T @ basis.T) * noise
@@ -170,7 +170,7 @@ def learn_motion(observations: Observations, times: Float64) -> MotionModel | No
         covariance = _shrunk((covariance + covariance.T) / 2, len(chosen))
         noise = _noise(np.where(shown, given - part, 0), shown, left, count)
     white = np.where(shown, (given - part) / noise, 0.0)
-    follows = _explained(white.reshape(*seen.shape, 2), seen)
+    follows = explained(white.reshape(*seen.shape, 2), seen)
     levels = float(np.sqrt(np.square(noise).mean())), float(np.sqrt(left.mean()))
     if not _is_noise(white) or levels[1] > MOST_LEFT * levels[0] or follows.mean() < MOSTLY:
         return None
@@ -189,22 +189,25 @@ def _is_noise(residuals: Float64) -> bool:
     )
 
 
-def _explained(residuals: Float64, observed: Bool) -> Bool:
+def explained(residuals: Float64, observed: Bool) -> Bool:
     """Say of frames (N,) whether what would be removed, in standard deviations, can be noise.
 
     Where a keypoint moves as it never did in the fit, the process does not follow it.
     """
-    around = np.ones(2 * REACH + 1)
-    squares = np.square(residuals).sum((1, 3))  # (N, P)
-    count = 2 * observed.sum(1)
-    unexplained = [
-        np.convolve(of_all, around, "same") > MOST_SQUARES * np.convolve(n, around, "same")
-        for of_all, n in zip(squares.T, count.T, strict=True)
-    ]
-    return np.asarray(~np.any(unexplained, axis=0))
+    squares = _around(np.square(residuals).sum((1, 3)))  # (N, P)
+    allowed = MOST_SQUARES * 2 * _around(observed.sum(1).astype(np.float64))
+    return np.asarray((squares <= allowed).all(1))
 
 
-def _falling_apart(covariance: Float64, noise: Float64) -> tuple[Float64, Float64]:
+def _around(numbers: Float64) -> Float64:
+    """Sum numbers (N, P) over the frames within `REACH` of each."""
+    sums = np.concatenate((np.zeros((1, numbers.shape[1])), np.cumsum(numbers, axis=0)))
+    frames = np.arange(len(numbers))
+    around: Float64 = sums[np.minimum(frames + REACH + 1, len(frames))]
+    return around - sums[np.maximum(frames - REACH, 0)]
+
+
+def falling_apart(covariance: Float64, noise: Float64) -> tuple[Float64, Float64]:
     """Return a basis (D, D) of the whitened coordinates, and the rates (D,) along it."""
     values, basis = np.linalg.eigh(covariance / np.outer(noise, noise))
     return basis, values.clip(LEAST_RATE)
@@ -266,7 +269,7 @@ def _steps(pixels: Float64, observed: Bool, times: Float64, step: float) -> Floa
     return steps
 
 
-def _filled(pixels: Float64, observed: Bool) -> Float64:
+def bridged(pixels: Float64, observed: Bool) -> Float64:
     """Return coordinates (N, D), straight from frame to frame where they were not observed."""
     frames, filled = np.arange(len(pixels)), pixels.copy()
     for k, p in np.argwhere(~observed.all(0)):

@@ -1,5 +1,6 @@
 """Bringing every view of 2D keypoints to the same position and size."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,11 @@ class Observations(NamedTuple):
         return Observations(
             keypoints[chosen], weights[chosen], centres[chosen], sizes[chosen], usable[chosen]
         )
+
+
+def join_frames(parts: Sequence[Observations]) -> Observations:
+    """Join observations of the same views and keypoints, frame after frame."""
+    return Observations._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
 def pixels_of(observations: Observations) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

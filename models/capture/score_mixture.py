@@ -126,13 +126,7 @@ def posterior_means_into(
     inner_products, factors = np.empty((size, size)), np.empty((count, size, size))
     shifts, logs, said = np.empty((count, size)), np.empty(count), np.empty(size)
     determinants, energies = np.empty(count), np.empty(count)
-    for m in range(count):
-        energies[m] = 0.0
-        for i in range(size):
-            shifts[m, i] = 0.0
-            for j in range(size):
-                shifts[m, i] += mixture.precisions[m, i, j] * mixture.centres[m, j]
-            energies[m] += shifts[m, i] * mixture.centres[m, i]
+    _weigh_centres(mixture, shifts, energies)
     for n in range(len(offsets)):
         if n == 0 or not _same(observed[n], observed[n - 1]):
             _information_into(basis, noise, observed[n], inner_products)
@@ -145,6 +139,39 @@ def posterior_means_into(
                 for i in range(size):
                     said[i] += basis[d, i] * offsets[n, d] / noise**2
         _mix(mixture, factors, determinants, shifts, energies, said, logs, out[n])
+
+
+@compiled
+def posterior_mean_into(
+    mixture: ScoreMixture, information: Float64, said: Float64, out: Float64
+) -> None:
+    """Write the expected scores (Q,) of which something is known besides.
+
+    Parameters
+    ----------
+    information, said
+        (Q, Q) inverse covariance of what is known, and (Q,) that times its mean.
+    """
+    count, size = mixture.centres.shape
+    factors, shifts = np.empty((count, size, size)), np.empty((count, size))
+    logs, determinants, energies = np.empty(count), np.empty(count), np.empty(count)
+    _weigh_centres(mixture, shifts, energies)
+    for m in range(count):
+        determinants[m] = _factorise(mixture.precisions[m], information, factors[m])
+    _mix(mixture, factors, determinants, shifts, energies, said, logs, out)
+
+
+@inner
+def _weigh_centres(mixture: ScoreMixture, shifts: Float64, energies: Float64) -> None:
+    """Write the centres times their precisions (M, Q), and these times the centres (M,)."""
+    count, size = mixture.centres.shape
+    for m in range(count):
+        energies[m] = 0.0
+        for i in range(size):
+            shifts[m, i] = 0.0
+            for j in range(size):
+                shifts[m, i] += mixture.precisions[m, i, j] * mixture.centres[m, j]
+            energies[m] += shifts[m, i] * mixture.centres[m, i]
 
 
 @inner

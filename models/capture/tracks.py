@@ -170,16 +170,33 @@ def _running_median(values: Float64) -> Float64:
 
 def number_clips(pixels: Float64, weights: Float64) -> NDArray[np.int64]:
     """Return the number of the clip of each frame (N,): keypoints jump from one to the next."""
-    both = (weights[1:] > 0) & (weights[:-1] > 0)
-    moved = np.where(both, np.linalg.norm(np.diff(pixels, axis=0), axis=-1), np.nan)  # (N-1, P)
-    jumps = masked_median(moved)
     cuts = np.zeros(len(pixels), bool)
-    if len(jumps) > 2 * CUT_NEIGHBOURS:
-        padded = np.pad(np.nan_to_num(jumps), CUT_NEIGHBOURS, mode="reflect")
-        around = np.lib.stride_tricks.sliding_window_view(padded, 2 * CUT_NEIGHBOURS + 1)
-        others = np.delete(around, CUT_NEIGHBOURS, axis=1).max(1)
-        cuts[1:] = jumps > CUT * np.maximum(others, TINY)
+    cuts[1:] = cuts_among(jumps_between(pixels, weights))
     return np.cumsum(cuts)
+
+
+def jumps_between(pixels: Float64, weights: Float64) -> Float64:
+    """Return how far keypoints (N, ..., P, 2) move from frame to frame, (N-1, ...), by median.
+
+    NaN where no keypoint is seen in both of two frames.
+    """
+    both = (weights[1:] > 0) & (weights[:-1] > 0)
+    return masked_median(np.where(both, np.linalg.norm(np.diff(pixels, axis=0), axis=-1), np.nan))
+
+
+def cuts_among(jumps: Float64) -> NDArray[np.bool_]:
+    """Say which of the jumps (N-1, ...) from frame to frame are cuts.
+
+    They are so by the jumps before and after them, or, at the end, by those before them alone.
+    """
+    known = np.nan_to_num(jumps)
+    if len(jumps) <= 2 * CUT_NEIGHBOURS or known.max() <= CUT * known.min():
+        return np.zeros(jumps.shape, bool)
+    reach = [(CUT_NEIGHBOURS, CUT_NEIGHBOURS)] + [(0, 0)] * (jumps.ndim - 1)
+    padded = np.pad(known, reach, mode="reflect")
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * CUT_NEIGHBOURS + 1, axis=0)
+    others = np.delete(around, CUT_NEIGHBOURS, axis=-1).max(-1)
+    return np.asarray(jumps > CUT * np.maximum(others, TINY))
 
 
 def masked_median(values: Float64) -> Float64:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.numerics.compiled import compiled
+from models.numerics.compiled import compiled, inner
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -30,7 +30,14 @@ class Smoothed(NamedTuple):
     likelihoods: Float64  # (D,) log, of the numbers, up to a constant
 
 
-def smooth(numbers: Float64, steps: Float64, seen: Bool, rates: Float64, noise: float) -> Smoothed:
+def smooth(
+    numbers: Float64,
+    steps: Float64,
+    seen: Bool,
+    rates: Float64,
+    noise: float,
+    start: Float64 | None = None,
+) -> Smoothed:
     """Smooth D processes that are independent of each other.
 
     Parameters
@@ -45,6 +52,9 @@ def smooth(numbers: Float64, steps: Float64, seen: Bool, rates: Float64, noise: 
         (D,) variance of a velocity's change in a unit of time.
     noise
         Standard deviation of the numbers.
+    start
+        (D, 5) states at the time before the first, as `advance` returns them; None if nothing is
+        known of it, and the first of the `steps` is 0.
     """
     numbers = np.ascontiguousarray(numbers)
     count, times = numbers.shape
@@ -55,8 +65,22 @@ def smooth(numbers: Float64, steps: Float64, seen: Bool, rates: Float64, noise: 
         np.zeros((count, times)),
         np.zeros(count),
     )
-    _smooth_into(numbers, steps, seen, rates, noise**2, smoothed)
+    before = np.zeros((count, 5)) if start is None else start
+    _smooth_into(numbers, steps, seen, rates, noise**2, before, smoothed)
     return smoothed
+
+
+def advance(
+    states: Float64, numbers: Float64, step: float, seen: bool, rates: Float64, noise: float
+) -> Float64:
+    """Filter: return the states (D, 5) at the time of `numbers` (D,), a `step` after `states`.
+
+    A state is expected value and velocity, and variance, covariance and variance of these. The
+    rest is as in `smooth`: with a step of 0 all begins anew.
+    """
+    after = np.empty((len(numbers), 5))
+    _advance_into(states, numbers, step, seen, rates, noise**2, after)
+    return after
 
 
 def summed_products(smoothed: Smoothed, steps: Float64) -> Float64:
@@ -71,9 +95,52 @@ def summed_products(smoothed: Smoothed, steps: Float64) -> Float64:
     return total + mixed + mixed.T
 
 
+@inner
+def _predicted(
+    state: Float64, number: float, h: float, rate: float, variance: float
+) -> tuple[float, float, float, float, float]:
+    """Return the state a step after another; where that is 0, nothing is known but a number."""
+    if h <= 0:
+        return number, 0.0, UNKNOWN * variance, 0.0, UNKNOWN * variance
+    x, v, a, b, c = state
+    return (
+        x + h * v,
+        v,
+        a + 2 * h * b + h * h * c + rate * h * h * h / 3,
+        b + h * c + rate * h * h / 2,
+        c + rate * h,
+    )
+
+
+@compiled
+def _advance_into(
+    states: Float64,
+    numbers: Float64,
+    step: float,
+    seen: bool,
+    rates: Float64,
+    variance: float,
+    out: Float64,
+) -> None:
+    for d in range(len(numbers)):
+        x, v, a, b, c = _predicted(states[d], numbers[d], step, rates[d], variance)
+        if seen:
+            expected, off = a + variance, numbers[d] - x
+            value, velocity = a / expected, b / expected
+            x, v = x + value * off, v + velocity * off
+            a, b, c = a - value * a, b - value * b, c - velocity * b
+        out[d, 0], out[d, 1], out[d, 2], out[d, 3], out[d, 4] = x, v, a, b, c
+
+
 @compiled
 def _smooth_into(
-    numbers: Float64, steps: Float64, seen: Bool, rates: Float64, variance: float, out: Smoothed
+    numbers: Float64,
+    steps: Float64,
+    seen: Bool,
+    rates: Float64,
+    variance: float,
+    start: Float64,
+    out: Smoothed,
 ) -> None:
     count, times = numbers.shape
     # Of each time: expected value and velocity, and the three numbers of their covariance, before
@@ -82,17 +149,8 @@ def _smooth_into(
     for d in range(count):
         rate = rates[d]
         for t in range(times):
-            h = steps[t]
-            if h > 0:
-                x, v, a, b, c = after[t - 1]
-                x, a, b, c = (
-                    x + h * v,
-                    a + 2 * h * b + h * h * c + rate * h * h * h / 3,
-                    b + h * c + rate * h * h / 2,
-                    c + rate * h,
-                )
-            else:
-                x, v, a, b, c = numbers[d, t], 0.0, UNKNOWN * variance, 0.0, UNKNOWN * variance
+            state = after[t - 1] if t > 0 else start[d]
+            x, v, a, b, c = _predicted(state, numbers[d, t], steps[t], rate, variance)
             before[t, 0], before[t, 1], before[t, 2], before[t, 3], before[t, 4] = x, v, a, b, c
             if seen[t]:
                 expected, off = a + variance, numbers[d, t] - x
