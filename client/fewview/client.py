@@ -54,6 +54,7 @@ class Api(Resource[Driver]):
         keypoints: Capture | ArrayLike,
         *,
         confidence: ArrayLike | None = None,
+        times: ArrayLike | None = None,
         refine: str | None = None,
         views: Iterable[int] | None = None,
         frame: str | None = None,
@@ -67,6 +68,9 @@ class Api(Resource[Driver]):
             (N, K, P, 2) pixels, NaN where not observed; or a capture.
         confidence
             (N, K, P) in [0, 1]; 0 is not observed.
+        times
+            When the frames were taken, (N,) or (N, K) seconds, rising: they are then one film, and
+            smoothed in time if the model was fitted to one. None: each is lifted on its own.
         refine
             ``auto``, ``full`` or ``off``: where frames are refined in perspective. None: as in
             the fit.
@@ -93,6 +97,7 @@ class Api(Resource[Driver]):
                 model,
                 keypoints,
                 confidence=confidence,
+                times=times,
                 refine=refine,
                 views=views,
                 frame=frame,

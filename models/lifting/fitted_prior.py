@@ -11,14 +11,14 @@ from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
 from models.capture.denoising import Denoiser
 from models.capture.motion import MotionModel
 from models.capture.noise_removal import NoiseRemoval
-from models.capture.observations import Observations, as_observations
-from models.capture.outliers import OutlierJudge, OutlierModel
+from models.capture.outliers import OutlierModel
 from models.findings.finding import Finding
 from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.lifting.explanations import Refiner
 from models.lifting.fitted_capture import FittedCapture, whole_capture
 from models.lifting.frame_refinement import make_refiner, refine_frames
 from models.lifting.lift import Lift
+from models.lifting.observing import Following, Observed, Observer
 from models.lifting.skeleton_lengths import SkeletonLengths
 from models.network.answers import Answers, make_answers
 from models.network.feed_forward import feed_forward
@@ -39,8 +39,6 @@ from models.settings.config import FitConfig, Refine
 from models.settings.keypoints import (
     MAX_KEYPOINTS,
     MIN_KEYPOINTS,
-    check_confidence,
-    check_keypoints,
 )
 
 # Before the names of their arrays in a file.
@@ -69,7 +67,6 @@ class FittedPrior:
         self._noise_removal = noise_removal or NoiseRemoval()
         self._outliers = outliers
         self._skeleton = skeleton
-        self._judges: dict[tuple[int, ...], OutlierJudge] = {}
         self.cameras = None if self_calibration is None else camera_report(self_calibration)
         self._self_calibration = self_calibration
         self.curve = curve
@@ -78,6 +75,8 @@ class FittedPrior:
         self._network = lay_out(config, arrays)
         self._refiners: dict[int | tuple[int, ...], Refiner] = {}
         self.capture = whole_capture(self._network.keypoints) if capture is None else capture
+        rig = 0 if self_calibration is None else len(self_calibration.rig.groups)
+        self._observer = Observer(self.capture, outliers, self._noise_removal, rig)
 
     def of_capture(
         self,
@@ -185,15 +184,45 @@ class FittedPrior:
             from the fit's, `previous` is of other frames or views, or `views` does not name K
             different views of the fit.
         """
-        observations = self._observe(keypoints, confidence, views)
-        views_of_fit = self._views_of_fit(views, observations.weights.shape[1])
-        judged = None
-        if self._outliers is not None and views_of_fit is not None:
-            observations, judged = self._judge_of(views_of_fit).without_outliers(observations)
-        if views_of_fit is not None:
-            observations = self._noise_removal.remove(observations, views_of_fit, times)
+        observed = self.observe(keypoints, confidence=confidence, views=views, times=times)
         if only is not None:
-            observations = observations.frames(only)
+            observed = observed.frames(only)
+        return self.lift_observed(observed, refine=refine, previous=previous)
+
+    def observe(
+        self,
+        keypoints: ArrayLike,
+        *,
+        confidence: ArrayLike | None = None,
+        views: Sequence[int] | None = None,
+        times: ArrayLike | None = None,
+    ) -> Observed:
+        """Return frames as `lift` sees them, which is its first half; the arguments are the same.
+
+        Raises ValueError as `lift` does.
+        """
+        return self._observer.observe(keypoints, confidence, views, times)
+
+    def follow(self, *, views: Sequence[int] | None = None, lag: int) -> Following:
+        """Begin a film of `views` of the fit, whose frames come one by one with their times.
+
+        Each is seen, smoothed in time, when `lag` frames more are there: 0 to `MAX_LAG`.
+
+        Raises
+        ------
+        ValueError
+            If this prior does not smooth, or has not these views.
+        """
+        return self._observer.follow(views, lag)
+
+    def lift_observed(
+        self, observed: Observed, *, refine: Refine | None = None, previous: Lift | None = None
+    ) -> Lift:
+        """Lift what was observed: the second half of `lift`, whose arguments these are.
+
+        Raises ValueError if `previous` is of other frames or views.
+        """
+        observations, judged, views_of_fit = observed
         frames, count, points, _ = observations.keypoints.shape
         if previous is not None and previous.scales.shape != (frames, count):
             raise ValueError(
@@ -202,7 +231,7 @@ class FittedPrior:
             )
         answers = make_answers(frames, count, points)
         if judged is not None:
-            answers = answers._replace(outlier_probability=judged[only or slice(None)])
+            answers = answers._replace(outlier_probability=judged)
         mode = self.config.refine if refine is None else refine
         refiner = None if mode == "off" else self._refiner_of(views_of_fit, count)
         before = make_answers(0, count, points)
@@ -227,33 +256,6 @@ class FittedPrior:
         in_slices(frames, size, lift_part)
         return Lift(*answers).among(self.capture.known)
 
-    def _observe(
-        self,
-        keypoints: ArrayLike,
-        confidence: ArrayLike | None,
-        views: Sequence[int] | None,
-    ) -> Observations:
-        """Return the observations of the keypoints that this prior has.
-
-        Raises ValueError unless the frames suit it.
-        """
-        if self.capture.whole:
-            observations = as_observations(keypoints, confidence)
-            self._check_count(observations.weights.shape[2])
-            return observations
-        pixels, weights = check_keypoints(keypoints), None
-        self._check_count(pixels.shape[2])
-        if confidence is not None:
-            weights = check_confidence(confidence, expected=pixels.shape[:3])
-        return as_observations(*self.capture.observations(pixels, weights, views))
-
-    def _check_count(self, came: int) -> None:
-        if came != self.keypoints_per_frame:
-            raise ValueError(
-                f"this prior was fitted to {self.keypoints_per_frame} keypoints per view,"
-                f" got {came}; give them in the order of the fit, NaN for what was not observed"
-            )
-
     def _refiner_of(self, views: Sequence[int] | None, count: int) -> Refiner | None:
         """Return what refines frames of `views` of the fit, or of `count` cameras unknown to it.
 
@@ -270,41 +272,6 @@ class FittedPrior:
                 self._self_calibration, views, count, self._skeleton
             )
         return refiner
-
-    def _judge_of(self, views: Sequence[int]) -> OutlierJudge:
-        """Return what judges frames of `views` of the fit; made once and kept, as refiners are."""
-        assert self._outliers is not None  # noqa: S101
-        key = tuple(views)
-        judge = self._judges.get(key)
-        if judge is None:
-            if len(self._judges) >= MOST_REFINERS:
-                self._judges.clear()
-            judge = self._judges[key] = OutlierJudge(self._outliers, key)
-        return judge
-
-    def _known_views(self) -> int:
-        """How many views the fit had; 0 if it learned nothing about its views."""
-        if self._outliers is not None:
-            return len(self._outliers.mean)
-        if self._noise_removal.views:
-            return self._noise_removal.views
-        return 0 if self._self_calibration is None else len(self._self_calibration.rig.groups)
-
-    def _views_of_fit(self, views: Sequence[int] | None, count: int) -> Sequence[int] | None:
-        """Return which views of the fit the `count` views of a lift are; None if not of the fit.
-
-        Raises ValueError if `views` does not name `count` different ones.
-        """
-        known = self._known_views()
-        if views is None:
-            return range(count) if count == known else None
-        different = len(views) == count == len(set(views))
-        if not different or (known and not all(0 <= view < known for view in views)):
-            raise ValueError(
-                f"views must name {count} different views of the {known or 'unknown'} of the fit,"
-                f" got {list(views)}"
-            )
-        return views if known else None
 
     def to_bytes(self) -> bytes:
         """Return the prior as safetensors bytes, its configuration in the header."""

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.lifting.lift import Lift, join
+from models.lifting.observing import Observed, join_observed
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
 from service.realtime.warm_models import WarmModel, WarmModels
@@ -44,6 +45,7 @@ class Way(NamedTuple):
     shape: tuple[int, ...]  # (K, P, 2) of a frame
     weighted: bool  # whether there is a confidence
     follows: bool  # whether there are answers to frames before
+    observed: bool = False  # whether the frames were observed, and need only be lifted
 
 
 @dataclass(eq=False, slots=True)
@@ -53,9 +55,11 @@ class _Call:
     way: Way
     keypoints: Float32
     confidence: Float32 | None
+    observed: Observed | None  # in place of these
     previous: Lift | None
     slice_size: int  # frames that are lifted in one go
     answer: "asyncio.Future[Lift]"
+    frames: int
     missing: int  # frames without an answer yet
     taken: int = 0  # frames that a thread has taken
     parts: dict[int, Lift] = field(default_factory=dict)  # answers by their first frame
@@ -129,11 +133,45 @@ class Engine:
             confidence is not None,
             previous is not None,
         )
+        return self._ask(way, keypoints, confidence, None, previous, len(keypoints))
+
+    def lift_observed(
+        self,
+        model: WarmModel,
+        observed: Observed,
+        *,
+        refine: Refine | None = None,
+        previous: Lift | None = None,
+    ) -> "asyncio.Future[Lift]":
+        """Lift frames that ``model`` observed as ``FittedPrior.lift_observed`` does; see `lift`."""
+        keypoints, judged = observed.observations.keypoints, observed.outlier_probability
+        way = Way(
+            model,
+            refine,
+            observed.views,
+            keypoints.shape[1:],
+            judged is not None,
+            previous is not None,
+            observed=True,
+        )
+        return self._ask(way, keypoints, None, observed, previous, len(keypoints))
+
+    def _ask(
+        self,
+        way: Way,
+        keypoints: Float32,
+        confidence: Float32 | None,
+        observed: Observed | None,
+        previous: Lift | None,
+        frames: int,
+    ) -> "asyncio.Future[Lift]":
         answer: asyncio.Future[Lift] = asyncio.get_running_loop().create_future()
-        size = _slice_size(model, refine)
-        call = _Call(way, keypoints, confidence, previous, size, answer, missing=len(keypoints))
+        size = _slice_size(way.model, way.refine)
+        call = _Call(
+            way, keypoints, confidence, observed, previous, size, answer, frames, missing=frames
+        )
         with self._changed:
-            if len(keypoints) > size:
+            if frames > size:
                 self._large.append(call)
             else:
                 self._small.setdefault(way, deque()).append(call)
@@ -184,8 +222,8 @@ class Engine:
         call = self._large.popleft()
         if call.answer.done():  # given up
             return []
-        start, call.taken = call.taken, min(call.taken + call.slice_size, len(call.keypoints))
-        if call.taken < len(call.keypoints):
+        start, call.taken = call.taken, min(call.taken + call.slice_size, call.frames)
+        if call.taken < call.frames:
             self._large.append(call)
         return [_Piece(call, start, call.taken)]
 
@@ -195,11 +233,11 @@ class Engine:
         waiting = self._small.pop(way)
         pieces: list[_Piece] = []
         room = waiting[0].slice_size
-        while waiting and len(waiting[0].keypoints) <= room:
+        while waiting and waiting[0].frames <= room:
             call = waiting.popleft()
             if not call.answer.done():
-                pieces.append(_Piece(call, 0, len(call.keypoints)))
-                room -= len(call.keypoints)
+                pieces.append(_Piece(call, 0, call.frames))
+                room -= call.frames
         if waiting:
             self._small[way] = waiting  # at the end
         return pieces
@@ -219,7 +257,7 @@ class Engine:
         """Return the outcome of a whole call if this was the last part of it, or an error."""
         call = piece.call
         frames = piece.stop - piece.start
-        if isinstance(part, Exception) or frames == len(call.keypoints):
+        if isinstance(part, Exception) or frames == call.frames:
             return part
         with self._changed:
             call.parts[piece.start] = part
@@ -238,22 +276,32 @@ def _slice_size(model: WarmModel, refine: Refine | None) -> int:
 
 def _lift_together(pieces: list[_Piece]) -> list[_Outcome]:
     way = pieces[0].call.way
-    confidence = [c.confidence[start:stop] for c, start, stop in pieces if c.confidence is not None]
     previous = [
         c.previous.frames(slice(start, stop)) for c, start, stop in pieces if c.previous is not None
     ]
-    lift = way.model.prior.lift(
-        np.concatenate([call.keypoints[start:stop] for call, start, stop in pieces]),
-        confidence=np.concatenate(confidence) if confidence else None,
-        refine=way.refine,
-        views=way.views,
-        previous=join(previous) if previous else None,
+    lift = way.model.prior.lift_observed(
+        _observe(pieces), refine=way.refine, previous=join(previous) if previous else None
     )
     stops = accumulate(stop - start for _, start, stop in pieces)
     return [
         lift.frames(slice(end - stop + start, end))
         for (_, start, stop), end in zip(pieces, stops, strict=True)
     ]
+
+
+def _observe(pieces: list[_Piece]) -> Observed:
+    way = pieces[0].call.way
+    observed = [
+        c.observed.frames(slice(start, stop)) for c, start, stop in pieces if c.observed is not None
+    ]
+    if observed:
+        return join_observed(observed)
+    confidence = [c.confidence[start:stop] for c, start, stop in pieces if c.confidence is not None]
+    return way.model.prior.observe(
+        np.concatenate([call.keypoints[start:stop] for call, start, stop in pieces]),
+        confidence=np.concatenate(confidence) if confidence else None,
+        views=way.views,
+    )
 
 
 def _deliver(finished: list[tuple["asyncio.Future[Lift]", _Outcome]]) -> None:

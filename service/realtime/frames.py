@@ -14,6 +14,7 @@ def to_frames(
     prior: FittedPrior,
     settings: Settings,
     *,
+    times: object = None,
     field: str = "frames",
 ) -> Capture:
     """Return frames that the prior can lift, from nested lists or arrays; errors name ``field``.
@@ -27,6 +28,7 @@ def to_frames(
     capture = to_capture(
         frames,
         confidence,
+        times=times,
         settings=settings,
         keypoints_field=field,
         expected_keypoints=expected,

@@ -12,8 +12,10 @@ from fastapi.routing import APIRoute
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
+from models.capture.clocks import in_step
 from models.lifting import lift as lifts
 from models.lifting.lift_findings import lift_findings
+from models.lifting.observing import Observed
 from models.settings.config import Index, Refine
 from models.settings.rooms import FrameOfReference, Up
 from service.http.errors import BODY_PROBLEMS, invalid, problems
@@ -29,7 +31,15 @@ from service.wire.captures import read_arrays
 from service.wire.findings import Findings
 from service.wire.representations import Format, FormatQuery, arrays_response, chosen_format
 from service.wire.rooms import FRAME_OF_REFERENCE, UP, FrameQuery, UpQuery, is_room, read_up
-from service.wire.schemas import CONFIDENCE, KEYPOINTS, LIFTED_FRAME, REFINE, VIEWS, LiftedFrame
+from service.wire.schemas import (
+    CONFIDENCE,
+    KEYPOINTS,
+    LIFTED_FRAME,
+    REFINE,
+    TIMES,
+    VIEWS,
+    LiftedFrame,
+)
 from store.capture import Capture
 from store.labels import Text
 from worker.rooms import Room
@@ -57,6 +67,7 @@ class LiftRequest(BaseModel):
                         [[301.0, 190.0], [322.5, 251.0], [350.0, 330.0], [310.0, 399.0]],
                     ]
                 ],
+                "times": [12.48],
                 "refine": "auto",
                 "views": [0, 2],
             }
@@ -66,6 +77,7 @@ class LiftRequest(BaseModel):
     model: Text = Field(max_length=200, description="The model's identifier.")
     frames: KEYPOINTS
     confidence: CONFIDENCE = None
+    times: TIMES = None
     refine: Refine | None = Field(None, description=REFINE)
     views: list[Index] | None = Field(None, description=VIEWS)
     frame: FrameOfReference | None = Field(None, description=FRAME_OF_REFERENCE)
@@ -137,20 +149,28 @@ def _understand(
             raise invalid(
                 "/model", "expected the model's identifier in the query: /lift?model=mdl_..."
             )
-        found = read_arrays(upload, settings, frozenset({"frames", "keypoints", "confidence"}))
+        known = frozenset({"frames", "keypoints", "confidence", "times"})
+        found = read_arrays(upload, settings, known)
         frames = found.get("frames", found.get("keypoints"))
         if frames is None:
             raise invalid(
                 "/frames", "expected an array of this name: (frames, views, keypoints, 2)"
             )
-        asked = LiftRequest(model=query.model, frames=frames, confidence=found.get("confidence"))
+        asked = LiftRequest(
+            model=query.model,
+            frames=frames,
+            confidence=found.get("confidence"),
+            times=found.get("times"),
+        )
     views = query.views if asked.views is None else asked.views
     up = read_up(query.up) if asked.up is None else asked.up
     in_room = is_room(asked.frame or query.frame, up)
     model = model_of(asked.model)
     if model is None:
         return None
-    capture = to_frames(asked.frames, asked.confidence, views, model.prior, settings)
+    capture = to_frames(
+        asked.frames, asked.confidence, views, model.prior, settings, times=asked.times
+    )
     _check_answer(capture, query.format, settings)
     room = None
     if in_room:
@@ -159,6 +179,14 @@ def _understand(
             return None
         check_known(room, views, capture.keypoints.shape[1])
     return _Asked(model, capture, asked.refine or query.refine, views, room)
+
+
+def _observe(asked: _Asked) -> Observed:
+    """Return frames that told times as the model sees them: in step, and smoothed in time."""
+    prior, capture, times = asked.model.prior, asked.capture, asked.capture.times
+    clocks = prior.capture.clocks_of(asked.views, capture.keypoints.shape[1])
+    keypoints, confidence = in_step(capture.keypoints, capture.confidence, times, clocks)
+    return prior.observe(keypoints, confidence=confidence, views=asked.views, times=times)
 
 
 def _check_answer(capture: Capture, format: Format, settings: Settings) -> None:
@@ -210,7 +238,7 @@ router = APIRouter(tags=["lift"], route_class=DirectRoute)
     openapi_extra=request_body(
         LiftRequest,
         binary="A safetensors or .npz file with `frames` (or `keypoints`: frames, views, "
-        "keypoints, 2) and optionally `confidence`; the query says the rest.",
+        "keypoints, 2) and optionally `confidence` and `times`; the query says the rest.",
     ),
 )
 async def lift(
@@ -228,9 +256,10 @@ async def lift(
     and `up`.
 
     Any number of the views, in any order; missing keypoints and views allowed. Every frame is
-    lifted on its own. Structures come in the model's canonical frame, or in the room of its cameras
-    at rest (`frame`), with the handedness that the fit settled on. Each view's `camera` says by
-    which camera model it was explained.
+    lifted on its own, unless `times` are told: the frames are then one film, and smoothed in time
+    if the model was fitted to one. Structures come in the model's canonical frame, or in the room
+    of its cameras at rest (`frame`), with the handedness that the fit settled on. Each view's
+    `camera` says by which camera model it was explained.
     """
     engine: Engine = request.app.state.engine
     rooms: Rooms = request.app.state.rooms
@@ -245,16 +274,19 @@ async def lift(
         async with request.app.state.large_uploads:
             asked = await run_in_threadpool(understand, engine.models.get, rooms.find)
         assert asked is not None  # noqa: S101
-    lifted = await _unless_gone(
-        request,
-        engine.lift(
+    if asked.capture.times is None:
+        answer = engine.lift(
             asked.model,
             asked.capture.keypoints,
             confidence=asked.capture.confidence,
             refine=asked.refine,
             views=asked.views,
-        ),
-    )
+        )
+    else:
+        size = max(upload.decoded_bytes, TINY_BYTES + 1)  # smoothing takes longer than that
+        observed = await _run(request, size, _observe, asked)
+        answer = engine.lift_observed(asked.model, observed, refine=asked.refine)
+    lifted = await _unless_gone(request, answer)
     if lifted is None:
         return Response(status_code=499)  # which nobody reads
     answer_bytes = JSON_BYTES * sum(array.nbytes for array in lifted.arrays.values())

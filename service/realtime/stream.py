@@ -12,7 +12,9 @@ from pydantic import ValidationError
 from starlette.responses import Response
 from starlette.websockets import WebSocketDisconnect
 
+from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift
+from models.lifting.observing import Following
 from service.http.dependencies import refuse_if_leaving
 from service.http.errors import (
     PROBLEMS,
@@ -28,7 +30,15 @@ from service.http.origins import refuse_foreign
 from service.realtime.engine import Engine
 from service.realtime.frames import check_views
 from service.realtime.rooms import Rooms
-from service.realtime.stream_frames import Frame, json_object, read_frame, seen_bytes, write_answer
+from service.realtime.smoothed_frames import SmoothedFrames
+from service.realtime.stream_frames import (
+    FilmClock,
+    Frame,
+    json_object,
+    read_frame,
+    seen_bytes,
+    write_answer,
+)
 from service.realtime.warm_models import WarmModel
 from service.settings import Settings
 from service.wire.rooms import is_room
@@ -36,6 +46,7 @@ from service.wire.stream_messages import (
     StreamAnswer,
     StreamDropped,
     StreamError,
+    StreamFlush,
     StreamFrame,
     StreamLimits,
     StreamReady,
@@ -47,10 +58,15 @@ FRAMES_IN_HAND = 16  # of one stream; what waits longer is out of date
 MAX_DROPPED = 10_000  # frames, until a client that reads no answers is not read from either
 CLOSE_CODE = 4000  # plus the status of the problem that ends a stream
 
+# What is awaited of a frame: its lift, or in streams with a lag what its coming makes ready.
+_Answer = asyncio.Future[Lift] | asyncio.Future[list[tuple[Frame, Lift]]]
+
 logger = logging.getLogger(__name__)
 router = APIRouter(tags=["lift"])
 
-register(StreamStart, StreamReady, StreamFrame, StreamAnswer, StreamDropped, StreamError)
+register(
+    StreamStart, StreamReady, StreamFrame, StreamFlush, StreamAnswer, StreamDropped, StreamError
+)
 
 
 def _messages(*names: str) -> dict[str, list[dict[str, str]]]:
@@ -66,7 +82,7 @@ def _messages(*names: str) -> dict[str, list[dict[str, str]]]:
     | {101: {"description": "The protocol is now WebSocket."}},
     openapi_extra={
         "x-websocket": {
-            "client": _messages("StreamStart", "StreamFrame"),
+            "client": _messages("StreamStart", "StreamFrame", "StreamFlush"),
             "server": _messages("StreamReady", "StreamAnswer", "StreamDropped", "StreamError"),
         }
     },
@@ -76,7 +92,8 @@ async def ask_for_upgrade() -> Response:
 
     The client's first message is a `StreamStart`, the server's a `StreamReady`. Then every
     `StreamFrame`, or frame as bytes, gets a `StreamAnswer`, or one as bytes, in the order they
-    came. With `on_overload: latest` a `StreamDropped` may come between. A bad frame gets a
+    came. With `on_overload: latest` a `StreamDropped` may come between. With `lag` frames are
+    smoothed in time, and a `StreamFlush` asks for the last answers. A bad frame gets a
     `StreamError` and the stream goes on; other errors close it, with 4000 plus the status of the
     problem. docs/streaming.md has the layout of the bytes and a client.
     """
@@ -138,14 +155,18 @@ async def _converse(websocket: WebSocket) -> None:
                 model = await run_in_threadpool(engine.models.get, start.model)
             if start.views is not None:
                 check_views(start.views, model.prior, len(start.views))
+            following = None
+            if start.lag is not None:
+                following = await run_in_threadpool(_follow, model.prior, start)
+                start = start.model_copy(update={"views": list(following.views)})
             room = None
             if is_room(start.frame, start.up):
                 rooms: Rooms = websocket.app.state.rooms
                 room = rooms.remembered(model, start.up)
                 if room is None:
                     room = await run_in_threadpool(rooms.find, model, start.up)
-            conversation = _Conversation(websocket, engine, settings, start, model, room)
-            await websocket.send_text(conversation.ready().model_dump_json())
+            conversation = _Conversation(websocket, engine, settings, start, model, room, following)
+            await websocket.send_text(conversation.ready())
             try:
                 async with asyncio.TaskGroup() as tasks:
                     tasks.create_task(conversation.write())
@@ -169,6 +190,7 @@ class _Conversation:
         start: StreamStart,
         model: WarmModel,
         room: Room | None,
+        following: Following | None,
     ) -> None:
         self._websocket, self._engine, self._settings = websocket, engine, settings
         self._start, self._model, self._room = start, model, room
@@ -176,16 +198,28 @@ class _Conversation:
         self._refine = start.refine or prior.config.refine
         self._continuity = start.continuity and self._refine != "off" and prior.cameras is not None
         self._latest = start.on_overload == "latest"
-        self._at_a_time = 1 if self._latest or self._continuity else FRAMES_IN_HAND
+        self._smoothed = self._clock = None
+        if following is not None:
+            self._clock = FilmClock(start.fps)
+            self._smoothed = SmoothedFrames(
+                engine,
+                websocket.app.state.lift_bodies,
+                model,
+                following,
+                self._refine,
+                continuity=self._continuity,
+            )
+        one = self._latest or self._continuity or following is not None
+        self._at_a_time = 1 if one else FRAMES_IN_HAND
         self._arrived: deque[Frame] = deque()
-        self._asked: deque[tuple[Frame, asyncio.Future[Lift] | None]] = deque()
+        self._asked: deque[tuple[Frame, _Answer | None]] = deque()
         self._previous: Lift | None = None
         self._something_asked = asyncio.Event()
         self._something_answered = asyncio.Event()
 
-    def ready(self) -> StreamReady:
+    def ready(self) -> str:
         """Return what the server says first."""
-        return StreamReady(
+        said = StreamReady(
             model=self._start.model,
             keypoints=self._prior.keypoints_per_frame,
             views=self._start.views,
@@ -194,6 +228,8 @@ class _Conversation:
             continuity=self._continuity,
             frame=self._start.frame,
             up=self._start.up,
+            lag=self._start.lag,
+            fps=self._start.fps,
             seen_bytes=seen_bytes(self._prior.keypoints_per_frame),
             limits=StreamLimits(
                 message_bytes=self._settings.max_stream_bytes,
@@ -201,6 +237,7 @@ class _Conversation:
                 idle_seconds=self._settings.stream_idle_seconds,
             ),
         )
+        return said.model_dump_json(exclude={"lag", "fps"} if said.lag is None else None)
 
     async def read(self, silence: asyncio.Timeout) -> None:
         """Take frames as they come, until the client leaves; as many as may be in hand."""
@@ -208,7 +245,9 @@ class _Conversation:
         while True:
             silence.reschedule(now() + patience)
             message = await _receive(self._websocket)
-            frame = read_frame(message, self._prior, self._room, self._start.views, self._settings)
+            frame = read_frame(
+                message, self._prior, self._room, self._start.views, self._settings, self._clock
+            )
             self._arrived.append(frame)
             self._ask()
             if self._latest:
@@ -219,15 +258,19 @@ class _Conversation:
 
     def _is_full(self) -> bool:
         if self._latest:
-            return bool(self._arrived) and len(self._arrived[0].dropped) >= MAX_DROPPED
+            arrived = self._arrived
+            dropping = bool(arrived) and len(arrived[-1].dropped) >= MAX_DROPPED
+            return dropping or len(arrived) >= FRAMES_IN_HAND
         return len(self._arrived) + len(self._asked) >= FRAMES_IN_HAND
 
     def _drop_stale(self) -> None:
-        while len(self._arrived) > 1:
-            stale = self._arrived.popleft()
+        """Let the newest frame take the place of one that waits, unless a flush parts them."""
+        while len(self._arrived) > 1 and not self._arrived[-1].flush | self._arrived[-2].flush:
+            newest, stale = self._arrived.pop(), self._arrived.pop()
             if stale.sequence is not None:
                 stale.dropped.append(stale.sequence)
-            self._arrived[0].dropped = stale.dropped
+            newest.dropped = stale.dropped
+            self._arrived.append(newest)
 
     def _ask(self) -> None:
         """Ask for the lifts of frames that have arrived, as many as may be asked for at a time."""
@@ -236,9 +279,12 @@ class _Conversation:
             self._asked.append((frame, self._lift(frame)))
             self._something_asked.set()
 
-    def _lift(self, frame: Frame) -> asyncio.Future[Lift] | None:
-        if frame.capture is None:
+    def _lift(self, frame: Frame) -> _Answer | None:
+        if frame.error is not None:
             return None
+        if self._smoothed is not None:
+            return asyncio.ensure_future(self._smoothed.take(frame))
+        assert frame.capture is not None  # noqa: S101
         keypoints = frame.capture.keypoints
         before = self._previous
         if before is not None and before.scales.shape[1] != keypoints.shape[1]:
@@ -254,37 +300,54 @@ class _Conversation:
 
     async def write(self) -> None:
         """Answer the frames in their order."""
-        send = self._websocket.send
         while True:
             while not self._asked:
                 self._something_asked.clear()
                 await self._something_asked.wait()
             frame, answer = self._asked[0]
-            if answer is None:
-                assert frame.error is not None  # noqa: S101
-                message: str | bytes = _error_text(frame.error, frame.sequence)
-            else:
-                lift = await answer
+            answered = [] if answer is None else await answer
+            if isinstance(answered, Lift):
                 if self._continuity:
-                    self._previous = lift
-                if self._room is not None:
-                    lift = self._room.place(lift, self._start.views)
-                message = write_answer(frame, lift, self._prior)
+                    self._previous = answered
+                answered = [(frame, answered)]
+            messages = [(told, self._message(told, lift)) for told, lift in answered]
+            if frame.error is not None:
+                messages = [(frame, _error_text(frame.error, frame.sequence))]
             self._asked.popleft()
             self._ask()
             self._something_answered.set()
-            if frame.dropped:
-                notice = {"type": "dropped", "sequences": frame.dropped}
-                await self._websocket.send_text(orjson.dumps(notice).decode())
-            await send(
-                {"type": "websocket.send", "text" if isinstance(message, str) else "bytes": message}
-            )
+            for told, message in messages:
+                await self._send(told, message)
+
+    def _message(self, frame: Frame, lift: Lift) -> str | bytes:
+        if self._room is not None:
+            lift = self._room.place(lift, self._start.views)
+        return write_answer(frame, lift, self._prior)
+
+    async def _send(self, frame: Frame, message: str | bytes) -> None:
+        if frame.dropped:
+            notice = {"type": "dropped", "sequences": frame.dropped}
+            await self._websocket.send_text(orjson.dumps(notice).decode())
+        form = "text" if isinstance(message, str) else "bytes"
+        await self._websocket.send({"type": "websocket.send", form: message})
 
     def give_up(self) -> None:
         """Leave the engine's queue."""
         for _, answer in self._asked:
             if answer is not None:
                 answer.cancel()
+
+
+def _follow(prior: FittedPrior, start: StreamStart) -> Following:
+    assert start.lag is not None  # noqa: S101
+    if not prior.smooths:
+        raise invalid(
+            "/lag",
+            "expected no lag: this model does not smooth in time. Fit it to a dataset that tells "
+            "`fps` or `times`, and whose frames are near enough in time for noise to be told from "
+            "motion; or leave `lag` out",
+        )
+    return prior.follow(views=start.views, lag=start.lag)
 
 
 async def _receive(websocket: WebSocket) -> str | bytes:

@@ -1,5 +1,6 @@
 """Reading the frames of a stream, and writing their answers in the form the frames came in."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,6 +13,7 @@ from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import Lift
 from models.lifting.lift_findings import lift_findings
+from models.settings.times import MAX_TIME
 from service.http.errors import ApiError, from_validation, invalid
 from service.realtime.frames import to_frames
 from service.realtime.rooms import check_known
@@ -26,8 +28,11 @@ from service.wire.stream_messages import (
     FRAME,
     HEADER,
     LIFTED,
+    TIME,
     VIEW,
     WITH_CONFIDENCE,
+    WITH_TIME,
+    StreamFlush,
     StreamFrame,
 )
 from store.capture import Capture
@@ -53,6 +58,10 @@ class Frame:
         What is wrong with it.
     dropped
         Sequence numbers of frames before it that get no answer.
+    time
+        When it was taken, in seconds; 0 where that is not asked for.
+    flush
+        It is no frame, but asks for the answers to those before.
     """
 
     binary: bool
@@ -60,6 +69,43 @@ class Frame:
     capture: Capture | None = None
     error: ApiError | None = None
     dropped: list[int] = field(default_factory=list)
+    time: float = 0.0
+    flush: bool = False
+
+
+class FilmClock:
+    """Tells when the frames of a stream with a lag were taken, and sees to it that times rise."""
+
+    def __init__(self, fps: float | None) -> None:
+        """Begin; without `fps` every frame tells its time."""
+        self._fps, self._last = fps, -math.inf
+
+    def begin_anew(self) -> None:
+        """Forget the frames so far."""
+        self._last = -math.inf
+
+    def time_of(self, sequence: int | None, told: float | None) -> float:
+        """Return the time of the next frame; raise ``ApiError`` if it is missing or not later."""
+        if self._fps is None:
+            field, time = "/time", told
+            if time is None:
+                raise invalid(
+                    field, "expected the time of the frame in seconds: this stream has a lag"
+                )
+            if not abs(time) <= MAX_TIME:
+                raise invalid(field, f"expected seconds, {MAX_TIME:g} at most, got {time:g}")
+        else:
+            if told is not None:
+                raise invalid("/time", "expected none: this stream was told `fps`")
+            field, time = "/sequence", (sequence or 0) / self._fps
+        if time <= self._last:
+            raise invalid(
+                field,
+                f"expected a frame that is later than the one before, at {self._last:g} s; got "
+                f'{time:g} s. Send {{"flush": true}} first if another film begins',
+            )
+        self._last = time
+        return time
 
 
 def read_frame(
@@ -68,71 +114,102 @@ def read_frame(
     room: Room | None,
     views: list[int] | None,
     settings: Settings,
+    clock: FilmClock | None = None,
 ) -> Frame:
-    """Return the frame in a message, or with an error if the model or the views do not allow it."""
-    frame = Frame(binary=isinstance(message, bytes))
+    """Return the frame in a message, or with an error if the model or the views do not allow it.
+
+    Of a stream with a lag it has a time, by its `clock`, or is a flush.
+    """
+    frame, timed = Frame(binary=isinstance(message, bytes)), clock is not None
+    points = prior.keypoints_per_frame
     try:
         if isinstance(message, bytes):
-            keypoints, confidence = _from_bytes(frame, message, prior.keypoints_per_frame)
+            keypoints, confidence, told = _from_bytes(frame, message, points, timed=timed)
         else:
-            keypoints, confidence = _from_json(frame, message, prior.keypoints_per_frame, settings)
+            found = json_object(message)
+            if clock is not None and "flush" in found:
+                flush = _read_flush(found)
+                clock.begin_anew()
+                return flush
+            keypoints, confidence, told = _from_json(frame, found, points, settings, timed=timed)
         capture = to_frames(keypoints, confidence, views, prior, settings, field="keypoints")
         if room is not None:
             check_known(room, views, capture.keypoints.shape[1])
+        if clock is not None:
+            frame.time = clock.time_of(frame.sequence, told)
         frame.capture = capture
     except ApiError as error:
         frame.error = error
     return frame
 
 
-def _from_bytes(frame: Frame, message: bytes, points: int) -> tuple[Float32, Float32 | None]:
+def _read_flush(found: dict[str, object]) -> Frame:
+    try:
+        StreamFlush.model_validate(found)
+    except ValidationError as error:
+        raise from_validation(error, StreamFlush) from error
+    return Frame(binary=False, flush=True)
+
+
+_Read = tuple[Float32, Float32 | None, float | None]  # keypoints, confidence, time
+
+
+def _from_bytes(frame: Frame, message: bytes, points: int, *, timed: bool) -> _Read:
     if len(message) < HEADER.size:
         raise invalid("", f"expected a header of {HEADER.size} bytes, got {len(message)} bytes")
     kind, flags, views, frame.sequence = HEADER.unpack_from(message)
     if kind != FRAME:
         raise invalid("/kind", f"expected {FRAME}, a frame, got {kind}")
-    if flags & ~WITH_CONFIDENCE:
-        raise invalid("/flags", f"expected 0, or {WITH_CONFIDENCE} with confidence, got {flags}")
-    numbers = views * points * (3 if flags else 2)
-    if len(message) != HEADER.size + 4 * numbers:
+    if flags & ~(WITH_CONFIDENCE | WITH_TIME * timed):
+        more = f", {WITH_TIME} with its time, or both" if timed else ""
+        raise invalid(
+            "/flags", f"expected 0, or {WITH_CONFIDENCE} with confidence{more}, got {flags}"
+        )
+    trusted, start = bool(flags & WITH_CONFIDENCE), HEADER.size
+    start += TIME.size if flags & WITH_TIME else 0
+    expected = start + 4 * views * points * (3 if trusted else 2)
+    if len(message) != expected:
         raise invalid(
             "/keypoints",
-            f"expected {HEADER.size + 4 * numbers} bytes for {views} views x {points} keypoints "
-            f"{'with' if flags else 'without'} confidence, got {len(message)}",
+            f"expected {expected} bytes for {views} views x {points} keypoints "
+            f"{'with' if trusted else 'without'} confidence, got {len(message)}",
         )
-    values = np.frombuffer(message, "<f4", offset=HEADER.size)
+    values = np.frombuffer(message, "<f4", offset=start)
     keypoints, rest = np.split(values, [2 * views * points])
-    confidence = rest.reshape(1, views, points) if flags else None
-    return keypoints.reshape(1, views, points, 2), confidence
+    confidence = rest.reshape(1, views, points) if trusted else None
+    time = TIME.unpack_from(message, HEADER.size)[0] if flags & WITH_TIME else None
+    return keypoints.reshape(1, views, points, 2), confidence, time
 
 
 def _from_json(
-    frame: Frame, message: str, points: int, settings: Settings
-) -> tuple[Float32, Float32 | None]:
-    found = json_object(message)
+    frame: Frame, found: dict[str, object], points: int, settings: Settings, *, timed: bool
+) -> _Read:
     sequence = found.get("sequence")
     frame.sequence = sequence if type(sequence) is int and 0 <= sequence < 2**32 else None
     try:
         sent = StreamFrame.model_validate(found)
     except ValidationError as error:
         raise from_validation(error, StreamFrame) from error
+    if not timed and "time" in found:
+        raise invalid("/time", "expected none: this stream was opened without `lag`")
+    limit = settings.max_stream_bytes
     keypoints = from_nested(
         sent.keypoints,
         "/keypoints",
         axes=POINT_AXES[1:],
         sizes=(None, points, 2),
-        max_bytes=settings.max_stream_bytes,
+        max_bytes=limit,
     )
-    if sent.confidence is None:
-        return keypoints[None], None
-    confidence = from_nested(
-        sent.confidence,
-        "/confidence",
-        axes=POINT_AXES[1:3],
-        sizes=(len(keypoints), points),
-        max_bytes=settings.max_stream_bytes,
-    )
-    return keypoints[None], confidence[None]
+    confidence = None
+    if sent.confidence is not None:
+        confidence = from_nested(
+            sent.confidence,
+            "/confidence",
+            axes=POINT_AXES[1:3],
+            sizes=(len(keypoints), points),
+            max_bytes=limit,
+        )[None]
+    return keypoints[None], confidence, sent.time
 
 
 def json_object(message: str) -> dict[str, object]:

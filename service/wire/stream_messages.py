@@ -1,7 +1,8 @@
 """What is said in a stream of frames: JSON, or bytes of a fixed little-endian layout.
 
-A frame in bytes:  kind u8 = 1, flags u8, views u16 (K), sequence u32, keypoints f32 (K, P, 2) and,
-                   with flag 1, confidence f32 (K, P). NaN: not observed.
+A frame in bytes:  kind u8 = 1, flags u8, views u16 (K), sequence u32, with flag 2 its time f64,
+                   keypoints f32 (K, P, 2) and, with flag 1, confidence f32 (K, P). NaN: not
+                   observed.
 Its answer:        kind u8 = 2, flags u8, views u16 (K), sequence u32, points3d f32 (P, 3) and K
                    times `VIEW`, keypoints_seen u8 (P), zeros up to a multiple of 4 bytes,
                    outlier_probability f32 (K, P). NaN: no answer. Flag 1: the frame
@@ -13,11 +14,12 @@ import struct
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 from typing_extensions import TypeAliasType
 
 from models.settings.config import Index, Refine
 from models.settings.rooms import FrameOfReference, Up
+from models.settings.times import MAX_FPS, MAX_LAG
 from service.http.errors import FieldError
 from service.wire.findings import Findings
 from service.wire.rooms import FRAME_OF_REFERENCE, UP
@@ -32,11 +34,11 @@ from service.wire.schemas import (
 from store.labels import Text
 
 FRAME, ANSWER = 1, 2  # kinds
-WITH_CONFIDENCE = 1  # flag of a frame
+WITH_CONFIDENCE, WITH_TIME = 1, 2  # flags of a frame
 LIFTED, CONTINUED = 1, 2  # flags of an answer
 FINDINGS = 2  # bits by which the sum of a frame's findings (`Lift.findings`) is shifted in flags
 ALIGNED = 4  # bytes that a message is a multiple of
-HEADER = struct.Struct("<BBHI")
+HEADER, TIME = struct.Struct("<BBHI"), struct.Struct("<d")
 VIEW = np.dtype(
     [
         ("camera_models", "<i4"),  # -1 none, 0 weak perspective, 1 perspective, 2 fisheye
@@ -87,6 +89,29 @@ class StreamStart(BaseModel):
     )
     frame: FrameOfReference = Field("canonical", description=FRAME_OF_REFERENCE)
     up: Up | None = Field(None, description=UP)
+    lag: int | None = Field(
+        None,
+        ge=0,
+        le=MAX_LAG,
+        description="Frames are smoothed in time, and each is answered when so many more are "
+        "there: the more, the truer. Every frame has its time, or `fps` says how many a second "
+        "there are. Only for models of captures that told times, and whose noise could be told "
+        "from motion. Without it every frame is lifted as it comes.",
+    )
+    fps: float | None = Field(
+        None,
+        gt=0,
+        le=MAX_FPS,
+        description="Frames per second, in place of `time` in each frame of a stream with `lag`: "
+        "`sequence` then counts the frames that the cameras take, also those that are not sent.",
+    )
+
+    @field_validator("fps")
+    @classmethod
+    def _of_smoothed_frames(cls, fps: float | None, info: ValidationInfo) -> float | None:
+        if fps is not None and info.data.get("lag") is None:
+            raise ValueError("expected `lag` with it: frames are smoothed in time only then")
+        return fps
 
 
 class StreamLimits(BaseModel):
@@ -129,6 +154,8 @@ class StreamReady(BaseModel):
     continuity: bool
     frame: FrameOfReference
     up: Up | None
+    lag: int | None = Field(None, description="Only where it was asked for, as is `fps`.")
+    fps: float | None = None
     header_bytes: int = Field(HEADER.size, description="Of a binary message, before its arrays.")
     view_bytes: int = Field(VIEW.itemsize, description="Of each view in a binary answer.")
     seen_bytes: int = Field(
@@ -159,6 +186,24 @@ class StreamFrame(BaseModel):
     )
     keypoints: FRAME_KEYPOINTS
     confidence: FRAME_CONFIDENCE = None
+    time: float | None = Field(
+        None,
+        allow_inf_nan=False,
+        strict=True,
+        description="When it was taken, in seconds, after the frame before; in streams with `lag` "
+        "that were not told `fps`, and only there.",
+    )
+
+
+class StreamFlush(BaseModel):
+    """Asks for the answers to all frames so far, in a stream with `lag`.
+
+    The next frame has none before it to be smoothed with.
+    """
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"example": {"flush": True}})
+
+    flush: Literal[True]
 
 
 class StreamAnswer(BaseModel):

@@ -106,6 +106,7 @@ def lift_request(
     keypoints: Capture | ArrayLike,
     *,
     confidence: ArrayLike | None = None,
+    times: ArrayLike | None = None,
     refine: str | None = None,
     views: Iterable[int] | None = None,
     frame: str | None = None,
@@ -119,6 +120,8 @@ def lift_request(
         (N, K, P, 2) pixels, NaN where not observed; or a capture.
     confidence
         (N, K, P) in [0, 1]; 0 is not observed.
+    times
+        (N,) or (N, K) seconds, rising, with which frames are smoothed in time.
     refine
         ``auto``, ``full`` or ``off``: where frames are refined in perspective. None: as in the fit.
     views
@@ -129,9 +132,11 @@ def lift_request(
     if isinstance(keypoints, Capture):
         confidence = keypoints.confidence if confidence is None else confidence
         keypoints = keypoints.keypoints
-    arrays = {"keypoints": np.asarray(keypoints, np.float32)}
+    arrays: dict[str, NDArray[Any]] = {"keypoints": np.asarray(keypoints, np.float32)}
     if confidence is not None:
         arrays["confidence"] = np.asarray(confidence, np.float32)
+    if times is not None:
+        arrays["times"] = np.asarray(times, np.float64)
     return Request(
         "POST",
         "/lift",

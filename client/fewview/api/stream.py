@@ -20,6 +20,7 @@ from fewview.api.forms import Model
 from fewview.api.lifting import identifier
 from fewview.api.retries import pause_before
 from fewview.api.stream_messages import (
+    FLUSH,
     Answer,
     Dropped,
     Ready,
@@ -46,6 +47,11 @@ class Start(TypedDict, total=False):
         Whether frames follow each other, and refinement may start from the answer before.
     frame, up
         The frame of reference of the answers; see :meth:`~fewview.Client.lift`.
+    lag
+        Frames are smoothed in time, each by up to so many later ones, 0 to 50, for which its answer
+        waits. Only models that were fitted to noisy frames with times can.
+    fps
+        With ``lag``: how many frames there are a second; else every frame is sent with its time.
     """
 
     views: Sequence[int] | None
@@ -54,6 +60,8 @@ class Start(TypedDict, total=False):
     continuity: bool
     frame: str
     up: Sequence[float] | str | None
+    lag: int | None
+    fps: float | None
 
 
 class Line:
@@ -120,8 +128,16 @@ class Stream:
     ) -> None:
         self._stack.close()
 
-    def send(self, keypoints: ArrayLike, *, confidence: ArrayLike | None = None) -> int:
+    def send(
+        self,
+        keypoints: ArrayLike,
+        *,
+        confidence: ArrayLike | None = None,
+        time: float | None = None,
+    ) -> int:
         """Send a frame (K, P, 2), pixels, NaN where not observed; return its sequence number.
+
+        ``time`` is when it was taken, in seconds, in streams with ``lag`` and without ``fps``.
 
         Raises
         ------
@@ -130,8 +146,16 @@ class Stream:
         """
         sequence = next(self._sequences)
         with _talking():
-            self._socket.send(write_frame(sequence, keypoints, confidence))
+            self._socket.send(write_frame(sequence, keypoints, confidence, time))
         return sequence
+
+    def flush(self) -> None:
+        """Ask for the answers to all frames so far, in a stream with ``lag``.
+
+        The next frame has none before it to be smoothed with.
+        """
+        with _talking():
+            self._socket.send(FLUSH)
 
     def receive(self) -> Answer | Dropped:
         """Return the next answer.
@@ -146,9 +170,19 @@ class Stream:
         with _talking():
             return read_message(self._socket.recv(), self.ready.keypoints)
 
-    def lift(self, keypoints: ArrayLike, *, confidence: ArrayLike | None = None) -> Answer:
-        """Send a frame and wait for its answer; for when no other is under way."""
-        sequence = self.send(keypoints, confidence=confidence)
+    def lift(
+        self,
+        keypoints: ArrayLike,
+        *,
+        confidence: ArrayLike | None = None,
+        time: float | None = None,
+    ) -> Answer:
+        """Send a frame and wait for its answer; for when no other is under way.
+
+        Raises ValueError in a stream with a ``lag``, whose answers wait for later frames.
+        """
+        _check_waits_for_nothing(self.ready)
+        sequence = self.send(keypoints, confidence=confidence, time=time)
         while True:
             answer = self.receive()
             if isinstance(answer, Answer) and answer.sequence == sequence:
@@ -197,21 +231,42 @@ class AsyncStream:
     ) -> None:
         await self._stack.aclose()
 
-    async def send(self, keypoints: ArrayLike, *, confidence: ArrayLike | None = None) -> int:
+    async def send(
+        self,
+        keypoints: ArrayLike,
+        *,
+        confidence: ArrayLike | None = None,
+        time: float | None = None,
+    ) -> int:
         """Send a frame, as :meth:`Stream.send` does."""
         sequence = next(self._sequences)
         with _talking():
-            await self._socket.send(write_frame(sequence, keypoints, confidence))
+            await self._socket.send(write_frame(sequence, keypoints, confidence, time))
         return sequence
+
+    async def flush(self) -> None:
+        """Ask for the answers to all frames so far, as :meth:`Stream.flush` does."""
+        with _talking():
+            await self._socket.send(FLUSH)
 
     async def receive(self) -> Answer | Dropped:
         """Return the next answer, as :meth:`Stream.receive` does."""
         with _talking():
             return read_message(await self._socket.recv(), self.ready.keypoints)
 
-    async def lift(self, keypoints: ArrayLike, *, confidence: ArrayLike | None = None) -> Answer:
-        """Send a frame and wait for its answer; for when no other is under way."""
-        sequence = await self.send(keypoints, confidence=confidence)
+    async def lift(
+        self,
+        keypoints: ArrayLike,
+        *,
+        confidence: ArrayLike | None = None,
+        time: float | None = None,
+    ) -> Answer:
+        """Send a frame and wait for its answer; for when no other is under way.
+
+        Raises ValueError in a stream with a ``lag``, whose answers wait for later frames.
+        """
+        _check_waits_for_nothing(self.ready)
+        sequence = await self.send(keypoints, confidence=confidence, time=time)
         while True:
             answer = await self.receive()
             if isinstance(answer, Answer) and answer.sequence == sequence:
@@ -221,6 +276,11 @@ class AsyncStream:
         """Receive answers for ever."""
         while True:
             yield await self.receive()
+
+
+def _check_waits_for_nothing(ready: Ready) -> None:
+    if ready.raw.get("lag"):
+        raise ValueError("answers wait for later frames here: send them, receive answers, flush")
 
 
 @contextmanager

@@ -15,10 +15,11 @@ from fewview.capture import Float32
 from fewview.errors import ApiError, ConnectionFailed, api_error
 
 FRAME, ANSWER = 1, 2
-WITH_CONFIDENCE = 1
+WITH_CONFIDENCE, WITH_TIME = 1, 2
 LIFTED, CONTINUED = 1, 2
 ALIGNED = 4  # bytes that what an answer says of keypoints is filled up to
-HEADER = struct.Struct("<BBHI")
+HEADER, TIME = struct.Struct("<BBHI"), struct.Struct("<d")
+FLUSH = json.dumps({"flush": True})
 VIEW = np.dtype(
     [
         ("camera_models", "<i4"),
@@ -95,8 +96,10 @@ class Dropped:
     sequences: tuple[int, ...]
 
 
-def write_frame(sequence: int, keypoints: ArrayLike, confidence: ArrayLike | None) -> bytes:
-    """Return a frame's message: ``keypoints`` (K, P, 2) pixels, ``confidence`` (K, P).
+def write_frame(
+    sequence: int, keypoints: ArrayLike, confidence: ArrayLike | None, time: float | None = None
+) -> bytes:
+    """Return a frame's message: ``keypoints`` (K, P, 2) pixels, ``confidence`` (K, P), seconds.
 
     Raises
     ------
@@ -106,13 +109,16 @@ def write_frame(sequence: int, keypoints: ArrayLike, confidence: ArrayLike | Non
     points = np.asarray(keypoints, "<f4")
     if points.ndim != 3 or points.shape[2] != 2:
         raise ValueError(f"expected keypoints of one frame, (views, keypoints, 2): {points.shape}")
-    flags, trailer = 0, b""
+    flags, moment, trailer = 0, b"", b""
+    if time is not None:
+        flags, moment = WITH_TIME, TIME.pack(time)
     if confidence is not None:
         weights = np.asarray(confidence, "<f4")
         if weights.shape != points.shape[:2]:
             raise ValueError(f"expected confidence {points.shape[:2]}, got {weights.shape}")
-        flags, trailer = WITH_CONFIDENCE, weights.tobytes()
-    return HEADER.pack(FRAME, flags, len(points), sequence) + points.tobytes() + trailer
+        flags, trailer = flags | WITH_CONFIDENCE, weights.tobytes()
+    header = HEADER.pack(FRAME, flags, len(points), sequence)
+    return b"".join((header, moment, points.tobytes(), trailer))
 
 
 def read_message(message: str | bytes, keypoints: int) -> Answer | Dropped:

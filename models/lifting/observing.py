@@ -1,0 +1,169 @@
+"""What a prior sees of frames before it lifts them: outliers are left out, and noise is removed."""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from models.capture.fixed_lag import FixedLag
+from models.capture.noise_removal import NoiseRemoval
+from models.capture.observations import Observations, as_observations, join_frames
+from models.capture.outliers import OutlierJudge, OutlierModel
+from models.lifting.fitted_capture import FittedCapture
+from models.settings.keypoints import check_confidence, check_keypoints
+
+Float32 = NDArray[np.float32]
+
+MOST_JUDGES = 64  # choices of views to be prepared for at once
+
+
+class Observed(NamedTuple):
+    """N frames that are ready to be lifted."""
+
+    observations: Observations
+    outlier_probability: Float32 | None  # (N, K, P) as in `Answers`; None if nothing was judged
+    views: tuple[int, ...] | None  # of the fit; None if they are cameras unknown to it
+
+    def frames(self, chosen: slice) -> "Observed":
+        """Return some of the frames."""
+        judged = self.outlier_probability
+        part = None if judged is None else judged[chosen]
+        return Observed(self.observations.frames(chosen), part, self.views)
+
+
+def join_observed(parts: Sequence[Observed]) -> Observed:
+    """Join frames of the same views and keypoints, seen by one prior."""
+    if len(parts) == 1:
+        return parts[0]
+    judged = [part.outlier_probability for part in parts if part.outlier_probability is not None]
+    observations = join_frames([part.observations for part in parts])
+    return Observed(observations, np.concatenate(judged) if judged else None, parts[0].views)
+
+
+class Observer:
+    """What a fit learnt of its keypoints. Immutable, and safe to use from several threads."""
+
+    def __init__(
+        self,
+        capture: FittedCapture,
+        outliers: OutlierModel | None,
+        noise_removal: NoiseRemoval,
+        views_of_rig: int,
+    ) -> None:
+        """Keep these; `views_of_rig` are 0 if no cameras were found."""
+        self._capture, self._outliers, self._removal = capture, outliers, noise_removal
+        self._judges: dict[tuple[int, ...], OutlierJudge] = {}
+        learnt = 0 if outliers is None else len(outliers.mean)
+        self.views = learnt or noise_removal.views or views_of_rig  # of the fit; 0: nothing known
+
+    def observe(
+        self,
+        keypoints: ArrayLike,
+        confidence: ArrayLike | None,
+        views: Sequence[int] | None,
+        times: ArrayLike | None,
+    ) -> Observed:
+        """Return frames (N, K, P, 2) ready to be lifted; the rest is as in `FittedPrior.lift`."""
+        observed = self.judged(keypoints, confidence, views)
+        if observed.views is None:
+            return observed
+        removed = self._removal.remove(observed.observations, observed.views, times)
+        return observed._replace(observations=removed)
+
+    def follow(self, views: Sequence[int] | None, lag: int) -> "Following":
+        """Begin a film whose frames come one by one, and are answered `lag` frames later."""
+        chosen = self._views_of_fit(views, self.views if views is None else len(views)) or ()
+        return Following(self, chosen, FixedLag(self._removal, chosen, lag))
+
+    def judged(
+        self, keypoints: ArrayLike, confidence: ArrayLike | None, views: Sequence[int] | None
+    ) -> Observed:
+        """Return the observations of the keypoints that this prior has, without outliers."""
+        observations = self._of_capture(keypoints, confidence, views)
+        chosen = self._views_of_fit(views, observations.weights.shape[1])
+        if self._outliers is None or chosen is None:
+            return Observed(observations, None, chosen)
+        return Observed(*self._judge_of(chosen).without_outliers(observations), chosen)
+
+    def _of_capture(
+        self,
+        keypoints: ArrayLike,
+        confidence: ArrayLike | None,
+        views: Sequence[int] | None,
+    ) -> Observations:
+        if self._capture.whole:
+            observations = as_observations(keypoints, confidence)
+            self._check_count(observations.weights.shape[2])
+            return observations
+        pixels, weights = check_keypoints(keypoints), None
+        self._check_count(pixels.shape[2])
+        if confidence is not None:
+            weights = check_confidence(confidence, expected=pixels.shape[:3])
+        return as_observations(*self._capture.observations(pixels, weights, views))
+
+    def _check_count(self, came: int) -> None:
+        expected = len(self._capture.known)
+        if came != expected:
+            raise ValueError(
+                f"this prior was fitted to {expected} keypoints per view,"
+                f" got {came}; give them in the order of the fit, NaN for what was not observed"
+            )
+
+    def _judge_of(self, views: tuple[int, ...]) -> OutlierJudge:
+        """Return what judges frames of `views` of the fit; made once and kept."""
+        assert self._outliers is not None  # noqa: S101
+        judge = self._judges.get(views)
+        if judge is None:
+            if len(self._judges) >= MOST_JUDGES:
+                self._judges.clear()
+            judge = self._judges[views] = OutlierJudge(self._outliers, views)
+        return judge
+
+    def _views_of_fit(self, views: Sequence[int] | None, count: int) -> tuple[int, ...] | None:
+        """Return which views of the fit the `count` views of a lift are; None if not of the fit.
+
+        Raises ValueError if `views` does not name `count` different ones.
+        """
+        if views is None:
+            return tuple(range(count)) if count == self.views else None
+        different = len(views) == count == len(set(views))
+        if not different or (self.views and not all(0 <= view < self.views for view in views)):
+            raise ValueError(
+                f"views must name {count} different views of the {self.views or 'unknown'} of the"
+                f" fit, got {list(views)}"
+            )
+        return tuple(views) if self.views else None
+
+
+class Following:
+    """A film of which every frame is seen as it comes, smoothed by those around it."""
+
+    def __init__(self, observer: Observer, views: tuple[int, ...], smoother: FixedLag) -> None:
+        """Begin with the first frame, of these views of the fit; see `Observer.follow`."""
+        self._observer, self.views, self._smoother = observer, views, smoother
+        self._judged: deque[Float32 | None] = deque()  # of the frames that wait
+
+    def push(
+        self, keypoints: ArrayLike, confidence: ArrayLike | None, time: float
+    ) -> Observed | None:
+        """Take the next frame, (1, K, P, 2) pixels; return the one that is `lag` before it, if any.
+
+        Raises ValueError if it is malformed, or `time` in seconds is not after that of the last.
+        """
+        observed = self._observer.judged(keypoints, confidence, self.views)
+        told = self._smoother.push(observed.observations, time)
+        self._judged.append(observed.outlier_probability)
+        return self._told(told)
+
+    def flush(self) -> Observed | None:
+        """Return all frames that wait, if any; the next one begins another film."""
+        return self._told(self._smoother.flush())
+
+    def _told(self, observations: Observations | None) -> Observed | None:
+        if observations is None:
+            return None
+        judged = [self._judged.popleft() for _ in range(len(observations.weights))]
+        known = [one for one in judged if one is not None]
+        return Observed(observations, np.concatenate(known) if known else None, self.views)

@@ -1,0 +1,61 @@
+"""The frames of a stream with a lag: each is lifted when as many more have come."""
+
+import asyncio
+from collections import deque
+from concurrent.futures import Executor
+
+from models.lifting.lift import Lift
+from models.lifting.observing import Following
+from models.settings.config import Refine
+from service.realtime.engine import Engine
+from service.realtime.stream_frames import Frame
+from service.realtime.warm_models import WarmModel
+
+
+class SmoothedFrames:
+    """Takes frames one after the other, and returns which are answered by that."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        executor: Executor,
+        model: WarmModel,
+        following: Following,
+        refine: Refine,
+        *,
+        continuity: bool,
+    ) -> None:
+        """Smooth in threads of `executor`, and lift with the engine."""
+        self._engine, self._executor, self._model = engine, executor, model
+        self._following, self._refine, self._continuity = following, refine, continuity
+        self._waiting: deque[Frame] = deque()
+        self._previous: Lift | None = None
+
+    async def take(self, frame: Frame) -> list[tuple[Frame, Lift]]:
+        """Return the frames, with their lifts, that a good frame or a flush makes ready.
+
+        To be awaited before the next frame is given.
+        """
+        run = asyncio.get_running_loop().run_in_executor
+        if frame.flush:
+            observed = await run(self._executor, self._following.flush)
+        else:
+            assert frame.capture is not None  # noqa: S101
+            self._waiting.append(frame)
+            keypoints, confidence = frame.capture.keypoints, frame.capture.confidence
+            observed = await run(
+                self._executor, self._following.push, keypoints, confidence, frame.time
+            )
+        told: list[tuple[Frame, Lift]] = []
+        while observed is not None and len(told) < len(observed.observations.weights):
+            lift = await self._engine.lift_observed(
+                self._model,
+                observed.frames(slice(len(told), len(told) + 1)),
+                refine=self._refine,
+                previous=self._previous if self._continuity else None,
+            )
+            self._previous = lift
+            told.append((self._waiting.popleft(), lift))
+        if frame.flush:
+            self._previous = None
+        return told
