@@ -62,6 +62,12 @@ class Capture:
         seen: NDArray[np.bool_] = np.all(np.isfinite(self.keypoints), axis=-1)
         return seen if self.confidence is None else seen & (self.confidence > 0)
 
+    def seconds(self) -> Float64 | None:
+        """Return when frames were taken, (N,) or (N, K) in seconds, by times or rate; or None."""
+        if self.times is None and self.fps is not None:
+            return np.asarray(np.arange(self.frames) / self.fps)
+        return self.times
+
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what `POST /datasets` takes as npz: arrays without pickled objects."""
         known: dict[str, Any] = {

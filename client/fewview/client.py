@@ -70,7 +70,8 @@ class Api(Resource[Driver]):
             (N, K, P) in [0, 1]; 0 is not observed.
         times
             When the frames were taken, (N,) or (N, K) seconds, rising: they are then one film, and
-            smoothed in time if the model was fitted to one. None: each is lifted on its own.
+            smoothed in time if the model was fitted to one. None: those of the capture, if it is
+            one that tells them or a rate; else each frame is lifted on its own.
         refine
             ``auto``, ``full`` or ``off``: where frames are refined in perspective. None: as in
             the fit.

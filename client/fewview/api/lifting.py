@@ -131,6 +131,8 @@ def lift_request(
     """
     if isinstance(keypoints, Capture):
         confidence = keypoints.confidence if confidence is None else confidence
+        if times is None:
+            times = keypoints.seconds()
         keypoints = keypoints.keypoints
     arrays: dict[str, NDArray[Any]] = {"keypoints": np.asarray(keypoints, np.float32)}
     if confidence is not None:
