@@ -120,6 +120,11 @@ class FittedPrior:
         return self._noise_removal.motion is not None
 
     @property
+    def known_views(self) -> int:
+        """How many views the fit had; 0 if it learnt nothing about its views."""
+        return self._observer.views
+
+    @property
     def holds_lengths(self) -> bool:
         """Whether edges of the skeleton keep their lengths in refined lifts."""
         return self._skeleton is not None

@@ -51,6 +51,6 @@ def check_views(views: list[int], prior: FittedPrior, came: int) -> None:
         raise invalid("/views", f"expected one index per view: {came}, got {len(views)}")
     if len(set(views)) < came:
         raise invalid("/views", f"expected different views of the fit, got {views}")
-    fitted = None if prior.cameras is None else len(prior.cameras.resting)
-    if fitted is not None and max(views) >= fitted:
-        raise invalid("/views", f"expected views of the fit, 0 to {fitted - 1}, got {max(views)}")
+    if prior.known_views and max(views) >= prior.known_views:
+        last = prior.known_views - 1
+        raise invalid("/views", f"expected views of the fit, 0 to {last}, got {max(views)}")

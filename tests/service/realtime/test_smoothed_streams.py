@@ -30,7 +30,7 @@ from tests.service.realtime.conftest import (
 )
 from tests.sharing import fitted_once
 
-FRAMES, FPS, NOISE = 150, 50.0, 8.0
+FRAMES, FPS, NOISE = 300, 50.0, 8.0
 MOMENTS = np.arange(FRAMES, dtype=np.float64)
 TIMES = MOMENTS / FPS
 AZIMUTHS = [0.0, 90.0, 200.0]
