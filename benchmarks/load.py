@@ -66,6 +66,9 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--processes", type=int, default=2, help="of the API, against one: 2")
     parser.add_argument("--locked-seconds", type=float, default=30, help="of `outage`: 30")
     parser.add_argument("--stream-seconds", type=float, default=60, help="default: 60")
+    parser.add_argument(
+        "--stream-lag", type=int, help="frames; streams too whose frames are smoothed in time"
+    )
     parser.add_argument("--lifts", type=int, default=10_000, help="of `memory`: %(default)s")
     return parser.parse_args()
 

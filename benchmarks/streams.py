@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 import orjson
@@ -111,20 +112,28 @@ class Tally:
 async def measure_streams(
     running: Service, model: str, keypoints: Float32, arguments: argparse.Namespace
 ) -> tuple[dict[str, list[Row]], list[Bar]]:
-    """Let clients send at the pace of cameras: feed-forward, then refined with continuity."""
+    """Let clients send at the pace of cameras: feed-forward, then refined with continuity.
+
+    With `--stream-lag` also with frames that are smoothed in time.
+    """
     rows, bars = [], []
-    for rate, refine, most in ((120, "off", 20.0), (60, "auto", 30.0)):
-        start = {
+    lags = [None] if arguments.stream_lag is None else [None, arguments.stream_lag]
+    ways = ((120, "off", 20.0), (60, "auto", 30.0))
+    for (rate, refine, most), lag in product(ways, lags):
+        start: dict[str, object] = {
             "model": model,
             "refine": refine,
             "on_overload": "latest",
             "continuity": refine != "off",
         }
+        if lag is not None:
+            start |= {"lag": lag, "fps": rate}
         await _run(running, start, keypoints, rate, seconds=1)  # warms up
         own = time.process_time()
         tally = await _run(running, start, keypoints, rate, arguments.stream_seconds)
         own = time.process_time() - own
         name = "feed-forward" if refine == "off" else "refined, continuity"
+        name += "" if lag is None else f", lag {lag}"
         what = f"{CLIENTS} streams x {rate} frames/s, {name}"
         rows.append(
             {
@@ -148,12 +157,12 @@ async def _run(
     tally, chance = Tally(), random.Random(0)  # noqa: S311
     streams = [await Stream.open(running, **start) for _ in range(CLIENTS)]
     begin = time.perf_counter() + 0.1
-    count = round(rate * seconds)
+    count, lag = round(rate * seconds), start.get("lag")
     frames = [keypoints[n % len(keypoints)] for n in range(count)]
     await asyncio.gather(
         *(
             # No two cameras' ticks coincide for long.
-            _play(stream, frames, begin + chance.random() / rate, rate, tally)
+            _play(stream, frames, begin + chance.random() / rate, rate, tally, lag)
             for stream in streams
         )
     )
@@ -163,15 +172,18 @@ async def _run(
 
 
 async def _play(
-    stream: Stream, frames: list[Float32], begin: float, rate: int, tally: Tally
+    stream: Stream, frames: list[Float32], begin: float, rate: int, tally: Tally, lag: object
 ) -> None:
+    late = lag if isinstance(lag, int) else 0  # frames that an answer waits for
+
     async def listen() -> None:
         waiting = len(frames)
         while waiting:
             message = await stream.receive()
             if isinstance(message, bytes):
                 _, flags, _, sequence = HEADER.unpack_from(message)
-                tally.seconds.append(time.perf_counter() - begin - sequence / rate)
+                due = begin + min(sequence + late, len(frames) - 1) / rate
+                tally.seconds.append(time.perf_counter() - due)
                 tally.continued += bool(flags & CONTINUED)
                 waiting -= 1
                 continue
@@ -188,6 +200,8 @@ async def _play(
             await asyncio.sleep(begin + sequence / rate - time.perf_counter())
             await stream.send(message)
             tally.sent += 1
+        if lag is not None:
+            await stream.send('{"flush": true}')
     await asyncio.wait([listening], timeout=GRACE_SECONDS)
     if listening.done():
         listening.result()

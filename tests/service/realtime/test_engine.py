@@ -211,7 +211,7 @@ def test_a_model_in_use_is_in_memory_once(store: Store, weights: bytes) -> None:
 class Ending(FittedPrior):
     """A prior whose lifts end the thread that they run in."""
 
-    def lift(self, *_arguments: Any, **_more: Any) -> Lift:
+    def lift_observed(self, *_arguments: Any, **_more: Any) -> Lift:
         raise SystemExit
 
 

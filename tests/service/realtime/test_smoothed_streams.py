@@ -103,7 +103,7 @@ def test_smoothed_frames_come_late_in_their_order_and_are_truer(
     with started(http, smoothing, lag=lag) as socket:
         answers = []
         for n in range(FRAMES):
-            socket.send(timed(7 * n, NOISY[n], TIMES[n], form))
+            socket.send(timed(7 * n, NOISY[n], float(TIMES[n]), form))
             if n >= lag:
                 answers += told(socket, 1)
                 assert answers[-1][0] == 7 * (n - lag)
