@@ -71,7 +71,7 @@ class FixedLag:
             )
         if not 0 <= lag <= MAX_LAG:
             raise ValueError(f"lag must be 0 to {MAX_LAG} frames, got {lag}")
-        self._removal, self._motion, self._views, self._lag = removal, removal.motion, views, lag
+        self._motion, self._views, self._lag = removal.motion, views, lag
         self._noise = np.repeat(self._motion.noise[list(views)].reshape(-1), 2)  # (D,)
         self._basis, self._rates = falling_apart(self._motion.covariance_of(views), self._noise)
         denoiser = removal.denoiser
@@ -135,9 +135,11 @@ class FixedLag:
         told = []
         for n in range(count):
             if can_be_noise[n] and self._clip_length(window, n) >= LEAST_CLIP:
-                told.append(self._smoothed(window, n))
+                told.append(self._told(n, window.values[n], window.variances[n]))
+            elif self._poses is not None:
+                told.append(self._told(n, window.given[n], np.ones(len(self._noise))))
             else:
-                told.append(self._removal.remove(self._frames[n].observations, self._views, None))
+                told.append(self._frames[n].observations)
         for n in range(count):
             self._pass(window, n)
         recent = slice(max(end - REACH, 0), end)
@@ -154,9 +156,10 @@ class FixedLag:
         there = np.any(shown, axis=1)
         pixels = np.stack([frame.pixels for frame in self._frames])
         given = pixels.reshape(shown.shape) / self._noise
-        part = bridged(pixels, observed) / self._noise
-        if self._before is not None:  # what is not seen goes on as it was
-            part = np.where(shown, given, np.concatenate((self._part, self._latest))[: len(part)])
+        if self._before is None:
+            part = bridged(pixels, observed) / self._noise
+        else:  # what is not seen goes on as it was
+            part = np.where(shown, given, np.concatenate((self._part, self._latest))[: len(given)])
         gaps = ~shown.all(1)
         scores = np.where(shown, given, part) @ self._basis
         for _ in range(FILLING_ROUNDS if gaps.any() else 1):
@@ -200,10 +203,11 @@ class FixedLag:
         stop = int(end[0]) if len(end) else len(window.steps)
         return stop - int(first[-1]) if len(first) else stop + self._length
 
-    def _smoothed(self, window: _Window, n: int) -> Observations:
-        frame, values = self._frames[n], window.values[n]
+    def _told(self, n: int, values: Float64, variances: Float64) -> Observations:
+        """Return a frame of which this is known, drawn towards the poses of the fit."""
+        frame = self._frames[n]
         if self._poses is not None:
-            values = self._poses.combined(values, window.variances[n])
+            values = self._poses.combined(values, variances)
         pixels = (self._basis @ values * self._noise).reshape(frame.pixels.shape)
         shown = np.where(frame.observed[..., None], pixels, np.nan)
         return as_observations(shown[None], frame.observations.weights)
