@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 
 from models.bundle.bone_lengths import find_bone_lengths
 from models.bundle.initial_poses import WeakPerspectiveScene
-from models.bundle.problem import POSE, VIEW, Scene
+from models.bundle.instrumental_equations import NoisyFrames
+from models.bundle.problem import FOCAL, POSE, VIEW, Scene
 from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
+from models.calibrating.arrangement import MORE_ROUNDS
 from models.calibrating.camera_findings import camera_findings
+from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.handedness import DECIDED
@@ -39,9 +42,12 @@ from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 
 Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
 
 MOST_FRAMES, LEAST_FRAMES = 400, 20  # that are looked at
 OPERATIONS = 300_000_000  # in one iteration: half a second
+WORSE = 1.2  # times the noise before, with which cameras are no better for being adjusted
+UNSURE = 0.15  # of the log focal length: shapes tell it as well
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
 
 
@@ -53,6 +59,8 @@ def self_calibrate(
     image_sizes: ImageSizes | None,
     *,
     detected: Float64 | None = None,
+    noisy: NoisyFrames | None = None,
+    edges: Int64 | None = None,
 ) -> Steps[tuple[SelfCalibration, Scene]]:
     """Find lenses, handedness, resting cameras and the shape model; yields between iterations.
 
@@ -65,6 +73,10 @@ def self_calibrate(
     detected
         (N, K, P, 2) pixels, the keypoints with the noise that was removed from them; None: none
         was. What denoising makes of three views or more is no longer one rigid scene.
+    noisy
+        All frames of the capture, if noise was removed from them.
+    edges
+        (E, 2) keypoints that a skeleton joins.
 
     Returns
     -------
@@ -103,14 +115,22 @@ def self_calibrate(
     arranged = yield from search(problem, answers, config)
     problem, best, reason = arranged.checked.problem, arranged.checked.solution, arranged.reason
     kept, others = arranged.kept, other_lenses(problem, best)
-    rival = best
+    rival, told = best, 1.0
+    if noisy is not None:
+        told = min(1.0, best.noise / noisy.noise) ** 2
     if others and kept is not None:  # what others are held against is learnt as they are
         rival = yield from learn(problem, best)
     for name, tried_problem, tried_start in others:
         trial = yield from learn(tried_problem, tried_start)
-        if _log_posterior(tried_problem, trial) > _log_posterior(problem, rival) + BETTER_LENS:
+        gain = _log_posterior(tried_problem, trial, told) - _log_posterior(problem, rival, told)
+        if gain > BETTER_LENS:
             problem, best, rival, kept = tried_problem, trial, trial, None
             reason = f"{reason}; {name} lenses explain the keypoints better"
+    if noisy is not None:
+        adjusted = yield from _by_detected(problem, best, noisy, edges)
+        if adjusted is not None:
+            best, kept = adjusted
+            reason = f"{reason}; cameras are adjusted to keypoints as they were detected"
     clear = kept is None and best.noise < CLEAR * size
     if clear and find_bone_lengths(best.scene.points).steady:
         # The lens under which shapes look most alike need not be the true one, and with two views
@@ -132,13 +152,45 @@ def self_calibrate(
     return replace(found, findings=noticed), best.scene
 
 
-def _log_posterior(problem: Problem, solution: Solution) -> float:
+def _by_detected(
+    problem: Problem, best: Solution, noisy: NoisyFrames, edges: Int64 | None
+) -> Steps[tuple[Solution, Float64] | None]:
+    """Adjust cameras that rest to keypoints as they were detected, and all else to these cameras.
+
+    Returns also the deviations (K, VIEW) of the cameras; None if keypoints do not tell more than
+    shapes do, or if the cameras do not explain the clear ones as well as before.
+    """
+    resting = best.rig.resting
+    if not resting.any() or best.given_poses is not None:
+        return None
+    if edges is None or not len(edges):
+        edges = find_bone_lengths(best.scene.points).ends.T
+    believed = rig_prior(
+        problem._replace(kept=np.zeros_like(problem.kept)), best.rig, given_poses=None
+    )
+    # Shapes bend lenses most, and bent too far they are no start.
+    lenses = best.rig.lenses._replace(distortion=problem.reference.lenses.distortion)
+    start = best.rig._replace(lenses=lenses)
+    found = yield from adjust_to_detected(noisy, edges, start, believed)
+    if found is None:
+        return None
+    rig, surely = found
+    if surely[resting, FOCAL].max() > UNSURE:
+        return None
+    adjusted = yield from learn(
+        problem._replace(kept=resting), best._replace(rig=rig), rounds=MORE_ROUNDS
+    )
+    return None if adjusted.noise > WORSE * best.noise else (adjusted, surely)
+
+
+def _log_posterior(problem: Problem, solution: Solution, told: float) -> float:
     """Say how well lenses explain keypoints, with their prior; up to a constant.
 
-    Noise below the least that is reckoned with counts as no better: no lens model is so exact.
+    Noise below the least that is reckoned with counts as no better: no lens model is so exact. Of
+    keypoints whose noise was removed, only the share `told` tells something that others do not.
     """
     believed = rig_prior(problem, solution.rig, given_poses=solution.given_poses)
-    numbers = 2 * int((problem.weights > 0).sum())
+    numbers = told * 2 * int((problem.weights > 0).sum())
     return -numbers * math.log(solution.noise) - believed.cost(solution.rig) / 2
 
 

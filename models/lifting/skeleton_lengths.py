@@ -25,6 +25,7 @@ from models.numerics.matrices import (
     fill,
     inverse_symmetric,
 )
+from models.numerics.random_effects import random_effects
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import empty_aligned, in_slices
 from models.optics.lenses.projection import Lenses, differentiate_into
@@ -38,7 +39,6 @@ UNCERTAINTY = 0.1  # of a keypoint where no view tells it
 LEAST_FRAMES = 40  # that show both ends in two views
 MOST_EDGES = 128  # held at once: a frame takes the cube of their number
 STEPS, CONVERGED = 8, 1e-5  # of Gauss-Newton, and the last one worth taking
-BISECTIONS = 60
 TINY = 1e-12
 FRAMES_AT_A_TIME = 64
 
@@ -125,7 +125,7 @@ def learn_skeleton_lengths(
             *posed, rig.lenses, shown, ends, part.start, part.stop, lengths, variances
         ),
     )
-    means, scatter = _random_effects(lengths, variances)
+    means, scatter = random_effects(lengths, variances)
     scatter = np.hypot(scatter, LEAST_SCATTER)
     often = np.isfinite(variances).sum(0) >= LEAST_FRAMES
     hidden = 1 / (1 / variances).mean(0, where=np.isfinite(variances)).clip(TINY)  # (E,)
@@ -324,20 +324,3 @@ def _measure(
                 for j in range(3):
                     variance += along[i] * (spread[a, i, j] + spread[b, i, j]) * along[j]
             variances[n, e] = variance
-
-
-def _random_effects(measured: Float64, variances: Float64) -> tuple[Float64, Float64]:
-    """Means (E,) of what was measured (N, E), and how far it scatters beyond its variances.
-
-    Paule and Mandel, *Consensus values and weighting factors*, 1982: the scatter is that with which
-    the squared residuals are as large as they should be; none, if they are smaller anyway.
-    """
-    degrees = np.isfinite(variances).sum(0) - 1
-    low, high = np.zeros(measured.shape[1]), np.square(measured).max(0, initial=0.0)
-    for _ in range(BISECTIONS):
-        middle = (low + high) / 2
-        weights = 1 / (variances + middle)
-        means = (weights * measured).sum(0) / weights.sum(0).clip(TINY)
-        wide = (weights * np.square(measured - means)).sum(0) < degrees
-        low, high = np.where(wide, low, middle), np.where(wide, middle, high)
-    return means, np.sqrt(low)

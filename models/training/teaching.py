@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from models.bundle.initial_poses import WeakPerspectiveScene
+from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.problem import Views
 from models.calibrating.handedness import NothingFoundError, same_hand
 from models.calibrating.image_sizes import ImageSizes
@@ -154,6 +155,8 @@ class Teaching:
                 self._config,
                 self._image_sizes,
                 detected=self._detected.pixels(frames).double().numpy(),
+                noisy=self._noisy_frames(),
+                edges=self._edges,
             )
         except (LinAlgError, NothingFoundError):
             logger.warning("The keypoints do not say what the cameras are", exc_info=True)
@@ -165,6 +168,18 @@ class Teaching:
         self.self_calibration = found
         scene_is_mirrored = not same_hand(scene.points, answers.points)
         self.state.mirrored = (prior.foreshortening < 0) != scene_is_mirrored
+
+    def _noisy_frames(self) -> NoisyFrames | None:
+        """Return all frames before and after noise was removed from them; None if none was."""
+        if self._removed_noise is None:
+            return None
+        every = torch.arange(len(self._data.weights))
+        return NoisyFrames(
+            self._data.pixels(every).double().numpy(),
+            self._detected.pixels(every).double().numpy(),
+            self._data.weights.double().numpy(),
+            self._removed_noise[0],
+        )
 
     def _learn_lengths(
         self, prior: FittedPrior, found: SelfCalibration | None

@@ -1,0 +1,27 @@
+"""Means of what was measured with known errors, and how much it truly varies."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+
+BISECTIONS = 60
+TINY = 1e-12
+
+
+def random_effects(measured: Float64, variances: Float64) -> tuple[Float64, Float64]:
+    """Means (E,) of what was measured (N, E), and how far it scatters beyond its variances.
+
+    Variances are infinite where nothing was measured. Paule and Mandel, *Consensus values and
+    weighting factors*, 1982: the scatter is that with which the squared residuals are as large as
+    they should be; none, if they are smaller anyway.
+    """
+    degrees = np.isfinite(variances).sum(0) - 1
+    low, high = np.zeros(measured.shape[1]), np.square(measured).max(0, initial=0.0)
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        weights = 1 / (variances + middle)
+        means = (weights * measured).sum(0) / weights.sum(0).clip(TINY)
+        wide = (weights * np.square(measured - means)).sum(0) < degrees
+        low, high = np.where(wide, low, middle), np.where(wide, middle, high)
+    return means, np.sqrt(low)
