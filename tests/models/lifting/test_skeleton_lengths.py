@@ -18,7 +18,7 @@ from models.numerics.tensor_files import WeightsError, pack, read_about
 from models.optics.lenses.projection import Lenses
 from models.settings.config import FitConfig
 from models.training.trainer import Trainer, fit
-from tests.models.rigs import Float64, RigCapture, keypoint, make_rig_capture
+from tests.models.rigs import FOCAL, Float64, RigCapture, keypoint, make_rig_capture
 from tests.sharing import fitted_once
 
 AZIMUTHS = [0.0, 70.0]
@@ -147,6 +147,15 @@ def test_limbs_of_noisy_lifts_keep_their_lengths(
     assert errors[0] < 0.93 * errors[1]
     assert scatter[0] < 0.1 * scatter[1]
     np.testing.assert_array_equal(held.rotations, loose.rotations)
+
+
+def test_two_noisy_views_tell_their_lenses_by_edges(prior: FittedPrior) -> None:
+    cameras = prior.cameras
+    assert cameras is not None
+    assert "as they were detected" in cameras.reason
+    off = np.abs(cameras.focals[:, 0] - FOCAL)
+    assert (off < 0.05 * FOCAL).all()
+    assert (off < 3 * cameras.focal_sds).all()
 
 
 def test_edges_change_nothing_where_keypoints_are_clear() -> None:
