@@ -34,7 +34,7 @@ from models.calibrating.problem import (
     usual_rig,
 )
 from models.calibrating.result import SelfCalibration
-from models.calibrating.search import search
+from models.calibrating.search import Arranged, search
 from models.calibrating.told_cameras import unit_by_length
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
@@ -113,19 +113,10 @@ def self_calibrate(
         kept=np.zeros(len(lens_sds), bool),
     )
     arranged = yield from search(problem, answers, config)
-    problem, best, reason = arranged.checked.problem, arranged.checked.solution, arranged.reason
-    kept, others = arranged.kept, other_lenses(problem, best)
-    rival, told = best, 1.0
+    told = 1.0  # of what keypoints say, the share that is not said by others, too
     if noisy is not None:
-        told = min(1.0, best.noise / noisy.noise) ** 2
-    if others and kept is not None:  # what others are held against is learnt as they are
-        rival = yield from learn(problem, best)
-    for name, tried_problem, tried_start in others:
-        trial = yield from learn(tried_problem, tried_start)
-        gain = _log_posterior(tried_problem, trial, told) - _log_posterior(problem, rival, told)
-        if gain > BETTER_LENS:
-            problem, best, rival, kept = tried_problem, trial, trial, None
-            reason = f"{reason}; {name} lenses explain the keypoints better"
+        told = min(1.0, arranged.checked.solution.noise / noisy.noise) ** 2
+    problem, best, kept, reason = yield from _with_likely_lenses(arranged, told)
     if noisy is not None:
         adjusted = yield from _by_detected(problem, best, noisy, edges)
         if adjusted is not None:
@@ -150,6 +141,23 @@ def self_calibrate(
     )
     noticed = (*found.findings, *camera_findings(found, problem.images, problem.size))
     return replace(found, findings=noticed), best.scene
+
+
+def _with_likely_lenses(
+    arranged: Arranged, told: float
+) -> Steps[tuple[Problem, Solution, Float64 | None, str]]:
+    """Try the camera models that the lenses look like; returns also what `Arranged` has of them."""
+    problem, best, kept = arranged.checked.problem, arranged.checked.solution, arranged.kept
+    rival, reason, others = best, arranged.reason, other_lenses(problem, best)
+    if others and kept is not None:  # what others are held against is learnt as they are
+        rival = yield from learn(problem, best)
+    for name, tried_problem, tried_start in others:
+        trial = yield from learn(tried_problem, tried_start)
+        gain = _log_posterior(tried_problem, trial, told) - _log_posterior(problem, rival, told)
+        if gain > BETTER_LENS:
+            problem, best, rival, kept = tried_problem, trial, trial, None
+            reason = f"{reason}; {name} lenses explain the keypoints better"
+    return problem, best, kept, reason
 
 
 def _by_detected(
@@ -187,7 +195,7 @@ def _log_posterior(problem: Problem, solution: Solution, told: float) -> float:
     """Say how well lenses explain keypoints, with their prior; up to a constant.
 
     Noise below the least that is reckoned with counts as no better: no lens model is so exact. Of
-    keypoints whose noise was removed, only the share `told` tells something that others do not.
+    keypoints whose noise was removed, only the share `told` says something that others do not.
     """
     believed = rig_prior(problem, solution.rig, given_poses=solution.given_poses)
     numbers = told * 2 * int((problem.weights > 0).sum())
