@@ -35,6 +35,7 @@ FILLING_ROUNDS = 15  # of filling what was not observed
 # Noise is white if the eigenvalues between these places, as shares of all, fall no more than so
 # many times as steeply as those of white noise.
 TAIL_START, TAIL_END, MOST_STEEPNESS = 0.55, 0.95, 1.2
+UNLIKE = 2.0  # standard errors by which a frame must lie further off than noise explains
 LEAST_NOISE = 0.02  # of a view's size: with less noise than that, geometry does better alone
 
 
@@ -74,7 +75,22 @@ class Denoiser(NamedTuple):
 
         in_slices(len(pixels), FRAMES_AT_A_TIME, denoise_part)
         signal = mean + (scores @ flat.T).reshape(pixels.shape)
-        return as_observations(np.where(observed[..., None], signal, np.nan), observations.weights)
+        kept = pixels - (1 - self._unknown_share(pixels - signal, observed)) * (pixels - signal)
+        return as_observations(np.where(observed[..., None], kept, np.nan), observations.weights)
+
+    def _unknown_share(self, removed: Float64, observed: NDArray[np.bool_]) -> Float64:
+        """Of what would be removed (N, K, P, 2) from frames, the share that is no noise.
+
+        A frame unlike those of the fit lies further from its expectation than noise explains. The
+        rest is what the mixture does not know of it: (N, 1, 1, 1), 0 where noise explains all.
+        """
+        count = 2 * observed.sum((1, 2)).clip(1)  # (N,)
+        squares = np.where(observed[..., None], np.square(removed), 0).sum((1, 2, 3)) / count
+        variance = self.noise**2
+        unlike = squares > variance * (1 + UNLIKE * np.sqrt(2 / count))
+        unknown = np.where(unlike, squares - variance, 0)
+        share: Float64 = unknown / (variance + unknown)
+        return share.reshape(-1, 1, 1, 1)
 
     def to_arrays(self) -> Arrays:
         """Return the denoiser as tensors, for a file."""

@@ -119,6 +119,16 @@ def test_poses_that_come_back_tell_of_each_other() -> None:
     assert left < 0.3 * gaussian
 
 
+def test_frames_unlike_the_fit_are_not_harmed(clean: Float64, model: Denoiser) -> None:
+    """What they do that no frame of the fit did is kept, if it stands out from the noise."""
+    rng = np.random.default_rng(8)
+    for size in (0.5, 1.0, 2.0, 4.0):  # of what is new, in the noise
+        new = clean + size * NOISE * rng.standard_normal(clean.shape[1:])
+        noisy = new + rng.normal(0, NOISE, new.shape)
+        left = np.sqrt(np.mean((pixels(noisy, model, [0, 1]) - new) ** 2))
+        assert left < NOISE
+
+
 def test_a_fit_stores_it_and_lifts_with_it(noisy: Float64) -> None:
     quick = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8, refine="off")
     prior = fit(noisy, quick)
