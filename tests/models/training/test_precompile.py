@@ -12,7 +12,7 @@ from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.calibration import KnownLength
 from models.settings.config import FitConfig
-from models.training.precompile import compile_all
+from models.training.precompile import compile_all, noisy_capture_at_rest
 from models.training.trainer import Trainer, fit
 
 def signatures():
@@ -48,6 +48,10 @@ for refine, cameras in (("auto", "auto"), ("full", "moving"), ("off", "auto")):
         prior.lift(capture.keypoints[::-1, ::2], views=(0, 2), refine=mode)
         prior.lift(capture.keypoints.astype(np.float64)[:, :1], refine=mode)
 fit(capture.keypoints[:, :1], FitConfig(steps=4))
+noisy = noisy_capture_at_rest()[:70]
+prior = fit(noisy, FitConfig(steps=40, batch_size=32, cameras="static"), edges=[[0, 1], [1, 2]])
+assert "noise were removed" in prior.cameras.reason
+prior.lift(noisy[:1])
 fit(synthetic_capture(frames=30, views=2, noise=5, seed=3).keypoints[:, :, :5], FitConfig(steps=4))
 print("\\n".join(sorted(signatures() - before)))
 """
