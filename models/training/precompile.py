@@ -49,7 +49,7 @@ def noisy_capture_at_rest() -> NDArray[np.float64]:
     figure = synthetic_capture(frames=POSES, views=1, seed=2).points3d.astype(np.float64)
     figure = np.tile(figure - figure.mean((0, 1)), (REPEATED, 1, 1))
     aside = figure[..., [2, 1, 0]] * [1, 1, -1]  # as a camera sees it that stands at its side
-    cameras = np.stack((figure, aside), axis=1) + [0, 0, DISTANCE]
+    cameras = np.stack((figure, aside), axis=1) + np.array([0, 0, DISTANCE])
     pixels = FOCAL * cameras[..., :2] / cameras[..., 2:] + MIDDLE
     noise = np.random.default_rng(3).standard_normal(pixels.shape)
     return np.asarray(pixels + NOISE * noise, np.float64)
