@@ -48,7 +48,7 @@ for refine, cameras in (("auto", "auto"), ("full", "moving"), ("off", "auto")):
         prior.lift(capture.keypoints[::-1, ::2], views=(0, 2), refine=mode)
         prior.lift(capture.keypoints.astype(np.float64)[:, :1], refine=mode)
 fit(capture.keypoints[:, :1], FitConfig(steps=4))
-noisy = noisy_capture_at_rest()[:70]
+noisy = noisy_capture_at_rest()[::-1]
 prior = fit(noisy, FitConfig(steps=40, batch_size=32, cameras="static"), edges=[[0, 1], [1, 2]])
 assert "noise were removed" in prior.cameras.reason
 prior.lift(noisy[:1])
