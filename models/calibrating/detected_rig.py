@@ -28,6 +28,7 @@ Int64 = NDArray[np.int64]
 ROUNDS = 30  # of linearising anew, at most
 CONVERGED, LONGEST_STEP = 1e-3, 0.15  # radians, logarithms and baselines, in a round
 MOST_NUMBERS = 8_000_000  # of derivatives: 64 MB
+MOST_EDGES = 128  # that are asked: each frame has a matrix of as many rows
 GAUGE = 1e6  # inverse variance of how large the whole is, which nothing tells
 # Lengths are in units of each edge's usual length.
 LEAST_SCATTER = 0.02  # keypoints do not sit on bones, so no length is held steadier
@@ -44,7 +45,7 @@ def adjust_to_detected(
     Parameters
     ----------
     frames
-        As many as there are; too many for the memory are thinned out.
+        As many as there are; too many for the memory are thinned out, and so are edges.
     edges
         (E, 2) keypoints whose distance may stay the same; how far it does is learnt.
     rig
@@ -63,6 +64,7 @@ def adjust_to_detected(
         When what is free is not determined.
     """
     resting = rig.resting
+    edges = edges[:: max(1, -(-len(edges) // MOST_EDGES))]
     frames = _thinned(frames, max(3 * frames.weights.shape[2], len(edges)) * VIEW * len(resting))
     free = believed.free & np.repeat(resting, VIEW)
     points = triangulate_clear(frames, rig)

@@ -177,17 +177,22 @@ def _by_detected(
         problem._replace(kept=np.zeros_like(problem.kept)), best.rig, given_poses=None
     )
     # Shapes bend lenses most, and bent too far they are no start.
-    lenses = best.rig.lenses._replace(distortion=problem.reference.lenses.distortion)
-    start = best.rig._replace(lenses=lenses)
-    found = yield from adjust_to_detected(noisy, edges, start, believed)
-    if found is None:
-        return None
-    rig, surely = found
-    if surely[resting, FOCAL].max() > UNSURE:
-        return None
-    adjusted = yield from learn(
-        problem._replace(kept=resting), best._replace(rig=rig), rounds=MORE_ROUNDS
+    ours, usual = best.rig.lenses, problem.reference.lenses
+    straight = ours._replace(
+        distortion=np.where(resting[:, None], usual.distortion, ours.distortion)
     )
+    try:
+        found = yield from adjust_to_detected(
+            noisy, edges, best.rig._replace(lenses=straight), believed
+        )
+        if found is None or not found[1][resting, FOCAL].max() < UNSURE:
+            return None
+        rig, surely = found
+        adjusted = yield from learn(
+            problem._replace(kept=resting), best._replace(rig=rig), rounds=MORE_ROUNDS
+        )
+    except np.linalg.LinAlgError:
+        return None
     return None if adjusted.noise > WORSE * best.noise else (adjusted, surely)
 
 

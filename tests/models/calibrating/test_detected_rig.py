@@ -132,3 +132,16 @@ def test_what_moves_and_what_is_not_seen_says_nothing(pair: RigCapture) -> None:
     second, _ = adjusted(pair, start, spoilt)
     np.testing.assert_array_equal(first.lenses.focals, second.lenses.focals)
     np.testing.assert_allclose(first.lenses.focals, whole.lenses.focals, rtol=0.03)
+
+
+def test_more_edges_than_can_be_asked_are_thinned_out(pair: RigCapture) -> None:
+    start, frames = rig_of(pair, focal=0.9 * TRUE_FOCAL), frames_of(pair)
+    rig, _ = adjusted(pair, start, frames, np.tile(JOINED, (20, 1)))
+    np.testing.assert_allclose(rig.lenses.focals, TRUE_FOCAL, rtol=0.06)
+
+
+def test_what_nothing_determines_is_said(pair: RigCapture) -> None:
+    frames, start = frames_of(pair), rig_of(pair)
+    nothing = frames._replace(weights=np.zeros_like(frames.weights))
+    with pytest.raises(np.linalg.LinAlgError):
+        adjusted(pair, start, nothing)
