@@ -117,7 +117,9 @@ def test_frames_unlike_those_of_the_fit_keep_what_smoothing_makes_of_them() -> N
     motion = learn_motion(as_observations(noisy), TIMES)
     denoiser = learn_denoiser(as_observations(noisy[:130]))
     assert denoiser is not None
-    new = slice(180, None)
+    known, new = slice(130), slice(180, None)
+    alone = pixels_of(denoiser.denoise(as_observations(noisy), VIEWS))[0]
+    assert left(alone[new], truth[new]) > 1.5 * left(alone[known], truth[known])
     for lag in (0, 5):
         by_time = followed(NoiseRemoval(None, motion), noisy, TIMES, lag)
         by_both = followed(NoiseRemoval(denoiser, motion), noisy, TIMES, lag)
