@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.frame import cost_of, descend, make_scene
-from models.bundle.frame_equations import point_in_camera_into
+from models.bundle.frame_equations import point_in_camera_into, whiten
 from models.bundle.initial_poses import gather_frame, start_view
+from models.bundle.known_structures import KnownStructures
 from models.bundle.problem import Rig, Scene, ShapePrior, Views, prior_about
 from models.lifting.skeleton_lengths import SkeletonLengths
 from models.network.answers import Answers
@@ -38,6 +39,7 @@ class Refiner(NamedTuple):
     noise: float  # pixels
     unit: float  # the user's, of a unit of the structure
     held: SkeletonLengths  # of frames that two views or more show
+    known: KnownStructures  # of the fit
 
 
 class Explanation(NamedTuple):
@@ -123,28 +125,38 @@ def previous_start_into(
     refiner: Refiner, previous: Answers, n: int, mean: Float64, start: Explanation
 ) -> None:
     """Write the perspective answer of the frame before, brought onto `mean` (P, 3)."""
-    count, unit = len(mean), refiner.unit
-    points, rotation, centre = np.empty((count, 3)), np.empty((3, 3)), np.empty(3)
+    count, views, unit = len(mean), len(start.translations), refiner.unit
+    earlier = make_explanation(count, views)
     for p in range(count):
         for i in range(3):
-            points[p, i] = previous.points3d[n, p, i] / unit
-    scale = _align_into(points, mean, start.points, rotation, centre)
-    own, shift = np.empty((3, 3)), np.empty(3)
-    for k in range(len(start.translations)):
-        there = previous.camera_models[n, k] > 0
-        if there:
+            earlier.points[p, i] = previous.points3d[n, p, i] / unit
+    for k in range(views):
+        if previous.camera_models[n, k] > 0:
             for i in range(3):
-                shift[i] = previous.translations[n, k, i] / unit
+                earlier.translations[k, i] = previous.translations[n, k, i] / unit
                 for j in range(3):
-                    own[i, j] = previous.rotations[n, k, i, j]
+                    earlier.rotations[k, i, j] = previous.rotations[n, k, i, j]
         else:  # harmless numbers
-            identity(own)
-            shift[0], shift[1], shift[2] = 0.0, 0.0, 1.0
-        product(own, rotation, start.rotations[k])
+            identity(earlier.rotations[k])
+            for i in range(3):
+                earlier.translations[k, i] = 1.0 if i == 2 else 0.0
+    align_explanation_into(earlier, mean, start)
+
+
+@inner
+def align_explanation_into(explanation: Explanation, mean: Float64, out: Explanation) -> None:
+    """Bring an explanation onto `mean` (P, 3): cameras see the same. Errors are not written."""
+    rotation, centre, shift = np.empty((3, 3)), np.empty(3), np.empty(3)
+    scale = _align_into(explanation.points, mean, out.points, rotation, centre)
+    for k in range(len(out.translations)):
+        own = explanation.rotations[k]
+        product(own, rotation, out.rotations[k])
         for i in range(3):
+            shift[i] = explanation.translations[k, i]
             for j in range(3):
                 shift[i] += own[i, j] * centre[j]
-            start.translations[k, i] = scale * shift[i]
+        for i in range(3):
+            out.translations[k, i] = scale * shift[i]
 
 
 @inner
@@ -179,11 +191,24 @@ def explain(
     out: Explanation,
 ) -> float:
     """Refine a start and write the outcome; returns minus twice the log posterior."""
-    scene = make_scene(len(mean), len(rig.size_precision))
+    return explain_with(_prior(refiner, usable, mean), rig, views, usable, start, out)[0]
+
+
+@inner
+def explain_with(
+    prior: ShapePrior, rig: Rig, views: Views, usable: Bool, start: Explanation, out: Explanation
+) -> tuple[float, float]:
+    """Refine a start with a prior and write the outcome.
+
+    Returns minus twice the log posterior, and that of the prior alone, each up to a constant.
+    """
+    count = len(start.points)
+    scene = make_scene(count, len(rig.size_precision))
     _as_groups(rig, usable, start, scene)
-    cost = descend(views, rig, _prior(refiner, usable, mean), scene, ITERATIONS)
+    cost = descend(views, rig, prior, scene, ITERATIONS)
+    misfit, _ = whiten(scene.points, prior, np.empty((count, 3)))
     size = math.exp(scene.sizes[0])  # views that move on their own have size 1, distance tells
-    for p in range(len(mean)):
+    for p in range(count):
         for i in range(3):
             out.points[p, i] = scene.points[p, i] * size
     for k in range(len(usable)):
@@ -194,7 +219,7 @@ def explain(
         for i in range(3):
             out.translations[k, i] *= size / growth
     write_errors(rig, views, out)
-    return cost
+    return cost, misfit
 
 
 @inner

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import torch
 from numpy.typing import ArrayLike
 
+from models.bundle.known_structures import KnownStructures
 from models.calibrating.result import SelfCalibration, camera_report
 from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
 from models.capture.denoising import Denoiser
@@ -43,7 +44,7 @@ from models.settings.keypoints import (
 
 # Before the names of their arrays in a file.
 DENOISER, MOTION, OUTLIERS = "denoiser.", "motion.", "outliers."
-CAMERAS, SKELETON = "cameras.", "skeleton."
+CAMERAS, SKELETON, STRUCTURES = "cameras.", "skeleton.", "structures."
 LIFTED_FRAMES, REFINED_FRAMES = 64, 16  # that a thread takes at a time
 MOST_REFINERS = 64  # choices of views to be prepared for at once
 
@@ -62,11 +63,13 @@ class FittedPrior:
         capture: FittedCapture | None = None,
         outliers: OutlierModel | None = None,
         skeleton: SkeletonLengths | None = None,
+        structures: KnownStructures | None = None,
     ) -> None:
         self.config = config
         self._noise_removal = noise_removal or NoiseRemoval()
         self._outliers = outliers
         self._skeleton = skeleton
+        self._structures = structures
         self.cameras = None if self_calibration is None else camera_report(self_calibration)
         self._self_calibration = self_calibration
         self.curve = curve
@@ -96,6 +99,7 @@ class FittedPrior:
             capture,
             outliers,
             self._skeleton,
+            self._structures,
         )
 
     @property
@@ -274,7 +278,7 @@ class FittedPrior:
             if len(self._refiners) >= MOST_REFINERS:
                 self._refiners.clear()
             refiner = self._refiners[key] = make_refiner(
-                self._self_calibration, views, count, self._skeleton
+                self._self_calibration, views, count, self._skeleton, self._structures
             )
         return refiner
 
@@ -306,6 +310,9 @@ class FittedPrior:
         if self._skeleton is not None:
             about["skeleton"] = "yes"
             arrays |= prefixed(SKELETON, self._skeleton.to_arrays())
+        if self._structures is not None:
+            about["structures"] = "yes"
+            arrays |= prefixed(STRUCTURES, self._structures.to_arrays())
         return pack(arrays, kind="prior", about=about)
 
     @classmethod
@@ -340,8 +347,10 @@ class FittedPrior:
             shapes |= prefixed(OUTLIERS, OutlierModel.shapes(keypoints))
         if "skeleton" in about:
             shapes |= prefixed(SKELETON, SkeletonLengths.shapes())
+        if "structures" in about:
+            shapes |= prefixed(STRUCTURES, KnownStructures.shapes(keypoints))
         arrays = unpack(data, shapes=shapes)
-        found = denoiser = motion = outliers = skeleton = None
+        found = denoiser = motion = outliers = skeleton = structures = None
         if "cameras" in about:
             found = from_arrays(without_prefix(CAMERAS, arrays), about["cameras"])
         if "denoiser" in about:
@@ -353,6 +362,8 @@ class FittedPrior:
         if "skeleton" in about:
             of_skeleton = without_prefix(SKELETON, arrays)
             skeleton = SkeletonLengths.from_arrays(of_skeleton, keypoints)
+        if "structures" in about:
+            structures = KnownStructures.from_arrays(without_prefix(STRUCTURES, arrays))
         return cls(
             config,
             {name: arrays[name] for name in weights},
@@ -363,4 +374,5 @@ class FittedPrior:
             capture,
             outliers,
             skeleton,
+            structures,
         )

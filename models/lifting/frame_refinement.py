@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from models.bundle.known_structures import KnownStructures, no_structures
 from models.bundle.problem import Rig, Views, make_rig, make_shape_prior, moving_rig
 from models.calibrating.result import SelfCalibration
 from models.capture.observations import Observations
@@ -25,6 +26,7 @@ from models.lifting.explanations import (
     start_cost,
     write_errors,
 )
+from models.lifting.neighbours import complete_from_neighbours
 from models.lifting.skeleton_lengths import SkeletonLengths, hold_lengths, no_lengths
 from models.network.answers import RIG_NOT_USED, Answers
 from models.numerics.compiled import compiled, inner
@@ -59,10 +61,12 @@ def make_refiner(
     views: Sequence[int] | None,
     count: int,
     skeleton: SkeletonLengths | None = None,
+    structures: KnownStructures | None = None,
 ) -> Refiner:
     """Prepare to refine frames of `views` of the fit, or of `count` cameras it does not know.
 
-    Lengths of the `skeleton` are held where a rig at rest says how large structures are.
+    Lengths of the `skeleton` are held where a rig at rest says how large structures are. Known
+    `structures` tell what few views of a frame do not.
     """
     rig = sub_rig(calibration, views, count)
     errors, shapes = calibration.network_errors, calibration.shapes
@@ -76,6 +80,7 @@ def make_refiner(
         calibration.noise,
         calibration.unit,
         no_lengths() if skeleton is None or not rig.resting.all() else skeleton,
+        no_structures(len(shapes.mean)) if structures is None else structures,
     )
 
 
@@ -156,6 +161,8 @@ def refine_frames(
                 if other_cost < BETTER * cost:
                     copy_explanation(other, best)
                     cost, continued, apart = other_cost, False, hypothesis.apart
+        rig = refiner.apart if apart else refiner.rig
+        complete_from_neighbours(refiner, rig, views, usable, best, start, other)
         accepted = _accept(best, cost, answers.reprojection_errors[n], usable, always)
         if accepted:
             answers.continued[n] = continued

@@ -3,8 +3,9 @@
 import logging
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
+from typing import TypeVar, cast
 
 import numpy as np
 import torch
@@ -14,7 +15,9 @@ from torch import Tensor
 
 from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.instrumental_equations import NoisyFrames
+from models.bundle.known_structures import LEAST_STRUCTURES, WEIGHTS, KnownStructures
 from models.bundle.problem import Views
+from models.bundle.shape_model import align
 from models.calibrating.handedness import NothingFoundError, same_hand
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
@@ -34,10 +37,13 @@ from models.training.teachers import Teachers, draw_frames, find_teachers, persp
 from models.training.usual import learn_usual
 
 logger = logging.getLogger(__name__)
+Outcome = TypeVar("Outcome")
 
 LIFTED_FRAMES = 256  # between two chances to stop
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
 LENGTH_FRAMES = 2000  # plenty to learn the lengths of a skeleton
+HIDDEN = 0.01  # share of the keypoints that fewer than two views tell: structures are learnt again
+ROUNDS = 3  # of that
 
 
 class Teaching:
@@ -74,15 +80,14 @@ class Teaching:
         Without cameras, `most` teachers are settled at most.
         """
         config, data, state = self._config, self._data, self.state
-        seed = [config.seed, step, 2]
         if state.cameras == "not_sought":
             if config.distillation:
+                seed = [config.seed, step, 2]
                 self.teachers = find_teachers(
                     self._network, data.keypoints, data.weights, most=most, seed=seed
                 )
             return
-        every, width = len(data.weights), self._network.width()
-        frames = draw_frames(data.weights, most=every, width=width, seed=seed)
+        frames = self._frames_of_several_views(step)
         if not len(frames):
             return
         if self.self_calibration is None:
@@ -103,11 +108,16 @@ class Teaching:
     def result(self, step: int, curve: list[CurvePoint]) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
         found = self.self_calibration
-        if found is not None:
-            found = self._with_network_errors(found, step)
-        prior = self._as_prior(found, curve)
+        if found is None:
+            return self._as_prior(None, curve)
+        found = self._with_network_errors(found, step)
+        frames = self._frames_of_several_views(step)
+        structures, _ = run_to_end(self._learn_structures(found, frames))
+        prior = self._as_prior(found, curve, structures=structures)
         skeleton = self._learn_lengths(prior, found)
-        return prior if skeleton is None else self._as_prior(found, curve, skeleton)
+        if skeleton is None:
+            return prior
+        return self._as_prior(found, curve, skeleton, structures)
 
     def usual(self) -> Usual:
         """Return what is usual of the frames of the fit, with the network as it is now."""
@@ -118,6 +128,7 @@ class Teaching:
         self_calibration: SelfCalibration | None,
         curve: list[CurvePoint] | None = None,
         skeleton: SkeletonLengths | None = None,
+        structures: KnownStructures | None = None,
     ) -> FittedPrior:
         every = slice(None, None, self._every(HANDEDNESS_FRAMES))
         keypoints, weights = self._data.keypoints[every], self._data.weights[every]
@@ -135,6 +146,7 @@ class Teaching:
             foreshortening=foreshortening,
             self_calibration=self_calibration,
             skeleton=skeleton,
+            structures=structures,
         )
 
     def _every(self, most: int) -> int:
@@ -216,17 +228,42 @@ class Teaching:
         self.state.result_seconds = time.perf_counter() - started
         return measured
 
+    def _frames_of_several_views(self, step: int) -> Tensor:
+        """Draw frames (T,) with two views or more, all of them if they are not too many."""
+        weights, width = self._data.weights, self._network.width()
+        seed = [self._config.seed, step, 2]
+        return draw_frames(weights, most=len(weights), width=width, seed=seed)
+
+    def _learn_structures(
+        self, found: SelfCalibration, frames: Tensor
+    ) -> Generator[None, None, tuple[KnownStructures | None, Lift | None]]:
+        """Lift frames (T,), and again with what was learnt of them if views hide much of them.
+
+        Yields now and then, to be stopped there; returns what is known, and the last lift.
+        """
+        if not len(frames):
+            return None, None
+        weights = self._data.weights[frames]
+        hidden = float(((weights > 0).sum(1) < 2).double().mean())
+        structures = lift = None
+        for _ in range(ROUNDS if hidden > HIDDEN else 1):
+            prior = self._as_prior(found, structures=structures)
+            lifts = []
+            for some in torch.split(frames, LIFTED_FRAMES):
+                yield
+                pixels = self._data.pixels(some)
+                lifts.append(prior.lift(pixels, confidence=self._data.weights[some], refine="full"))
+            lift = join(lifts)
+            structures = known_structures(lift, weights.numpy(), found.shapes.mean)
+        return structures, lift
+
     def _make_perspective_teachers(
         self, self_calibration: SelfCalibration, frames: Tensor
     ) -> Iterator[None]:
         """Make teachers of frames (T,), as far as they can be refined."""
-        prior = self._as_prior(self_calibration)
-        lifts = []
-        for some in torch.split(frames, LIFTED_FRAMES):
-            yield
-            pixels, weights = self._data.pixels(some), self._data.weights[some]
-            lifts.append(prior.lift(pixels, confidence=weights, refine="full"))
-        lift = join(lifts)
+        _, lift = yield from self._learn_structures(self_calibration, frames)
+        if lift is None:
+            return
         observed = torch.from_numpy(lift.camera_models > 0)  # (T, K)
         refined = observed.any(1)
         if not refined.any():
@@ -241,9 +278,33 @@ class Teaching:
             observed[refined],
             frames[refined],
             len(self._data.keypoints),
-            noise=prior.noise / float(sizes.mean()),
+            noise=self_calibration.noise / float(sizes.mean()),
             reflected=self.state.mirrored,
         )
+
+
+def run_to_end(steps: Generator[None, None, Outcome]) -> Outcome:
+    """Return what a generator returns, having taken all its steps."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as ended:
+            return cast("Outcome", ended.value)
+
+
+def known_structures(
+    lift: Lift, weights: NDArray[np.float32], mean: NDArray[np.float64]
+) -> KnownStructures | None:
+    """Return the refined structures of a lift of weights (N, K, P), aligned to `mean` (P, 3).
+
+    None if they are too few to look among.
+    """
+    refined = (lift.camera_models > 0).any(1)
+    if refined.sum() < LEAST_STRUCTURES:
+        return None
+    points, _ = align(lift.points3d[refined].astype(np.float64), mean)
+    views = (weights[refined] > 0).sum(1)  # (T, P)
+    return KnownStructures(points, WEIGHTS[np.minimum(views, len(WEIGHTS) - 1)])
 
 
 def _weak_perspective(lift: Lift) -> WeakPerspectiveScene:
