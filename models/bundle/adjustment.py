@@ -126,7 +126,7 @@ def adjust(
 
     def total_cost(costs: Float64, scene: Scene, rig: Rig) -> float:
         total = costs[kept].sum() + rig_prior.cost(rig)
-        return float(total if bones is None else total + bones.cost(scene.points[kept]).sum())
+        return float(total if bones is None else total + bones.cost(scene.points)[kept].sum())
 
     best, damping = total_cost(costs, scene, rig), FIRST_DAMPING
     for _ in range(iterations):

@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 from models.numerics.medians import lower_median
 
 Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
 LEAST_SCATTER = 0.003  # of a log length: keypoints do not sit on bones, so none is held steadier
 UNSTEADY = 0.04  # of a log length: what scatters more is no bone
 OUTLIER = 2.0  # scatters beyond which a length pulls ever less
+LEAST_FRAMES = 5  # in which both ends of a bone are told
+UNKNOWN = 1e3  # scatter of a distance that is told in fewer
 ROUNDS = 10  # of taking the frames' sizes from the bones and choosing these anew
 NORMAL = 1.4826  # standard deviations in a median absolute deviation
 TINY = 1e-12
@@ -27,6 +30,7 @@ class BoneLengths(NamedTuple):
     ends: Int64  # (2, E) keypoints
     lengths: Float64  # (E,) log, median
     scatter: Float64  # (E,) of the log lengths, standard deviation
+    told: Bool  # (N, E) which of them views tell in the N frames that they come from
 
     @property
     def steady(self) -> bool:
@@ -36,7 +40,7 @@ class BoneLengths(NamedTuple):
     def offsets(self, points: Float64) -> Float64:
         """Log lengths (N, E) in structures (N, P, 3), less the usual ones and the frame's size."""
         offsets = _log_lengths(points, self.ends) - self.lengths
-        return offsets - self.mean(offsets)
+        return offsets - self.mean(offsets, self.told)
 
     def derivatives(self, points: Float64, by: Float64) -> Float64:
         """Derive the offsets: (N, E, T), from how the points move, (N, P, 3, T)."""
@@ -44,24 +48,25 @@ class BoneLengths(NamedTuple):
         apart = points[:, a] - points[:, b]  # (N, E, 3)
         along = apart / np.square(apart).sum(-1, keepdims=True).clip(TINY)
         derived = (along[:, :, None] @ (by[:, a] - by[:, b]))[:, :, 0]  # (N, E, T)
-        left: Float64 = derived - self.mean(derived.mT).mT
+        left: Float64 = derived - self.mean(derived.mT, self.told[:, None]).mT
         return left
 
-    def mean(self, offsets: Float64) -> Float64:
-        """Mean (..., 1) of offsets (..., E), each as surely as it is steady."""
-        weights = 1 / np.square(self.scatter)
-        mean: Float64 = (offsets * weights).sum(-1, keepdims=True) / weights.sum()
+    def mean(self, offsets: Float64, told: Bool) -> Float64:
+        """Mean (..., 1) of the offsets (..., E) that are told, each as surely as it is steady."""
+        weights = told / np.square(self.scatter)
+        total = weights.sum(-1, keepdims=True)
+        mean: Float64 = (offsets * weights).sum(-1, keepdims=True) / np.maximum(total, TINY)
         return mean
 
     def precision(self, offsets: Float64) -> Float64:
         """Inverse variances (N, E), less for outliers; 0 for what is no bone."""
-        steady = self.scatter < UNSTEADY
+        steady = self.told & (self.scatter < UNSTEADY)
         precision: Float64 = steady / (np.square(self.scatter) * (1 + self._squared(offsets)))
         return precision
 
     def cost(self, points: Float64) -> Float64:
         """Minus twice the log likelihood (N,) of the lengths, up to a constant (Cauchy's)."""
-        steady = self.scatter < UNSTEADY
+        steady = self.told & (self.scatter < UNSTEADY)
         cost: Float64 = OUTLIER**2 * (steady * np.log1p(self._squared(self.offsets(points)))).sum(
             -1
         )
@@ -71,24 +76,41 @@ class BoneLengths(NamedTuple):
         return np.square(offsets / (OUTLIER * self.scatter))
 
 
-def find_bone_lengths(points: Float64) -> BoneLengths:
+def find_bone_lengths(points: Float64, told: Bool | None = None) -> BoneLengths:
     """Find the distances that scatter least in structures (N, P, 3).
 
-    Frames that lie askew count little: the scatter is the median absolute deviation.
+    Frames that lie askew count little: the scatter is the median absolute deviation. `told` (N, P)
+    are the keypoints that several views tell, by default all: a distance to another one is what a
+    prior makes of it, and says nothing.
     """
-    count = points.shape[1]
+    frames, count = points.shape[:2]
     pairs = np.stack(np.triu_indices(count, 1))  # (2, P (P - 1) / 2)
+    both = np.ones((frames, pairs.shape[1]), np.bool_)
+    if told is not None:
+        both = told[:, pairs[0]] & told[:, pairs[1]]
+    enough = both.sum(0) >= LEAST_FRAMES
     lengths = _log_lengths(points, pairs)
-    sizes = lower_median(lengths - lower_median(lengths, 0), 1, keepdims=True)  # (N, 1)
+    sizes = _median_of_told(lengths - _median_of_told(lengths, both, 0), both, 1)  # (N, 1)
     for _ in range(ROUNDS):
         scaled = lengths - sizes
-        middle = lower_median(scaled, 0)
-        deviation = NORMAL * lower_median(np.abs(scaled - middle), 0)
+        middle = _median_of_told(scaled, both, 0)[0]
+        deviation = NORMAL * _median_of_told(np.abs(scaled - middle), both, 0)[0]
         scatter = np.sqrt(np.square(deviation) + LEAST_SCATTER**2)
+        scatter = np.where(enough, scatter, UNKNOWN)
         tree = _lightest_tree(scatter, pairs, count)
-        bones = BoneLengths(pairs[:, tree], middle[tree], scatter[tree])
-        sizes = bones.mean(lengths[:, tree] - bones.lengths)
+        bones = BoneLengths(pairs[:, tree], middle[tree], scatter[tree], both[:, tree])
+        sizes = bones.mean(lengths[:, tree] - bones.lengths, bones.told)
     return bones
+
+
+def _median_of_told(numbers: Float64, told: Bool, axis: int) -> Float64:
+    """Return the lower medians of those numbers that are told, 0 where none is; axes are kept."""
+    if told.all():
+        return np.asarray(lower_median(numbers, axis, keepdims=True), np.float64)
+    rising = np.sort(np.where(told, numbers, np.inf), axis)
+    middle = np.maximum(told.sum(axis, keepdims=True) - 1, 0) // 2
+    medians = np.take_along_axis(rising, middle, axis)
+    return np.where(np.isfinite(medians), medians, 0.0)
 
 
 def _log_lengths(points: Float64, pairs: Int64) -> Float64:

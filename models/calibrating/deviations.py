@@ -37,7 +37,7 @@ def deviations(problem: Problem, solution: Solution) -> Float64:
         solution.prior,
         scene,
         free=prior.free,
-        bones=find_bone_lengths(scene.points) if solution.with_bones else None,
+        bones=find_bone_lengths(scene.points, problem.told) if solution.with_bones else None,
     )
     held = prior.precision + np.diag(_widest(len(rig.groups)))
     held = held[np.ix_(prior.free, prior.free)]

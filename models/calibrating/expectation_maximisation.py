@@ -78,12 +78,12 @@ def learn(
             prior,
             scene,
             rig_prior=believed,
-            bones=find_bone_lengths(scene.points) if with_bones else None,
+            bones=find_bone_lengths(scene.points, problem.told) if with_bones else None,
             iterations=ADJUSTMENTS,
         )
         yield
         if np.ptp(prior.means, axis=0).max() == 0 and believed.free.any():
-            bones = find_bone_lengths(scene.points) if with_bones else None
+            bones = find_bone_lengths(scene.points, problem.told) if with_bones else None
             likelihood = likelihood_of_shared(
                 views,
                 rig,

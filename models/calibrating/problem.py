@@ -63,6 +63,12 @@ class Problem(NamedTuple):
         return self.images.side
 
     @property
+    def told(self) -> NDArray[np.bool_]:
+        """Which keypoints (N, P) two views or more tell."""
+        told: NDArray[np.bool_] = (self.weights > 0).sum(1) > 1
+        return told
+
+    @property
     def posed(self) -> list[int]:
         """The views whose poses the user gave."""
         return [k for k, pose in enumerate(self.poses) if pose is not None]

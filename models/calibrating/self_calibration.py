@@ -123,7 +123,7 @@ def self_calibrate(
             best, kept = adjusted
             reason = f"{reason}; cameras are adjusted to keypoints as they were detected"
     clear = kept is None and best.noise < CLEAR * size
-    if clear and find_bone_lengths(best.scene.points).steady:
+    if clear and find_bone_lengths(best.scene.points, problem.told).steady:
         # The lens under which shapes look most alike need not be the true one, and with two views
         # it is not; with a wrong one, bones grow and shrink as they turn.
         best = yield from learn(problem, best, with_bones=True)
@@ -172,7 +172,7 @@ def _by_detected(
     if not resting.any() or best.given_poses is not None:
         return None
     if edges is None or not len(edges):
-        edges = find_bone_lengths(best.scene.points).ends.T
+        edges = find_bone_lengths(best.scene.points, problem.told).ends.T
     believed = rig_prior(
         problem._replace(kept=np.zeros_like(problem.kept)), best.rig, given_poses=None
     )

@@ -1,7 +1,8 @@
 """A fitted prior: lifts 2D keypoints to structure and cameras, and travels as bytes."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import torch
 from numpy.typing import ArrayLike
@@ -42,9 +43,6 @@ from models.settings.keypoints import (
     MIN_KEYPOINTS,
 )
 
-# Before the names of their arrays in a file.
-DENOISER, MOTION, OUTLIERS = "denoiser.", "motion.", "outliers."
-CAMERAS, SKELETON, STRUCTURES = "cameras.", "skeleton.", "structures."
 LIFTED_FRAMES, REFINED_FRAMES = 64, 16  # that a thread takes at a time
 MOST_REFINERS = 64  # choices of views to be prepared for at once
 
@@ -294,25 +292,25 @@ class FittedPrior:
             "curve": curve_to_tensor(self.curve),
             "foreshortening": torch.tensor([self.foreshortening], dtype=torch.float64),
         }
-        if self._self_calibration is not None:
-            cameras, about["cameras"] = to_arrays(self._self_calibration)
-            arrays |= prefixed(CAMERAS, cameras)
         denoiser, motion = self._noise_removal
+        parts: dict[str, tuple[str, Arrays]] = {}
+        if self._self_calibration is not None:
+            cameras, words = to_arrays(self._self_calibration)
+            parts["cameras"] = words, cameras
         if denoiser is not None:
-            about["denoiser"] = "mixture"
-            arrays |= prefixed(DENOISER, denoiser.to_arrays())
-        if motion is not None:
-            about["motion"] = "yes"
-            arrays |= prefixed(MOTION, motion.to_arrays())
-        if self._outliers is not None:
-            about["outliers"] = "yes"
-            arrays |= prefixed(OUTLIERS, self._outliers.to_arrays())
-        if self._skeleton is not None:
-            about["skeleton"] = "yes"
-            arrays |= prefixed(SKELETON, self._skeleton.to_arrays())
-        if self._structures is not None:
-            about["structures"] = "yes"
-            arrays |= prefixed(STRUCTURES, self._structures.to_arrays())
+            parts["denoiser"] = "mixture", denoiser.to_arrays()
+        others = {
+            "motion": motion,
+            "outliers": self._outliers,
+            "skeleton": self._skeleton,
+            "structures": self._structures,
+        }
+        for name, other in others.items():
+            if other is not None:
+                parts[name] = "yes", other.to_arrays()
+        for name, (words, tensors) in parts.items():
+            about[name] = words
+            arrays |= prefixed(f"{name}.", tensors)
         return pack(arrays, kind="prior", about=about)
 
     @classmethod
@@ -336,43 +334,48 @@ class FittedPrior:
         capture = FittedCapture.from_header(about, keypoints)
         weights = parameter_shapes(config, keypoints)
         shapes: Shapes = {**weights, "curve": (None, 3), "foreshortening": (1,)}
-        if "cameras" in about:
-            shapes |= prefixed(CAMERAS, array_shapes(about["cameras"], keypoints, None))
-        if "denoiser" in about:
-            newer = about["denoiser"] == "mixture"
-            shapes |= prefixed(DENOISER, Denoiser.shapes(keypoints, mixture=newer))
-        if "motion" in about:
-            shapes |= prefixed(MOTION, MotionModel.shapes(keypoints))
-        if "outliers" in about:
-            shapes |= prefixed(OUTLIERS, OutlierModel.shapes(keypoints))
-        if "skeleton" in about:
-            shapes |= prefixed(SKELETON, SkeletonLengths.shapes())
-        if "structures" in about:
-            shapes |= prefixed(STRUCTURES, KnownStructures.shapes(keypoints))
+        there = {name: part for name, part in _parts(about, keypoints).items() if name in about}
+        for name, part in there.items():
+            shapes |= prefixed(f"{name}.", part.shapes())
         arrays = unpack(data, shapes=shapes)
-        found = denoiser = motion = outliers = skeleton = structures = None
-        if "cameras" in about:
-            found = from_arrays(without_prefix(CAMERAS, arrays), about["cameras"])
-        if "denoiser" in about:
-            denoiser = Denoiser.from_arrays(without_prefix(DENOISER, arrays))
-        if "motion" in about:
-            motion = MotionModel.from_arrays(without_prefix(MOTION, arrays))
-        if "outliers" in about:
-            outliers = OutlierModel.from_arrays(without_prefix(OUTLIERS, arrays))
-        if "skeleton" in about:
-            of_skeleton = without_prefix(SKELETON, arrays)
-            skeleton = SkeletonLengths.from_arrays(of_skeleton, keypoints)
-        if "structures" in about:
-            structures = KnownStructures.from_arrays(without_prefix(STRUCTURES, arrays))
+        parts = {name: p.read(without_prefix(f"{name}.", arrays)) for name, p in there.items()}
         return cls(
             config,
             {name: arrays[name] for name in weights},
             curve_from_tensor(arrays["curve"]),
             arrays["foreshortening"].item(),
-            found,
-            NoiseRemoval(denoiser, motion),
+            parts.get("cameras"),
+            NoiseRemoval(parts.get("denoiser"), parts.get("motion")),
             capture,
-            outliers,
-            skeleton,
-            structures,
+            parts.get("outliers"),
+            parts.get("skeleton"),
+            parts.get("structures"),
         )
+
+
+class _Part(NamedTuple):
+    """What a file may hold, as arrays whose names begin with that of the part."""
+
+    shapes: Callable[[], Shapes]  # of its arrays
+    read: Callable[[Arrays], Any]
+
+
+def _parts(about: dict[str, str], keypoints: int) -> dict[str, _Part]:
+    """Return all parts that a file may hold, by name; its header names those that it does."""
+    return {
+        "cameras": _Part(
+            lambda: array_shapes(about["cameras"], keypoints, None),
+            lambda arrays: from_arrays(arrays, about["cameras"]),
+        ),
+        "denoiser": _Part(
+            lambda: Denoiser.shapes(keypoints, mixture=about["denoiser"] == "mixture"),
+            Denoiser.from_arrays,
+        ),
+        "motion": _Part(lambda: MotionModel.shapes(keypoints), MotionModel.from_arrays),
+        "outliers": _Part(lambda: OutlierModel.shapes(keypoints), OutlierModel.from_arrays),
+        "skeleton": _Part(
+            SkeletonLengths.shapes,
+            lambda arrays: SkeletonLengths.from_arrays(arrays, keypoints),
+        ),
+        "structures": _Part(lambda: KnownStructures.shapes(keypoints), KnownStructures.from_arrays),
+    }
