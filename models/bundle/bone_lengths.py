@@ -30,7 +30,7 @@ class BoneLengths(NamedTuple):
     ends: Int64  # (2, E) keypoints
     lengths: Float64  # (E,) log, median
     scatter: Float64  # (E,) of the log lengths, standard deviation
-    told: Bool  # (N, E) which of them views tell in the N frames that they come from
+    told: Bool  # (N, E) which of them views tell in each of N frames, or (1, E) in all frames
 
     @property
     def steady(self) -> bool:
@@ -83,12 +83,12 @@ def find_bone_lengths(points: Float64, told: Bool | None = None) -> BoneLengths:
     are the keypoints that several views tell, by default all: a distance to another one is what a
     prior makes of it, and says nothing.
     """
-    frames, count = points.shape[:2]
+    count = points.shape[1]
     pairs = np.stack(np.triu_indices(count, 1))  # (2, P (P - 1) / 2)
-    both = np.ones((frames, pairs.shape[1]), np.bool_)
+    both, enough = np.ones((1, pairs.shape[1]), np.bool_), np.ones(pairs.shape[1], np.bool_)
     if told is not None:
-        both = told[:, pairs[0]] & told[:, pairs[1]]
-    enough = both.sum(0) >= LEAST_FRAMES
+        both = told[:, pairs[0]] & told[:, pairs[1]]  # (N, P (P - 1) / 2)
+        enough = both.sum(0) >= LEAST_FRAMES
     lengths = _log_lengths(points, pairs)
     sizes = _median_of_told(lengths - _median_of_told(lengths, both, 0), both, 1)  # (N, 1)
     for _ in range(ROUNDS):

@@ -40,6 +40,7 @@ class Refiner(NamedTuple):
     unit: float  # the user's, of a unit of the structure
     held: SkeletonLengths  # of frames that two views or more show
     known: KnownStructures  # of the fit
+    rejecting: bool  # whether keypoints that stray are left out
 
 
 class Explanation(NamedTuple):

@@ -238,7 +238,7 @@ class FittedPrior:
             )
         answers = make_answers(frames, count, points)
         if judged is not None:
-            answers = answers._replace(outlier_probability=judged)
+            answers = answers._replace(outlier_probability=judged.copy())
         mode = self.config.refine if refine is None else refine
         refiner = None if mode == "off" else self._refiner_of(views_of_fit, count)
         before = make_answers(0, count, points)
@@ -276,7 +276,12 @@ class FittedPrior:
             if len(self._refiners) >= MOST_REFINERS:
                 self._refiners.clear()
             refiner = self._refiners[key] = make_refiner(
-                self._self_calibration, views, count, self._skeleton, self._structures
+                self._self_calibration,
+                views,
+                count,
+                self._skeleton,
+                self._structures,
+                rejecting=self.config.outlier_rejection,
             )
         return refiner
 

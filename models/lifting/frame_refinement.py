@@ -17,6 +17,7 @@ from models.capture.observations import Observations
 from models.lifting.explanations import (
     Explanation,
     Refiner,
+    align_explanation_into,
     continues,
     copy_explanation,
     explain,
@@ -28,6 +29,7 @@ from models.lifting.explanations import (
 )
 from models.lifting.neighbours import complete_from_neighbours
 from models.lifting.skeleton_lengths import SkeletonLengths, hold_lengths, no_lengths
+from models.lifting.stray_keypoints import leave_out_stray, report_stray
 from models.network.answers import RIG_NOT_USED, Answers
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import total
@@ -39,6 +41,7 @@ Bool = NDArray[np.bool_]
 
 LOST = 3.0  # noise standard deviations of a frame's mean residual that a rig at rest cannot explain
 BETTER = 0.5  # share of its cost to which another hypothesis must bring such a frame to be taken
+STRAY_ROUNDS = 3  # of leaving out keypoints that stray, each with a new explanation
 WORSE = 1.25  # times the network's reprojection error: no refinement that leads there is kept
 
 
@@ -62,11 +65,14 @@ def make_refiner(
     count: int,
     skeleton: SkeletonLengths | None = None,
     structures: KnownStructures | None = None,
+    *,
+    rejecting: bool = True,
 ) -> Refiner:
     """Prepare to refine frames of `views` of the fit, or of `count` cameras it does not know.
 
     Lengths of the `skeleton` are held where a rig at rest says how large structures are. Known
-    `structures` tell what few views of a frame do not.
+    `structures` tell what few views of a frame do not. `rejecting`: keypoints that stray are left
+    out.
     """
     rig = sub_rig(calibration, views, count)
     errors, shapes = calibration.network_errors, calibration.shapes
@@ -81,6 +87,7 @@ def make_refiner(
         calibration.unit,
         no_lengths() if skeleton is None or not rig.resting.all() else skeleton,
         no_structures(len(shapes.mean)) if structures is None else structures,
+        rejecting,
     )
 
 
@@ -150,6 +157,11 @@ def refine_frames(
             )
         chosen = earlier if continued else start
         cost = explain(refiner, refiner.rig, views, usable, mean, chosen, best)
+        for _ in range(STRAY_ROUNDS if refiner.rejecting else 0):
+            if not leave_out_stray(refiner.rig, views, seen.sizes[n], best):
+                break
+            align_explanation_into(best, mean, start)
+            cost = explain(refiner, refiner.rig, views, usable, mean, start, best)
         residual, apart = _residual(best, usable), False
         if there > 1 and residual > LOST * refiner.noise:
             for hypothesis in OTHER_HYPOTHESES:
@@ -169,6 +181,7 @@ def refine_frames(
             if there > 1 and not apart and len(refiner.held.lengths):
                 _hold_lengths(refiner, views, best)
             _write(refiner, best, n, usable, answers)
+            report_stray(seen, views, n, answers)
         if (apart or not accepted) and _shares_group(refiner.rig.groups, usable):
             answers.findings[n] += RIG_NOT_USED
             answers.rig_residuals[n] = residual

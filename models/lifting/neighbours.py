@@ -21,8 +21,6 @@ Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]
 
-SEVERAL = 2  # views that tell a keypoint
-
 
 @inner
 def complete_from_neighbours(
@@ -34,7 +32,7 @@ def complete_from_neighbours(
     start: Explanation,
     other: Explanation,
 ) -> None:
-    """Explain a frame once more if few views tell some of its keypoints, about its neighbours.
+    """Explain a frame once more, about its neighbours.
 
     How far what views tell is from the neighbours' prior, as a share of what that expects, is how
     little the prior is believed: with shares beyond 1, its mean goes towards the explanation there
@@ -46,8 +44,6 @@ def complete_from_neighbours(
     shown, rays = np.zeros(count, np.int64), np.empty((count, 3))
     align_explanation_into(explanation, refiner.prior.means, start)
     told = _what_is_told(views, usable, start, shown, rays)
-    if told < 0:
-        return
     prior = prior_of_neighbours(refiner.known, start.points, shown, rays)
     cost, misfit = explain_with(prior, rig, views, usable, start, other)
     share = misfit / max(told - SIMILARITY, 1)
@@ -67,9 +63,9 @@ def _what_is_told(
 ) -> int:
     """Write how many views show each keypoint (P,), and the ray of the last that does (P, 3).
 
-    Returns how many numbers of the structure they tell, or -1 if several show each keypoint.
+    Returns how many numbers of the structure they tell.
     """
-    told, several = 0, True
+    told = 0
     for p in range(len(shown)):
         for k in range(len(usable)):
             if not usable[k] or not views.weights[k, p] > 0:
@@ -86,5 +82,4 @@ def _what_is_told(
             for i in range(3):
                 rays[p, i] /= math.sqrt(length)
         told += min(1 + shown[p], 3) if shown[p] else 0
-        several = several and shown[p] >= SEVERAL
-    return -1 if several else told
+    return told

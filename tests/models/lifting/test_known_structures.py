@@ -1,0 +1,152 @@
+"""What few views of a frame do not tell, from structures that the fit knows; stray keypoints."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from safetensors.torch import load
+
+from models.bundle.known_structures import LEAST_STRUCTURES, KnownStructures
+from models.capture.metrics import pa_mpjpe
+from models.lifting.fitted_prior import FittedPrior
+from models.numerics.tensor_files import WeightsError, pack, read_about
+from models.settings.config import FitConfig
+from models.training.trainer import fit
+from tests.models.rigs import RigCapture, keypoint, make_rig_capture
+from tests.sharing import fitted_once
+
+AZIMUTHS = [0.0, 70.0, 140.0]
+QUICK = FitConfig(steps=90, dictionary_sizes=(16, 8), batch_size=16, cameras="static")
+FRAMES, UNSEEN = 240, 40  # of the fit, and after it
+
+
+@pytest.fixture(scope="module")
+def capture() -> RigCapture:
+    """Return a figure of which frames are often alike, as in a film."""
+    return make_rig_capture(AZIMUTHS, frames=FRAMES + UNSEEN, noise=0.3, hidden=0, seed=3)
+
+
+@pytest.fixture(scope="module")
+def prior(capture: RigCapture, tmp_path_factory: pytest.TempPathFactory) -> FittedPrior:
+    order = np.random.default_rng(0).permutation(len(capture.keypoints))
+    frames = capture.keypoints[np.sort(order[:FRAMES])]
+    return fitted_once(tmp_path_factory, "structures", lambda: fit(frames, QUICK))
+
+
+@pytest.fixture(scope="module")
+def unseen(capture: RigCapture) -> NDArray[np.int64]:
+    order = np.random.default_rng(0).permutation(len(capture.keypoints))
+    return np.sort(order[FRAMES:])
+
+
+@pytest.fixture(scope="module")
+def plain(prior: FittedPrior) -> FittedPrior:
+    """Return the same prior as files of versions have it that knew no structures."""
+    return without_structures(prior)
+
+
+def without_structures(prior: FittedPrior) -> FittedPrior:
+    data = prior.to_bytes()
+    about = read_about(data, kind="prior")
+    del about["structures"]
+    arrays = {name: array for name, array in load(data).items() if "structures." not in name}
+    return FittedPrior.from_bytes(pack(arrays, kind="prior", about=about))
+
+
+def errors_of(
+    prior: FittedPrior, keypoints: NDArray[np.float64], truth: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the errors (N, P) of lifts in metres, never mirrored."""
+    points = prior.lift(keypoints).points3d
+    return np.asarray(pa_mpjpe(points, truth, reflection="never").errors, np.float64)
+
+
+def test_one_view_is_completed_by_what_is_known(
+    capture: RigCapture, unseen: NDArray[np.int64], prior: FittedPrior, plain: FittedPrior
+) -> None:
+    one = capture.keypoints[unseen].copy()
+    one[:, 1:] = np.nan
+    truth = capture.points3d[unseen]
+    assert errors_of(prior, one, truth).mean() < 0.7 * errors_of(plain, one, truth).mean()
+
+
+def test_what_no_view_shows_is_completed_by_what_is_known(
+    capture: RigCapture, unseen: NDArray[np.int64], prior: FittedPrior, plain: FittedPrior
+) -> None:
+    gaps = capture.keypoints[unseen].copy()
+    hidden = np.random.default_rng(1).random((len(gaps), gaps.shape[2])) < 0.2
+    gaps[np.broadcast_to(hidden[:, None], gaps.shape[:3])] = np.nan
+    truth = capture.points3d[unseen]
+    errors = [errors_of(p, gaps, truth)[hidden].mean() for p in (prior, plain)]
+    assert errors[0] < 0.7 * errors[1]
+
+
+def test_a_frame_unlike_all_that_is_known_stays_as_it_was(
+    capture: RigCapture, unseen: NDArray[np.int64], prior: FittedPrior, plain: FittedPrior
+) -> None:
+    figure = capture.points3d[unseen].copy()
+    middle = figure.mean(1, keepdims=True)
+    figure = middle + (figure - middle) * np.array([2.0, 0.6, 1.0])  # squat and broad
+    camera = figure @ capture.rotations[unseen, 0].mT + capture.translations[unseen, 0][:, None]
+    one = np.full((len(unseen), len(AZIMUTHS), figure.shape[1], 2), np.nan)
+    one[:, 0] = capture.lenses[0].project(camera)
+    errors = [errors_of(p, one, figure).mean() for p in (prior, plain)]
+    assert errors[0] < 1.05 * errors[1]
+
+
+def test_all_views_need_nothing_that_is_known(
+    capture: RigCapture, unseen: NDArray[np.int64], prior: FittedPrior, plain: FittedPrior
+) -> None:
+    frames, truth = capture.keypoints[unseen], capture.points3d[unseen]
+    errors = [errors_of(p, frames, truth).mean() for p in (prior, plain)]
+    assert errors[0] < 1.05 * errors[1]
+
+
+def test_structures_travel_with_the_prior(
+    capture: RigCapture, unseen: NDArray[np.int64], prior: FittedPrior
+) -> None:
+    again = FittedPrior.from_bytes(prior.to_bytes())
+    once_more = FittedPrior.from_bytes(again.to_bytes())
+    one = capture.keypoints[unseen, :1]
+    lifts = [p.lift(one, views=[0]).points3d for p in (prior, again, once_more)]
+    np.testing.assert_allclose(lifts[0], lifts[1], atol=1e-4)  # files have them in single precision
+    np.testing.assert_array_equal(lifts[1], lifts[2])
+
+
+@pytest.mark.parametrize("wrong", ["few", "weights", "shape"])
+def test_a_file_that_contradicts_itself_is_refused(wrong: str) -> None:
+    count = LEAST_STRUCTURES - (wrong == "few")
+    weights = np.full((count, 5), 0.0 if wrong == "weights" else 1.0)
+    points = np.zeros((count + (wrong == "shape"), 5, 3))
+    with pytest.raises(WeightsError, match="structures"):
+        KnownStructures.from_arrays(KnownStructures(points, weights).to_arrays())
+
+
+def test_a_stray_keypoint_is_left_out_and_said_to_be(
+    capture: RigCapture, unseen: NDArray[np.int64], prior: FittedPrior
+) -> None:
+    """It lies where a keypoint may be, at the place of another one."""
+    clear = capture.keypoints[unseen]
+    stray = clear.copy()
+    wrist, other = keypoint("left_wrist"), keypoint("right_wrist")
+    stray[:, 1, wrist] = clear[:, 1, other]
+    off = np.linalg.norm(clear[:, 1, wrist] - clear[:, 1, other], axis=-1) > 60  # pixels
+    assert off.sum() > 10
+    there, without = prior.lift(stray), prior.lift(clear)
+    assert (there.outlier_probability[off, 1, wrist] > 0.5).all()
+    assert (there.keypoints_used[off, 1] == clear.shape[2] - 1).all()
+    assert (there.keypoints_seen[off, wrist] == len(AZIMUTHS) - 1).all()
+    truth = capture.points3d[unseen][off]
+    errors = [pa_mpjpe(lift.points3d[off], truth).mean for lift in (there, without)]
+    assert errors[0] < errors[1] + 0.001  # metres
+
+
+def test_stray_keypoints_are_used_where_a_fit_was_told_to_reject_none(
+    capture: RigCapture,
+) -> None:
+    told = QUICK.model_copy(update={"outlier_rejection": False})
+    frames = capture.keypoints[:60]
+    prior = fit(frames, told)
+    frames[:, 1, keypoint("left_wrist")] += 150
+    lift = prior.lift(frames)
+    assert (lift.keypoints_used == frames.shape[2]).all()
+    assert np.isnan(lift.outlier_probability).all()
