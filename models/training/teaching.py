@@ -304,7 +304,10 @@ def known_structures(
         return None
     points, _ = align(lift.points3d[refined].astype(np.float64), mean)
     views = (weights[refined] > 0).sum(1)  # (T, P)
-    return KnownStructures(points, WEIGHTS[np.minimum(views, len(WEIGHTS) - 1)])
+    # Rounded as a file has them, so that a prior and its file lift alike.
+    return KnownStructures.from_arrays(
+        KnownStructures(points, WEIGHTS[np.minimum(views, len(WEIGHTS) - 1)]).to_arrays()
+    )
 
 
 def _weak_perspective(lift: Lift) -> WeakPerspectiveScene:
