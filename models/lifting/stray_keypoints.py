@@ -17,10 +17,12 @@ from models.numerics.compiled import inner
 from models.optics.lenses.projection import project_into
 
 Float32 = NDArray[np.float32]
+Int64 = NDArray[np.int64]
 
 STRAY = 8.0  # noise standard deviations from which a keypoint strays
 STRAY_SHARE = 0.05  # and at least this share of the subject's size: no lens model is exact
 MOST_STRAY = 0.1  # of the keypoints of a frame: where more do, the frame is explained wrongly
+MOST_OF_VIEW = 0.25  # of the keypoints of a view: where more do, its camera was moved
 
 
 @inner
@@ -30,15 +32,37 @@ def leave_out_stray(rig: Rig, views: Views, sizes: Float32, explanation: Explana
     `sizes` (K,) are those of the subject in the views, pixels. Weights are inverse variances of the
     noise.
     """
-    count = len(explanation.points)
-    stray, shown = np.full(count, -1), 0
+    stray = np.full(len(explanation.points), -1)
+    _find_stray(rig, views, sizes, explanation, stray)
+    found, all_shown = 0, 0
+    for k in range(len(views.weights)):
+        strays, shown = 0, 0
+        for p in range(len(stray)):
+            shown += views.weights[k, p] > 0
+            strays += stray[p] == k
+        if strays > MOST_OF_VIEW * shown:
+            return 0
+        found += strays
+        all_shown += shown
+    if found > MOST_STRAY * all_shown:
+        return 0
+    for p in range(len(stray)):
+        if stray[p] >= 0:
+            views.weights[stray[p], p] = 0.0
+    return found
+
+
+@inner
+def _find_stray(
+    rig: Rig, views: Views, sizes: Float32, explanation: Explanation, stray: Int64
+) -> None:
+    """Write the view in which each keypoint (P,) strays most; -1 stays if it strays in none."""
     camera, pixel = np.empty(3), np.empty(2)
-    for p in range(count):
+    for p in range(len(stray)):
         worst = 1.0
         for k in range(len(views.weights)):
             if not views.weights[k, p] > 0:
                 continue
-            shown += 1
             for i in range(3):
                 camera[i] = explanation.translations[k, i]
                 for j in range(3):
@@ -50,15 +74,6 @@ def leave_out_stray(rig: Rig, views: Views, sizes: Float32, explanation: Explana
             off = math.sqrt(x * x + y * y) / limit
             if off > worst:
                 worst, stray[p] = off, k
-    found = 0
-    for p in range(count):
-        found += stray[p] >= 0
-    if found > MOST_STRAY * shown:
-        return 0
-    for p in range(count):
-        if stray[p] >= 0:
-            views.weights[stray[p], p] = 0.0
-    return found
 
 
 @inner

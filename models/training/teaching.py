@@ -261,7 +261,10 @@ class Teaching:
         self, self_calibration: SelfCalibration, frames: Tensor
     ) -> Iterator[None]:
         """Make teachers of frames (T,), as far as they can be refined."""
+        started = time.perf_counter()
         _, lift = yield from self._learn_structures(self_calibration, frames)
+        if self.state.result_seconds is not None:  # they are learnt at the end, too
+            self.state.result_seconds += time.perf_counter() - started
         if lift is None:
             return
         observed = torch.from_numpy(lift.camera_models > 0)  # (T, K)
