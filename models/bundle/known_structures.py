@@ -34,6 +34,7 @@ class KnownStructures(NamedTuple):
 
     points: Float64  # (T, P, 3) aligned to the mean of the shapes
     weights: Float64  # (T, P) of `WEIGHTS`
+    believed: Float64  # (V,) 1 if they better frames of one view, two, ... V or more; else 0
 
     def to_arrays(self) -> Arrays:
         """Return the structures as tensors, for a file."""
@@ -42,7 +43,7 @@ class KnownStructures(NamedTuple):
     @classmethod
     def shapes(cls, keypoints: int) -> Shapes:
         """Shapes of what `to_arrays` returns, of so many keypoints; None stands for any length."""
-        return {"points": (None, keypoints, 3), "weights": (None, keypoints)}
+        return {"points": (None, keypoints, 3), "weights": (None, keypoints), "believed": (None,)}
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "KnownStructures":
@@ -53,20 +54,20 @@ class KnownStructures(NamedTuple):
         WeightsError
             When the tensors contradict each other.
         """
-        points, weights = (arrays[name].double().numpy().copy() for name in cls._fields)
-        enough = len(points) == len(weights) >= LEAST_STRUCTURES
+        points, weights, believed = (arrays[name].double().numpy().copy() for name in cls._fields)
+        enough = len(points) == len(weights) >= LEAST_STRUCTURES and len(believed) > 0
         if (
             not enough
             or not np.isfinite(points).all()
             or not ((weights > 0) & (weights <= 1)).all()
         ):
             raise WeightsError("the file contradicts itself about the structures")
-        return cls(points, weights)
+        return cls(points, weights, believed)
 
 
 def no_structures(keypoints: int) -> KnownStructures:
     """Return structures of which there are none."""
-    return KnownStructures(np.zeros((0, keypoints, 3)), np.zeros((0, keypoints)))
+    return KnownStructures(np.zeros((0, keypoints, 3)), np.zeros((0, keypoints)), np.zeros(1))
 
 
 @inner

@@ -16,6 +16,7 @@ from models.lifting.explanations import (
     explain_with,
 )
 from models.numerics.compiled import inner
+from models.numerics.matrices import total
 
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
@@ -32,18 +33,21 @@ def complete_from_neighbours(
     start: Explanation,
     other: Explanation,
 ) -> None:
-    """Explain a frame once more, about its neighbours.
+    """Explain a frame once more if few views tell some of its keypoints, about its neighbours.
 
     How far what views tell is from the neighbours' prior, as a share of what that expects, is how
     little the prior is believed: with shares beyond 1, its mean goes towards the explanation there
     was. A frame unlike all that is known stays as it was. `start` and `other` are room.
     """
-    if not len(refiner.known.points):
+    believed = refiner.known.believed
+    if not believed[min(int(total(usable)), len(believed)) - 1] > 0:
         return
     count = len(explanation.points)
     shown, rays = np.zeros(count, np.int64), np.empty((count, 3))
     align_explanation_into(explanation, refiner.prior.means, start)
     told = _what_is_told(views, usable, start, shown, rays)
+    if told < 0:
+        return
     prior = prior_of_neighbours(refiner.known, start.points, shown, rays)
     cost, misfit = explain_with(prior, rig, views, usable, start, other)
     share = misfit / max(told - SIMILARITY, 1)
@@ -63,9 +67,9 @@ def _what_is_told(
 ) -> int:
     """Write how many views show each keypoint (P,), and the ray of the last that does (P, 3).
 
-    Returns how many numbers of the structure they tell.
+    Returns how many numbers of the structure they tell, or -1 if several show each keypoint.
     """
-    told = 0
+    told, several = 0, True
     for p in range(len(shown)):
         for k in range(len(usable)):
             if not usable[k] or not views.weights[k, p] > 0:
@@ -82,4 +86,5 @@ def _what_is_told(
             for i in range(3):
                 rays[p, i] /= math.sqrt(length)
         told += min(1 + shown[p], 3) if shown[p] else 0
-    return told
+        several = several and shown[p] > 1
+    return -1 if several else told

@@ -20,6 +20,7 @@ Float32 = NDArray[np.float32]
 Int64 = NDArray[np.int64]
 
 STRAY = 8.0  # noise standard deviations from which a keypoint strays
+OF_TWO = 3.0  # times as far, where two views or one show it: which of them is wrong is less sure
 STRAY_SHARE = 0.05  # and at least this share of the subject's size: no lens model is exact
 MOST_STRAY = 0.1  # of the keypoints of a frame: where more do, the frame is explained wrongly
 MOST_OF_VIEW = 0.25  # of the keypoints of a view: where more do, its camera was moved
@@ -59,7 +60,10 @@ def _find_stray(
     """Write the view in which each keypoint (P,) strays most; -1 stays if it strays in none."""
     camera, pixel = np.empty(3), np.empty(2)
     for p in range(len(stray)):
-        worst = 1.0
+        shown = 0
+        for k in range(len(views.weights)):
+            shown += views.weights[k, p] > 0
+        worst = OF_TWO if shown <= 2 else 1.0
         for k in range(len(views.weights)):
             if not views.weights[k, p] > 0:
                 continue

@@ -15,9 +15,8 @@ from torch import Tensor
 
 from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.instrumental_equations import NoisyFrames
-from models.bundle.known_structures import LEAST_STRUCTURES, WEIGHTS, KnownStructures
+from models.bundle.known_structures import KnownStructures
 from models.bundle.problem import Views
-from models.bundle.shape_model import align
 from models.calibrating.handedness import NothingFoundError, same_hand
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
@@ -31,6 +30,7 @@ from models.network.priors.prior import Prior
 from models.network.settling import estimate_foreshortening
 from models.settings.config import FitConfig
 from models.training.batches import Data
+from models.training.known_structures import believe_where_better, known_structures
 from models.training.network_errors import learn_errors_of_network
 from models.training.state import TeachingState
 from models.training.teachers import Teachers, draw_frames, find_teachers, perspective_teachers
@@ -98,7 +98,7 @@ class Teaching:
         elif state.found_at_step != step:
             self.self_calibration = self._with_network_errors(self.self_calibration, step)
         if config.distillation:
-            yield from self._make_perspective_teachers(self.self_calibration, frames)
+            yield from self._make_perspective_teachers(self.self_calibration, frames, step)
 
     def stop_searching(self) -> None:
         """Go on without cameras if they are not found by now."""
@@ -112,7 +112,9 @@ class Teaching:
             return self._as_prior(None, curve)
         found = self._with_network_errors(found, step)
         frames = self._frames_of_several_views(step)
-        structures, _ = run_to_end(self._learn_structures(found, frames))
+        structures, _ = run_to_end(
+            self._learn_structures(found, frames, seed=[self._config.seed, step, 5])
+        )
         prior = self._as_prior(found, curve, structures=structures)
         skeleton = self._learn_lengths(prior, found)
         if skeleton is None:
@@ -235,7 +237,7 @@ class Teaching:
         return draw_frames(weights, most=len(weights), width=width, seed=seed)
 
     def _learn_structures(
-        self, found: SelfCalibration, frames: Tensor
+        self, found: SelfCalibration, frames: Tensor, *, seed: list[int]
     ) -> Generator[None, None, tuple[KnownStructures | None, Lift | None]]:
         """Lift frames (T,), and again with what was learnt of them if views hide much of them.
 
@@ -246,23 +248,38 @@ class Teaching:
         weights = self._data.weights[frames]
         hidden = float(((weights > 0).sum(1) < 2).double().mean())
         structures = lift = None
+
+        def make_prior(known: KnownStructures | None) -> FittedPrior:
+            return self._as_prior(found, structures=known)
+
         for _ in range(ROUNDS if hidden > HIDDEN else 1):
-            prior = self._as_prior(found, structures=structures)
+            prior = make_prior(structures)
             lifts = []
             for some in torch.split(frames, LIFTED_FRAMES):
                 yield
                 pixels = self._data.pixels(some)
                 lifts.append(prior.lift(pixels, confidence=self._data.weights[some], refine="full"))
             lift = join(lifts)
-            structures = known_structures(lift, weights.numpy(), found.shapes.mean)
+            learnt = known_structures(lift, weights.numpy(), found.shapes.mean)
+            if learnt is None:
+                break
+            if structures is None:
+                learnt = believe_where_better(learnt, self._unseen, make_prior, seed=seed)
+            else:
+                learnt = learnt._replace(believed=structures.believed)
+            if not learnt.believed.any():
+                break
+            structures = learnt
         return structures, lift
 
     def _make_perspective_teachers(
-        self, self_calibration: SelfCalibration, frames: Tensor
+        self, self_calibration: SelfCalibration, frames: Tensor, step: int
     ) -> Iterator[None]:
         """Make teachers of frames (T,), as far as they can be refined."""
         started = time.perf_counter()
-        _, lift = yield from self._learn_structures(self_calibration, frames)
+        _, lift = yield from self._learn_structures(
+            self_calibration, frames, seed=[self._config.seed, step, 5]
+        )
         if self.state.result_seconds is not None:  # they are learnt at the end, too
             self.state.result_seconds += time.perf_counter() - started
         if lift is None:
@@ -293,24 +310,6 @@ def run_to_end(steps: Generator[None, None, Outcome]) -> Outcome:
             next(steps)
         except StopIteration as ended:
             return cast("Outcome", ended.value)
-
-
-def known_structures(
-    lift: Lift, weights: NDArray[np.float32], mean: NDArray[np.float64]
-) -> KnownStructures | None:
-    """Return the refined structures of a lift of weights (N, K, P), aligned to `mean` (P, 3).
-
-    None if they are too few to look among.
-    """
-    refined = (lift.camera_models > 0).any(1)
-    if refined.sum() < LEAST_STRUCTURES:
-        return None
-    points, _ = align(lift.points3d[refined].astype(np.float64), mean)
-    views = (weights[refined] > 0).sum(1)  # (T, P)
-    # Rounded as a file has them, so that a prior and its file lift alike.
-    return KnownStructures.from_arrays(
-        KnownStructures(points, WEIGHTS[np.minimum(views, len(WEIGHTS) - 1)]).to_arrays()
-    )
 
 
 def _weak_perspective(lift: Lift) -> WeakPerspectiveScene:

@@ -119,13 +119,14 @@ def test_structures_travel_with_the_prior(
     np.testing.assert_array_equal(lifts[0], lifts[1])
 
 
-@pytest.mark.parametrize("wrong", ["few", "weights", "shape"])
+@pytest.mark.parametrize("wrong", ["few", "weights", "shape", "believed"])
 def test_a_file_that_contradicts_itself_is_refused(wrong: str) -> None:
     count = LEAST_STRUCTURES - (wrong == "few")
     weights = np.full((count, 5), 0.0 if wrong == "weights" else 1.0)
     points = np.zeros((count + (wrong == "shape"), 5, 3))
+    believed = np.ones(0 if wrong == "believed" else 2)
     with pytest.raises(WeightsError, match="structures"):
-        KnownStructures.from_arrays(KnownStructures(points, weights).to_arrays())
+        KnownStructures.from_arrays(KnownStructures(points, weights, believed).to_arrays())
 
 
 def test_a_stray_keypoint_is_left_out_and_said_to_be(
