@@ -64,7 +64,8 @@ def believe_where_better(
         some = (weights * (order < views)[..., None])[chosen]
         lifts = [prior.lift(pixels[chosen], confidence=some, refine="full") for prior in priors]
         ours, theirs = (_mean_error(lift, truth[chosen], told[chosen]) for lift in lifts)
-        believed.append(ours < theirs)
+        # Where views tell every keypoint, both are equal: it is as with fewer views.
+        believed.append(believed[-1] if believed and ours == theirs else ours < theirs)
     if not any(believed):
         return nothing
     # What all views of a frame show has nothing to be held against: it counts as one view less.
