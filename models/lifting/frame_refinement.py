@@ -72,7 +72,7 @@ def make_refiner(
 
     Lengths of the `skeleton` are held where a rig at rest says how large structures are. Known
     `structures` tell what few views of a frame do not. `rejecting`: keypoints that stray are left
-    out.
+    out, where all cameras rest.
     """
     rig = sub_rig(calibration, views, count)
     errors, shapes = calibration.network_errors, calibration.shapes
@@ -87,7 +87,7 @@ def make_refiner(
         calibration.unit,
         no_lengths() if skeleton is None or not rig.resting.all() else skeleton,
         no_structures(len(shapes.mean)) if structures is None else structures,
-        rejecting,
+        rejecting and bool(rig.resting.all()),
     )
 
 

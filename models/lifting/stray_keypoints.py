@@ -20,7 +20,7 @@ Float32 = NDArray[np.float32]
 Int64 = NDArray[np.int64]
 
 STRAY = 8.0  # noise standard deviations from which a keypoint strays
-OF_TWO = 3.0  # times as far, where two views or one show it: which of them is wrong is less sure
+LEAST_VIEWS = 3  # that show a keypoint: of two it is not known which one is wrong
 STRAY_SHARE = 0.05  # and at least this share of the subject's size: no lens model is exact
 MOST_STRAY = 0.1  # of the keypoints of a frame: where more do, the frame is explained wrongly
 MOST_OF_VIEW = 0.25  # of the keypoints of a view: where more do, its camera was moved
@@ -63,7 +63,9 @@ def _find_stray(
         shown = 0
         for k in range(len(views.weights)):
             shown += views.weights[k, p] > 0
-        worst = OF_TWO if shown <= 2 else 1.0
+        if shown < LEAST_VIEWS:
+            continue
+        worst = 1.0
         for k in range(len(views.weights)):
             if not views.weights[k, p] > 0:
                 continue
