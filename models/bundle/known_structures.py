@@ -119,6 +119,7 @@ def _find_nearest(
 ) -> None:
     """Write which structures differ least from `points` in what views tell, nearest first."""
     distances = np.full(len(nearest), np.inf)
+    most = max(float((views > 0).sum()), WEIGHTS[0])  # the weight of all, as none is over 1
     for t in range(len(known.points)):
         squared, weight = 0.0, 0.0
         for p in range(len(points)):
@@ -134,6 +135,8 @@ def _find_nearest(
                 off -= (1.0 - ALONG_RAY) * along * along
             squared += w * off
             weight += w
+            if squared > most * distances[-1]:  # too far already
+                break
         distance = squared / max(weight, WEIGHTS[0])
         place = len(nearest)
         while place > 0 and distance < distances[place - 1]:

@@ -25,13 +25,24 @@ from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensor
 from models.numerics.threads import in_slices
 
 Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+Int64 = NDArray[np.int64]
+
+DENOISER_KIND = "levels"  # in files: noise of each keypoint in each view
 
 FRAMES_AT_A_TIME = 64  # that a thread denoises
 LEAST_FRAMES = 40  # with fewer, noise and signal are hardly told apart
 MOST_FRAMES = 4000  # plenty to learn components from
 MOST_COORDINATES = 2000  # of a frame: the covariance has as many rows
 OBSERVED_SHARE = 0.7  # of its coordinates that a frame must have to be learnt from
-FILLING_ROUNDS = 15  # of filling what was not observed
+ROUNDS = 15  # of learning the noise of each keypoint, and filling what was not observed
+LITTLE = 0.01  # change of a level of noise that is no change, as a share of it
+POOLED_FRAMES = 20  # that the noise of all keypoints together counts for in that of each
+LEAST_VARIANCE = 1e-12  # pixels^2: of what does not move at all
+MOST_UNEQUAL = 4.0  # times as much noise as in the median keypoint, or as little
+# Noise is Student's t if it has at most so many degrees of freedom, else Gaussian. How much larger
+# one in forty errors is than their median tells.
+MOST_DEGREES, LARGE = 12, 0.975
 # Noise is white if the eigenvalues between these places, as shares of all, fall no more than so
 # many times as steeply as those of white noise.
 TAIL_START, TAIL_END, MOST_STEEPNESS = 0.55, 0.95, 1.2
@@ -40,75 +51,67 @@ LEAST_NOISE = 0.02  # of a view's size: with less noise than that, geometry does
 
 
 class Denoiser(NamedTuple):
-    """y = mean + B z + e with z ~ mixture, e ~ N(0, noise^2), of all views of a frame; pixels."""
+    """y = mean + B z + e with z ~ mixture, e ~ t(0, noise^2), of all views of a frame; pixels."""
 
     mean: Float64  # (K, P, 2)
     basis: Float64  # (K, P, 2, Q)
-    noise: float
+    noise: Float64  # (K, P) standard deviations
+    tails: float  # one over the degrees of freedom of the noise; 0 if it is Gaussian
     mixture: ScoreMixture
 
     @property
     def remaining_noise(self) -> float:
         """The noise that denoising leaves in a coordinate, pixels."""
         flat = self.basis.reshape(self.mean.size, -1)  # (D, Q)
-        inner = flat.T @ flat
-        left = np.linalg.inv(self.mixture.precisions + inner / self.noise**2)  # (M, Q, Q)
-        size = (left * inner).sum((1, 2))  # (M,)
+        scaled = (self.basis / self.noise[..., None, None]).reshape(flat.shape)
+        left = np.linalg.inv(self.mixture.precisions + scaled.T @ scaled)  # (M, Q, Q)
+        size = (left * (flat.T @ flat)).sum((1, 2))  # (M,)
         determinants = np.linalg.slogdet(self.mixture.precisions).logabsdet
         shares = np.exp(self.mixture.heights - determinants / 2)
         return float(np.sqrt(size @ shares / shares.sum() / len(flat)))
 
     def denoise(self, observations: Observations, views: Sequence[int]) -> Observations:
         """Replace what was observed in `views` (of the fit) by its expectation."""
-        mean, basis = self.mean[list(views)], self.basis[list(views)]
+        mean, noise = self.mean[list(views)], self.noise[list(views)][..., None]
         pixels, observed = pixels_of(observations)
         rows = (len(pixels), mean.size)
-        offsets = np.where(observed[..., None], pixels - mean, 0).reshape(rows)  # (N, D)
+        offsets = np.where(observed[..., None], (pixels - mean) / noise, 0).reshape(rows)  # (N, D)
         shown = np.repeat(observed.reshape(len(pixels), -1), 2, axis=1)
-        flat = np.ascontiguousarray(basis.reshape(mean.size, -1))  # (D, Q)
+        flat = (self.basis[list(views)] / noise[..., None]).reshape(mean.size, -1)  # (D, Q)
         scores = np.empty((len(pixels), flat.shape[1]))
 
         def denoise_part(part: slice) -> None:
             posterior_means_into(
-                self.mixture, flat, self.noise, offsets[part], shown[part], scores[part]
+                self.mixture, flat, offsets[part], shown[part], self.tails, scores[part]
             )
 
         in_slices(len(pixels), FRAMES_AT_A_TIME, denoise_part)
-        signal = mean + (scores @ flat.T).reshape(pixels.shape)
-        kept = pixels - (1 - self._unknown_share(pixels - signal, observed)) * (pixels - signal)
+        removed = pixels - mean - noise * (scores @ flat.T).reshape(pixels.shape)
+        unknown = _unknown_share(removed / noise, observed, heavy=self.tails > 0)
+        kept = pixels - (1 - unknown) * removed
         return as_observations(np.where(observed[..., None], kept, np.nan), observations.weights)
-
-    def _unknown_share(self, removed: Float64, observed: NDArray[np.bool_]) -> Float64:
-        """Of what would be removed (N, K, P, 2) from frames, the share that is no noise.
-
-        A frame unlike those of the fit lies further from its expectation than noise explains. The
-        rest is what the mixture does not know of it: (N, 1, 1, 1), 0 where noise explains all.
-        """
-        count = 2 * observed.sum((1, 2)).clip(1)  # (N,)
-        squares = np.where(observed[..., None], np.square(removed), 0).sum((1, 2, 3)) / count
-        variance = self.noise**2
-        unlike = squares > variance * (1 + UNLIKE * np.sqrt(2 / count))
-        unknown = np.where(unlike, squares - variance, 0)
-        share: Float64 = unknown / (variance + unknown)
-        return share.reshape(-1, 1, 1, 1)
 
     def to_arrays(self) -> Arrays:
         """Return the denoiser as tensors, for a file."""
-        parts: dict[str, ArrayLike] = {"mean": self.mean, "basis": self.basis, "noise": self.noise}
-        return as_tensors(parts | self.mixture._asdict())
+        parts: dict[str, ArrayLike] = self._asdict() | self.mixture._asdict()
+        del parts["mixture"]
+        return as_tensors(parts)
 
     @classmethod
-    def shapes(cls, keypoints: int, *, mixture: bool) -> Shapes:
+    def shapes(cls, keypoints: int, kind: str) -> Shapes:
         """Shapes of what `to_arrays` returns, for P keypoints; None stands for any length.
 
-        Older versions knew no `mixture` but probabilistic PCA.
+        Older versions had a `kind` "mixture", with one noise for all keypoints, and before that
+        no mixture but probabilistic PCA.
         """
         shapes: Shapes = {
             "mean": (None, keypoints, 2),
             "basis": (None, keypoints, 2, None),
-            "noise": (1,),
+            "noise": (None, keypoints) if kind == DENOISER_KIND else (1,),
         }
-        if mixture:
+        if kind == DENOISER_KIND:
+            shapes["tails"] = (1,)
+        if kind in (DENOISER_KIND, "mixture"):
             shapes |= {
                 "heights": (None,),
                 "centres": (None, None),
@@ -126,7 +129,10 @@ class Denoiser(NamedTuple):
             When the tensors contradict each other.
         """
         mean, basis = arrays["mean"].numpy(), arrays["basis"].numpy()
-        noise, size = arrays["noise"].item(), basis.shape[-1]
+        noise, size = arrays["noise"].numpy(), basis.shape[-1]
+        if noise.shape == (1,):
+            noise = np.full(mean.shape[:2], noise.item())
+        tails = arrays["tails"].item() if "tails" in arrays else 0.0
         mixture = standard_normal(size)
         if "heights" in arrays:
             mixture = ScoreMixture(*(arrays[name].numpy() for name in ScoreMixture._fields))
@@ -137,16 +143,19 @@ class Denoiser(NamedTuple):
             and count > 0
             and bool((np.linalg.eigvalsh(mixture.precisions) > 0).all())
         )
-        if len(mean) != len(basis) or not noise > 0 or not fits:
+        fits = fits and len(mean) == len(basis) == len(noise) and bool((noise > 0).all())
+        if not fits or not 0 <= tails < 1:
             raise WeightsError("the file contradicts itself about the noise")
-        return cls(mean, basis, noise, mixture)
+        return cls(mean, basis, noise, tails, mixture)
 
 
 def learn_denoiser(observations: Observations) -> Denoiser | None:
     """Learn from a capture; None if there is no use in it.
 
     Noise and the number of components are told by the eigenvalues of white noise, a Gaussian
-    matrix of the same shape.
+    matrix of the same shape, once coordinates are divided by the noise of their keypoint. How
+    that differs among keypoints and views is what components do not explain of them (factor
+    analysis by expectation maximisation: Rubin and Thayer, 1982).
     """
     keypoints, observed = pixels_of(observations)
     usable = observations.usable
@@ -159,23 +168,121 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
         return None
     known = np.repeat(observed[frames].reshape(len(frames), -1), 2, axis=1)  # (N, D)
     given = np.where(known, keypoints[frames].reshape(len(frames), -1), 0)
-    filled = np.where(known, given, given.sum(0) / np.maximum(known.sum(0), 1))
-    white = white_eigenvalues(*filled.shape)  # (D,)
-    rank = min(len(frames) - 1, width)
-    half = slice(rank // 2, rank)
-    for _ in range(1 if known.all() else FILLING_ROUNDS):
-        mean = filled.mean(0)
-        values, vectors = falling_eigenvalues(filled - mean)
+    found = _find_components(given, known, alike=True)
+    if not found.white:
+        found = _find_components(given, known, alike=False)
+    if not found.white:
+        return None
+    noise = np.sqrt(found.variance) * found.levels
+    if np.square(noise).mean() < (LEAST_NOISE * size) ** 2 or not found.basis.size:
+        return None
+    mixture = learn_mixture(found.scores, float(np.sqrt(found.variance)))
+    return Denoiser(
+        (found.mean * found.levels).reshape(views, count, 2),
+        (found.basis * found.levels[:, None]).reshape(views, count, 2, -1),
+        noise.reshape(views, count, 2)[..., 0],
+        _tails(found.errors[known[:, ::2]] / found.variance),
+        mixture,
+    )
+
+
+class _Components(NamedTuple):
+    """Principal components of coordinates (D) that were divided by their levels of noise."""
+
+    levels: Float64  # (D,) pixels, alike for both coordinates of a keypoint
+    mean: Float64  # (D,)
+    basis: Float64  # (D, Q) the components that stand out of the noise
+    variance: float  # of the noise
+    white: bool  # whether the noise is
+    scores: Float64  # (N, Q)
+    errors: Float64  # (N, D / 2) squares of what they leave of keypoints
+
+
+def _find_components(given: Float64, known: Bool, *, alike: bool) -> _Components:
+    """Find the components of coordinates (N, D) of which some are known, and their levels.
+
+    Levels are all one if they are `alike`.
+    """
+    frames, width = given.shape
+    white = white_eigenvalues(frames, width)  # (D,)
+    rank = min(frames - 1, width)
+    half, start, end = slice(rank // 2, rank), int(TAIL_START * rank), int(TAIL_END * rank)
+    times = known.sum(0)
+    filled, levels = np.where(known, given, given.sum(0) / times.clip(1)), np.ones(width)
+    if not alike:
+        # What of a coordinate the others do not tell begins as its noise: a component of its own
+        # would explain a noisy one as well.
+        values, vectors = falling_eigenvalues(filled - filled.mean(0))
+        told = 1 / (np.square(vectors) / (values + values[half].mean())).sum(1)
+        levels = _changes_of_levels(told, times)
+    for _ in range(1 if alike and known.all() else ROUNDS):
+        scaled = filled / levels
+        mean = scaled.mean(0)
+        values, vectors = falling_eigenvalues(scaled - mean)
         variance = values[half].mean() / white[half].mean()
-        kept = values > variance * (1 + np.sqrt(width / len(frames))) ** 2
-        basis = vectors[:, kept]
-        share = np.clip(1 - variance / values[kept], 0, None)
-        filled = np.where(known, given, mean + ((filled - mean) @ basis * share) @ basis.T)
-    start, end = int(TAIL_START * rank), int(TAIL_END * rank)
-    if values[start] * white[end] > MOST_STEEPNESS * values[end] * white[start]:
-        return None
-    if variance < (LEAST_NOISE * size) ** 2 or not kept.any():
-        return None
-    shape, noise = (views, count, 2), float(np.sqrt(variance))
-    mixture = learn_mixture((filled - mean) @ basis, noise)
-    return Denoiser(mean.reshape(shape), basis.reshape(*shape, -1), noise, mixture)
+        kept = values > variance * (1 + np.sqrt(width / frames)) ** 2
+        basis, share = vectors[:, kept], np.clip(1 - variance / values[kept], 0, None)
+        scores = (scaled - mean) @ basis
+        expected = mean + (scores * share) @ basis.T
+        is_white = values[start] * white[end] <= MOST_STEEPNESS * values[end] * white[start]
+        squares = np.where(known, np.square(scaled - expected), 0)
+        errors = squares.reshape(frames, -1, 2).sum(-1)
+        found = _Components(levels, mean, basis, float(variance), bool(is_white), scores, errors)
+        filled = np.where(known, given, expected * levels)
+        if alike:
+            continue
+        # Of known coordinates: what is left of them, and how unsure what was expected is.
+        unsure = variance * (np.square(basis) * share).sum(1)
+        levels = levels * _changes_of_levels(squares.sum(0) / times.clip(1) + unsure, times)
+        middle = np.median(levels)
+        levels = levels.clip(middle / MOST_UNEQUAL, middle * MOST_UNEQUAL)
+        if known.all() and np.abs(levels / found.levels - 1).max() < LITTLE:
+            break
+    return found
+
+
+def _changes_of_levels(variances: Float64, times: Int64) -> Float64:
+    """Return by how much the noise of keypoints is more than that of all (D,).
+
+    `variances` (D,) are of coordinates, each measured so many `times`.
+    """
+    variances, times = variances.reshape(-1, 2).mean(1), times[::2]
+    usual = max(float(np.median(variances)), LEAST_VARIANCE)
+    pooled = (variances * times + usual * POOLED_FRAMES) / (times + POOLED_FRAMES)
+    return np.sqrt(pooled / usual).repeat(2)
+
+
+def _tails(errors: Float64) -> float:
+    """Return one over the degrees of freedom of squared errors of keypoints; 0: Gaussian.
+
+    Half the square of a keypoint's error has the distribution F(2, degrees).
+    """
+    ratio = np.quantile(errors, LARGE) / np.quantile(errors, 0.5)
+    degrees = np.arange(3, 3 * MOST_DEGREES)
+    large, half = ((1 - share) ** (-2 / degrees) - 1 for share in (LARGE, 0.5))
+    found = degrees[np.abs(large / half - ratio).argmin()]
+    return 1 / float(found) if found <= MOST_DEGREES else 0.0
+
+
+def _unknown_share(removed: Float64, observed: Bool, *, heavy: bool) -> Float64:
+    """Of what would be removed (N, K, P, 2) from frames, the share that is no noise.
+
+    `removed` is in standard deviations of the noise. A frame unlike those of the fit lies further
+    from its expectation than noise explains. The rest is what the mixture does not know of it:
+    (N, 1, 1, 1), 0 where noise explains all. If its tails are `heavy` and one view alone has a
+    keypoint far off, that view errs, so its worst view counts as the next one does. The others
+    then say as much as they did (spacings of exponential variables are independent).
+    """
+    squares = np.where(observed, np.square(removed).sum(-1), 0)  # (N, K, P)
+    shown = observed.sum(1)  # (N, P)
+    told = squares.sum(1)
+    if heavy:
+        worst = np.sort(squares, axis=1)[:, -2:]
+        told = np.where(shown > 1, told - worst[:, -1] + worst[:, 0], told)
+        shown = np.where(shown > 1, shown - 1, shown)
+    count = 2 * shown.sum(1).clip(1)  # (N,)
+    variances = told.sum(1) / count
+    unlike = variances > 1 + UNLIKE * np.sqrt(2 / count)
+    unknown = np.where(unlike, variances - 1, 0)
+    share: Float64 = unknown / (1 + unknown)
+    return share.reshape(-1, 1, 1, 1)

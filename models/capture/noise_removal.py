@@ -37,7 +37,10 @@ class NoiseRemoval(NamedTuple):
         if self.motion is not None:
             return float(np.sqrt(np.square(self.motion.noise).mean())), self.motion.left
         if self.denoiser is not None:
-            return self.denoiser.noise, self.denoiser.remaining_noise
+            return (
+                float(np.sqrt(np.square(self.denoiser.noise).mean())),
+                self.denoiser.remaining_noise,
+            )
         return None
 
     def remove(

@@ -21,6 +21,7 @@ Bool = NDArray[np.bool_]
 # their components together are one mixture, which errs less than any of its parts.
 FRAMES_PER_COMPONENT, STARTS = (46, 23), 2
 ROUNDS = 20
+ROUNDS_OF_TAILS = 4  # of a frame, if its noise has heavy tails
 POOLED_FRAMES = 100  # that the covariance of all components together counts for in each
 LEAST_SIGNAL = 1e-4  # variance of a component in any direction, as a share of that of the noise
 
@@ -106,21 +107,26 @@ def _spread_out(scores: Float64, count: int, random: np.random.Generator) -> Flo
 def posterior_means_into(
     mixture: ScoreMixture,
     basis: Float64,
-    noise: float,
     offsets: Float64,
     observed: Bool,
+    tails: float,
     out: Float64,
 ) -> None:
     """Write the expected scores (N, Q) of frames of which a part is observed.
 
+    Noise with heavy tails is Student's t, of both coordinates of a keypoint together. What of a
+    coordinate is further off than Gaussian noise would be is taken away, a few times over
+    (modified residuals: Huber and Ronchetti, *Robust Statistics*, 2009, 7.8).
+
     Parameters
     ----------
     basis
-        (D, Q) what coordinates change by with the scores.
-    noise
-        Standard deviation of a coordinate.
+        (D, Q) what coordinates change by with the scores, in standard deviations of their noise.
     offsets, observed
-        (N, D) coordinates minus their mean, and whether they were observed.
+        (N, D) coordinates minus their mean, in the same units, and whether they were observed; x
+        and y of a keypoint come one after the other.
+    tails
+        One over the degrees of freedom of the noise; 0 if it is Gaussian.
     """
     count, size = mixture.centres.shape
     inner_products, factors = np.empty((size, size)), np.empty((count, size, size))
@@ -129,16 +135,38 @@ def posterior_means_into(
     _weigh_centres(mixture, shifts, energies)
     for n in range(len(offsets)):
         if n == 0 or not _same(observed[n], observed[n - 1]):
-            _information_into(basis, noise, observed[n], inner_products)
+            _information_into(basis, observed[n], inner_products)
             for m in range(count):
                 determinants[m] = _factorise(mixture.precisions[m], inner_products, factors[m])
-        for i in range(size):
-            said[i] = 0.0
-        for d in range(len(basis)):
-            if observed[n, d]:
-                for i in range(size):
-                    said[i] += basis[d, i] * offsets[n, d] / noise**2
-        _mix(mixture, factors, determinants, shifts, energies, said, logs, out[n])
+        clipped = offsets[n].copy()
+        for i in range(ROUNDS_OF_TAILS if tails > 0.0 else 1):
+            if i > 0:
+                _clip_into(basis, offsets[n], out[n], tails, clipped)
+            for j in range(size):
+                said[j] = 0.0
+            for d in range(len(basis)):
+                if observed[n, d]:
+                    for j in range(size):
+                        said[j] += basis[d, j] * clipped[d]
+            _mix(mixture, factors, determinants, shifts, energies, said, logs, out[n])
+
+
+@inner
+def _clip_into(
+    basis: Float64, offsets: Float64, scores: Float64, tails: float, out: Float64
+) -> None:
+    """Write the offsets (D,) without what heavy tails add to their residuals."""
+    residual = np.empty(2)
+    for p in range(len(offsets) // 2):
+        squared = 0.0
+        for i in range(2):
+            residual[i] = offsets[2 * p + i]
+            for j in range(len(scores)):
+                residual[i] -= basis[2 * p + i, j] * scores[j]
+            squared += residual[i] ** 2
+        share = min((1.0 + 2.0 * tails) / (1.0 + squared * tails), 1.0)
+        for i in range(2):
+            out[2 * p + i] = offsets[2 * p + i] - (1.0 - share) * residual[i]
 
 
 @compiled
@@ -183,7 +211,7 @@ def _same(a: Bool, b: Bool) -> bool:
 
 
 @inner
-def _information_into(basis: Float64, noise: float, observed: Bool, out: Float64) -> None:
+def _information_into(basis: Float64, observed: Bool, out: Float64) -> None:
     """Write what the observed coordinates say of the scores, the lower half of (Q, Q)."""
     size = basis.shape[1]
     for i in range(size):
@@ -192,7 +220,7 @@ def _information_into(basis: Float64, noise: float, observed: Bool, out: Float64
             for d in range(len(basis)):
                 if observed[d]:
                     total += basis[d, i] * basis[d, j]
-            out[i, j] = total / noise**2
+            out[i, j] = total
 
 
 @inner

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from models.bundle.known_structures import KnownStructures
 from models.calibrating.result import SelfCalibration, camera_report
 from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
-from models.capture.denoising import Denoiser
+from models.capture.denoising import DENOISER_KIND, Denoiser
 from models.capture.motion import MotionModel
 from models.capture.noise_removal import NoiseRemoval
 from models.capture.outliers import OutlierModel
@@ -303,7 +303,7 @@ class FittedPrior:
             cameras, words = to_arrays(self._self_calibration)
             parts["cameras"] = words, cameras
         if denoiser is not None:
-            parts["denoiser"] = "mixture", denoiser.to_arrays()
+            parts["denoiser"] = DENOISER_KIND, denoiser.to_arrays()
         others = {
             "motion": motion,
             "outliers": self._outliers,
@@ -373,7 +373,7 @@ def _parts(about: dict[str, str], keypoints: int) -> dict[str, _Part]:
             lambda arrays: from_arrays(arrays, about["cameras"]),
         ),
         "denoiser": _Part(
-            lambda: Denoiser.shapes(keypoints, mixture=about["denoiser"] == "mixture"),
+            lambda: Denoiser.shapes(keypoints, about["denoiser"]),
             Denoiser.from_arrays,
         ),
         "motion": _Part(lambda: MotionModel.shapes(keypoints), MotionModel.from_arrays),

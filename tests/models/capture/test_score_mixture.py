@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import root
 from scipy.stats import multivariate_normal
 
 from models.capture.score_mixture import (
@@ -45,7 +46,7 @@ def test_expected_scores_are_those_of_bayes(
     observed[:2] = [[True] * COORDINATES, [False] * COORDINATES]
     observed[5] = observed[4]  # what was factorised for one frame serves the next
     found = np.empty((len(offsets), SIZE))
-    posterior_means_into(mixture, basis, NOISE, offsets, observed, found)
+    posterior_means_into(mixture, basis / NOISE, offsets / NOISE, observed, 0.0, found)
     for offset, seen, mean in zip(offsets, observed, found, strict=True):
         own = basis[seen]
         densities, means = [], []
@@ -57,6 +58,30 @@ def test_expected_scores_are_those_of_bayes(
             means.append(centre + covariance @ own.T @ np.linalg.solve(spread, away))
         expected = np.average(means, axis=0, weights=densities)
         np.testing.assert_allclose(mean, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_expected_scores_under_heavy_tails_are_the_likeliest(basis: Float64) -> None:
+    """Of one Gaussian under Student's t, against the root that SciPy finds."""
+    degrees, rng = 4.0, np.random.default_rng(5)
+    offsets = rng.normal(0, 2, (20, COORDINATES))
+    offsets[:, :2] += 8  # of one keypoint
+    shown = np.ones(offsets.shape, np.bool_)
+    found = np.empty((len(offsets), SIZE))
+    posterior_means_into(standard_normal(SIZE), basis, offsets, shown, 1 / degrees, found)
+
+    def slope(scores: Float64, offset: Float64) -> Float64:
+        residuals = offset - basis @ scores
+        squared = np.square(residuals).reshape(-1, 2).sum(1).repeat(2)
+        weights = np.minimum((degrees + 2) / (degrees + squared), 1)
+        return np.asarray(scores - basis.T @ (weights * residuals), np.float64)
+
+    gaussian = np.empty_like(found)
+    posterior_means_into(standard_normal(SIZE), basis, offsets, shown, 0.0, gaussian)
+    best = np.array(
+        [root(slope, start, args=(o,)).x for start, o in zip(gaussian, offsets, strict=True)]
+    )
+    off = np.linalg.norm(found - best, axis=1)
+    assert np.median(off / np.linalg.norm(gaussian - best, axis=1)) < 0.1
 
 
 def test_a_mixture_is_learnt_from_noisy_scores(
@@ -76,7 +101,8 @@ def test_a_mixture_is_learnt_from_noisy_scores(
     def left(mixture: ScoreMixture) -> float:
         found = np.empty_like(noisy)
         shown = np.ones(noisy.shape, np.bool_)
-        posterior_means_into(mixture, np.eye(SIZE), NOISE, noisy, shown, found)
+        basis = np.eye(SIZE) / NOISE
+        posterior_means_into(mixture, basis, noisy / NOISE, shown, 0.0, found)
         return float(np.mean((found - clean) ** 2))
 
     heights = np.log(shares) - np.linalg.slogdet(covariances).logabsdet / 2
@@ -90,5 +116,6 @@ def test_scores_that_are_all_alike_are_learnt_too() -> None:
     mixture = learn_mixture(np.ones((50, SIZE)), NOISE)
     found = np.empty((1, SIZE))
     shown = np.ones((1, SIZE), np.bool_)
-    posterior_means_into(mixture, np.eye(SIZE), NOISE, np.full((1, SIZE), 1.5), shown, found)
+    offsets = np.full((1, SIZE), 1.5 / NOISE)
+    posterior_means_into(mixture, np.eye(SIZE) / NOISE, offsets, shown, 0.0, found)
     np.testing.assert_allclose(found, 1, atol=0.05)
