@@ -32,16 +32,30 @@ class NoiseRemoval(NamedTuple):
         return 0 if self.motion is None else len(self.motion.noise)
 
     @property
-    def removed(self) -> tuple[float, float] | None:
-        """The noise of the fit's own frames and what was left of it, pixels; None if none went."""
+    def noise(self) -> Float64 | None:
+        """Noise (K, P) of the fit's own frames, standard deviations in pixels."""
         if self.motion is not None:
-            return float(np.sqrt(np.square(self.motion.noise).mean())), self.motion.left
+            return self.motion.noise
+        return None if self.denoiser is None else self.denoiser.noise
+
+    @property
+    def removed(self) -> tuple[float, float] | None:
+        """That noise on the whole and what was left of it, pixels; None if none was removed."""
+        if self.motion is not None:
+            return _root_mean_square(self.motion.noise), self.motion.left
         if self.denoiser is not None:
-            return (
-                float(np.sqrt(np.square(self.denoiser.noise).mean())),
-                self.denoiser.remaining_noise,
-            )
+            return _root_mean_square(self.denoiser.noise), self.denoiser.remaining_noise
         return None
+
+    def weighed(self, detected: Observations) -> Observations:
+        """Weigh keypoints of the fit as they were detected by how little noise they have.
+
+        One whose noise is that on the whole keeps its weight.
+        """
+        if self.noise is None:
+            return detected
+        precisions = np.square(_root_mean_square(self.noise) / self.noise)
+        return detected._replace(weights=detected.weights * precisions.astype(np.float32))
 
     def remove(
         self, observations: Observations, views: Sequence[int], times: ArrayLike | None
@@ -71,6 +85,10 @@ class NoiseRemoval(NamedTuple):
 
     def _one_by_one(self, observations: Observations, views: Sequence[int]) -> Observations:
         return observations if self.denoiser is None else self.denoiser.denoise(observations, views)
+
+
+def _root_mean_square(values: Float64) -> float:
+    return float(np.sqrt(np.square(values).mean()))
 
 
 def learn_noise_removal(observations: Observations, times: Float64 | None) -> NoiseRemoval:

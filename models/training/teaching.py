@@ -69,7 +69,7 @@ class Teaching:
         self._config = config
         self._image_sizes = image_sizes
         self._removed_noise = removed_noise  # and what is left of it, pixels
-        self._detected = detected  # the data with the noise that was removed
+        self._detected = detected  # the data with the noise that was removed, weighed by it
         self._edges = edges  # (E, 2) of the skeleton
 
     def make_teachers(self, step: int, *, most: int) -> Iterator[None]:
@@ -191,7 +191,7 @@ class Teaching:
         return NoisyFrames(
             self._data.pixels(every).double().numpy(),
             self._detected.pixels(every).double().numpy(),
-            self._data.weights.double().numpy(),
+            self._detected.weights.double().numpy(),
             self._removed_noise[0],
         )
 
@@ -207,11 +207,12 @@ class Teaching:
         if not self._config.bone_lengths or not len(self._edges):
             return None
         frames = torch.arange(0, len(self._detected.weights), self._every(LENGTH_FRAMES))
-        weights = self._data.weights[frames]
+        pixels, weights = self._data.pixels(frames), self._data.weights[frames]
+        detected = self._detected.pixels(frames), self._detected.weights[frames].double()
         return learn_skeleton_lengths(
             self._edges,
-            prior.lift(self._data.pixels(frames), confidence=weights, refine="full"),
-            Views(self._detected.pixels(frames).numpy(), weights.double().numpy()),
+            prior.lift(pixels, confidence=weights, refine="full"),
+            Views(*(part.numpy() for part in detected)),
             found.rig,
             unit=found.unit,
             noise=self._removed_noise[0],

@@ -136,6 +136,7 @@ class Trainer:
             _begin_with(self._network, config, start)
         self._learner = Learner(self._network, torch.device(device))
         among = among_known(config, self._capture.known)
+        detected = seen.noise_removal.weighed(seen.detected)
         self._teaching = Teaching(
             self._network,
             self._data,
@@ -143,7 +144,7 @@ class Trainer:
             among,
             image_sizes,
             seen.noise_removal.removed,
-            self._data if seen.as_detected else Data.of(seen.detected, frames),
+            self._data if seen.as_detected else Data.of(detected, frames),
             edges_among_known(pairs, self._capture.known),
         )
         self._state = TrainerState(Schedule.of(config), self._teaching.state)
