@@ -7,6 +7,7 @@ and a mixture of Gaussians what the signals of a capture are like. Cameras that 
 dimension, and the smaller components show it: nothing is done then.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -48,6 +49,7 @@ MOST_DEGREES, LARGE = 12, 0.975
 TAIL_START, TAIL_END, MOST_STEEPNESS = 0.55, 0.95, 1.2
 UNLIKE = 2.0  # standard errors by which a frame must lie further off than noise explains
 LEAST_NOISE = 0.02  # of a view's size: with less noise than that, geometry does better alone
+MEDIAN_SQUARE = 2 * math.log(2)  # of the error of a keypoint, both coordinates of variance 1
 
 
 class Denoiser(NamedTuple):
@@ -174,14 +176,20 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
     if not found.white:
         return None
     noise = np.sqrt(found.variance) * found.levels
-    if np.square(noise).mean() < (LEAST_NOISE * size) ** 2 or not found.basis.size:
+    errors = found.errors[known[:, ::2]] / found.variance
+    tails = _tails(errors)
+    level = np.sqrt(np.square(noise).mean())
+    if not found.alike or tails > 0:
+        # Geometry takes little notice of the worst keypoints, and the more views it has, the less.
+        level = np.median(noise) * np.sqrt(np.median(errors) / MEDIAN_SQUARE * 3 / (2 * views))
+    if level < LEAST_NOISE * size or not found.basis.size:
         return None
     mixture = learn_mixture(found.scores, float(np.sqrt(found.variance)))
     return Denoiser(
         (found.mean * found.levels).reshape(views, count, 2),
         (found.basis * found.levels[:, None]).reshape(views, count, 2, -1),
         noise.reshape(views, count, 2)[..., 0],
-        _tails(found.errors[known[:, ::2]] / found.variance),
+        tails,
         mixture,
     )
 
@@ -193,6 +201,7 @@ class _Components(NamedTuple):
     mean: Float64  # (D,)
     basis: Float64  # (D, Q) the components that stand out of the noise
     variance: float  # of the noise
+    alike: bool  # whether all levels are one
     white: bool  # whether the noise is
     scores: Float64  # (N, Q)
     errors: Float64  # (N, D / 2) squares of what they leave of keypoints
@@ -227,7 +236,9 @@ def _find_components(given: Float64, known: Bool, *, alike: bool) -> _Components
         is_white = values[start] * white[end] <= MOST_STEEPNESS * values[end] * white[start]
         squares = np.where(known, np.square(scaled - expected), 0)
         errors = squares.reshape(frames, -1, 2).sum(-1)
-        found = _Components(levels, mean, basis, float(variance), bool(is_white), scores, errors)
+        found = _Components(
+            levels, mean, basis, float(variance), alike, bool(is_white), scores, errors
+        )
         filled = np.where(known, given, expected * levels)
         if alike:
             continue
