@@ -38,6 +38,7 @@ MOST_COORDINATES = 2000  # of a frame: the covariance has as many rows
 OBSERVED_SHARE = 0.7  # of its coordinates that a frame must have to be learnt from
 ROUNDS = 15  # of learning the noise of each keypoint, and filling what was not observed
 LITTLE = 0.01  # change of a level of noise that is no change, as a share of it
+FRAMES_PER_LEVEL = 2  # times as many as coordinates, to learn how unequal noise is
 POOLED_FRAMES = 20  # that the noise of all keypoints together counts for in that of each
 LEAST_VARIANCE = 1e-12  # pixels^2: of what does not move at all
 MOST_UNEQUAL = 4.0  # times as much noise as in the median keypoint, or as little
@@ -171,7 +172,7 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
     known = np.repeat(observed[frames].reshape(len(frames), -1), 2, axis=1)  # (N, D)
     given = np.where(known, keypoints[frames].reshape(len(frames), -1), 0)
     found = _find_components(given, known, alike=True)
-    if not found.white:
+    if not found.white and len(frames) >= FRAMES_PER_LEVEL * width:
         found = _find_components(given, known, alike=False)
     if not found.white:
         return None
@@ -179,7 +180,7 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
     errors = found.errors[known[:, ::2]] / found.variance
     tails = _tails(errors)
     level = np.sqrt(np.square(noise).mean())
-    if not found.alike or tails > 0:
+    if not found.alike:
         # Geometry takes little notice of the worst keypoints, and the more views it has, the less.
         level = np.median(noise) * np.sqrt(np.median(errors) / MEDIAN_SQUARE * 3 / (2 * views))
     if level < LEAST_NOISE * size or not found.basis.size:
