@@ -146,8 +146,8 @@ class Denoiser(NamedTuple):
             and count > 0
             and bool((np.linalg.eigvalsh(mixture.precisions) > 0).all())
         )
-        fits = fits and len(mean) == len(basis) == len(noise) and bool((noise > 0).all())
-        if not fits or not 0 <= tails < 1:
+        fits = fits and len(mean) == len(basis) and noise.shape == mean.shape[:2]
+        if not fits or not (noise > 0).all() or not 0 <= tails < 1:
             raise WeightsError("the file contradicts itself about the noise")
         return cls(mean, basis, noise, tails, mixture)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from models.capture.denoising import LEAST_FRAMES, Denoiser, learn_denoiser
 from models.capture.metrics import pa_mpjpe
@@ -174,7 +175,20 @@ def test_a_fit_stores_it_and_lifts_with_it(noisy: Float64) -> None:
     assert pa_mpjpe(named.points3d, unknown.points3d).mean > 0.01
 
 
-@pytest.mark.parametrize("name", ["heights", "centres", "precisions", "basis"])
+def test_a_file_of_before_is_read(noisy: Float64, model: Denoiser) -> None:
+    """Noise was the same for all keypoints then, and Gaussian."""
+    arrays = model.to_arrays()
+    del arrays["tails"]
+    arrays["noise"] = torch.tensor([NOISE], dtype=torch.float64)
+    assert {name: value.ndim for name, value in arrays.items()} == {
+        name: len(shape) for name, shape in Denoiser.shapes(KEYPOINTS, "mixture").items()
+    }
+    before = Denoiser.from_arrays(arrays)
+    like_it = model._replace(noise=np.full((VIEWS, KEYPOINTS), NOISE))
+    np.testing.assert_array_equal(pixels(noisy, before, [0, 1]), pixels(noisy, like_it, [0, 1]))
+
+
+@pytest.mark.parametrize("name", ["heights", "centres", "precisions", "basis", "noise"])
 def test_a_file_that_contradicts_itself_is_refused(model: Denoiser, name: str) -> None:
     arrays = model.to_arrays()
     arrays[name] = arrays[name][..., :-1]
