@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.report import TRNG, Curve, Report, Row
-from benchmarks.rig import Rig, add_noise, hide, keep_few_views, miscalibrate
+from benchmarks.rig import Rig, add_noise, detect, hide, keep_few_views, miscalibrate
 from models.capture.metrics import Accuracy, pa_mpjpe, pck
 from models.capture.observations import as_observations
 from models.capture.triangulation import triangulate
@@ -232,6 +232,18 @@ def noise(bench: Bench, seed: int) -> None:
                 bench.score("noise", how, views, points, which, seed=seed, level=sigma)
 
 
+def detector(bench: Bench, seed: int) -> None:
+    """Errors like those of a detector, in hundredths of the subject's size; all is scored."""
+    for share in (2, 4, 8) if bench.full else (4,):
+        spoilt = detect(bench.keypoints, share / 100, seed)
+        for views in bench.sets:
+            which, own = bench.showing(views, 1), tuple(range(len(views)))
+            fitted = bench.fit(seed, views, keypoints=spoilt, key=f"detector {share}")
+            points = bench.lift(fitted, views, keypoints=spoilt, known_as=own)
+            level = {"level": share, "seed": seed}
+            bench.score("detector", ALONE, views, points, which, fitted=fitted, **level)
+
+
 def miscalibration(bench: Bench, seed: int) -> None:
     """TRNG whose calibration is off, beside a fit that is told nothing of the cameras."""
     if bench.rig is None:
@@ -377,6 +389,7 @@ def ablations(bench: Bench, seed: int) -> None:
 CASES: dict[str, Callable[[Bench, int], None]] = {
     "views": error_by_views,
     "noise": noise,
+    "detector": detector,
     "trng": miscalibration,
     "pck": correct_keypoints,
     "unseen": unseen,

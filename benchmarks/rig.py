@@ -170,6 +170,23 @@ def keep_few_views(keypoints: ArrayLike, shares: Sequence[float], seed: int) -> 
     return pixels
 
 
+def detect(keypoints: ArrayLike, share: float, seed: int) -> Float64:
+    """Add errors like those of a detector, which loses a tenth of the views and of the keypoints.
+
+    They are usually that `share` of the subject's root-mean-square radius in a view, more or less
+    (40 %) by keypoint and view, with the tails of Student's t of 4 degrees of freedom.
+    """
+    pixels = np.array(keypoints, np.float64)
+    rng = np.random.default_rng([seed, 70])
+    size = np.sqrt(np.nanmean(np.nanvar(pixels, axis=2).sum(-1)))
+    levels = share * size * np.exp(rng.normal(0, 0.4, pixels.shape[1:3]))[..., None]  # (K, P, 1)
+    tails = np.sqrt(rng.chisquare(4, (*pixels.shape[:3], 1)) / 2)  # of variance 1
+    pixels += levels / tails * rng.standard_normal(pixels.shape)
+    pixels[rng.random(pixels.shape[:2]) < 0.1] = np.nan
+    pixels[rng.random(pixels.shape[:3]) < 0.1] = np.nan
+    return pixels
+
+
 def _linear(image: Float64, world: Float64) -> Float64:
     """Return the projection (3, 4) of least algebraic error, by normalised DLT."""
     to_image, to_world = _normaliser(image), _normaliser(world)
