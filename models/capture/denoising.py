@@ -180,8 +180,10 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
     errors = found.errors[known[:, ::2]] / found.variance
     tails = _tails(errors)
     level = np.sqrt(np.square(noise).mean())
-    if not found.alike:
-        # Geometry takes little notice of the worst keypoints, and the more views it has, the less.
+    weights = observations.weights[frames].reshape(-1)[known[:, ::2].ravel()]
+    if not found.alike and np.ptp(weights) > 0:
+        # Confidences let geometry take little notice of the worst keypoints, and the more views
+        # it has, the less. Noise is removed without regard to them.
         level = np.median(noise) * np.sqrt(np.median(errors) / MEDIAN_SQUARE * 3 / (2 * views))
     if level < LEAST_NOISE * size or not found.basis.size:
         return None

@@ -72,13 +72,13 @@ def prepare(judge: Judge) -> Prepared:
     shape, size = judge.scales.shape, len(judge.products)
     used = np.ones(shape, np.bool_)
     result = Prepared(make_predictor(shape, size), make_predictor(shape, size))
-    _predictor_into(judge, judge.noises[0], used, result.coarse)
-    _predictor_into(judge, judge.noises[-1], used, result.fine)
+    predictor_into(judge, judge.noises[0], used, result.coarse)
+    predictor_into(judge, judge.noises[-1], used, result.fine)
     return result
 
 
 @inner
-def _predictor_into(judge: Judge, noise: float, used: Bool, out: Predictor) -> None:
+def predictor_into(judge: Judge, noise: float, used: Bool, out: Predictor) -> None:
     """Write what predicts from the keypoints that are `used` (K, P), with so much noise."""
     factors, size = out.factors, len(out.factors)
     copy(judge.products, factors)
@@ -177,9 +177,9 @@ def _judge_frame_into(
         _outlying_given(judge, prepared.coarse, observed, scratch, scratch.found)
         _outlying_given(judge, prepared.fine, observed, scratch, out)
     else:
-        _predictor_into(judge, judge.noises[0], observed[0], scratch.predictor)
+        predictor_into(judge, judge.noises[0], observed[0], scratch.predictor)
         _outlying_given(judge, scratch.predictor, observed, scratch, scratch.found)
-        _predictor_into(judge, judge.noises[-1], observed[0], scratch.predictor)
+        predictor_into(judge, judge.noises[-1], observed[0], scratch.predictor)
         _outlying_given(judge, scratch.predictor, observed, scratch, out)
     if max(found.max(), out.max()) <= OUTLIER:  # where all together look right, they are
         return
@@ -188,7 +188,7 @@ def _judge_frame_into(
     for v in range(len(used)):
         used[v] = shown[v] and not far[v]
     for r in range(len(judge.noises)):
-        _predictor_into(judge, judge.noises[r], scratch.used[0], scratch.predictor)
+        predictor_into(judge, judge.noises[r], scratch.used[0], scratch.predictor)
         _outlying_given(judge, scratch.predictor, observed, scratch, out)
         found = out.ravel()
         for v in range(len(used)):

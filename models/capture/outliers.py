@@ -4,6 +4,7 @@ All views of a frame, stacked into one vector, lie near a set of few dimensions,
 rest. Probabilistic PCA (Tipping & Bishop, 1999) therefore predicts a keypoint from the others. How
 far inliers are off is told by Student's t, with a scale for each view and keypoint; outliers lie
 anywhere in the view. What is probably an outlier takes no part, and everything is learnt anew.
+Left and right keypoints that were taken for each other are no outliers, but change places.
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ from models.capture.outlier_kernels import (
     prepare,
     squared_errors_into,
 )
+from models.capture.swapped_keypoints import find_pairs, put_right
 from models.numerics.eigenvalues import falling_eigenvalues, white_eigenvalues
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
@@ -30,12 +32,15 @@ from models.settings.keypoints import OUTLIER
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+Int64 = NDArray[np.int64]
 
+OUTLIERS_KIND = "pairs"  # in files: with the keypoints that may be swapped
 LEAST_FRAMES = 40  # with fewer, what is usual is not known
 MOST_FRAMES, MOST_NUMBERS = 4000, 1_000_000  # to learn it from: plenty, and what takes seconds
 MOST_COORDINATES = 1200  # of a frame
 MOST_COMPONENTS = 40
 LEARNING_ROUNDS, FILLING_ROUNDS = 12, 4
+SWAPPING_ROUNDS = 3  # of finding swapped keypoints, and learning without them
 JUDGING_ROUNDS, FIRST_NOISE = 8, 0.05  # of a frame with outliers; of a view's side
 LEAST_SCALE = 1e-3  # of the side of a view, what lens models and rounding leave
 FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.05, 0.001, 0.4  # of outliers among the keypoints
@@ -53,15 +58,19 @@ class OutlierModel(NamedTuple):
     scales: Float64  # (K, P) of inliers' errors
     sides: Float64  # (K,) of the square that outliers lie in
     share: float  # of outliers among the keypoints
+    pairs: Int64  # (S, 2) left and right keypoints that a view may show swapped
 
     def to_arrays(self) -> Arrays:
         """Return the model as tensors, for a file."""
         return as_tensors(self._asdict())
 
     @classmethod
-    def shapes(cls, keypoints: int) -> Shapes:
-        """Shapes of what `to_arrays` returns, for P keypoints; None stands for any length."""
-        return {
+    def shapes(cls, keypoints: int, kind: str) -> Shapes:
+        """Shapes of what `to_arrays` returns, for P keypoints; None stands for any length.
+
+        Older versions knew of no pairs; their `kind` was "yes".
+        """
+        shapes: Shapes = {
             "mean": (None, keypoints, 2),
             "basis": (None, keypoints, 2, None),
             "noise": (1,),
@@ -69,6 +78,7 @@ class OutlierModel(NamedTuple):
             "sides": (None,),
             "share": (1,),
         }
+        return shapes | {"pairs": (None, 2)} if kind == OUTLIERS_KIND else shapes
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "OutlierModel":
@@ -85,9 +95,14 @@ class OutlierModel(NamedTuple):
         noise, share = arrays["noise"].item(), arrays["share"].item()
         same = len(mean) == len(basis) == len(scales) == len(sides)
         positive = noise > 0 and bool((scales > 0).all() and (sides > 0).all())
-        if not same or not positive or not 0 < share < 1:
+        pairs = np.empty((0, 2), np.int64)
+        if "pairs" in arrays:
+            pairs = arrays["pairs"].numpy().round().astype(np.int64)
+        different = len(np.unique(pairs)) == pairs.size
+        inside = bool(((pairs >= 0) & (pairs < mean.shape[1])).all())
+        if not same or not positive or not 0 < share < 1 or not different or not inside:
             raise WeightsError("the file contradicts itself about outliers")
-        return cls(mean, basis, noise, scales, sides, share)
+        return cls(mean, basis, noise, scales, sides, share, pairs)
 
 
 class OutlierJudge:
@@ -110,6 +125,15 @@ class OutlierJudge:
             np.geomspace(first, model.noise, JUDGING_ROUNDS),
         )
         self._prepared = prepare(self._judge)
+        self._pairs = model.pairs
+
+    def find_pairs(self, observations: Observations) -> Int64:
+        """Return the keypoints (S, 2) that are swapped in some of the frames: left and right."""
+        return find_pairs(self._judge, self._prepared, observations)
+
+    def put_right(self, observations: Observations) -> tuple[Observations, Bool]:
+        """Let keypoints that are swapped change places, and say which did (N, K, P)."""
+        return put_right(self._judge, self._prepared, self._pairs, observations)
 
     def probabilities(self, observations: Observations) -> Float64:
         """Return how probably each keypoint (N, K, P) is an outlier; NaN where not observed.
@@ -130,10 +154,13 @@ class OutlierJudge:
     def without_outliers(self, observations: Observations) -> tuple[Observations, Float32]:
         """Return the observations less those that are probably outliers, and the probabilities.
 
-        These (N, K, P) are rounded. What is more probable than `OUTLIER` is left out.
+        These (N, K, P) are rounded. What is more probable than `OUTLIER` is left out. Keypoints
+        that are swapped change places, and have probability 1: they are not where they were seen.
         """
+        observations, swapped = self.put_right(observations)
         probabilities = self.probabilities(observations).round(DIGITS).astype(np.float32)
         outliers = probabilities > OUTLIER
+        probabilities[swapped] = 1
         if not outliers.any():
             return observations, probabilities
         pixels, _ = pixels_of(observations)
@@ -146,6 +173,24 @@ def learn_outliers(observations: Observations) -> OutlierModel | None:
 
     That takes 40 frames, of 1200 coordinates at most.
     """
+    pairs = np.empty((0, 2), np.int64)
+    model = _learn(observations, pairs)
+    for _ in range(SWAPPING_ROUNDS):
+        if model is None:
+            break
+        judge = OutlierJudge(model, range(len(model.mean)))
+        more = judge.find_pairs(judge.put_right(observations)[0])
+        more = more[~np.isin(more, pairs).any(1)]
+        if not len(more):
+            break
+        pairs = np.concatenate((pairs, more))
+        judge = OutlierJudge(model._replace(pairs=pairs), range(len(model.mean)))
+        model = _learn(judge.put_right(observations)[0], pairs)
+    return model
+
+
+def _learn(observations: Observations, pairs: Int64) -> OutlierModel | None:
+    """Learn from keypoints of which none is swapped any more."""
     pixels, observed = pixels_of(observations)
     views, count = observed.shape[1:]
     width = 2 * views * count  # D, 0 where no view shows anything
@@ -194,6 +239,7 @@ def learn_outliers(observations: Observations) -> OutlierModel | None:
         scales,
         sides,
         share,
+        pairs,
     )
 
 

@@ -21,6 +21,7 @@ CaptureCode = TypeAliasType(
         "views_out_of_step",
         "views_swapped",
         "left_right_swapped",
+        "left_right_mended",
         "outliers",
     ],
 )
@@ -125,6 +126,13 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "warning",
         "The view shows left and right keypoints the other way round than the other views do.",
         "Exchange left and right in this view, or turn off mirroring of its images.",
+    ),
+    "left_right_mended": Entry(
+        "info",
+        "In these frames a view shows some left and right keypoints the other way round than the"
+        " other views do. The fit and its lifts let them change places; their"
+        " `outlier_probability` in a lift is 1.",
+        "Nothing, if the frames are few; else look at what the detector wrote for these views.",
     ),
     "outliers": Entry(
         "info",

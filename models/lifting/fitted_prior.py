@@ -13,7 +13,7 @@ from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
 from models.capture.denoising import DENOISER_KIND, Denoiser
 from models.capture.motion import MotionModel
 from models.capture.noise_removal import NoiseRemoval
-from models.capture.outliers import OutlierModel
+from models.capture.outliers import OUTLIERS_KIND, OutlierModel
 from models.findings.finding import Finding
 from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.lifting.explanations import Refiner
@@ -304,9 +304,10 @@ class FittedPrior:
             parts["cameras"] = words, cameras
         if denoiser is not None:
             parts["denoiser"] = DENOISER_KIND, denoiser.to_arrays()
+        if self._outliers is not None:
+            parts["outliers"] = OUTLIERS_KIND, self._outliers.to_arrays()
         others = {
             "motion": motion,
-            "outliers": self._outliers,
             "skeleton": self._skeleton,
             "structures": self._structures,
         }
@@ -377,7 +378,10 @@ def _parts(about: dict[str, str], keypoints: int) -> dict[str, _Part]:
             Denoiser.from_arrays,
         ),
         "motion": _Part(lambda: MotionModel.shapes(keypoints), MotionModel.from_arrays),
-        "outliers": _Part(lambda: OutlierModel.shapes(keypoints), OutlierModel.from_arrays),
+        "outliers": _Part(
+            lambda: OutlierModel.shapes(keypoints, about["outliers"]),
+            OutlierModel.from_arrays,
+        ),
         "skeleton": _Part(
             SkeletonLengths.shapes,
             lambda arrays: SkeletonLengths.from_arrays(arrays, keypoints),

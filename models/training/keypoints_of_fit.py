@@ -93,8 +93,12 @@ def observe(
     observations = _among(observations, capture.known)
     outliers = learn_outliers(observations) if config.outlier_rejection else None
     if outliers is not None:
-        observations, found = _without(observations, outliers)
-        capture = capture._replace(findings=(*capture.findings, *found))
+        judge = OutlierJudge(outliers, range(views))
+        _, swapped = judge.put_right(observations)
+        told = (finding for finding in capture.findings if not _settled(finding, swapped))
+        kept, _ = judge.without_outliers(observations)
+        found = (*_mended(swapped, capture.known), *_left_out(observations, kept))
+        capture, observations = capture._replace(findings=(*told, *found)), kept
     if not config.denoising or not observations.usable.any():
         return Observed(observations, observations, capture, outliers, NoiseRemoval())
     removal = learn_noise_removal(observations, read.times)
@@ -132,18 +136,42 @@ def edges_among_known(edges: Int64, known: Bool) -> Int64:
     return between
 
 
-def _without(
-    observations: Observations, outliers: OutlierModel
-) -> tuple[Observations, tuple[Finding, ...]]:
-    """Return the observations without outliers, and what is to be said of these."""
-    kept, _ = OutlierJudge(outliers, range(len(outliers.mean))).without_outliers(observations)
-    there, left = observations.weights > 0, kept.weights > 0
+def _mended(swapped: Bool, known: Bool) -> tuple[Finding, ...]:
+    """Say which of the known keypoints (P,) were swapped (N, K, Q)."""
+    if not swapped.any():
+        return ()
+    frames = np.logical_or.reduce(swapped, axis=2)  # (N, K)
+    views = np.flatnonzero(frames.any(0))
+    finding = Finding.of(
+        "left_right_mended",
+        views=views.tolist(),
+        frames=np.flatnonzero(frames.any(1)).tolist(),
+        keypoints=np.flatnonzero(known)[np.flatnonzero(swapped.any((0, 1)))].tolist(),
+        share=float(frames[:, views].mean()),
+    )
+    return (finding,)
+
+
+def _settled(finding: Finding, swapped: Bool) -> bool:
+    """Say whether a finding is about frames of which most were put right: keypoints (N, K, Q).
+
+    Epipolar lines do not always tell which of two views it is that shows a frame swapped.
+    """
+    if finding.code != "left_right_swapped" or not finding.frames:
+        return False
+    mended = np.logical_or.reduce(swapped, axis=(1, 2))  # (N,)
+    return bool(np.mean([mended[a : b + 1].mean() for a, b in finding.frames]) > 0.5)
+
+
+def _left_out(before: Observations, after: Observations) -> tuple[Finding, ...]:
+    """Say which views have outliers that were left out."""
+    there, left = before.weights > 0, after.weights > 0
     shares = 1 - left.sum((0, 2)) / there.sum((0, 2)).clip(1)  # (K,)
     if not (shares >= WORTH_TELLING).any():
-        return kept, ()
+        return ()
     views = np.flatnonzero(shares >= WORTH_TELLING).tolist()
     share = float(1 - left.sum() / there.sum())
-    return kept, (Finding.of("outliers", views=views, share=share),)
+    return (Finding.of("outliers", views=views, share=share),)
 
 
 def _suited(known: Bool, shown: Bool) -> Bool:
