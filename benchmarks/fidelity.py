@@ -17,8 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.bench import PCK_MM, Bench
 from benchmarks.captures import said_beside
-from benchmarks.cases import CASES, PCK_MM, Bench
+from benchmarks.cases import CASES
+from benchmarks.harms import keypoint_names, partners_by_name
 from benchmarks.report import TRNG, Report, draw, markdown
 from benchmarks.rig import find_rig
 from models.numerics.threads import use_threads
@@ -116,6 +118,7 @@ def prepare(arguments: argparse.Namespace) -> Bench:
         full=arguments.full,
         report=Report(say=lambda line: print(line, flush=True)),
         rig=rig,
+        partners=partners_by_name(keypoint_names(arguments.capture) or [""] * points),
         times=None if arguments.fps is None else np.arange(frames) / arguments.fps,
     )
 

@@ -214,7 +214,9 @@ def main() -> None:
     out.write("| capture | harm | cases | found | views | frames | other warnings |\n")
     out.write("|---|---|---|---|---|---|---|\n")
     for path in arguments.captures:
-        keypoints, names = _read(path)
+        with np.load(path) as file:
+            keypoints = file["keypoints"].astype(np.float64)
+        names = keypoint_names(path)
         for code in arguments.only:
             tried = [run_case(code, keypoints, names, case) for case in range(arguments.cases)]
             scores = [score for score in tried if score is not None]
@@ -248,15 +250,15 @@ def _spoil(k: Float64, how: tuple[float, float, float] | None, rng: Rng) -> Floa
     return k
 
 
-def _read(path: Path) -> tuple[Float64, list[str] | None]:
+def keypoint_names(path: Path) -> list[str] | None:
+    """Return the names in a capture's file or in the JSON beside it; None if neither has any."""
     with np.load(path) as file:
-        keypoints = file["keypoints"].astype(np.float64)
         names = file["keypoint_names"].tolist() if "keypoint_names" in file else None
     beside = path.with_suffix(".json")
     if names is None and beside.exists():
         said = json.loads(beside.read_text())
         names = said.get("keypoint_names") or said.get("joint_names")
-    return keypoints, names
+    return names
 
 
 if __name__ == "__main__":

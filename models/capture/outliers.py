@@ -41,6 +41,7 @@ MOST_COORDINATES = 1200  # of a frame
 MOST_COMPONENTS = 40
 LEARNING_ROUNDS, FILLING_ROUNDS = 12, 4
 SWAPPING_ROUNDS = 3  # of finding swapped keypoints, and learning without them
+LEAST_PAIRS = 2  # that are swapped in the capture: a side has more than one keypoint
 JUDGING_ROUNDS, FIRST_NOISE = 8, 0.05  # of a frame with outliers; of a view's side
 LEAST_SCALE = 1e-3  # of the side of a view, what lens models and rounding leave
 FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.05, 0.001, 0.4  # of outliers among the keypoints
@@ -181,7 +182,7 @@ def learn_outliers(observations: Observations) -> OutlierModel | None:
         judge = OutlierJudge(model, range(len(model.mean)))
         more = judge.find_pairs(judge.put_right(observations)[0])
         more = more[~np.isin(more, pairs).any(1)]
-        if not len(more):
+        if not len(more) or len(pairs) + len(more) < LEAST_PAIRS:
             break
         pairs = np.concatenate((pairs, more))
         judge = OutlierJudge(model._replace(pairs=pairs), range(len(model.mean)))

@@ -34,7 +34,8 @@ class Answers(NamedTuple):
     # (N, P): usable views that show the keypoint; 0 where it is inferred from the others.
     keypoints_seen: NDArray[np.uint8]
     # (N, K, P): how probably the prior holds each keypoint for an outlier, in thousandths; NaN
-    # where nothing was observed, or nothing judged. More than `OUTLIER` is left out of the lift.
+    # where nothing was observed, or nothing judged. More than `OUTLIER` is left out of the lift or,
+    # where left and right were swapped, used in its partner's place.
     outlier_probability: Float32
     findings: NDArray[np.uint8]  # (N,) sums of what stands below this class
     continued: NDArray[np.bool_]  # (N,) whether refinement started from the answer before

@@ -100,7 +100,8 @@ class FitConfig(BaseModel):
         default=True,
         description=(
             "Remove noise from the keypoints before anything else, in the fit and in lifts, where"
-            " the capture shows that it is white and strong (cameras at rest, 40 frames or more)."
+            " the capture shows that it is strong, and white once it is divided by the level of"
+            " each keypoint and view (cameras at rest, 40 frames or more)."
             " Frames of datasets with `fps` or `times` are smoothed in time instead, in fits, their"
             " reconstructions and lift jobs, also if cameras move."
         ),
@@ -109,7 +110,8 @@ class FitConfig(BaseModel):
         default=True,
         description=(
             "Leave out keypoints that lie where the rest of their frame says that they cannot be,"
-            " in the fit and in lifts (40 frames or more)."
+            " in the fit and in lifts (40 frames or more), and put left and right keypoints right"
+            " that were taken for each other in single views."
         ),
     )
     bone_lengths: bool = Field(

@@ -160,7 +160,8 @@ class LiftedFrame(BaseModel):
     )
     outlier_probability: list[list[float | None]] | None = Field(
         description="How probably each keypoint of each view (views x keypoints) is an outlier, 0 "
-        f"to 1. What exceeds {OUTLIER} was left out of the lift. Null for what was not observed, "
+        f"to 1. What exceeds {OUTLIER} was left out of the lift or, where left and right were "
+        "swapped, used in its partner's place. Null for what was not observed, "
         "and in all where the model judges no outliers, of cameras that the fit does not know, and "
         "in what older versions stored."
     )

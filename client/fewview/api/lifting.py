@@ -46,7 +46,8 @@ class Lift:
         (N, P) how many views show each; 0 is inferred. None of old reconstructions.
     outlier_probability
         (N, K, P) in [0, 1]: how probably a keypoint of a view is an outlier. What exceeds 0.5 was
-        left out of the lift. NaN where nothing was observed or judged; None of old reconstructions.
+        left out of the lift or, where left and right were swapped, used in its partner's place.
+        NaN where nothing was observed or judged; None of old reconstructions.
     frame_findings
         (N,) sums of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``,
         8 ``not_in_room``; None of old reconstructions.
