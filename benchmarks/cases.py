@@ -98,6 +98,10 @@ def _score_spoilt(bench: Bench, seed: int, case: str, level: int, spoilt: Float6
         fitted = bench.fit(seed, views, keypoints=spoilt, key=f"{case} {level}")
         points = bench.lift(fitted, views, keypoints=spoilt, known_as=own)
         bench.score(case, ALONE, views, points, which, fitted=fitted, level=level, seed=seed)
+        if bench.rig is not None:
+            points = bench.triangulated(views, bench.rig.projections[list(views)], spoilt)
+            how = f"{TRNG}, exact calibration"
+            bench.score(case, how, views, points, which, seed=seed, level=level)
 
 
 def miscalibration(bench: Bench, seed: int) -> None:
