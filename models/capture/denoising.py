@@ -174,7 +174,7 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
     found = _find_components(given, known, alike=True)
     if not found.white and len(frames) >= FRAMES_PER_LEVEL * width:
         found = _find_components(given, known, alike=False)
-    if not found.white:
+    if not found.white or found.variance <= 0:
         return None
     noise = np.sqrt(found.variance) * found.levels
     errors = found.errors[known[:, ::2]] / found.variance
@@ -271,7 +271,10 @@ def _tails(errors: Float64) -> float:
 
     Half the square of a keypoint's error has the distribution F(2, degrees).
     """
-    ratio = np.quantile(errors, LARGE) / np.quantile(errors, 0.5)
+    median = np.quantile(errors, 0.5)
+    if median <= 0:  # no noise at all
+        return 0.0
+    ratio = np.quantile(errors, LARGE) / median
     degrees = np.arange(3, 3 * MOST_DEGREES)
     large, half = ((1 - share) ** (-2 / degrees) - 1 for share in (LARGE, 0.5))
     found = degrees[np.abs(large / half - ratio).argmin()]
