@@ -178,7 +178,6 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
         return None
     noise = np.sqrt(found.variance) * found.levels
     errors = found.errors[known[:, ::2]] / found.variance
-    tails = _tails(errors)
     level = np.sqrt(np.square(noise).mean())
     weights = observations.weights[frames].reshape(-1)[known[:, ::2].ravel()]
     if not found.alike and np.ptp(weights) > 0:
@@ -192,7 +191,7 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
         (found.mean * found.levels).reshape(views, count, 2),
         (found.basis * found.levels[:, None]).reshape(views, count, 2, -1),
         noise.reshape(views, count, 2)[..., 0],
-        tails,
+        _tails(errors),
         mixture,
     )
 
@@ -272,7 +271,7 @@ def _tails(errors: Float64) -> float:
     Half the square of a keypoint's error has the distribution F(2, degrees).
     """
     median = np.quantile(errors, 0.5)
-    if median <= 0:  # no noise at all
+    if median <= 0:  # most keypoints have no noise at all
         return 0.0
     ratio = np.quantile(errors, LARGE) / median
     degrees = np.arange(3, 3 * MOST_DEGREES)

@@ -96,14 +96,21 @@ class OutlierModel(NamedTuple):
         noise, share = arrays["noise"].item(), arrays["share"].item()
         same = len(mean) == len(basis) == len(scales) == len(sides)
         positive = noise > 0 and bool((scales > 0).all() and (sides > 0).all())
-        pairs = np.empty((0, 2), np.int64)
-        if "pairs" in arrays:
-            pairs = arrays["pairs"].numpy().round().astype(np.int64)
-        different = len(np.unique(pairs)) == pairs.size
-        inside = bool(((pairs >= 0) & (pairs < mean.shape[1])).all())
-        if not same or not positive or not 0 < share < 1 or not different or not inside:
+        pairs = arrays["pairs"].numpy() if "pairs" in arrays else np.empty((0, 2))
+        indices = set(range(mean.shape[1])) & set(pairs.ravel().tolist())
+        whole = len(indices) == pairs.size  # they are keypoints, and none is named twice
+        if not same or not positive or not 0 < share < 1 or not whole:
             raise WeightsError("the file contradicts itself about outliers")
-        return cls(mean, basis, noise, scales, sides, share, pairs)
+        return cls(mean, basis, noise, scales, sides, share, pairs.astype(np.int64))
+
+
+class Judged(NamedTuple):
+    """Frames without outliers, and what was found in them."""
+
+    observations: Observations
+    # (N, K, P), rounded; 1 of keypoints that were swapped, which are not where they were seen.
+    probabilities: Float32
+    swapped: Bool  # (N, K, P)
 
 
 class OutlierJudge:
@@ -152,21 +159,21 @@ class OutlierJudge:
         in_slices(len(pixels), FRAMES_AT_A_TIME, judge)
         return result
 
-    def without_outliers(self, observations: Observations) -> tuple[Observations, Float32]:
-        """Return the observations less those that are probably outliers, and the probabilities.
+    def without_outliers(self, observations: Observations) -> Judged:
+        """Return the observations less those that are probably outliers, swapped ones put right.
 
-        These (N, K, P) are rounded. What is more probable than `OUTLIER` is left out. Keypoints
-        that are swapped change places, and have probability 1: they are not where they were seen.
+        What is more probable than `OUTLIER` is left out.
         """
         observations, swapped = self.put_right(observations)
         probabilities = self.probabilities(observations).round(DIGITS).astype(np.float32)
         outliers = probabilities > OUTLIER
         probabilities[swapped] = 1
         if not outliers.any():
-            return observations, probabilities
+            return Judged(observations, probabilities, swapped)
         pixels, _ = pixels_of(observations)
         shown = np.where(outliers[..., None], np.nan, pixels)
-        return as_observations(shown, observations.weights), probabilities
+        kept = as_observations(shown, observations.weights)
+        return Judged(kept, probabilities, swapped)
 
 
 def learn_outliers(observations: Observations) -> OutlierModel | None:

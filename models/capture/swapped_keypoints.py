@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.capture.observations import Observations, as_observations, pixels_of
-from models.capture.outlier_kernels import Judge, Prepared, make_predictor, predictor_into
+from models.capture.outlier_kernels import (
+    Judge,
+    Predictor,
+    Prepared,
+    make_predictor,
+    predictor_into,
+)
 from models.numerics.compiled import compiled, inner
 from models.numerics.threads import in_slices
 
@@ -37,10 +43,10 @@ def put_right(
     Frames that fewer than two views show stay as they are, and so do pairs (S, 2) of which not
     both are observed.
     """
-    pixels, observed = pixels_of(observations)
-    swapped = np.zeros(observed.shape, np.bool_)
+    swapped = np.zeros(observations.weights.shape, np.bool_)
     if not len(pairs):
         return observations, swapped
+    pixels, observed = pixels_of(observations)
 
     def mend(part: slice) -> None:
         swap_back(judge, prepared, pairs, pixels[part], observed[part], swapped[part])
@@ -93,11 +99,7 @@ def swap_back(
     for n in range(frames):
         if not _frame_into(judge, pixels[n], observed[n], offsets):
             continue
-        predictor = prepared.fine
-        if not observed[n].all():
-            predictor_into(judge, judge.noises[-1], observed[n], own)
-            predictor = own
-        factors = predictor.factors
+        factors = _factors_of(judge, prepared, observed[n], own)
         energy = _energy(judge, factors, offsets, scores)
         for _ in range(views):
             where, best = _best_turns(
@@ -178,23 +180,20 @@ def gains_by_pairs(
     for n in range(frames):
         if not _frame_into(judge, pixels[n], observed[n], offsets):
             continue
-        predictor = prepared.fine
-        if not observed[n].all():
-            predictor_into(judge, judge.noises[-1], observed[n], own)
-            predictor = own
-        energy = _energy(judge, predictor.factors, offsets, scores)
+        factors = _factors_of(judge, prepared, observed[n], own)
+        energy = _energy(judge, factors, offsets, scores)
         for k in range(views):
             for p in range(count):
                 for q in range(p + 1, count):
                     if observed[n, k, p] and observed[n, k, q]:
                         pair[0], pair[1] = p, q
-                        gain = -_change(judge, predictor.factors, k, pair, offsets, scores)
+                        gain = -_change(judge, factors, k, pair, offsets, scores)
                         usual = max((energy - gain) / (2 * observed[n].sum()), 1.0)
                         if gain < LIKELY * usual:
                             continue
                         trial[:], trial_scores[:] = offsets, scores
-                        _turn(judge, predictor.factors, k, pair, trial, trial_scores)
-                        if _suits(judge, predictor.factors, k, pair, trial, trial_scores, usual):
+                        _turn(judge, factors, k, pair, trial, trial_scores)
+                        if _suits(judge, factors, k, pair, trial, trial_scores, usual):
                             gains[p, q] += min(gain / usual, MOST_GAIN)
                             times[p, q] += 1
 
@@ -214,8 +213,17 @@ def _frame_into(judge: Judge, pixels: Float64, observed: Bool, offsets: Float64)
 
 
 @inner
+def _factors_of(judge: Judge, prepared: Prepared, observed: Bool, own: Predictor) -> Float64:
+    """Return the factors of what predicts from all observed keypoints (K, P), maybe in `own`."""
+    if observed.all():
+        return prepared.fine.factors
+    predictor_into(judge, judge.noises[-1], observed, own)
+    return own.factors
+
+
+@inner
 def _energy(judge: Judge, factors: Float64, offsets: Float64, scores: Float64) -> float:
-    """Return minus twice the log likelihood of a frame, and write F y (Q,)."""
+    """Return minus twice the log likelihood of a frame, up to a constant, and write F y (Q,)."""
     size = len(scores)
     total = 0.0
     for d in range(len(offsets)):

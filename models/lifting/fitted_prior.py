@@ -302,18 +302,16 @@ class FittedPrior:
         if self._self_calibration is not None:
             cameras, words = to_arrays(self._self_calibration)
             parts["cameras"] = words, cameras
-        if denoiser is not None:
-            parts["denoiser"] = DENOISER_KIND, denoiser.to_arrays()
-        if self._outliers is not None:
-            parts["outliers"] = OUTLIERS_KIND, self._outliers.to_arrays()
         others = {
-            "motion": motion,
-            "skeleton": self._skeleton,
-            "structures": self._structures,
+            "denoiser": (DENOISER_KIND, denoiser),
+            "motion": ("yes", motion),
+            "outliers": (OUTLIERS_KIND, self._outliers),
+            "skeleton": ("yes", self._skeleton),
+            "structures": ("yes", self._structures),
         }
-        for name, other in others.items():
+        for name, (kind, other) in others.items():
             if other is not None:
-                parts[name] = "yes", other.to_arrays()
+                parts[name] = kind, other.to_arrays()
         for name, (words, tensors) in parts.items():
             about[name] = words
             arrays |= prefixed(f"{name}.", tensors)

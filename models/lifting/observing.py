@@ -85,7 +85,8 @@ class Observer:
         chosen = self._views_of_fit(views, observations.weights.shape[1])
         if self._outliers is None or chosen is None:
             return Observed(observations, None, chosen)
-        return Observed(*self._judge_of(chosen).without_outliers(observations), chosen)
+        judged = self._judge_of(chosen).without_outliers(observations)
+        return Observed(judged.observations, judged.probabilities, chosen)
 
     def _of_capture(
         self,

@@ -93,10 +93,8 @@ def observe(
     observations = _among(observations, capture.known)
     outliers = learn_outliers(observations) if config.outlier_rejection else None
     if outliers is not None:
-        judge = OutlierJudge(outliers, range(views))
-        _, swapped = judge.put_right(observations)
+        kept, _, swapped = OutlierJudge(outliers, range(views)).without_outliers(observations)
         told = (finding for finding in capture.findings if not _settled(finding, swapped))
-        kept, _ = judge.without_outliers(observations)
         found = (*_mended(swapped, capture.known), *_left_out(observations, kept))
         capture, observations = capture._replace(findings=(*told, *found)), kept
     if not config.denoising or not observations.usable.any():
