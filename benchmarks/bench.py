@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.report import Report, Row
+from benchmarks.report import Found, Report, Row
 from benchmarks.rig import Rig
 from models.capture.metrics import Accuracy, pa_mpjpe, pck
 from models.capture.observations import as_observations
 from models.capture.triangulation import triangulate
 from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import Lift
 from models.settings.config import FitConfig, Refine
 from models.training.trainer import fit
 
@@ -101,7 +102,11 @@ class Bench:
         all_of_it = self.given_confidence
         return None if all_of_it is None else all_of_it[which][:, views]
 
-    def lift(
+    def lift(self, fitted: Fit, views: Views, **ways: Any) -> Float:
+        """Return the structures of every frame; `ways` are those of `lifted`."""
+        return self.lifted(fitted, views, **ways).points3d
+
+    def lifted(
         self,
         fitted: Fit,
         views: Views,
@@ -111,7 +116,7 @@ class Bench:
         unknown: bool = False,
         timed: bool = False,
         refine: Refine | None = None,
-    ) -> Float:
+    ) -> Lift:
         """Lift every frame from some views; `known_as` are their numbers in the fit.
 
         `unknown`: as cameras that the fit does not know. `timed`: with the times of the frames.
@@ -123,7 +128,7 @@ class Bench:
             views=None if unknown else views if known_as is None else known_as,
             times=self.times if timed else None,
             refine=refine,
-        ).points3d
+        )
 
     def showing(self, views: Views, least: int) -> NDArray[np.bool_]:
         """Return which frames (N,) show at least so many of these views."""
@@ -140,6 +145,7 @@ class Bench:
         seed: int,
         level: float | None = None,
         fitted: Fit | None = None,
+        found: Found | None = None,
     ) -> Accuracy | None:
         """Add a row for the frames that are asked for, if any has an answer."""
         accuracy = pa_mpjpe(points[which], self.truth[which], reflection="never")
@@ -158,6 +164,7 @@ class Bench:
                 frames=frames,
                 fit_seconds=None if fitted is None else fitted.seconds,
                 focal=None if fitted is None else fitted.focal,
+                found=found,
             )
         )
         return accuracy

@@ -5,10 +5,19 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.bench import PCK_MM, Bench, Fit, Float, Float64
-from benchmarks.report import TRNG, Curve, Row
-from benchmarks.rig import add_noise, detect, hide, keep_few_views, miscalibrate, swap_limbs
+from benchmarks.report import TRNG, Curve, Row, finding
+from benchmarks.rig import (
+    add_noise,
+    detect,
+    hide,
+    keep_few_views,
+    miscalibrate,
+    scatter,
+    swap_limbs,
+)
 from models.capture.metrics import pa_mpjpe
 from models.capture.observations import as_observations
 from models.settings.config import Refine
@@ -66,10 +75,14 @@ def noise(bench: Bench, seed: int) -> None:
             which = bench.showing(views, 2)
             key = f"noise {sigma}" if sigma else ""  # without noise: the fit of the other cases
             own = tuple(range(len(views)))
-            for timed in (False, True) if bench.times is not None else (False,):
-                fitted = bench.fit(seed, views, keypoints=spoilt, key=key, timed=timed)
+            ways: list[tuple[str, bool, dict[str, Any]]] = [(ALONE, False, {})]
+            if bench.times is not None:
+                ways.append((f"{ALONE}, times told", True, {}))
+            if sigma and bench.full and views == bench.pair:
+                ways.append((f"{ALONE}, declared moving", False, {"cameras": "moving"}))
+            for how, timed, changes in ways:
+                fitted = bench.fit(seed, views, keypoints=spoilt, key=key, timed=timed, **changes)
                 points = bench.lift(fitted, views, keypoints=spoilt, known_as=own, timed=timed)
-                how = f"{ALONE}, times told" if timed else ALONE
                 bench.score(
                     "noise", how, views, points, which, seed=seed, level=sigma, fitted=fitted
                 )
@@ -77,6 +90,29 @@ def noise(bench: Bench, seed: int) -> None:
                 points = bench.triangulated(views, bench.rig.projections[list(views)], spoilt)
                 how = f"{TRNG}, exact calibration"
                 bench.score("noise", how, views, points, which, seed=seed, level=sigma)
+
+
+def noisy_pairs(bench: Bench, seed: int) -> None:
+    """15 pixels of noise in every pair of views, each fitted alone."""
+    spoilt = add_noise(bench.keypoints, 15, seed)
+    for views in combinations(bench.views, 2) if bench.full else [bench.pair]:
+        fitted = bench.fit(seed, views, keypoints=spoilt, key="noise 15")
+        points = bench.lift(fitted, views, keypoints=spoilt, known_as=(0, 1))
+        which = bench.showing(views, 2)
+        bench.score("pairs", ALONE, views, points, which, seed=seed, level=15, fitted=fitted)
+
+
+def outliers(bench: Bench, seed: int) -> None:
+    """Keypoints placed anywhere in the image, in hundredths, and how many of them are found."""
+    for share in (5, 20) if bench.full else (5,):
+        spoilt, placed = scatter(bench.keypoints, share / 100, bench.sizes, seed)
+        _score_spoilt(bench, seed, "outliers", share, spoilt, placed)
+
+
+def harmed(bench: Bench, seed: int) -> None:
+    """15 pixels of noise, a tenth of the keypoints missing, a twentieth anywhere in the image."""
+    spoilt, _ = scatter(add_noise(bench.keypoints, 15, seed), 0.05, bench.sizes, seed)
+    _score_spoilt(bench, seed, "harmed", 15, hide(spoilt, 0.1, seed))
 
 
 def detector(bench: Bench, seed: int) -> None:
@@ -94,12 +130,24 @@ def swapped(bench: Bench, seed: int) -> None:
         _score_spoilt(bench, seed, "swapped", share, spoilt)
 
 
-def _score_spoilt(bench: Bench, seed: int, case: str, level: int, spoilt: Float64) -> None:
+def _score_spoilt(
+    bench: Bench,
+    seed: int,
+    case: str,
+    level: int,
+    spoilt: Float64,
+    placed: NDArray[np.bool_] | None = None,
+) -> None:
+    """Fit and lift spoilt keypoints; `placed` (N, K, P) are those that the lift is to find."""
     for views in bench.sets:
         which, own = bench.showing(views, 1), tuple(range(len(views)))
         fitted = bench.fit(seed, views, keypoints=spoilt, key=f"{case} {level}")
-        points = bench.lift(fitted, views, keypoints=spoilt, known_as=own)
-        bench.score(case, ALONE, views, points, which, fitted=fitted, level=level, seed=seed)
+        lift = bench.lifted(fitted, views, keypoints=spoilt, known_as=own)
+        found = None if placed is None else finding(lift.outlier_probability, placed[:, views])
+        points = lift.points3d
+        bench.score(
+            case, ALONE, views, points, which, fitted=fitted, level=level, seed=seed, found=found
+        )
         if bench.rig is not None:
             points = bench.triangulated(views, bench.rig.projections[list(views)], spoilt)
             how = f"{TRNG}, exact calibration"
@@ -251,6 +299,9 @@ def ablations(bench: Bench, seed: int) -> None:
 CASES: dict[str, Callable[[Bench, int], None]] = {
     "views": error_by_views,
     "noise": noise,
+    "pairs": noisy_pairs,
+    "outliers": outliers,
+    "harmed": harmed,
     "detector": detector,
     "swapped": swapped,
     "trng": miscalibration,

@@ -1,7 +1,7 @@
 """How true the structures are, on any capture with a ground truth: the paper's tables and more.
 
     python benchmarks/fidelity.py [CAPTURE.npz] [--full] [--seeds 0 1 2] [--only views noise ...]
-                                  [--image-size WxH] [--fps F] [--prior NAME]
+                                  [--image-size WxH] [--every N] [--fps F] [--prior NAME]
                                   [--json FILE] [--output DIR]
 
 README.md says what each case measures. The truth takes no part in any fit.
@@ -69,6 +69,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--pair", type=int, nargs=2, default=(0, 1), help="views; default: 0 1")
     parser.add_argument("--unit", choices=list(MILLIMETRES), default="m", help="of points3d")
     parser.add_argument("--image-size", type=_size, help="WxH of every view, if the file has none")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="use every Nth frame")
     parser.add_argument("--fps", type=float, help="of frames that follow each other: told as well")
     parser.add_argument("--steps", type=int, default=None, help="of a fit; fewer for a try")
     parser.add_argument(
@@ -82,7 +83,7 @@ def parse_arguments() -> argparse.Namespace:
 def prepare(arguments: argparse.Namespace) -> Bench:
     """Read the capture, find its cameras from the truth, and say what there is."""
     try:
-        capture = read_capture(arguments.capture)
+        capture = read_capture(arguments.capture).frames(slice(None, None, arguments.every))
     except CaptureError as error:
         sys.exit(f"{arguments.capture.name}: {error}")
     if capture.points3d is None:
@@ -119,7 +120,9 @@ def prepare(arguments: argparse.Namespace) -> Bench:
         report=Report(say=lambda line: print(line, flush=True)),
         rig=rig,
         partners=partners_by_name(keypoint_names(arguments.capture) or [""] * points),
-        times=None if arguments.fps is None else np.arange(frames) / arguments.fps,
+        times=None
+        if arguments.fps is None
+        else np.arange(frames) * arguments.every / arguments.fps,
     )
 
 
@@ -133,6 +136,7 @@ def about(arguments: argparse.Namespace, bench: Bench) -> dict[str, Any]:
         "views": views,
         "keypoints": points,
         "image_sizes": bench.sizes,
+        "every": arguments.every,
         "fps": arguments.fps,
         "set": "full" if bench.full else "quick",
         "cases": arguments.only,

@@ -4,14 +4,31 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 HEAD = f"{'case':<10}{'how':<50}{'views':<14}{'level':>6}{'seed':>6}{'mm':>8}{'PCK':>7}"
 HEAD += f"{'frames':>8}{'fit s':>8}{'focal':>8}"
 TRNG = "TRNG"
 DPI = 150
+OUTLIER = 0.5  # probability from which a keypoint counts as found
+
+
+class Found(NamedTuple):
+    """How well planted outliers are found."""
+
+    precision: float  # share of what is found that was planted
+    recall: float  # share of what was planted that is found
+
+
+def finding(probability: NDArray[np.floating[Any]], planted: NDArray[np.bool_]) -> Found:
+    """Return how well `outlier_probability` (N, K, P) tells what was planted."""
+    found = probability > OUTLIER
+    both = int((found & planted).sum())
+    return Found(both / max(1, int(found.sum())), both / max(1, int(planted.sum())))
 
 
 @dataclass(frozen=True)
@@ -28,6 +45,7 @@ class Row:
     frames: int  # that were scored
     fit_seconds: float | None  # of the fit behind it, which rows share; None without one
     focal: float | None  # pixels, mean of what the fit found
+    found: Found | None = None  # where outliers were planted
 
     def line(self) -> str:
         """Return the row as text, in the columns of `HEAD`."""
@@ -37,6 +55,7 @@ class Row:
         return (
             f"{self.case:<10}{self.how:<50}{names(self.views):<14}{level:>6}{self.seed:>6}"
             f"{self.error_mm:>8.2f}{100 * self.pck:>7.1f}{self.frames:>8}{seconds:>8}{focal:>8}"
+            f"{_said(self.found)}"
         )
 
 
@@ -75,6 +94,7 @@ class Report:
             errors = [row.error_mm for row in rows]
             seconds = [row.fit_seconds for row in rows if row.fit_seconds is not None]
             focals = [row.focal for row in rows if row.focal is not None]
+            found = [row.found for row in rows if row.found is not None]
             answer.append(
                 {
                     "case": case,
@@ -89,6 +109,7 @@ class Report:
                     "frames": rows[0].frames,
                     "fit_seconds": round(median(seconds), 1) if seconds else None,
                     "focal": round(median(focals), 1) if focals else None,
+                    "found": [round(median(s), 4) for s in zip(*found, strict=True)] or None,
                 }
             )
         return answer
@@ -101,6 +122,10 @@ class Report:
                 row[name] = None if row[name] is None else round(row[name], 4)
         curves = [asdict(curve) for curve in self.curves]
         return {"medians": self.medians(), "rows": rows, "curves": curves}
+
+
+def _said(found: Found | None) -> str:
+    return "" if found is None else "  found: precision {:.3f}, recall {:.3f}".format(*found)
 
 
 def names(views: Iterable[int]) -> str:
@@ -126,8 +151,9 @@ def markdown(medians: list[dict[str, Any]]) -> str:
             span = f"{row['least_mm']:.2f} to {row['most_mm']:.2f}" if len(row["seeds"]) > 1 else ""
             seconds = "" if row["fit_seconds"] is None else f"{row['fit_seconds']:.0f}"
             focal = "" if row["focal"] is None else f"{row['focal']:.0f}"
+            how = row["how"] + (_said(Found(*row["found"])) if row["found"] else "")
             lines.append(
-                f"| {row['how']} | {names(row['views'])} | {level} | {row['error_mm']:.2f}"
+                f"| {how} | {names(row['views'])} | {level} | {row['error_mm']:.2f}"
                 f" | {span} | {100 * row['pck']:.1f} | {row['frames']} | {seconds} | {focal} |"
             )
         parts.append("\n".join(lines) + "\n")

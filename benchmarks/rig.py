@@ -16,6 +16,7 @@ from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]
 Part = Literal["extrinsics", "intrinsics"]
+Size = tuple[int, int]
 
 LEAST_POINTS = 50  # six would do without noise
 MOST_POINTS = 3000  # that refine a lens
@@ -157,6 +158,23 @@ def hide(keypoints: ArrayLike, share: float, seed: int) -> Float64:
         np.nan
     )
     return pixels
+
+
+def scatter(
+    keypoints: ArrayLike, share: float, sizes: Sequence[Size] | None, seed: int
+) -> tuple[Float64, NDArray[np.bool_]]:
+    """Place a share of the keypoints anywhere in their images, uniformly, drawn one by one.
+
+    Return the keypoints and which (N, K, P) were placed. Those that are not detected stay so. An
+    image of unknown size reaches from (0, 0) to the farthest keypoints.
+    """
+    pixels = np.array(keypoints, np.float64)
+    rng = np.random.default_rng([seed, 72, round(1000 * share)])
+    placed = np.isfinite(pixels).all(-1) & (rng.random(pixels.shape[:3]) < share)
+    ends = np.nanmax(pixels, axis=(0, 2)) if sizes is None else np.array(sizes, np.float64)
+    anywhere = rng.random(pixels.shape) * ends[:, None]  # (N, K, P, 2)
+    pixels[placed] = anywhere[placed]
+    return pixels, placed
 
 
 def keep_few_views(keypoints: ArrayLike, shares: Sequence[float], seed: int) -> Float64:
