@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
@@ -243,7 +244,9 @@ class FittedPrior:
         refiner = None if mode == "off" else self._refiner_of(views_of_fit, count)
         before = make_answers(0, count, points)
         if previous is not None:
-            before = Answers(*previous.of_keypoints(self.capture.known))
+            known = previous.of_keypoints(self.capture.known)
+            # Compiled code is compiled anew for arrays of another order, which takes a minute.
+            before = Answers(*map(np.ascontiguousarray, known))
 
         def lift_part(part: slice) -> None:
             here = part.start, part.stop

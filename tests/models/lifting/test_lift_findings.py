@@ -28,7 +28,7 @@ def prior(keypoints: Float64) -> FittedPrior:
     """Return weights of an older version, which know of nothing unusual, and what is."""
     older = FittedPrior.from_bytes(WEIGHTS.read_bytes())
     lifts = [older.lift(keypoints[:, :n], views=range(n)) for n in range(1, VIEWS + 1)]
-    usual = Usual(np.array([1.3 * lift.misfits.max() for lift in lifts]), 40.0, 400.0)
+    usual = Usual(np.array([1.3 * lift.misfits.max() for lift in lifts], float), 40.0, 400.0)
     return older.of_capture(older.config, older.capture._replace(usual=usual))
 
 

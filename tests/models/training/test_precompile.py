@@ -12,7 +12,7 @@ from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.calibration import KnownLength
 from models.settings.config import FitConfig
-from models.training.precompile import compile_all, noisy_capture_at_rest
+from models.training.precompile import compile_all, noisy_film_at_rest
 from models.training.trainer import Trainer, fit
 
 def signatures():
@@ -48,10 +48,23 @@ for refine, cameras in (("auto", "auto"), ("full", "moving"), ("off", "auto")):
         prior.lift(capture.keypoints[::-1, ::2], views=(0, 2), refine=mode)
         prior.lift(capture.keypoints.astype(np.float64)[:, :1], refine=mode)
 fit(capture.keypoints[:, :1], FitConfig(steps=4))
-noisy = noisy_capture_at_rest()[::-1]
-prior = fit(noisy, FitConfig(steps=40, batch_size=32, cameras="static"), edges=[[0, 1], [1, 2]])
+noisy = noisy_film_at_rest()[::-1]
+told = FitConfig(steps=40, batch_size=32, cameras="static")
+times = np.arange(len(noisy)) / 30
+prior = fit(noisy, told, edges=[[0, 1], [1, 2]], times=times)
 assert "noise were removed" in prior.cameras.reason
 prior.lift(noisy[:1])
+prior.lift(noisy, times=times)
+hidden = capture.keypoints.copy()
+hidden[:, :, 5] = np.nan
+prior = fit(hidden, FitConfig(steps=4, cameras="moving"))
+prior.lift(hidden, previous=prior.lift(hidden))
+limbs = [1, 2, 4, 5, 10, 11, 13, 14]
+swapped = synthetic_capture(frames=200, views=2, noise=2, seed=4).keypoints
+swapped[::8, 0][:, limbs] = swapped[::8, 0][:, [4, 5, 1, 2, 13, 14, 10, 11]]
+prior = fit(swapped, FitConfig(steps=4, cameras="moving"))
+assert any(finding.code == "left_right_mended" for finding in prior.findings)
+prior.lift(swapped)
 fit(synthetic_capture(frames=30, views=2, noise=5, seed=3).keypoints[:, :, :5], FitConfig(steps=4))
 print("\\n".join(sorted(signatures() - before)))
 """
