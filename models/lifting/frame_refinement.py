@@ -29,7 +29,7 @@ from models.lifting.explanations import (
 )
 from models.lifting.neighbours import complete_from_neighbours
 from models.lifting.skeleton_lengths import SkeletonLengths, hold_lengths, no_lengths
-from models.lifting.stray_keypoints import leave_out_stray, report_stray
+from models.lifting.stray_keypoints import leave_out_stray, report_stray, take_back
 from models.network.answers import RIG_NOT_USED, Answers
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import total
@@ -140,7 +140,7 @@ def refine_frames(
         make_explanation(count, cameras),
     )
     best, other = make_explanation(count, cameras), make_explanation(count, cameras)
-    mean = np.empty((count, 3))
+    mean, doubted = np.empty((count, 3)), np.zeros((cameras, count))
     joined = len(refiner.rig.size_precision) < cameras
     for n in range(begin, end):
         usable = seen.usable[n]
@@ -158,10 +158,13 @@ def refine_frames(
         chosen = earlier if continued else start
         cost = explain(refiner, refiner.rig, views, usable, mean, chosen, best)
         for _ in range(STRAY_ROUNDS if refiner.rejecting else 0):
-            if not leave_out_stray(refiner.rig, views, seen.sizes[n], best):
+            if not leave_out_stray(refiner.rig, views, seen.sizes[n], best, doubted):
                 break
             align_explanation_into(best, mean, start)
             cost = explain(refiner, refiner.rig, views, usable, mean, start, best)
+            if take_back(refiner.rig, views, seen.sizes[n], best, doubted):
+                align_explanation_into(best, mean, start)
+                cost = explain(refiner, refiner.rig, views, usable, mean, start, best)
         residual, apart = _residual(best, usable), False
         if there > 1 and residual > LOST * refiner.noise:
             for hypothesis in OTHER_HYPOTHESES:
