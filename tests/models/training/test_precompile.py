@@ -60,7 +60,7 @@ hidden[:, :, 5] = np.nan
 prior = fit(hidden, FitConfig(steps=4, cameras="moving"))
 prior.lift(hidden, previous=prior.lift(hidden))
 limbs = [1, 2, 4, 5, 10, 11, 13, 14]
-swapped = synthetic_capture(frames=200, views=2, noise=2, seed=4).keypoints
+swapped = synthetic_capture(frames=200, views=3, noise=1, seed=4).keypoints
 swapped[::8, 0][:, limbs] = swapped[::8, 0][:, [4, 5, 1, 2, 13, 14, 10, 11]]
 prior = fit(swapped, FitConfig(steps=4, cameras="moving"))
 assert any(finding.code == "left_right_mended" for finding in prior.findings)
