@@ -148,6 +148,23 @@ def test_a_stray_keypoint_is_left_out_and_said_to_be(
     assert errors[0] < errors[1] + 0.001  # metres
 
 
+def test_of_two_views_of_a_keypoint_the_rest_of_the_frame_says_which_strays(
+    capture: RigCapture, unseen: NDArray[np.int64], prior: FittedPrior
+) -> None:
+    clear = capture.keypoints[unseen]
+    wrist, other = keypoint("left_wrist"), keypoint("right_wrist")
+    clear[:, 2, wrist] = np.nan
+    stray = clear.copy()
+    stray[:, 1, wrist] = clear[:, 1, other]
+    off = np.linalg.norm(clear[:, 1, wrist] - clear[:, 1, other], axis=-1) > 60  # pixels
+    there, without = prior.lift(stray), prior.lift(clear)
+    assert (there.outlier_probability[off, 1, wrist] > 0.5).mean() > 0.9
+    assert (there.outlier_probability[off, 0, wrist] < 0.5).mean() > 0.8
+    truth = capture.points3d[unseen][off]
+    errors = [pa_mpjpe(lift.points3d[off], truth).mean for lift in (there, without)]
+    assert errors[0] < errors[1] + 0.01  # metres
+
+
 def test_stray_keypoints_are_used_where_a_fit_was_told_to_reject_none(
     capture: RigCapture,
 ) -> None:
