@@ -102,11 +102,7 @@ class Bench:
         all_of_it = self.given_confidence
         return None if all_of_it is None else all_of_it[which][:, views]
 
-    def lift(self, fitted: Fit, views: Views, **ways: Any) -> Float:
-        """Return the structures of every frame; `ways` are those of `lifted`."""
-        return self.lifted(fitted, views, **ways).points3d
-
-    def lifted(
+    def lift(
         self,
         fitted: Fit,
         views: Views,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bench import PCK_MM, Bench, Fit, Float, Float64
-from benchmarks.report import TRNG, Curve, Row, finding
+from benchmarks.report import TRNG, Curve, Row, precision_and_recall
 from benchmarks.rig import (
     add_noise,
     detect,
@@ -37,16 +37,16 @@ def error_by_views(bench: Bench, seed: int) -> None:
         for views in combinations(bench.views, count):
             which = bench.showing(views, count)
             ways = {
-                f"{ALL}, feed-forward": bench.lift(everything, views, refine="off"),
-                f"{ALL}, refined": bench.lift(everything, views),
+                f"{ALL}, feed-forward": bench.lift(everything, views, refine="off").points3d,
+                f"{ALL}, refined": bench.lift(everything, views).points3d,
             }
             if views != bench.views:
-                unknown = bench.lift(everything, views, unknown=True)
+                unknown = bench.lift(everything, views, unknown=True).points3d
                 ways[f"{ALL}, refined, cameras unknown"] = unknown
             for how, points in ways.items():
                 bench.score("views", how, views, points, which, seed=seed, fitted=everything)
     if not bench.usable.all():
-        points = bench.lift(everything, bench.views)
+        points = bench.lift(everything, bench.views).points3d
         shown = bench.usable.sum(1)
         for view in bench.views:
             how = f"{ALL}, lifted with all: frames of view {view}"
@@ -63,7 +63,7 @@ def error_by_views(bench: Bench, seed: int) -> None:
             which = bench.showing(views, count)
             for how, cameras in ((ALONE, "auto"), (f"{ALONE}, declared moving", "moving")):
                 alone = bench.fit(seed, views, cameras=cameras)
-                points = bench.lift(alone, views, known_as=tuple(range(count)))
+                points = bench.lift(alone, views, known_as=tuple(range(count))).points3d
                 bench.score("views", how, views, points, which, seed=seed, fitted=alone)
 
 
@@ -82,7 +82,9 @@ def noise(bench: Bench, seed: int) -> None:
                 ways.append((f"{ALONE}, declared moving", False, {"cameras": "moving"}))
             for how, timed, changes in ways:
                 fitted = bench.fit(seed, views, keypoints=spoilt, key=key, timed=timed, **changes)
-                points = bench.lift(fitted, views, keypoints=spoilt, known_as=own, timed=timed)
+                points = bench.lift(
+                    fitted, views, keypoints=spoilt, known_as=own, timed=timed
+                ).points3d
                 bench.score(
                     "noise", how, views, points, which, seed=seed, level=sigma, fitted=fitted
                 )
@@ -97,7 +99,7 @@ def noisy_pairs(bench: Bench, seed: int) -> None:
     spoilt = add_noise(bench.keypoints, 15, seed)
     for views in combinations(bench.views, 2) if bench.full else [bench.pair]:
         fitted = bench.fit(seed, views, keypoints=spoilt, key="noise 15")
-        points = bench.lift(fitted, views, keypoints=spoilt, known_as=(0, 1))
+        points = bench.lift(fitted, views, keypoints=spoilt, known_as=(0, 1)).points3d
         which = bench.showing(views, 2)
         bench.score("pairs", ALONE, views, points, which, seed=seed, level=15, fitted=fitted)
 
@@ -142,8 +144,12 @@ def _score_spoilt(
     for views in bench.sets:
         which, own = bench.showing(views, 1), tuple(range(len(views)))
         fitted = bench.fit(seed, views, keypoints=spoilt, key=f"{case} {level}")
-        lift = bench.lifted(fitted, views, keypoints=spoilt, known_as=own)
-        found = None if placed is None else finding(lift.outlier_probability, placed[:, views])
+        lift = bench.lift(fitted, views, keypoints=spoilt, known_as=own)
+        found = (
+            None
+            if placed is None
+            else precision_and_recall(lift.outlier_probability, placed[:, views])
+        )
         points = lift.points3d
         bench.score(
             case, ALONE, views, points, which, fitted=fitted, level=level, seed=seed, found=found
@@ -171,7 +177,7 @@ def miscalibration(bench: Bench, seed: int) -> None:
                 how = f"{TRNG}, {part} off"
                 bench.score("trng", how, views, points, which, seed=seed, level=sigma)
         fitted = bench.fit(seed, views)
-        points = bench.lift(fitted, views, known_as=tuple(range(len(views))))
+        points = bench.lift(fitted, views, known_as=tuple(range(len(views)))).points3d
         bench.score("trng", ALONE, views, points, which, seed=seed, fitted=fitted)
 
 
@@ -188,7 +194,7 @@ def unseen(bench: Bench, seed: int) -> None:
         rest[frames] = False
         for views in (bench.views, bench.pair, bench.pair[:1]):
             for refine in REFINES:
-                points = bench.lift(fitted, views, refine=refine)
+                points = bench.lift(fitted, views, refine=refine).points3d
                 for part, which in (("unseen", rest), ("seen", ~rest)):
                     shown = which & bench.showing(views, 1)
                     how = f"{way}: {part}{_refined(refine)}"
@@ -205,7 +211,7 @@ def missing(bench: Bench, seed: int) -> None:
             for refine in REFINES:
                 points = bench.lift(
                     fitted, views, keypoints=gappy, known_as=known_as, refine=refine
-                )
+                ).points3d
                 how = ALONE + _refined(refine)
                 bench.score(
                     "missing", how, views, points, which, seed=seed, level=share, fitted=fitted
@@ -220,7 +226,7 @@ def few_views(bench: Bench, seed: int) -> None:
     fitted = bench.fit(seed, bench.views, keypoints=sparse, key="few views")
     shown = as_observations(sparse, bench.given_confidence).usable.sum(1)  # (N,)
     for refine in REFINES:
-        points = bench.lift(fitted, bench.views, keypoints=sparse, refine=refine)
+        points = bench.lift(fitted, bench.views, keypoints=sparse, refine=refine).points3d
         for count in range(1, len(FEW) + 1):
             how, which = f"{count} shown{_refined(refine)}", shown == count
             bench.score("few", how, bench.views, points, which, seed=seed, fitted=fitted)
@@ -238,7 +244,7 @@ def correct_keypoints(bench: Bench, seed: int) -> None:
         for views in combinations(bench.views, count):
             which = bench.showing(views, count)
             truth = bench.truth[which]
-            points = bench.lift(everything, views)[which]
+            points = bench.lift(everything, views).points3d[which]
             ours.append(pa_mpjpe(points, truth, reflection="never").errors)
             if bench.rig is not None and count > 1:
                 cameras = bench.rig.projections[list(views)]
@@ -291,7 +297,7 @@ def ablations(bench: Bench, seed: int) -> None:
     for how, refine, changes in lifted if bench.full else lifted[:6]:
         fitted = bench.fit(seed, bench.views, **changes)
         for views in (bench.views, bench.pair, bench.pair[:1]):
-            points = bench.lift(fitted, views, refine=refine)
+            points = bench.lift(fitted, views, refine=refine).points3d
             which = bench.showing(views, 1)
             bench.score("ablations", how, views, points, which, seed=seed, fitted=fitted)
 

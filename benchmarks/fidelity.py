@@ -69,7 +69,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--pair", type=int, nargs=2, default=(0, 1), help="views; default: 0 1")
     parser.add_argument("--unit", choices=list(MILLIMETRES), default="m", help="of points3d")
     parser.add_argument("--image-size", type=_size, help="WxH of every view, if the file has none")
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="use every Nth frame")
+    parser.add_argument("--every", type=_count, default=1, metavar="N", help="use every Nth frame")
     parser.add_argument("--fps", type=float, help="of frames that follow each other: told as well")
     parser.add_argument("--steps", type=int, default=None, help="of a fit; fewer for a try")
     parser.add_argument(
@@ -147,6 +147,12 @@ def about(arguments: argparse.Namespace, bench: Bench) -> dict[str, Any]:
         "calibration_residuals_px": None if bench.rig is None else bench.rig.residuals.tolist(),
         "versions": {"python": platform.python_version()} | {p: version(p) for p in packages},
     }
+
+
+def _count(text: str) -> int:
+    if int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text} is less than 1")
+    return int(text)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -24,7 +24,9 @@ class Found(NamedTuple):
     recall: float  # share of what was planted that is found
 
 
-def finding(probability: NDArray[np.floating[Any]], planted: NDArray[np.bool_]) -> Found:
+def precision_and_recall(
+    probability: NDArray[np.floating[Any]], planted: NDArray[np.bool_]
+) -> Found:
     """Return how well `outlier_probability` (N, K, P) tells what was planted."""
     found = probability > OUTLIER
     both = int((found & planted).sum())

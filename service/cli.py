@@ -17,7 +17,7 @@ ENVIRONMENT_HELP = """
 Every option can also be set by an environment variable, FEWVIEW_ and its name: --redis-url is
 FEWVIEW_REDIS_URL. Options win over variables."""
 
-PRECOMPILE_HELP = """Compile the inner loops of fits and lifts, about a minute, before anybody waits
+PRECOMPILE_HELP = """Compile the inner loops of fits and lifts, some minutes, before anybody waits
 for it: when an image is built, for one. Later processes of this user read the machine code that it
 leaves in NUMBA_CACHE_DIR."""
 

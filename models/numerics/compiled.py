@@ -4,7 +4,7 @@ A compiled function releases the interpreter lock, so threads run it side by sid
 call however much it does. Machine code is kept between runs, in this package's `__pycache__` or, if
 that cannot be written, in the user's cache. A folder that already holds the code of these sources
 is read even where it cannot be written, as in a container image. Where there is no folder at all,
-every process compiles anew, which takes half a minute. `NUMBA_CACHE_DIR` chooses another folder.
+every process compiles anew, which takes minutes. `NUMBA_CACHE_DIR` chooses another folder.
 """
 
 import hashlib

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks.report import finding
+from benchmarks.report import precision_and_recall
 from benchmarks.rig import scatter
 
 
@@ -26,4 +26,4 @@ def test_a_share_of_the_keypoints_lies_anywhere_in_the_image() -> None:
 def test_precision_and_recall_are_counted() -> None:
     planted = np.array([[[True, True, False, False, False]]])
     probability = np.array([[[0.9, 0.1, 0.8, 0.7, np.nan]]])
-    assert finding(probability, planted) == (1 / 3, 1 / 2)
+    assert precision_and_recall(probability, planted) == (1 / 3, 1 / 2)

@@ -51,9 +51,10 @@ fit(capture.keypoints[:, :1], FitConfig(steps=4))
 noisy = noisy_film_at_rest()[::-1]
 told = FitConfig(steps=40, batch_size=32, cameras="static")
 times = np.arange(len(noisy)) / 30
-prior = fit(noisy, told, edges=[[0, 1], [1, 2]], times=times)
-assert "noise were removed" in prior.cameras.reason
-prior.lift(noisy[:1])
+for taken in (None, times):
+    prior = fit(noisy, told, edges=[[0, 1], [1, 2]], times=taken)
+    assert "noise were removed" in prior.cameras.reason
+    prior.lift(noisy[:1])
 prior.lift(noisy, times=times)
 hidden = capture.keypoints.copy()
 hidden[:, :, 5] = np.nan
