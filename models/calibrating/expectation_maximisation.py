@@ -40,6 +40,7 @@ LEAST_SPREAD = 0.02  # of the shape model, in radii of the structure
 LEAST_SPREAD_WITH_BONES = 0.1  # lenses are then the bones' business
 LEAST_NOISE = 3e-4  # of the image's side: what lens models leave
 LEAST_MEASURED = 3e-5  # of the image's side
+FAR = 10.0  # noise standard deviations from which a keypoint says nothing of the noise
 COOLING = 0.25  # the noise falls no faster than to this share in a round
 MOST_LEARNT = 0.95  # of what there is to do in a direction: no more than 19 rounds are skipped
 # And no more of a lens (log focal length, principal point in image sides, radial coefficients), of
@@ -197,13 +198,13 @@ def _noise_terms(
     """Sum robust residuals over the noise, and count observations less what they determine."""
     pixels = project(points_in_cameras(scene, rig), rig.lenses)
     squared = views.weights * np.square(pixels - views.keypoints).sum(-1)  # (N, K, P)
-    robust = (OUTLIER / np.sqrt(squared.clip(1e-12))).clip(max=1) * squared
+    seen = (views.weights > 0) & (squared < FAR**2)
+    robust = np.where(seen, (OUTLIER / np.sqrt(squared.clip(1e-12))).clip(max=1) * squared, 0.0)
     # Of the structure's unknowns the data determine as many as the prior does not.
     components = np.linalg.solve(prior.inner, prior.basis.T)  # (Q, 3 P)
     trace = covariances.trace(axis1=1, axis2=2)
     trace = trace - (components.T * (covariances @ prior.basis)).sum((1, 2))
     structure = len(prior.basis) - trace / (prior.scale * prior.spread) ** 2  # (N,)
-    seen = views.weights > 0
     # A group of one view has no size of its own.
     numbers = np.where(rig.members > 1, POSE, POSE - 1)
     belongs: Bool = rig.groups[:, None] == np.arange(rig.group_count)  # (K, G)

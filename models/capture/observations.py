@@ -32,7 +32,7 @@ class Observations(NamedTuple):
     sizes: Float32  # (N, K) pixels
     usable: NDArray[np.bool_]  # (N, K) at least MIN_KEYPOINTS keypoints that do not coincide
 
-    def frames(self, chosen: slice) -> "Observations":
+    def frames(self, chosen: slice | NDArray[np.bool_]) -> "Observations":
         """Return some of the frames."""
         keypoints, weights, centres, sizes, usable = self
         return Observations(

@@ -111,6 +111,8 @@ class Judged(NamedTuple):
     # (N, K, P), rounded; 1 of keypoints that were swapped, which are not where they were seen.
     probabilities: Float32
     swapped: Bool  # (N, K, P)
+    # (N, K, P, 3): where the outliers are in pixels, and their confidences; 0 of all others.
+    left_out: Float32
 
 
 class OutlierJudge:
@@ -169,11 +171,16 @@ class OutlierJudge:
         outliers = probabilities > OUTLIER
         probabilities[swapped] = 1
         if not outliers.any():
-            return Judged(observations, probabilities, swapped)
+            return Judged(observations, probabilities, swapped, nothing_left_out(observations))
         pixels, _ = pixels_of(observations)
-        shown = np.where(outliers[..., None], np.nan, pixels)
-        kept = as_observations(shown, observations.weights)
-        return Judged(kept, probabilities, swapped)
+        kept = as_observations(np.where(outliers[..., None], np.nan, pixels), observations.weights)
+        there = np.concatenate((pixels, observations.weights[..., None]), axis=-1, dtype=np.float32)
+        return Judged(kept, probabilities, swapped, np.where(outliers[..., None], there, 0))
+
+
+def nothing_left_out(observations: Observations) -> Float32:
+    """Return `left_out` of frames of which everything is used."""
+    return np.zeros((*observations.weights.shape, 3), np.float32)
 
 
 def learn_outliers(observations: Observations) -> OutlierModel | None:

@@ -19,12 +19,12 @@ from models.findings.finding import Finding
 from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
 from models.lifting.explanations import Refiner
 from models.lifting.fitted_capture import FittedCapture, whole_capture
-from models.lifting.frame_refinement import make_refiner, refine_frames
+from models.lifting.frame_refinement import make_refiner
 from models.lifting.lift import Lift
 from models.lifting.observing import Following, Observed, Observer
+from models.lifting.second_looks import Lifter, lift_frames
 from models.lifting.skeleton_lengths import SkeletonLengths
 from models.network.answers import Answers, make_answers
-from models.network.feed_forward import feed_forward
 from models.network.priors.registry import lay_out, parameter_shapes
 from models.network.settling import SETTLE_ALL, SettlingPolicy
 from models.numerics.tensor_files import (
@@ -37,14 +37,12 @@ from models.numerics.tensor_files import (
     unpack,
     without_prefix,
 )
-from models.numerics.threads import in_slices
 from models.settings.config import FitConfig, Refine
 from models.settings.keypoints import (
     MAX_KEYPOINTS,
     MIN_KEYPOINTS,
 )
 
-LIFTED_FRAMES, REFINED_FRAMES = 64, 16  # that a thread takes at a time
 MOST_REFINERS = 64  # choices of views to be prepared for at once
 
 
@@ -230,40 +228,27 @@ class FittedPrior:
 
         Raises ValueError if `previous` is of other frames or views.
         """
-        observations, judged, views_of_fit = observed
-        frames, count, points, _ = observations.keypoints.shape
+        frames, count, points = observed.observations.weights.shape
         if previous is not None and previous.scales.shape != (frames, count):
             raise ValueError(
                 f"previous must have the shape of the keypoints, {frames} frames of {count} views,"
                 f" got {previous.scales.shape}"
             )
-        answers = make_answers(frames, count, points)
-        if judged is not None:
-            answers = answers._replace(outlier_probability=judged.copy())
         mode = self.config.refine if refine is None else refine
-        refiner = None if mode == "off" else self._refiner_of(views_of_fit, count)
         before = make_answers(0, count, points)
         if previous is not None:
             known = previous.of_keypoints(self.capture.known)
             # Compiled code is compiled anew for arrays of another order, which takes a minute.
             before = Answers(*map(np.ascontiguousarray, known))
-
-        def lift_part(part: slice) -> None:
-            here = part.start, part.stop
-            feed_forward(
-                self._network,
-                observations,
-                self.foreshortening,
-                self.settling,
-                self.capture.usual,
-                *here,
-                answers,
-            )
-            if refiner is not None:
-                refine_frames(refiner, observations, before, mode == "full", *here, answers)
-
-        size = LIFTED_FRAMES if refiner is None else REFINED_FRAMES
-        in_slices(frames, size, lift_part)
+        lifter = Lifter(
+            self._network,
+            self.foreshortening,
+            self.settling,
+            self.capture.usual,
+            None if mode == "off" else self._refiner_of(observed.views, count),
+            mode == "full",
+        )
+        answers = lift_frames(lifter, observed, before)
         return Lift(*answers).among(self.capture.known)
 
     def _refiner_of(self, views: Sequence[int] | None, count: int) -> Refiner | None:

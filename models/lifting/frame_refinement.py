@@ -17,7 +17,6 @@ from models.capture.observations import Observations
 from models.lifting.explanations import (
     Explanation,
     Refiner,
-    align_explanation_into,
     continues,
     copy_explanation,
     explain,
@@ -29,7 +28,7 @@ from models.lifting.explanations import (
 )
 from models.lifting.neighbours import complete_from_neighbours
 from models.lifting.skeleton_lengths import SkeletonLengths, hold_lengths, no_lengths
-from models.lifting.stray_keypoints import leave_out_stray, report_stray, take_back
+from models.lifting.stray_keypoints import look_again
 from models.network.answers import RIG_NOT_USED, Answers
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import total
@@ -38,10 +37,10 @@ from models.optics.lenses.projection import Lenses
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+Int8 = NDArray[np.int8]
 
 LOST = 3.0  # noise standard deviations of a frame's mean residual that a rig at rest cannot explain
 BETTER = 0.5  # share of its cost to which another hypothesis must bring such a frame to be taken
-STRAY_ROUNDS = 3  # of leaving out keypoints that stray, each with a new explanation
 WORSE = 1.25  # times the network's reprojection error: no refinement that leads there is kept
 
 
@@ -120,11 +119,13 @@ def sub_rig(calibration: SelfCalibration, views: Sequence[int] | None, count: in
 def refine_frames(
     refiner: Refiner,
     seen: Observations,
+    left_out: Float32,
     previous: Answers,
     always: bool,
     begin: int,
     end: int,
     answers: Answers,
+    verdicts: Int8,
 ) -> None:
     """Refine the network's weak-perspective answers of frames from `begin` to `end`, in place.
 
@@ -132,6 +133,10 @@ def refine_frames(
     are; with `always` only the latter. `previous` are answers of the frames before, N or none: a
     frame whose views all have a perspective camera there starts from it if that explains it better,
     and is marked as continued. Where the rig was tried in vain, the answers' findings say so.
+
+    `verdicts` (N, K, P), 0, are written of keypoints that stray or return, of which `left_out`
+    (N, K, P, 3) tells (see `look_again`); a frame that has any is not refined. With (0, K, P) none
+    is judged.
     """
     _, cameras, count, _ = seen.keypoints.shape
     views = Views(np.empty((cameras, count, 2)), np.empty((cameras, count)))
@@ -140,7 +145,7 @@ def refine_frames(
         make_explanation(count, cameras),
     )
     best, other = make_explanation(count, cameras), make_explanation(count, cameras)
-    mean, doubted = np.empty((count, 3)), np.zeros((cameras, count))
+    mean = np.empty((count, 3))
     joined = len(refiner.rig.size_precision) < cameras
     for n in range(begin, end):
         usable = seen.usable[n]
@@ -157,14 +162,10 @@ def refine_frames(
             )
         chosen = earlier if continued else start
         cost = explain(refiner, refiner.rig, views, usable, mean, chosen, best)
-        for _ in range(STRAY_ROUNDS if refiner.rejecting else 0):
-            if not leave_out_stray(refiner.rig, views, seen.sizes[n], best, doubted):
-                break
-            align_explanation_into(best, mean, start)
-            cost = explain(refiner, refiner.rig, views, usable, mean, start, best)
-            if take_back(refiner.rig, views, seen.sizes[n], best, doubted):
-                align_explanation_into(best, mean, start)
-                cost = explain(refiner, refiner.rig, views, usable, mean, start, best)
+        if len(verdicts) and look_again(
+            refiner.rig, views, seen.sizes[n], left_out[n], best, verdicts[n]
+        ):
+            continue
         residual, apart = _residual(best, usable), False
         if there > 1 and residual > LOST * refiner.noise:
             for hypothesis in OTHER_HYPOTHESES:
@@ -184,7 +185,6 @@ def refine_frames(
             if there > 1 and not apart and len(refiner.held.lengths):
                 _hold_lengths(refiner, views, best)
             _write(refiner, best, n, usable, answers)
-            report_stray(seen, views, n, answers)
         if (apart or not accepted) and _shares_group(refiner.rig.groups, usable):
             answers.findings[n] += RIG_NOT_USED
             answers.rig_residuals[n] = residual

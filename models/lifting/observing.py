@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 from models.capture.fixed_lag import FixedLag
 from models.capture.noise_removal import NoiseRemoval
 from models.capture.observations import Observations, as_observations, join_frames
-from models.capture.outliers import OutlierJudge, OutlierModel
+from models.capture.outliers import OutlierJudge, OutlierModel, nothing_left_out
 from models.lifting.fitted_capture import FittedCapture
 from models.settings.keypoints import check_confidence, check_keypoints
 
 Float32 = NDArray[np.float32]
+Bool = NDArray[np.bool_]
 
 MOST_JUDGES = 64  # choices of views to be prepared for at once
 
@@ -25,12 +26,16 @@ class Observed(NamedTuple):
     observations: Observations
     outlier_probability: Float32 | None  # (N, K, P) as in `Answers`; None if nothing was judged
     views: tuple[int, ...] | None  # of the fit; None if they are cameras unknown to it
+    # (N, K, P, 3): where outliers are in pixels, and their confidences; 0 of all others, and where
+    # noise was removed, as what was seen no longer lies where it should.
+    left_out: Float32
 
-    def frames(self, chosen: slice) -> "Observed":
+    def frames(self, chosen: slice | Bool) -> "Observed":
         """Return some of the frames."""
         judged = self.outlier_probability
         part = None if judged is None else judged[chosen]
-        return Observed(self.observations.frames(chosen), part, self.views)
+        frames = self.observations.frames(chosen)
+        return Observed(frames, part, self.views, self.left_out[chosen])
 
 
 def join_observed(parts: Sequence[Observed]) -> Observed:
@@ -38,8 +43,12 @@ def join_observed(parts: Sequence[Observed]) -> Observed:
     if len(parts) == 1:
         return parts[0]
     judged = [part.outlier_probability for part in parts if part.outlier_probability is not None]
-    observations = join_frames([part.observations for part in parts])
-    return Observed(observations, np.concatenate(judged) if judged else None, parts[0].views)
+    return Observed(
+        join_frames([part.observations for part in parts]),
+        np.concatenate(judged) if judged else None,
+        parts[0].views,
+        np.concatenate([part.left_out for part in parts]),
+    )
 
 
 class Observer:
@@ -70,7 +79,9 @@ class Observer:
         if observed.views is None:
             return observed
         removed = self._removal.remove(observed.observations, observed.views, times)
-        return observed._replace(observations=removed)
+        if removed is observed.observations:
+            return observed
+        return observed._replace(observations=removed, left_out=nothing_left_out(removed))
 
     def follow(self, views: Sequence[int] | None, lag: int) -> "Following":
         """Begin a film whose frames come one by one, and are answered `lag` frames later."""
@@ -84,9 +95,9 @@ class Observer:
         observations = self._of_capture(keypoints, confidence, views)
         chosen = self._views_of_fit(views, observations.weights.shape[1])
         if self._outliers is None or chosen is None:
-            return Observed(observations, None, chosen)
+            return Observed(observations, None, chosen, nothing_left_out(observations))
         judged = self._judge_of(chosen).without_outliers(observations)
-        return Observed(judged.observations, judged.probabilities, chosen)
+        return Observed(judged.observations, judged.probabilities, chosen, judged.left_out)
 
     def _of_capture(
         self,
@@ -167,4 +178,5 @@ class Following:
             return None
         judged = [self._judged.popleft() for _ in range(len(observations.weights))]
         known = [one for one in judged if one is not None]
-        return Observed(observations, np.concatenate(known) if known else None, self.views)
+        probabilities = np.concatenate(known) if known else None
+        return Observed(observations, probabilities, self.views, nothing_left_out(observations))

@@ -93,7 +93,8 @@ def observe(
     observations = _among(observations, capture.known)
     outliers = learn_outliers(observations) if config.outlier_rejection else None
     if outliers is not None:
-        kept, _, swapped = OutlierJudge(outliers, range(views)).without_outliers(observations)
+        judged = OutlierJudge(outliers, range(views)).without_outliers(observations)
+        kept, swapped = judged.observations, judged.swapped
         told = (finding for finding in capture.findings if not _settled(finding, swapped))
         found = (*_mended(swapped, capture.known), *_left_out(observations, kept))
         capture, observations = capture._replace(findings=(*told, *found)), kept
