@@ -14,7 +14,6 @@ from models.settings.keypoints import OUTLIER
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-FREEDOM = 6.0  # of Student's t: errors of inliers have tails
 FAR = 6.0  # times the median distance from the median keypoint: outlier until more is known
 MOST_LEVERAGE = 0.9  # of an observation on its own prediction that is reckoned with
 MEDIAN_OF_SQUARES = 2 * math.log(2)  # of two coordinates with variance 1
@@ -35,6 +34,7 @@ class Judge(NamedTuple):
     basis: Float64  # (D, Q) B; D = 2 K P
     products: Float64  # (Q, Q + D): B^T B, and B^T
     scales: Float64  # (K, P)
+    freedom: float
     sides: Float64  # (K,)
     share: float
     noises: Float64  # (R,) of the rounds, falling
@@ -204,7 +204,9 @@ def _outlying_given(
         given.factors, scratch.offsets.ravel(), scratch.used.ravel(), scratch.residuals.ravel()
     )
     squared_errors_into(scratch.residuals, given.leverage, scratch.used, scratch.squared)
-    outlying_into(scratch.squared, observed, judge.scales, judge.sides, judge.share, out)
+    outlying_into(
+        scratch.squared, observed, judge.scales, judge.freedom, judge.sides, judge.share, out
+    )
 
 
 @reordered
@@ -246,14 +248,24 @@ def squared_errors_into(residuals: Float64, leverage: Float64, used: Bool, out: 
 
 @compiled
 def outlying_into(
-    squared: Float64, observed: Bool, scales: Float64, sides: Float64, share: float, out: Float64
-) -> None:
+    squared: Float64,
+    observed: Bool,
+    scales: Float64,
+    freedom: float,
+    sides: Float64,
+    share: float,
+    out: Float64,
+) -> float:
     """Write how probably keypoints (N, K, P) are outliers, by their squared errors; 0 if unseen.
 
-    Scales, sides and share are those of an `OutlierModel`.
+    Scales, freedom, sides and share are those of an `OutlierModel`. Returns the log likelihood of
+    the errors.
     """
     frames, views, count = squared.shape
     relative = np.empty(views * count)
+    # Half the square of a keypoint's error has the distribution F(2, freedom).
+    median = freedom * (2.0 ** (2.0 / freedom) - 1.0)
+    power, likelihood = -(freedom + 2.0) / 2.0, 0.0
     for n in range(frames):
         known = 0
         for k in range(views):
@@ -262,16 +274,18 @@ def outlying_into(
                     relative[known] = squared[n, k, p] / scales[k, p] ** 2
                     known += 1
         # In a frame that is unlike the others, all errors are larger.
-        usual = max(median_of(relative[:known]) / MEDIAN_OF_SQUARES, 1.0) if known else 1.0
+        usual = max(median_of(relative[:known]), MEDIAN_OF_SQUARES) if known else MEDIAN_OF_SQUARES
         for k in range(views):
             anywhere = share / sides[k] ** 2
             for p in range(count):
                 out[n, k, p] = 0.0
                 if observed[n, k, p]:
-                    spread = scales[k, p] ** 2 * usual
-                    tail = (1.0 + squared[n, k, p] / (FREEDOM * spread)) ** (-(FREEDOM + 2) / 2)
+                    spread = scales[k, p] ** 2 * usual / median
+                    tail = (1.0 + squared[n, k, p] / (freedom * spread)) ** power
                     inlying = (1.0 - share) * tail / (2.0 * math.pi * spread)
                     out[n, k, p] = anywhere / (anywhere + inlying)
+                    likelihood += math.log(anywhere + inlying)
+    return likelihood
 
 
 @compiled

@@ -2,9 +2,10 @@
 
 All views of a frame, stacked into one vector, lie near a set of few dimensions, more so if cameras
 rest. Probabilistic PCA (Tipping & Bishop, 1999) therefore predicts a keypoint from the others. How
-far inliers are off is told by Student's t, with a scale for each view and keypoint; outliers lie
-anywhere in the view. What is probably an outlier takes no part, and everything is learnt anew.
-Left and right keypoints that were taken for each other are no outliers, but change places.
+far inliers are off is told by Student's t, with a scale for each view and keypoint and the tails
+that are most likely; outliers lie anywhere in the view. What is probably an outlier takes no part,
+and everything is learnt anew. Left and right keypoints that were taken for each other are no
+outliers, but change places.
 """
 
 from collections.abc import Sequence
@@ -34,7 +35,11 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
-OUTLIERS_KIND = "pairs"  # in files: with the keypoints that may be swapped
+OUTLIERS_KIND = "freedom"  # in files: with what is told of the tails of inliers' errors
+OLD_FREEDOM = 6.0  # of older files
+# That are tried. With fewer, more outliers would pass for inliers' tails; with more, they are as
+# good as Gaussian.
+FREEDOMS = (6.0, 9.0, 14.0, 20.0, 30.0)
 LEAST_FRAMES = 40  # with fewer, what is usual is not known
 MOST_FRAMES, MOST_NUMBERS = 4000, 1_000_000  # to learn it from: plenty, and what takes seconds
 MOST_COORDINATES = 1200  # of a frame
@@ -56,7 +61,8 @@ class OutlierModel(NamedTuple):
     mean: Float64  # (K, P, 2)
     basis: Float64  # (K, P, 2, Q)
     noise: float  # standard deviation of e in a coordinate while z is inferred
-    scales: Float64  # (K, P) of inliers' errors
+    scales: Float64  # (K, P) standard deviations of inliers' errors, were they Gaussian
+    freedom: float  # degrees of freedom of Student's t, whose tails these errors have
     sides: Float64  # (K,) of the square that outliers lie in
     share: float  # of outliers among the keypoints
     pairs: Int64  # (S, 2) left and right keypoints that a view may show swapped
@@ -69,7 +75,8 @@ class OutlierModel(NamedTuple):
     def shapes(cls, keypoints: int, kind: str) -> Shapes:
         """Shapes of what `to_arrays` returns, for P keypoints; None stands for any length.
 
-        Older versions knew of no pairs; their `kind` was "yes".
+        Older versions took all tails for alike, with the `kind` "pairs". Those before knew of no
+        pairs either, with the `kind` "yes".
         """
         shapes: Shapes = {
             "mean": (None, keypoints, 2),
@@ -79,7 +86,11 @@ class OutlierModel(NamedTuple):
             "sides": (None,),
             "share": (1,),
         }
-        return shapes | {"pairs": (None, 2)} if kind == OUTLIERS_KIND else shapes
+        if kind in (OUTLIERS_KIND, "pairs"):
+            shapes["pairs"] = (None, 2)
+        if kind == OUTLIERS_KIND:
+            shapes["freedom"] = (1,)
+        return shapes
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "OutlierModel":
@@ -94,14 +105,15 @@ class OutlierModel(NamedTuple):
             arrays[name].numpy() for name in ("mean", "basis", "scales", "sides")
         )
         noise, share = arrays["noise"].item(), arrays["share"].item()
+        freedom = arrays["freedom"].item() if "freedom" in arrays else OLD_FREEDOM
         same = len(mean) == len(basis) == len(scales) == len(sides)
-        positive = noise > 0 and bool((scales > 0).all() and (sides > 0).all())
+        positive = min(noise, freedom) > 0 and bool((scales > 0).all() and (sides > 0).all())
         pairs = arrays["pairs"].numpy() if "pairs" in arrays else np.empty((0, 2))
         indices = set(range(mean.shape[1])) & set(pairs.ravel().tolist())
         whole = len(indices) == pairs.size  # they are keypoints, and none is named twice
         if not same or not positive or not 0 < share < 1 or not whole:
             raise WeightsError("the file contradicts itself about outliers")
-        return cls(mean, basis, noise, scales, sides, share, pairs.astype(np.int64))
+        return cls(mean, basis, noise, scales, freedom, sides, share, pairs.astype(np.int64))
 
 
 class Judged(NamedTuple):
@@ -130,6 +142,7 @@ class OutlierJudge:
             basis,
             np.hstack((basis.T @ basis, basis.T)),
             model.scales[chosen],
+            model.freedom,
             sides,
             model.share,
             np.geomspace(first, model.noise, JUDGING_ROUNDS),
@@ -242,7 +255,11 @@ def _learn(observations: Observations, pairs: Int64) -> OutlierModel | None:
         residuals = (given - predicted).reshape(len(frames), *shape)
         squared_errors_into(residuals, leverage, used, squared)
         scales = _scales(squared, used, sides)
-        outlying_into(squared, observed, scales, sides, share, outlying)
+        freedom = max(
+            FREEDOMS,
+            key=lambda f: outlying_into(squared, observed, scales, f, sides, share, outlying),
+        )
+        outlying_into(squared, observed, scales, freedom, sides, share, outlying)
         share = float((outlying.sum() / observed.sum()).clip(LEAST_SHARE, MOST_SHARE))
         used = observed & (outlying < OUTLIER)
         known = np.repeat(used.reshape(len(frames), -1), 2, axis=1)
@@ -252,6 +269,7 @@ def _learn(observations: Observations, pairs: Int64) -> OutlierModel | None:
         spread.reshape(*shape, -1),
         float(np.sqrt(variance)),
         scales,
+        freedom,
         sides,
         share,
         pairs,

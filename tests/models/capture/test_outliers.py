@@ -5,10 +5,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
 from scipy.stats import multivariate_t
 
 from models.capture.observations import as_observations, pixels_of
-from models.capture.outlier_kernels import FAR, FREEDOM, MEDIAN_OF_SQUARES, MOST_LEVERAGE
+from models.capture.outlier_kernels import FAR, MEDIAN_OF_SQUARES, MOST_LEVERAGE
 from models.capture.outliers import (
     FIRST_NOISE,
     JUDGING_ROUNDS,
@@ -79,6 +80,24 @@ def test_planted_outliers_are_found(model: OutlierModel, harmed: Harmed) -> None
     assert model.share == pytest.approx(SHARE, rel=0.2)
 
 
+def test_tails_are_those_of_the_noise(clean: Float64) -> None:
+    """So what Gaussian noise would hardly do is an outlier, and what heavier tails do is none."""
+    rng = np.random.default_rng(8)
+    gaussian = 12 * rng.standard_normal(clean.shape)
+    heavy = gaussian / np.sqrt(rng.chisquare(3, clean.shape[:3]) / 3)[..., None]
+    models = [learn_outliers(as_observations(clean + noise)) for noise in (gaussian, heavy)]
+    assert models[0] is not None
+    assert models[1] is not None
+    assert models[0].freedom > 2 * models[1].freedom
+    off = clean + gaussian
+    off[::5, 1, 3, 0] += 15 * models[0].scales[1, 3]
+    as_heavy = models[0]._replace(freedom=models[1].freedom)
+    found, missed = (found_in(model, off) for model in (models[0], as_heavy))
+    assert found[::5, 1, 3].mean() > missed[::5, 1, 3].mean() + 0.3
+    assert found[1::5].mean() < 0.005
+    assert found_in(models[1], clean + heavy).mean() < 0.005
+
+
 def test_outliers_are_found_beside_gaps(clean: Float64) -> None:
     keypoints, planted = harm(clean)
     hidden = np.random.default_rng(3).random(planted.shape) < 0.2
@@ -113,10 +132,11 @@ def expected(model: OutlierModel, offsets: Float64, noise: float, used: Bool) ->
     errors = squared.reshape(-1, 2).sum(1)
     variances = model.scales.ravel() ** 2
     seen = np.isfinite(errors)
-    usual = np.sort((errors / variances)[seen])[(seen.sum() - 1) // 2] / MEDIAN_OF_SQUARES
-    spread = variances * max(usual, 1)
+    middle = np.sort((errors / variances)[seen])[(seen.sum() - 1) // 2]
+    half = 2 * f_distribution(2, model.freedom).median()  # of squared errors of variance 1
+    spread = variances * max(middle, MEDIAN_OF_SQUARES) / half
     inlying = [
-        multivariate_t(shape=v * np.eye(2), df=int(FREEDOM)).pdf([np.sqrt(e), 0])
+        multivariate_t(shape=v * np.eye(2), df=int(model.freedom)).pdf([np.sqrt(e), 0])
         if there
         else np.nan
         for e, v, there in zip(errors, spread, seen, strict=True)

@@ -153,6 +153,7 @@ def test_the_likeliest_frame_is_found() -> None:
         rng.normal(0, 40, (views, count, 2, size)),
         1.5,
         np.full((views, count), 2.0),
+        6.0,
         np.full(views, 500.0),
         0.01,
         pairs,
