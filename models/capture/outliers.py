@@ -37,9 +37,9 @@ Int64 = NDArray[np.int64]
 
 OUTLIERS_KIND = "freedom"  # in files: with what is told of the tails of inliers' errors
 OLD_FREEDOM = 6.0  # of older files
-# That are tried. With fewer, more outliers would pass for inliers' tails; with more, they are as
-# good as Gaussian.
-FREEDOMS = (6.0, 9.0, 14.0, 20.0, 30.0)
+# That are tried. With fewer, more outliers would pass for inliers' tails; with more, keypoints of
+# poses that the fit has not seen would pass for outliers.
+FREEDOMS = (6.0, 9.0, 14.0)
 LEAST_FRAMES = 40  # with fewer, what is usual is not known
 MOST_FRAMES, MOST_NUMBERS = 4000, 1_000_000  # to learn it from: plenty, and what takes seconds
 MOST_COORDINATES = 1200  # of a frame

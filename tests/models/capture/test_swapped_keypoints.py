@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
 from models.capture.observations import as_observations, pixels_of
-from models.capture.outliers import OutlierJudge, OutlierModel, learn_outliers
+from models.capture.outliers import OLD_FREEDOM, OutlierJudge, OutlierModel, learn_outliers
 from models.capture.swapped_keypoints import SURE
 from models.capture.synthetic import KEYPOINT_NAMES, synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
+from models.settings.keypoints import OUTLIER
 from models.training.trainer import fit
 from tests.models.rigs import Float64
 
@@ -204,7 +205,11 @@ def test_a_fit_and_its_lifts_put_them_right(swapped: Swapped) -> None:
     assert mended.views == (0, 1, 2)
     lift = prior.lift(swapped.keypoints)
     clear = apart(swapped)
-    np.testing.assert_array_equal(prior.lift(swapped.clean).outlier_probability == 1, False)
+    learnt = learn_outliers(as_observations(swapped.keypoints))
+    assert learnt is not None
+    clean = OutlierJudge(learnt, range(VIEWS)).without_outliers(as_observations(swapped.clean))
+    assert not clean.swapped.any()
+    assert (prior.lift(swapped.clean).outlier_probability > OUTLIER).mean() < 0.001
     assert (lift.outlier_probability[swapped.planted & clear] == 1).mean() > 0.8
     assert lift.keypoints_used.mean() > 0.99 * VIEWS  # none of them is left out
     again = FittedPrior.from_bytes(prior.to_bytes()).lift(swapped.keypoints)
@@ -220,8 +225,11 @@ def test_pairs_that_cannot_be_are_refused(model: OutlierModel, pairs: list[list[
         OutlierModel.from_arrays(arrays)
 
 
-def test_files_of_before_knew_of_no_pairs(model: OutlierModel) -> None:
+def test_files_of_before_knew_less(model: OutlierModel) -> None:
     arrays = model.to_arrays()
+    del arrays["freedom"]
+    assert arrays.keys() == OutlierModel.shapes(len(KEYPOINT_NAMES), "pairs").keys()
+    assert OutlierModel.from_arrays(arrays).freedom == OLD_FREEDOM
     del arrays["pairs"]
     assert arrays.keys() == OutlierModel.shapes(len(KEYPOINT_NAMES), "yes").keys()
     assert len(OutlierModel.from_arrays(arrays).pairs) == 0
