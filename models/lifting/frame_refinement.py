@@ -28,7 +28,7 @@ from models.lifting.explanations import (
 )
 from models.lifting.neighbours import complete_from_neighbours
 from models.lifting.skeleton_lengths import SkeletonLengths, hold_lengths, no_lengths
-from models.lifting.stray_keypoints import look_again
+from models.lifting.stray_keypoints import Explained, look_again
 from models.network.answers import RIG_NOT_USED, Answers
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import total
@@ -163,7 +163,8 @@ def refine_frames(
         chosen = earlier if continued else start
         cost = explain(refiner, refiner.rig, views, usable, mean, chosen, best)
         if len(verdicts) and look_again(
-            refiner.rig, views, seen.sizes[n], left_out[n], best, verdicts[n]
+            Explained(refiner.rig.lenses, refiner.noise, views, seen.sizes[n], left_out[n], best),
+            verdicts[n],
         ):
             continue
         residual, apart = _residual(best, usable), False

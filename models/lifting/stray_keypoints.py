@@ -7,15 +7,17 @@ what it left out can lie just where they say. So frames are looked at again
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import Rig, Views
+from models.bundle.problem import Views
 from models.lifting.explanations import Explanation
+from models.lifting.rays import distance, meet
 from models.numerics.compiled import inner
-from models.numerics.matrices import total
-from models.optics.lenses.projection import project_into
+from models.numerics.matrices import copy, total
+from models.optics.lenses.projection import Lenses
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -25,6 +27,9 @@ STRAY = 8.0  # noise standard deviations from which a keypoint strays
 LEAST_VIEWS = 3  # that show a frame: where two do, all keypoints are held by two rays alone
 OF_TWO = 3.0  # times as far where two views show a keypoint, as it is not known which one is wrong
 NEAR = 0.15  # share of the subject's size: so near to where all others say it is, it is right
+AGREEING = 0.02  # share of it within which rays of two views meet,
+SURE = 3.0  # or so many noise standard deviations,
+ABOUT = 1.0  # and so many sizes of the structure from where the others say that the keypoint is
 STRAY_SHARE = 0.05  # and at least this share of the subject's size: no lens model is exact
 MOST_STRAY = 0.1  # of the keypoints of a frame: where more do, the frame is explained wrongly
 MOST_OF_VIEW = 0.25  # of the keypoints of a view: where more do, its camera was moved
@@ -33,69 +38,62 @@ MOST_OF_VIEW = 0.25  # of the keypoints of a view: where more do, its camera was
 STAYS, STRAYS, RETURNS = 0, 1, 2
 
 
-@inner
-def look_again(
-    rig: Rig,
-    views: Views,
-    sizes: Float32,
-    left_out: Float32,
-    explanation: Explanation,
-    verdicts: Int8,
-) -> bool:
-    """Write which keypoints of a frame stray, and which return; say whether there are any.
+class Explained(NamedTuple):
+    """A frame, and what explains it."""
 
-    Parameters
-    ----------
-    views
-        Their weights are inverse variances of the noise.
-    sizes
-        (K,) of the subject in the views, pixels.
-    left_out
-        (K, P, 3) pixels and confidences of what was left out before; confidence 0: it was not.
-    verdicts
-        (K, P) `STAYS`, `STRAYS` or `RETURNS`, to be written.
+    lenses: Lenses
+    noise: float  # pixels, of keypoints of confidence 1
+    views: Views  # weights are inverse variances of the noise
+    sizes: Float32  # (K,) of the subject in the views, pixels
+    # (K, P, 3) pixels and confidences of what was left out before; confidence 0: it was not
+    left_out: Float32
+    explanation: Explanation
+
+
+@inner
+def look_again(frame: Explained, verdicts: Int8) -> bool:
+    """Write which keypoints (K, P) of a frame stray, and which return; say whether there are any.
+
+    `verdicts` are `STAYS` before.
     """
-    found = _find_stray(rig, views, sizes, explanation, verdicts)
-    return found + _find_right(rig, views, sizes, left_out, explanation, verdicts) > 0
+    return _find_stray(frame, verdicts) + _find_right(frame, verdicts) > 0
 
 
 @inner
-def _find_stray(
-    rig: Rig, views: Views, sizes: Float32, explanation: Explanation, verdicts: Int8
-) -> int:
+def _find_stray(frame: Explained, verdicts: Int8) -> int:
     """Write in which view each keypoint strays most, or in which two that alone show it."""
-    views_of_frame, pixel = 0, np.empty(2)
+    weights, views_of_frame = frame.views.weights, 0
     for k in range(len(verdicts)):
-        views_of_frame += total(views.weights[k]) > 0
+        views_of_frame += total(weights[k]) > 0
     if views_of_frame < LEAST_VIEWS:
         return 0
     for p in range(verdicts.shape[1]):
-        shown = _views_of(views, p)
+        shown = _views_of(frame, verdicts, p)
         if shown < 2:
             continue
         worst, where = OF_TWO if shown == 2 else 1.0, -1
         for k in range(len(verdicts)):
-            if views.weights[k, p] > 0:
-                limit = max(STRAY / math.sqrt(views.weights[k, p]), STRAY_SHARE * sizes[k])
-                x, y = views.keypoints[k, p]
-                off = _distance(rig, explanation, k, p, x, y, pixel) / limit
+            if weights[k, p] > 0:
+                limit = max(STRAY / math.sqrt(weights[k, p]), STRAY_SHARE * frame.sizes[k])
+                x, y = frame.views.keypoints[k, p]
+                off = _distance(frame, k, frame.explanation.points[p], x, y) / limit
                 if off > worst:
                     worst, where = off, k
         if where >= 0:
             for k in range(len(verdicts)):
-                if k == where or (shown == 2 and views.weights[k, p] > 0):
+                if k == where or (shown == 2 and weights[k, p] > 0):
                     verdicts[k, p] = STRAYS
-    return _unless_too_many(views, verdicts)
+    return _unless_too_many(weights, verdicts)
 
 
 @inner
-def _unless_too_many(views: Views, verdicts: Int8) -> int:
+def _unless_too_many(weights: Float64, verdicts: Int8) -> int:
     """Return how many keypoints stray; where so many do that it is the explanation, none does."""
     found, all_shown, too_many = 0, 0, False
     for k in range(len(verdicts)):
         strays, seen = 0, 0
         for p in range(verdicts.shape[1]):
-            seen += views.weights[k, p] > 0
+            seen += weights[k, p] > 0
             strays += verdicts[k, p] == STRAYS
         too_many |= strays > MOST_OF_VIEW * seen
         found += strays
@@ -107,47 +105,101 @@ def _unless_too_many(views: Views, verdicts: Int8) -> int:
 
 
 @inner
-def _find_right(
-    rig: Rig,
-    views: Views,
-    sizes: Float32,
-    left_out: Float32,
-    explanation: Explanation,
-    verdicts: Int8,
-) -> int:
-    """Let keypoints return that fewer than two views tell, if they lie near where they should."""
-    found, pixel = 0, np.empty(2)
+def _find_right(frame: Explained, verdicts: Int8) -> int:
+    """Let keypoints return that fewer than two views tell.
+
+    Those do that lie near where they should, or where the rays of two views meet.
+    """
+    found, point = 0, np.empty(3)
     for p in range(verdicts.shape[1]):
-        shown = 0
+        shown, there = _views_of(frame, verdicts, p), 0
         for k in range(len(verdicts)):
-            shown += views.weights[k, p] > 0 and verdicts[k, p] == STAYS
-        for k in range(len(verdicts) if shown < 2 else 0):
-            if left_out[k, p, 2] > 0:
-                x, y = left_out[k, p, 0], left_out[k, p, 1]
-                if _distance(rig, explanation, k, p, x, y, pixel) < NEAR * sizes[k]:
-                    verdicts[k, p] = RETURNS
-                    found += 1
+            there += frame.left_out[k, p, 2] > 0
+        if shown > 1 or not there:
+            continue
+        copy(frame.explanation.points[p], point)
+        returning = _return_at(frame, p, point, NEAR, 0.0, verdicts)
+        if not returning and shown + there > 1 and _meet_near(frame, p, verdicts, point):
+            returning = _return_at(frame, p, point, AGREEING, SURE, verdicts)
+        found += returning
     return found
 
 
 @inner
-def _views_of(views: Views, p: int) -> int:
-    """Return how many views show a keypoint."""
-    shown = 0
-    for k in range(len(views.weights)):
-        shown += views.weights[k, p] > 0
-    return shown
+def _return_at(
+    frame: Explained, p: int, point: Float64, share: float, noises: float, verdicts: Int8
+) -> int:
+    """Let keypoint p return in the views that show it at a point (3,); returns in how many."""
+    found = 0
+    for k in range(len(verdicts)):
+        x, y, confidence = frame.left_out[k, p]
+        if confidence > 0 and _distance(frame, k, point, x, y) < _limit(
+            frame, k, confidence, share, noises
+        ):
+            verdicts[k, p] = RETURNS
+            found += 1
+    return found
 
 
 @inner
-def _distance(
-    rig: Rig, explanation: Explanation, k: int, p: int, x: float, y: float, pixel: Float64
-) -> float:
-    """Return how far a pixel of a view is from where the explanation has keypoint p, pixels."""
-    camera = np.empty(3)
+def _meet_near(frame: Explained, p: int, verdicts: Int8, out: Float64) -> bool:
+    """Write where the rays of two views to keypoint p meet best (3,), if it may be there."""
+    explained, views, best = frame.explanation.points, frame.views, 1.0
+    seen, places, point = frame.left_out[:, p].copy(), np.empty((2, 2)), np.empty(3)
+    for k in range(len(seen)):
+        if views.weights[k, p] > 0 and verdicts[k, p] == STAYS:
+            seen[k, 0], seen[k, 1] = views.keypoints[k, p]
+            seen[k, 2] = views.weights[k, p] * frame.noise**2
+    about = ABOUT * _size(explained)
+    for a in range(len(seen)):
+        for b in range(a):
+            if not (seen[a, 2] > 0 and seen[b, 2] > 0):
+                continue
+            for i in range(2):
+                places[0, i], places[1, i] = seen[a, i], seen[b, i]
+            copy(explained[p], point)
+            off = meet(frame.lenses, frame.explanation, a, b, places, point) / min(
+                _limit(frame, a, seen[a, 2], AGREEING, SURE),
+                _limit(frame, b, seen[b, 2], AGREEING, SURE),
+            )
+            away = 0.0
+            for i in range(3):
+                away += (point[i] - explained[p, i]) ** 2
+            if off < best and away < about**2:
+                best = off
+                copy(point, out)
+    return best < 1.0
+
+
+@inner
+def _limit(frame: Explained, k: int, confidence: float, share: float, noises: float) -> float:
+    """Return a share of the subject's size, or noise standard deviations if they are more."""
+    limit: float = max(share * frame.sizes[k], noises * frame.noise / math.sqrt(confidence))
+    return limit
+
+
+@inner
+def _distance(frame: Explained, k: int, point: Float64, x: float, y: float) -> float:
+    return distance(frame.lenses, frame.explanation, k, point, x, y)
+
+
+@inner
+def _size(points: Float64) -> float:
+    """Return the root mean square distance of points (P, 3) to their middle."""
+    squared, count = 0.0, len(points)
     for i in range(3):
-        camera[i] = explanation.translations[k, i]
-        for j in range(3):
-            camera[i] += explanation.rotations[k, i, j] * explanation.points[p, j]
-    project_into(camera, rig.lenses, k, pixel)
-    return math.sqrt((pixel[0] - x) ** 2 + (pixel[1] - y) ** 2)
+        middle = 0.0
+        for p in range(count):
+            middle += points[p, i] / count
+        for p in range(count):
+            squared += (points[p, i] - middle) ** 2 / count
+    return math.sqrt(squared)
+
+
+@inner
+def _views_of(frame: Explained, verdicts: Int8, p: int) -> int:
+    """Return how many views show a keypoint that does not stray."""
+    shown = 0
+    for k in range(len(verdicts)):
+        shown += frame.views.weights[k, p] > 0 and verdicts[k, p] == STAYS
+    return shown
