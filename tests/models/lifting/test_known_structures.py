@@ -175,3 +175,22 @@ def test_stray_keypoints_are_used_where_a_fit_was_told_to_reject_none(
     lift = prior.lift(frames)
     assert (lift.keypoints_used == frames.shape[2]).all()
     assert np.isnan(lift.outlier_probability).all()
+
+
+def test_what_views_agree_about_is_believed_though_no_frame_had_it(
+    capture: RigCapture, unseen: NDArray[np.int64], prior: FittedPrior
+) -> None:
+    """By the image alone it is an outlier in every view."""
+    figure, wrist = capture.points3d[unseen].copy(), keypoint("left_wrist")
+    figure[:, wrist] += 0.5 * (figure[:, wrist] - figure.mean(1))
+    camera = figure[:, None] @ capture.rotations[unseen].mT
+    camera += capture.translations[unseen][:, :, None]
+    frames = np.stack([lens.project(camera[:, k]) for k, lens in enumerate(capture.lenses)], axis=1)
+    judged = prior.observe(frames).outlier_probability
+    assert judged is not None
+    left_out = (judged[..., wrist] > 0.5).all(1)
+    assert left_out.sum() > 10
+    lift = prior.lift(frames)
+    assert (lift.outlier_probability[left_out][..., wrist] < 0.5).mean() > 0.9
+    errors = pa_mpjpe(lift.points3d[left_out], figure[left_out], reflection="never").errors
+    assert np.median(errors[:, wrist]) < 0.02  # metres
