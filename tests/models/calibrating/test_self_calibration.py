@@ -1,5 +1,6 @@
 """What is found of cameras that are known, from answers that are off as a network's would be."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -109,6 +110,15 @@ def check_lenses(cameras: CameraReport, focal: float = FOCAL) -> None:
     assert (off < 0.06 * focal).all()
     assert (off < 4 * cameras.focal_sds).all()
     assert (cameras.focal_sds < 0.06 * focal).all()
+
+
+def test_a_few_keypoints_far_off_do_not_say_how_noisy_the_others_are(static: RigCapture) -> None:
+    rng = np.random.default_rng(5)
+    keypoints = static.keypoints.copy()
+    far = rng.random(keypoints.shape[:3]) < 0.02
+    keypoints[far] += rng.choice([-60, 60], (far.sum(), 2))  # pixels
+    found, _ = found_by(replace(static, keypoints=keypoints))
+    assert found.noise < 1.5  # pixels, 1 of them noise
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
