@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from models.bundle.problem import LENS
 from models.lifting.explanations import Explanation
 from models.numerics.compiled import inner
 from models.numerics.matrices import cholesky, cholesky_solve, fill
@@ -14,7 +15,6 @@ Float64 = NDArray[np.float64]
 
 STEPS = 6  # of Gauss and Newton
 DAMPING = 1e-9  # of the largest curvature: rays may be parallel
-LENS = 5  # numbers of a lens that pixels are differentiated by
 
 
 @inner

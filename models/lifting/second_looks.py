@@ -108,7 +108,7 @@ def _seen_so(observed: Observed, verdicts: Int8) -> Observed:
     seen = np.where(returns[..., None], left_out, there)
     weights = np.where(strays, 0, seen[..., 2])
     if judged is None:
-        judged = np.where(observations.weights > 0, 0, np.nan)
+        judged = np.full(strays.shape, np.nan, np.float32)
     return Observed(
         as_observations(seen[..., :2], weights),
         np.where(strays, 1, np.where(returns, 0, judged)).astype(np.float32),
