@@ -25,12 +25,11 @@ Int8 = NDArray[np.int8]
 
 STRAY = 8.0  # noise standard deviations from which a keypoint strays
 LEAST_VIEWS = 3  # that show a frame: where two do, all keypoints are held by two rays alone
-OF_TWO = 3.0  # times as far where two views show a keypoint, as it is not known which one is wrong
 NEAR = 0.15  # share of the subject's size: so near to where all others say it is, it is right
 AGREEING = 0.02  # share of it within which rays of two views meet,
 SURE = 3.0  # or so many noise standard deviations,
 ABOUT = 1.5  # and so many sizes of the structure from where the others say that the keypoint is
-STRAY_SHARE = 0.05  # and at least this share of the subject's size: no lens model is exact
+STRAY_SHARE = 0.02  # and at least this share of the subject's size: no lens model is exact
 MOST_STRAY = 0.1  # of the keypoints of a frame: where more do, the frame is explained wrongly
 MOST_OF_VIEW = 0.25  # of the keypoints of a view: where more do, its camera was moved
 
@@ -71,7 +70,7 @@ def _find_stray(frame: Explained, verdicts: Int8) -> int:
         shown = _views_of(frame, verdicts, p)
         if shown < 2:
             continue
-        worst, where = OF_TWO if shown == 2 else 1.0, -1
+        worst, where = 1.0, -1
         for k in range(len(verdicts)):
             if weights[k, p] > 0:
                 limit = max(STRAY / math.sqrt(weights[k, p]), STRAY_SHARE * frame.sizes[k])
