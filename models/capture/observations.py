@@ -45,6 +45,16 @@ def join_frames(parts: Sequence[Observations]) -> Observations:
     return Observations._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
+def with_frames(
+    observations: Observations, chosen: NDArray[np.bool_], others: Observations
+) -> Observations:
+    """Return observations with `others` in place of the frames `chosen` (N,); the rest stay."""
+    changed = Observations._make(array.copy() for array in observations)
+    for array, other in zip(changed, others, strict=True):
+        array[chosen] = other
+    return changed
+
+
 def pixels_of(observations: Observations) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Keypoints (N, K, P, 2) in pixels, and whether they were observed (N, K, P)."""
     sizes, centres = observations.sizes, observations.centres

@@ -14,7 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.capture.observations import Observations, as_observations, pixels_of
+from models.capture.observations import (
+    Observations,
+    as_observations,
+    pixels_of,
+    with_frames,
+)
 from models.capture.outlier_kernels import (
     MEDIAN_OF_SQUARES,
     Judge,
@@ -185,10 +190,14 @@ class OutlierJudge:
         probabilities[swapped] = 1
         if not outliers.any():
             return Judged(observations, probabilities, swapped, nothing_left_out(observations))
-        pixels, _ = pixels_of(observations)
-        kept = as_observations(np.where(outliers[..., None], np.nan, pixels), observations.weights)
-        there = np.concatenate((pixels, observations.weights[..., None]), axis=-1, dtype=np.float32)
-        return Judged(kept, probabilities, swapped, np.where(outliers[..., None], there, 0))
+        changed: Bool = np.logical_or.reduce(outliers, axis=(1, 2))
+        some, out = observations.frames(changed), outliers[changed][..., None]
+        pixels, left_out = pixels_of(some)[0], nothing_left_out(observations)
+        there = np.concatenate((pixels, some.weights[..., None]), axis=-1, dtype=np.float32)
+        left_out[changed] = np.where(out, there, 0)
+        kept = as_observations(np.where(out, np.nan, pixels), some.weights)
+        # Others stay to the last digit, so that no answer depends on the company of its frame.
+        return Judged(with_frames(observations, changed, kept), probabilities, swapped, left_out)
 
 
 def nothing_left_out(observations: Observations) -> Float32:

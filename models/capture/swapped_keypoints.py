@@ -8,7 +8,7 @@ places. Which keypoints are left and right of each other is learnt: those that g
 import numpy as np
 from numpy.typing import NDArray
 
-from models.capture.observations import Observations, as_observations, pixels_of
+from models.capture.observations import Observations, as_observations, pixels_of, with_frames
 from models.capture.outlier_kernels import (
     Judge,
     Predictor,
@@ -57,7 +57,10 @@ def put_right(
     partners = np.arange(observed.shape[-1])
     partners[pairs] = pairs[:, ::-1]
     weights = np.where(swapped, observations.weights[..., partners], observations.weights)
-    return as_observations(np.where(observed[..., None], pixels, np.nan), weights), swapped
+    changed: Bool = np.logical_or.reduce(swapped, axis=(1, 2))
+    shown = np.where(observed[changed][..., None], pixels[changed], np.nan)
+    mended = as_observations(shown, weights[changed])
+    return with_frames(observations, changed, mended), swapped
 
 
 def find_pairs(judge: Judge, prepared: Prepared, observations: Observations) -> Int64:

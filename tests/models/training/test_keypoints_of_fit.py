@@ -115,7 +115,8 @@ def test_a_keypoint_that_is_stuck_is_not_learnt_from(capture: RigCapture) -> Non
     for lift in lifts[:2]:
         np.testing.assert_array_equal(lift.points3d, lifts[2].points3d)
     errors = [pa_mpjpe(p.lift(stuck).points3d, capture.points3d).mean for p in (prior, expected)]
-    assert errors[0] < 0.5 * errors[1]  # of one that takes it for a detection
+    # The other prior takes it for a detection, until a second look.
+    assert errors[0] < 0.8 * errors[1]
     # Of views that are named, it is the fit's second; of unknown ones, none.
     pair = prior.lift(stuck[:, [1, 0]], views=[1, 0])
     np.testing.assert_array_equal(
