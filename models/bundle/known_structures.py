@@ -21,11 +21,14 @@ from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensor
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
-NEIGHBOURS = 10  # that make a prior
+NEIGHBOURS = 10  # that make a prior where views hide keypoints
+NOISY_NEIGHBOURS = 20  # and where keypoints are noisy
 LEAST_STRUCTURES = 40  # to look among: of fewer, ten are no neighbours
 WEIGHTS = np.array([0.01, 0.1, 1.0])  # of a keypoint that no view told, that one did, that more did
 ALONG_RAY = 0.25  # weight of a difference that the only view of a keypoint hardly sees
-SPREAD = 1.0  # variance beside the neighbours' directions, in mean variances of their coordinates
+# Variance beside the neighbours' directions, in mean variances of their coordinates: where views
+# hide keypoints, and where keypoints are noisy.
+SPREAD, NOISY_SPREAD = 1.0, 0.1
 LEAST_SPREAD = 1e-4  # standard deviation, radii of the structure
 
 
@@ -72,14 +75,14 @@ def no_structures(keypoints: int) -> KnownStructures:
 
 @inner
 def prior_of_neighbours(
-    known: KnownStructures, points: Float64, views: Int64, rays: Float64
+    known: KnownStructures, points: Float64, views: Int64, rays: Float64, size: int, spread: float
 ) -> ShapePrior:
-    """Return the shape prior that the known structures nearest to `points` (P, 3) make.
+    """Return the shape prior that the `size` known structures nearest to `points` (P, 3) make.
 
     Points are aligned to the mean of the shapes. `views` (P,) is how many views show a keypoint;
     where it is one, `rays` (P, 3) is the unit vector along which that view sees it.
     """
-    count, size = len(points), NEIGHBOURS
+    count = len(points)
     nearest = np.zeros(size, np.int64)
     _find_nearest(known, points, views, rays, nearest)
     mean, weight = np.zeros((count, 3)), np.zeros(count)
@@ -100,17 +103,17 @@ def prior_of_neighbours(
                 offset = known.points[nearest[q], p, i] - mean[p, i]
                 basis[3 * p + i, q] = offset * math.sqrt((1.0 + 1.0 / size) / size)
                 variance += offset * offset / (3 * count * size)
-    spread = math.sqrt(SPREAD * variance + LEAST_SPREAD**2)
+    deviation = math.sqrt(spread * variance + LEAST_SPREAD**2)
     inner_products, factor = np.empty((size, size)), np.empty((size, size))
     for q in range(size):
         for r in range(size):
-            total = spread**2 if q == r else 0.0
+            total = deviation**2 if q == r else 0.0
             for a in range(3 * count):
                 total += basis[a, q] * basis[a, r]
             inner_products[q, r] = total
     copy(inner_products, factor)
     cholesky(factor)
-    return ShapePrior(mean, basis, inner_products, factor, spread, 1.0, False)
+    return ShapePrior(mean, basis, inner_products, factor, deviation, 1.0, False)
 
 
 @inner

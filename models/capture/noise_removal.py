@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from models.capture.denoising import Denoiser, learn_denoiser
 from models.capture.motion import MotionModel, learn_motion
-from models.capture.observations import Observations
+from models.capture.observations import Observations, pixels_of
 from models.settings.times import check_times
 
+Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 
@@ -82,6 +83,20 @@ class NoiseRemoval(NamedTuple):
             np.where(together.reshape(shape[:2]), smoothed.sizes, alone.sizes),
             np.where(together.reshape(shape[:2]), smoothed.usable, alone.usable),
         )
+
+    def detected(
+        self, observations: Observations, views: Sequence[int], times: ArrayLike | None
+    ) -> Float32:
+        """Return what `remove` makes of frames one by one as it was, for a second opinion.
+
+        (N, K, P, 3): pixels, and the inverse variance of their noise, 0 of what was not observed;
+        (0, K, P, 3) if frames are not taken one by one.
+        """
+        if self.denoiser is None or (times is not None and self.motion is not None):
+            return np.zeros((0, *observations.weights.shape[1:], 3), np.float32)
+        pixels, _ = pixels_of(observations)
+        precisions = observations.weights / np.square(self.denoiser.noise[list(views)])
+        return np.concatenate((pixels, precisions[..., None]), axis=-1, dtype=np.float32)
 
     def _one_by_one(self, observations: Observations, views: Sequence[int]) -> Observations:
         return observations if self.denoiser is None else self.denoiser.denoise(observations, views)

@@ -41,6 +41,7 @@ class Refiner(NamedTuple):
     held: SkeletonLengths  # of frames that two views or more show
     known: KnownStructures  # of the fit
     rejecting: bool  # whether keypoints that stray are left out
+    sharpens: bool  # whether known structures tell of frames from which noise was removed
 
 
 class Explanation(NamedTuple):
@@ -145,8 +146,11 @@ def previous_start_into(
 
 
 @inner
-def align_explanation_into(explanation: Explanation, mean: Float64, out: Explanation) -> None:
-    """Bring an explanation onto `mean` (P, 3): cameras see the same. Errors are not written."""
+def align_explanation_into(explanation: Explanation, mean: Float64, out: Explanation) -> float:
+    """Bring an explanation onto `mean` (P, 3): cameras see the same. Errors are not written.
+
+    Returns how much larger it is then.
+    """
     rotation, centre, shift = np.empty((3, 3)), np.empty(3), np.empty(3)
     scale = _align_into(explanation.points, mean, out.points, rotation, centre)
     for k in range(len(out.translations)):
@@ -158,6 +162,7 @@ def align_explanation_into(explanation: Explanation, mean: Float64, out: Explana
                 shift[i] += own[i, j] * centre[j]
         for i in range(3):
             out.translations[k, i] = scale * shift[i]
+    return scale
 
 
 @inner

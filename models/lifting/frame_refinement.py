@@ -27,6 +27,7 @@ from models.lifting.explanations import (
     write_errors,
 )
 from models.lifting.neighbours import complete_from_neighbours
+from models.lifting.sharpening import sharpen
 from models.lifting.skeleton_lengths import SkeletonLengths, hold_lengths, no_lengths
 from models.lifting.stray_keypoints import Explained, look_again
 from models.network.answers import RIG_NOT_USED, Answers
@@ -87,6 +88,7 @@ def make_refiner(
         no_lengths() if skeleton is None or not rig.resting.all() else skeleton,
         no_structures(len(shapes.mean)) if structures is None else structures,
         rejecting and bool(rig.resting.all()),
+        structures is not None and bool(rig.resting.all()),
     )
 
 
@@ -120,6 +122,7 @@ def refine_frames(
     refiner: Refiner,
     seen: Observations,
     left_out: Float32,
+    detected: Float32,
     previous: Answers,
     always: bool,
     begin: int,
@@ -133,6 +136,8 @@ def refine_frames(
     are; with `always` only the latter. `previous` are answers of the frames before, N or none: a
     frame whose views all have a perspective camera there starts from it if that explains it better,
     and is marked as continued. Where the rig was tried in vain, the answers' findings say so.
+
+    Where noise was removed, `detected` (N, K, P, 3) says what keypoints were (see `Observed`).
 
     `verdicts` (N, K, P), 0, are written of keypoints that stray or return, of which `left_out`
     (N, K, P, 3) tells (see `look_again`); a frame that has any is not refined. With (0, K, P) none
@@ -183,6 +188,8 @@ def refine_frames(
         accepted = _accept(best, cost, answers.reprojection_errors[n], usable, always)
         if accepted:
             answers.continued[n] = continued
+            if there > 1 and not apart and refiner.sharpens and len(detected):
+                _sharpen(refiner, detected[n], views, usable, best, other)
             if there > 1 and not apart and len(refiner.held.lengths):
                 _hold_lengths(refiner, views, best)
             _write(refiner, best, n, usable, answers)
@@ -202,6 +209,30 @@ def _pixels_into(seen: Observations, n: int, noise: float, views: Views) -> None
                 views.keypoints[k, p, i] = (
                     seen.keypoints[n, k, p, i] * seen.sizes[n, k] + seen.centres[n, k, i]
                 )
+
+
+@inner
+def _sharpen(
+    refiner: Refiner,
+    detected: Float32,
+    views: Views,
+    usable: Bool,
+    explanation: Explanation,
+    room: Explanation,
+) -> None:
+    """Ask known structures what keypoints (K, P, 3) as they were detected say; poses stay."""
+    cameras, count, _ = detected.shape
+    shown = Views(np.empty((cameras, count, 2)), np.empty((cameras, count)))
+    said = 0.0
+    for k in range(cameras):
+        for p in range(count):
+            shown.weights[k, p] = detected[k, p, 2]
+            said += detected[k, p, 2]
+            for i in range(2):
+                shown.keypoints[k, p, i] = detected[k, p, i]
+    if said > 0.0:
+        sharpen(refiner, shown, usable, explanation, room)
+        write_errors(refiner.rig, views, explanation)
 
 
 @inner

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.frame_equations import SIMILARITY
-from models.bundle.known_structures import prior_of_neighbours
+from models.bundle.known_structures import NEIGHBOURS, SPREAD, prior_of_neighbours
 from models.bundle.problem import Rig, Views
 from models.lifting.explanations import (
     Explanation,
@@ -45,10 +45,10 @@ def complete_from_neighbours(
     count = len(explanation.points)
     shown, rays = np.zeros(count, np.int64), np.empty((count, 3))
     align_explanation_into(explanation, refiner.prior.means, start)
-    told = _what_is_told(views, usable, start, shown, rays)
-    if told < 0:
+    told, several = what_is_told(views, usable, start, shown, rays)
+    if several:
         return
-    prior = prior_of_neighbours(refiner.known, start.points, shown, rays)
+    prior = prior_of_neighbours(refiner.known, start.points, shown, rays, NEIGHBOURS, SPREAD)
     cost, misfit = explain_with(prior, rig, views, usable, start, other)
     share = misfit / max(told - SIMILARITY, 1)
     if math.isfinite(cost) and share > 1.0:
@@ -62,12 +62,12 @@ def complete_from_neighbours(
 
 
 @inner
-def _what_is_told(
+def what_is_told(
     views: Views, usable: Bool, explanation: Explanation, shown: Int64, rays: Float64
-) -> int:
+) -> tuple[int, bool]:
     """Write how many views show each keypoint (P,), and the ray of the last that does (P, 3).
 
-    Returns how many numbers of the structure they tell, or -1 if several show each keypoint.
+    Returns how many numbers of the structure they tell, and whether several show each keypoint.
     """
     told, several = 0, True
     for p in range(len(shown)):
@@ -87,4 +87,4 @@ def _what_is_told(
                 rays[p, i] /= math.sqrt(length)
         told += min(1 + shown[p], 3) if shown[p] else 0
         several = several and shown[p] > 1
-    return -1 if several else told
+    return told, several

@@ -29,13 +29,17 @@ class Observed(NamedTuple):
     # (N, K, P, 3): where outliers are in pixels, and their confidences; 0 of all others, and where
     # noise was removed, as what was seen no longer lies where it should.
     left_out: Float32
+    # (N, K, P, 3): where keypoints were before noise was removed from each frame on its own, in
+    # pixels, and the inverse variance of their noise, 0 where none was; (0, K, P, 3): of no frame.
+    detected: Float32
 
     def frames(self, chosen: slice | Bool) -> "Observed":
         """Return some of the frames."""
         judged = self.outlier_probability
         part = None if judged is None else judged[chosen]
         frames = self.observations.frames(chosen)
-        return Observed(frames, part, self.views, self.left_out[chosen])
+        detected = self.detected[chosen] if len(self.detected) else self.detected
+        return Observed(frames, part, self.views, self.left_out[chosen], detected)
 
 
 def join_observed(parts: Sequence[Observed]) -> Observed:
@@ -48,7 +52,25 @@ def join_observed(parts: Sequence[Observed]) -> Observed:
         np.concatenate(judged) if judged else None,
         parts[0].views,
         np.concatenate([part.left_out for part in parts]),
+        _join_detected(parts),
     )
+
+
+def _as_seen(
+    observations: Observations,
+    probabilities: Float32 | None,
+    views: tuple[int, ...] | None,
+    left_out: Float32,
+) -> Observed:
+    """Return frames from which no noise was removed, or in time."""
+    return Observed(observations, probabilities, views, left_out, left_out[:0])
+
+
+def _join_detected(parts: Sequence[Observed]) -> Float32:
+    if not any(len(part.detected) for part in parts):
+        return parts[0].detected
+    rows = [d if len(d) else np.zeros_like(left_out) for *_, left_out, d in parts]
+    return np.concatenate(rows)
 
 
 class Observer:
@@ -81,7 +103,11 @@ class Observer:
         removed = self._removal.remove(observed.observations, observed.views, times)
         if removed is observed.observations:
             return observed
-        return observed._replace(observations=removed, left_out=nothing_left_out(removed))
+        return observed._replace(
+            observations=removed,
+            left_out=nothing_left_out(removed),
+            detected=self._removal.detected(observed.observations, observed.views, times),
+        )
 
     def follow(self, views: Sequence[int] | None, lag: int) -> "Following":
         """Begin a film whose frames come one by one, and are answered `lag` frames later."""
@@ -95,9 +121,9 @@ class Observer:
         observations = self._of_capture(keypoints, confidence, views)
         chosen = self._views_of_fit(views, observations.weights.shape[1])
         if self._outliers is None or chosen is None:
-            return Observed(observations, None, chosen, nothing_left_out(observations))
+            return _as_seen(observations, None, chosen, nothing_left_out(observations))
         judged = self._judge_of(chosen).without_outliers(observations)
-        return Observed(judged.observations, judged.probabilities, chosen, judged.left_out)
+        return _as_seen(judged.observations, judged.probabilities, chosen, judged.left_out)
 
     def _of_capture(
         self,
@@ -179,4 +205,4 @@ class Following:
         judged = [self._judged.popleft() for _ in range(len(observations.weights))]
         known = [one for one in judged if one is not None]
         probabilities = np.concatenate(known) if known else None
-        return Observed(observations, probabilities, self.views, nothing_left_out(observations))
+        return _as_seen(observations, probabilities, self.views, nothing_left_out(observations))

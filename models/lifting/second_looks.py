@@ -65,7 +65,7 @@ def _lift(
     lifter: Lifter, observed: Observed, before: Answers, *, judging: bool
 ) -> tuple[Answers, Int8]:
     """Return answers and, if they are asked for, verdicts (N, K, P) on keypoints; else none."""
-    observations, judged, _, left_out = observed
+    observations, judged, _, left_out, detected = observed
     shape = observations.weights.shape
     answers = make_answers(*shape)
     if judged is not None:
@@ -88,6 +88,7 @@ def _lift(
                 lifter.refiner,
                 observations,
                 left_out,
+                detected,
                 before,
                 lifter.always,
                 *here,
@@ -101,7 +102,7 @@ def _lift(
 
 def _seen_so(observed: Observed, verdicts: Int8) -> Observed:
     """Return frames without the keypoints that stray, and with those that return."""
-    observations, judged, views, left_out = observed
+    observations, judged, views, left_out, detected = observed
     strays, returns = verdicts == STRAYS, verdicts == RETURNS
     pixels, _ = pixels_of(observations)
     there = np.concatenate((pixels, observations.weights[..., None]), axis=-1, dtype=np.float32)
@@ -114,6 +115,7 @@ def _seen_so(observed: Observed, verdicts: Int8) -> Observed:
         np.where(strays, 1, np.where(returns, 0, judged)).astype(np.float32),
         views,
         np.where(strays[..., None], there, np.where(returns[..., None], 0, left_out)),
+        np.where(strays[..., None], 0, detected) if len(detected) else detected,
     )
 
 

@@ -14,21 +14,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import LENS, Rig, Views
+from models.bundle.problem import Rig, Views
 from models.lifting.lift import Lift
+from models.lifting.told_points import inform_points
 from models.network.answers import RIG_NOT_USED
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import (
     cholesky,
     cholesky_solve,
     copy,
-    fill,
     inverse_symmetric,
 )
 from models.numerics.random_effects import random_effects
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import empty_aligned, in_slices
-from models.optics.lenses.projection import Lenses, differentiate_into
+from models.optics.lenses.projection import Lenses
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -155,7 +155,7 @@ def hold_lengths(
     """
     count, edges = len(points), len(held.lengths)
     information, pull = np.empty((count, 3, 3)), np.empty((count, 3))
-    _inform(points, rotations, translations, lenses, views, information, pull)
+    inform_points(points, rotations, translations, lenses, views, information, pull)
     unsure, before = np.empty((count, 3, 3)), points.copy()
     trust = (noise / held.noise) ** 2
     for p in range(count):
@@ -242,45 +242,6 @@ def _step(
     return change
 
 
-@inner
-def _inform(
-    points: Float64,
-    rotations: Float64,
-    translations: Float64,
-    lenses: Lenses,
-    views: Views,
-    information: Float64,
-    pull: Float64,
-) -> None:
-    """Write what views tell of each point of a frame: inverse covariances, times where it lies.
-
-    (P, 3, 3), and (P, 3) with the point where it is as the origin.
-    """
-    camera, pixel, by_camera = np.empty(3), np.empty(2), np.empty((2, 3))
-    by_lens, by_point = np.empty((2, LENS)), np.empty(3)
-    fill(information, 0)
-    fill(pull, 0)
-    for k in range(len(rotations)):
-        for p in range(len(points)):
-            w = views.weights[k, p]
-            if not w > 0:
-                continue
-            for i in range(3):
-                camera[i] = translations[k, i]
-                for j in range(3):
-                    camera[i] += rotations[k, i, j] * points[p, j]
-            differentiate_into(camera, lenses, k, pixel, by_camera, by_lens)
-            for a in range(2):
-                for j in range(3):
-                    by_point[j] = 0.0
-                    for i in range(3):
-                        by_point[j] += by_camera[a, i] * rotations[k, i, j]
-                for i in range(3):
-                    pull[p, i] += w * by_point[i] * (views.keypoints[k, p, a] - pixel[a])
-                    for j in range(3):
-                        information[p, i, j] += w * by_point[i] * by_point[j]
-
-
 @compiled
 def _measure(
     points: Float64,
@@ -301,7 +262,7 @@ def _measure(
     spread = np.empty((count, 3, 3))
     for n in range(start, stop):
         views = Views(seen.keypoints[n], seen.weights[n])
-        _inform(points[n], rotations[n], translations[n], lenses, views, information, pull)
+        inform_points(points[n], rotations[n], translations[n], lenses, views, information, pull)
         for p in range(count):
             told[p] = (views.weights[:, p] > 0).sum()
             inverse_symmetric(information[p], TINY, unsure)

@@ -119,7 +119,16 @@ class Teaching:
         skeleton = self._learn_lengths(prior, found)
         if skeleton is None:
             return prior
-        return self._as_prior(found, curve, skeleton, structures)
+        prior = self._as_prior(found, curve, skeleton, structures)
+        if structures is None:
+            return prior
+        # Lengths make structures truer, and so what they tell of noisy frames.
+        lift = run_to_end(self._lifted(prior, frames))
+        truer = known_structures(lift, self._data.weights[frames].numpy(), found.shapes.mean)
+        if truer is None:
+            return prior
+        truer = truer._replace(believed=structures.believed)
+        return self._as_prior(found, curve, skeleton, truer)
 
     def usual(self) -> Usual:
         """Return what is usual of the frames of the fit, with the network as it is now."""
@@ -254,13 +263,7 @@ class Teaching:
             return self._as_prior(found, structures=known)
 
         for _ in range(ROUNDS if hidden > HIDDEN else 1):
-            prior = make_prior(structures)
-            lifts = []
-            for some in torch.split(frames, LIFTED_FRAMES):
-                yield
-                pixels = self._data.pixels(some)
-                lifts.append(prior.lift(pixels, confidence=self._data.weights[some], refine="full"))
-            lift = join(lifts)
+            lift = yield from self._lifted(make_prior(structures), frames)
             learnt = known_structures(lift, weights.numpy(), found.shapes.mean)
             if learnt is None:
                 break
@@ -268,10 +271,20 @@ class Teaching:
                 learnt = believe_where_better(learnt, self._unseen, make_prior, seed=seed)
             else:
                 learnt = learnt._replace(believed=structures.believed)
+            if learnt.believed.any() or self._removed_noise is not None:
+                structures = learnt
             if not learnt.believed.any():
                 break
-            structures = learnt
         return structures, lift
+
+    def _lifted(self, prior: FittedPrior, frames: Tensor) -> Generator[None, None, Lift]:
+        """Return the refined lift of frames (T,); yields now and then, to be stopped there."""
+        lifts = []
+        for some in torch.split(frames, LIFTED_FRAMES):
+            yield
+            pixels, weights = self._data.pixels(some), self._data.weights[some]
+            lifts.append(prior.lift(pixels, confidence=weights, refine="full"))
+        return join(lifts)
 
     def _make_perspective_teachers(
         self, self_calibration: SelfCalibration, frames: Tensor, step: int
