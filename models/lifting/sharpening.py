@@ -4,10 +4,11 @@ Removing noise looks for frames whose keypoints lie alike in the images. Structu
 wherever in the room the subject is and whichever way it looks, so there are more to learn from.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.frame_equations import SIMILARITY
 from models.bundle.known_structures import NOISY_NEIGHBOURS, NOISY_SPREAD, prior_of_neighbours
 from models.bundle.problem import ShapePrior, Views
 from models.lifting.explanations import (
@@ -20,10 +21,13 @@ from models.lifting.neighbours import what_is_told
 from models.lifting.told_points import inform_points
 from models.numerics.compiled import inner
 from models.numerics.matrices import cholesky, cholesky_solve, inverse_symmetric, product
+from models.optics.lenses.projection import Lenses, project_into
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
-Int64 = NDArray[np.int64]
+
+UNLIKE = 2.0  # standard errors by which a frame must lie further off than is explained
+FAR = 18.0  # variances of noise: what errors are heavier tails than a frame's pose explains
 
 
 @inner
@@ -33,38 +37,36 @@ def sharpen(
     """Write the most likely points among known structures for keypoints as they were `detected`.
 
     Its cameras stay. The twenty known structures nearest to the explanation make a Gaussian prior
-    of the frame (`prior_of_neighbours`). How far the outcome is from the prior, as a share of what
-    that expects, is how little the prior is believed: with shares beyond 1, its mean goes back
-    towards the explanation there was. Weights of `detected` are inverse variances.
+    of the frame (`prior_of_neighbours`). If the outcome is further from it and from the keypoints
+    than both explain, the frame is unlike all that is known: by the square of how many times its
+    squared distance is what they expect, the prior's mean goes back towards the explanation.
+    Weights of `detected` are inverse variances.
     """
     count = len(explanation.points)
     shown, rays = np.zeros(count, np.int64), np.empty((count, 3))
     scale = align_explanation_into(explanation, refiner.prior.means, room)
-    told, _ = what_is_told(detected, usable, room, shown, rays)
+    what_is_told(detected, usable, room, shown, rays)
     prior = prior_of_neighbours(
         refiner.known, room.points, shown, rays, NOISY_NEIGHBOURS, NOISY_SPREAD
     )
+    lenses = refiner.rig.lenses
     information, pull = np.empty((count, 3, 3)), np.empty((count, 3))
     inform_points(
-        room.points,
-        room.rotations,
-        room.translations,
-        refiner.rig.lenses,
-        detected,
-        information,
-        pull,
+        room.points, room.rotations, room.translations, lenses, detected, information, pull
     )
-    points = np.empty((count, 3))
-    share = _most_likely(prior, room.points, information, pull, points) / max(told - SIMILARITY, 1)
-    if share > 1.0:
+    before, numbers = room.points.copy(), 2 * shown.sum()
+    squared = most_likely(prior, before, information, pull, room.points)
+    squared += _squared_errors(lenses, detected, room)
+    times = squared / max(numbers, 1)
+    if times > 1.0 + UNLIKE * math.sqrt(2.0 / max(numbers, 1)):
         for p in range(count):
             for i in range(3):
-                off = prior.means[p, i] - room.points[p, i]
-                prior.means[p, i] = room.points[p, i] + off / share
-        _most_likely(prior, room.points, information, pull, points)
+                off = prior.means[p, i] - before[p, i]
+                prior.means[p, i] = before[p, i] + off / times**2
+        most_likely(prior, before, information, pull, room.points)
     for p in range(count):
         for i in range(3):
-            room.points[p, i] = points[p, i] / scale
+            room.points[p, i] /= scale
     for k in range(len(usable)):
         for i in range(3):
             room.translations[k, i] /= scale
@@ -72,7 +74,25 @@ def sharpen(
 
 
 @inner
-def _most_likely(
+def _squared_errors(lenses: Lenses, views: Views, explanation: Explanation) -> float:
+    """Return the squared errors of keypoints, in variances of their noise; at most `FAR` each."""
+    camera, pixel, squared = np.empty(3), np.empty(2), 0.0
+    for k in range(len(views.weights)):
+        rotation, translation = explanation.rotations[k], explanation.translations[k]
+        for p in range(len(explanation.points)):
+            if views.weights[k, p] > 0:
+                for i in range(3):
+                    camera[i] = translation[i]
+                    for j in range(3):
+                        camera[i] += rotation[i, j] * explanation.points[p, j]
+                project_into(camera, lenses, k, pixel)
+                x, y = pixel[0] - views.keypoints[k, p, 0], pixel[1] - views.keypoints[k, p, 1]
+                squared += min(views.weights[k, p] * (x * x + y * y), FAR)
+    return squared
+
+
+@inner
+def most_likely(
     prior: ShapePrior, origin: Float64, information: Float64, pull: Float64, points: Float64
 ) -> float:
     """Write the most likely points (P, 3), and return how far from the prior they are, squared.

@@ -1,8 +1,11 @@
 """How tests compare lifts."""
 
 import numpy as np
+from safetensors.torch import load
 
+from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift
+from models.numerics.tensor_files import pack, read_about
 
 
 def same(a: Lift, b: Lift, tolerance: float = 0) -> None:
@@ -11,3 +14,12 @@ def same(a: Lift, b: Lift, tolerance: float = 0) -> None:
     others = b._asdict()
     for name, found in a._asdict().items():
         np.testing.assert_allclose(found, others[name], tolerance, tolerance, err_msg=name)
+
+
+def without_structures(prior: FittedPrior) -> FittedPrior:
+    """Return the same prior as files of versions have it that knew no structures."""
+    data = prior.to_bytes()
+    about = read_about(data, kind="prior")
+    del about["structures"]
+    arrays = {name: array for name, array in load(data).items() if "structures." not in name}
+    return FittedPrior.from_bytes(pack(arrays, kind="prior", about=about))

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from safetensors.torch import load
 
 from models.bundle.known_structures import LEAST_STRUCTURES, KnownStructures
 from models.capture.metrics import pa_mpjpe
 from models.lifting.fitted_prior import FittedPrior
-from models.numerics.tensor_files import WeightsError, pack, read_about
+from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
 from models.training.trainer import fit
+from tests.models.lifting.comparison import without_structures
 from tests.models.rigs import RigCapture, keypoint, make_rig_capture
 from tests.sharing import fitted_once
 
@@ -51,14 +51,6 @@ def unseen(capture: RigCapture) -> NDArray[np.int64]:
 def plain(prior: FittedPrior) -> FittedPrior:
     """Return the same prior as files of versions have it that knew no structures."""
     return without_structures(prior)
-
-
-def without_structures(prior: FittedPrior) -> FittedPrior:
-    data = prior.to_bytes()
-    about = read_about(data, kind="prior")
-    del about["structures"]
-    arrays = {name: array for name, array in load(data).items() if "structures." not in name}
-    return FittedPrior.from_bytes(pack(arrays, kind="prior", about=about))
 
 
 def errors_of(
