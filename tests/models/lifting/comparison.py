@@ -16,10 +16,11 @@ def same(a: Lift, b: Lift, tolerance: float = 0) -> None:
         np.testing.assert_allclose(found, others[name], tolerance, tolerance, err_msg=name)
 
 
-def without_structures(prior: FittedPrior) -> FittedPrior:
-    """Return the same prior as files of versions have it that knew no structures."""
+def without(prior: FittedPrior, *parts: str) -> FittedPrior:
+    """Return the same prior as files have it that know nothing of these parts."""
     data = prior.to_bytes()
-    about = read_about(data, kind="prior")
-    del about["structures"]
-    arrays = {name: array for name, array in load(data).items() if "structures." not in name}
+    about, arrays = read_about(data, kind="prior"), load(data)
+    for part in parts:
+        del about[part]
+        arrays = {name: array for name, array in arrays.items() if f"{part}." not in name}
     return FittedPrior.from_bytes(pack(arrays, kind="prior", about=about))

@@ -10,7 +10,7 @@ from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
 from models.training.trainer import fit
-from tests.models.lifting.comparison import without_structures
+from tests.models.lifting.comparison import without
 from tests.models.rigs import RigCapture, keypoint, make_rig_capture
 from tests.sharing import fitted_once
 
@@ -50,7 +50,7 @@ def unseen(capture: RigCapture) -> NDArray[np.int64]:
 @pytest.fixture(scope="module")
 def plain(prior: FittedPrior) -> FittedPrior:
     """Return the same prior as files of versions have it that knew no structures."""
-    return without_structures(prior)
+    return without(prior, "structures")
 
 
 def errors_of(

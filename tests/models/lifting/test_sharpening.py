@@ -12,7 +12,7 @@ from models.lifting.sharpening import most_likely
 from models.numerics.compiled import compiled
 from models.settings.config import FitConfig
 from models.training.trainer import fit
-from tests.models.lifting.comparison import without_structures
+from tests.models.lifting.comparison import without
 from tests.models.rigs import Float64, RigCapture, make_rig_capture
 from tests.sharing import fitted_once
 
@@ -46,7 +46,7 @@ def prior(capture: RigCapture, tmp_path_factory: pytest.TempPathFactory) -> Fitt
 @pytest.fixture(scope="module")
 def plain(prior: FittedPrior) -> FittedPrior:
     """Return the same prior as files of versions have it that knew no structures."""
-    return without_structures(prior)
+    return without(prior, "structures")
 
 
 def error_of(prior: FittedPrior, keypoints: Float64, truth: Float64) -> float:
