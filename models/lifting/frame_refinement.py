@@ -226,8 +226,8 @@ def _sharpen(
     said = 0.0
     for k in range(cameras):
         for p in range(count):
-            shown.weights[k, p] = detected[k, p, 2]
-            said += detected[k, p, 2]
+            shown.weights[k, p] = detected[k, p, 2] if usable[k] else 0.0
+            said += shown.weights[k, p]
             for i in range(2):
                 shown.keypoints[k, p, i] = detected[k, p, i]
     if said > 0.0:

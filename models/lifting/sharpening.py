@@ -27,7 +27,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 UNLIKE = 2.0  # standard errors by which a frame must lie further off than is explained
-FAR = 18.0  # variances of noise: what errors are heavier tails than a frame's pose explains
+NEAR, FAR = 4.0, 18.0  # variances of noise: where heavier tails begin, and where all is tail
 
 
 @inner
@@ -40,7 +40,7 @@ def sharpen(
     of the frame (`prior_of_neighbours`). If the outcome is further from it and from the keypoints
     than both explain, the frame is unlike all that is known: by the square of how many times its
     squared distance is what they expect, the prior's mean goes back towards the explanation.
-    Weights of `detected` are inverse variances.
+    Weights of `detected` are inverse variances; what is far off is given less.
     """
     count = len(explanation.points)
     shown, rays = np.zeros(count, np.int64), np.empty((count, 3))
@@ -50,6 +50,7 @@ def sharpen(
         refiner.known, room.points, shown, rays, NOISY_NEIGHBOURS, NOISY_SPREAD
     )
     lenses = refiner.rig.lenses
+    _trust_less_what_is_far(lenses, detected, room)
     information, pull = np.empty((count, 3, 3)), np.empty((count, 3))
     inform_points(
         room.points, room.rotations, room.translations, lenses, detected, information, pull
@@ -74,21 +75,39 @@ def sharpen(
 
 
 @inner
+def _trust_less_what_is_far(lenses: Lenses, views: Views, explanation: Explanation) -> None:
+    """Weight keypoints that are more than `NEAR` variances off as Huber's loss does."""
+    for k in range(len(views.weights)):
+        for p in range(len(explanation.points)):
+            squared = _squared_error(lenses, views, explanation, k, p)
+            if squared > NEAR:
+                views.weights[k, p] *= math.sqrt(NEAR / squared)
+
+
+@inner
 def _squared_errors(lenses: Lenses, views: Views, explanation: Explanation) -> float:
     """Return the squared errors of keypoints, in variances of their noise; at most `FAR` each."""
-    camera, pixel, squared = np.empty(3), np.empty(2), 0.0
+    squared = 0.0
     for k in range(len(views.weights)):
-        rotation, translation = explanation.rotations[k], explanation.translations[k]
         for p in range(len(explanation.points)):
-            if views.weights[k, p] > 0:
-                for i in range(3):
-                    camera[i] = translation[i]
-                    for j in range(3):
-                        camera[i] += rotation[i, j] * explanation.points[p, j]
-                project_into(camera, lenses, k, pixel)
-                x, y = pixel[0] - views.keypoints[k, p, 0], pixel[1] - views.keypoints[k, p, 1]
-                squared += min(views.weights[k, p] * (x * x + y * y), FAR)
+            squared += min(_squared_error(lenses, views, explanation, k, p), FAR)
     return squared
+
+
+@inner
+def _squared_error(lenses: Lenses, views: Views, explanation: Explanation, k: int, p: int) -> float:
+    """Return the squared reprojection error of keypoint p in view k, times its weight."""
+    if views.weights[k, p] == 0:
+        return 0.0
+    rotation, translation = explanation.rotations[k], explanation.translations[k]
+    camera, pixel = np.empty(3), np.empty(2)
+    for i in range(3):
+        camera[i] = translation[i]
+        for j in range(3):
+            camera[i] += rotation[i, j] * explanation.points[p, j]
+    project_into(camera, lenses, k, pixel)
+    x, y = pixel[0] - views.keypoints[k, p, 0], pixel[1] - views.keypoints[k, p, 1]
+    return float(views.weights[k, p] * (x * x + y * y))
 
 
 @inner
