@@ -55,16 +55,25 @@ class Objects:
         )
 
     def put(self, key: str, data: bytes) -> None:
-        """Store ``data`` under ``key``, durably: on return it survives a loss of power."""
-        obstore.put(self._store, key, data, max_concurrency=PARTS_AT_A_TIME)
-        if self._folder is not None:
-            # A local rename is atomic but not durable; the record that will point here is.
-            for path in (self._folder / key, (self._folder / key).parent):
-                descriptor = os.open(path, os.O_RDONLY)
-                try:
-                    os.fsync(descriptor)
-                finally:
-                    os.close(descriptor)
+        """Store ``data`` under ``key``, durably: on return it survives a loss of power.
+
+        Raises
+        ------
+        ObjectStoreError
+            If the objects are away, also if they went away between writing and now.
+        """
+        try:
+            obstore.put(self._store, key, data, max_concurrency=PARTS_AT_A_TIME)
+            if self._folder is not None:
+                # A local rename is atomic but not durable; the record that will point here is.
+                for path in (self._folder / key, (self._folder / key).parent):
+                    descriptor = os.open(path, os.O_RDONLY)
+                    try:
+                        os.fsync(descriptor)
+                    finally:
+                        os.close(descriptor)
+        except OSError as error:  # never the answer that there is no such object
+            raise ObjectStoreError(f"{key} could not be written: {error}") from error
 
     def get(self, key: str) -> bytes:
         """Return the bytes under ``key``.

@@ -1,6 +1,7 @@
 """Objects in a folder and on S3: the same behaviour, through outages too."""
 
 import os
+import shutil
 import signal
 import threading
 import time
@@ -51,6 +52,27 @@ def test_what_is_not_there_is_said_so(objects: Objects) -> None:
         objects.get_range(key, 0, 8)
     objects.delete(key)
     objects.delete()
+
+
+def test_a_folder_that_goes_away_as_it_is_written_is_away(tmp_path: Path) -> None:
+    objects, done = Objects(tmp_path.as_uri()), threading.Event()
+    key = keys.of_chunk(new_id("ds"), b"capture")
+
+    def take_away() -> None:
+        while not done.is_set():
+            shutil.rmtree(tmp_path / key.partition("/")[0], ignore_errors=True)
+
+    with ThreadPoolExecutor(1) as threads:
+        threads.submit(take_away)
+        errors = []
+        for _ in range(300):
+            try:
+                objects.put(key, b"capture")
+            except Exception as error:  # noqa: BLE001 (whatever comes is compared)
+                errors.append(type(error))
+        done.set()
+    assert errors
+    assert all(issubclass(error, ObjectStoreError) for error in errors)
 
 
 @pytest.mark.parametrize("found", [b"capturf", b"captu", b""])
