@@ -14,9 +14,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from models.capture.heavy_tails import clip_frames_into, learn_tails
 from models.capture.observations import Observations, as_observations, pixels_of
+from models.capture.principal_curves import (
+    PrincipalCurves,
+    expect_on_curves_into,
+    learn_curves,
+    no_curves,
+)
 from models.capture.score_mixture import (
     ScoreMixture,
+    degrees_of_freedom,
     learn_mixture,
     posterior_means_into,
     standard_normal,
@@ -29,7 +37,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
-DENOISER_KIND = "levels"  # in files: noise of each keypoint in each view
+DENOISER_KIND = "curves"  # in files: a mixture and curves, noise of each keypoint in each view
 
 FRAMES_AT_A_TIME = 64  # that a thread denoises
 LEAST_FRAMES = 40  # with fewer, noise and signal are hardly told apart
@@ -42,29 +50,31 @@ FRAMES_PER_LEVEL = 2  # times as many as coordinates, to learn how unequal noise
 POOLED_FRAMES = 20  # that the noise of all keypoints together counts for in that of each
 LEAST_VARIANCE = 1e-12  # pixels^2: of what does not move at all
 MOST_UNEQUAL = 4.0  # times as much noise as in the median keypoint, or as little
-# Noise is Student's t if it has at most so many degrees of freedom, else Gaussian. How much larger
-# one in forty errors is than their median tells.
-MOST_DEGREES, LARGE = 12, 0.975
 # Noise is white if the eigenvalues between these places, as shares of all, fall no more than so
 # many times as steeply as those of white noise.
 TAIL_START, TAIL_END, MOST_STEEPNESS = 0.55, 0.95, 1.2
 UNLIKE = 2.0  # standard errors by which a frame must lie further off than noise explains
+LEAST_SHARE = 0.1  # of curves in what is expected: with less, they are not worth their time
 LEAST_NOISE = 0.02  # of a view's size: with less noise than that, geometry does better alone
 MEDIAN_SQUARE = 2 * math.log(2)  # of the error of a keypoint, both coordinates of variance 1
 
 
 class Denoiser(NamedTuple):
-    """y = mean + B z + e with z ~ mixture, e ~ t(0, noise^2), of all views of a frame; pixels."""
+    """y = mean + x + e with e ~ t(0, noise^2), of all views of a frame; pixels.
+
+    What is expected of x is the mean of two answers: x = B z with z ~ mixture, and x ~ curves.
+    """
 
     mean: Float64  # (K, P, 2)
     basis: Float64  # (K, P, 2, Q)
     noise: Float64  # (K, P) standard deviations
     tails: float  # one over the degrees of freedom of the noise; 0 if it is Gaussian
     mixture: ScoreMixture
+    curves: PrincipalCurves
 
     @property
     def remaining_noise(self) -> float:
-        """The noise that denoising leaves in a coordinate, pixels."""
+        """The noise that the mixture leaves in a coordinate, pixels; with curves it is less."""
         flat = self.basis.reshape(self.mean.size, -1)  # (D, Q)
         scaled = (self.basis / self.noise[..., None, None]).reshape(flat.shape)
         left = np.linalg.inv(self.mixture.precisions + scaled.T @ scaled)  # (M, Q, Q)
@@ -80,41 +90,73 @@ class Denoiser(NamedTuple):
         rows = (len(pixels), mean.size)
         offsets = np.where(observed[..., None], (pixels - mean) / noise, 0).reshape(rows)  # (N, D)
         shown = np.repeat(observed.reshape(len(pixels), -1), 2, axis=1)
-        flat = (self.basis[list(views)] / noise[..., None]).reshape(mean.size, -1)  # (D, Q)
-        scores = np.empty((len(pixels), flat.shape[1]))
+        expected = np.empty_like(offsets)
 
         def denoise_part(part: slice) -> None:
-            posterior_means_into(
-                self.mixture, flat, offsets[part], shown[part], self.tails, scores[part]
-            )
+            expected[part] = self._expected(offsets[part], shown[part], views)
 
         in_slices(len(pixels), FRAMES_AT_A_TIME, denoise_part)
-        removed = pixels - mean - noise * (scores @ flat.T).reshape(pixels.shape)
+        removed = pixels - mean - noise * expected.reshape(pixels.shape)
         unknown = _unknown_share(removed / noise, observed, heavy=self.tails > 0)
         kept = pixels - (1 - unknown) * removed
         return as_observations(np.where(observed[..., None], kept, np.nan), observations.weights)
 
+    def _expected(self, offsets: Float64, shown: Bool, views: Sequence[int]) -> Float64:
+        """Return what is expected of frames (N, D) of which a part is shown, less their mean.
+
+        Both in standard deviations of the noise.
+        """
+        basis = self.basis[list(views)] / self.noise[list(views)][..., None, None]
+        flat = basis.reshape(offsets.shape[1], -1)  # (D, Q)
+        scores = np.empty((len(offsets), flat.shape[1]))
+        posterior_means_into(self.mixture, flat, offsets, shown, self.tails, scores)
+        expected: Float64 = scores @ flat.T
+        if self.curves.share > 0:
+            points = self.curves.points
+            rows = np.arange(self.mean.size).reshape(len(self.mean), -1)[list(views)].ravel()
+            on_curves = np.empty_like(offsets)
+            expect_on_curves_into(
+                points.reshape(self.mean.size, -1),
+                self.curves.heights,
+                rows,
+                offsets,
+                shown,
+                self.tails,
+                on_curves,
+            )
+            expected += self.curves.share * (on_curves - expected)
+        return expected
+
     def to_arrays(self) -> Arrays:
         """Return the denoiser as tensors, for a file."""
         parts: dict[str, ArrayLike] = self._asdict() | self.mixture._asdict()
-        del parts["mixture"]
-        return as_tensors(parts)
+        del parts["mixture"], parts["curves"]
+        curves = {f"curves_{name}": value for name, value in self.curves._asdict().items()}
+        tensors = as_tensors(parts | curves)
+        return tensors | {"curves_points": tensors["curves_points"].float()}
 
     @classmethod
     def shapes(cls, keypoints: int, kind: str) -> Shapes:
         """Shapes of what `to_arrays` returns, for P keypoints; None stands for any length.
 
-        Older versions had a `kind` "mixture", with one noise for all keypoints, and before that
-        no mixture but probabilistic PCA.
+        Older versions had a `kind` "levels", without curves, "mixture", with one noise for all
+        keypoints, and before that no mixture but probabilistic PCA.
         """
+        unequal = kind in (DENOISER_KIND, "levels")
         shapes: Shapes = {
             "mean": (None, keypoints, 2),
             "basis": (None, keypoints, 2, None),
-            "noise": (None, keypoints) if kind == DENOISER_KIND else (1,),
+            "noise": (None, keypoints) if unequal else (1,),
         }
         if kind == DENOISER_KIND:
+            shapes |= {
+                "curves_points": (None, keypoints, 2, None),
+                "curves_heights": (None,),
+                "curves_share": (1,),
+            }
+        if unequal:
             shapes["tails"] = (1,)
-        if kind in (DENOISER_KIND, "mixture"):
+        if unequal or kind == "mixture":
             shapes |= {
                 "heights": (None,),
                 "centres": (None, None),
@@ -149,7 +191,15 @@ class Denoiser(NamedTuple):
         fits = fits and len(mean) == len(basis) and noise.shape == mean.shape[:2]
         if not fits or not (noise > 0).all() or not 0 <= tails < 1:
             raise WeightsError("the file contradicts itself about the noise")
-        return cls(mean, basis, noise, tails, mixture)
+        curves = no_curves(*noise.shape)
+        if "curves_points" in arrays:
+            points = np.ascontiguousarray(arrays["curves_points"].double().numpy())
+            heights, share = arrays["curves_heights"].numpy(), arrays["curves_share"].item()
+            curves = PrincipalCurves(points, heights, share)
+        fits = curves.points.shape == (*mean.shape, len(curves.heights))
+        if not fits or not 0 <= curves.share <= float(len(curves.heights) > 0):
+            raise WeightsError("the file contradicts itself about the curves")
+        return cls(mean, basis, noise, tails, mixture, curves)
 
 
 def learn_denoiser(observations: Observations) -> Denoiser | None:
@@ -186,13 +236,47 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
         level = np.median(noise) * np.sqrt(np.median(errors) / MEDIAN_SQUARE * 3 / (2 * views))
     if level < LEAST_NOISE * size or not found.basis.size:
         return None
-    mixture = learn_mixture(found.scores, float(np.sqrt(found.variance)))
-    return Denoiser(
+    white = float(np.sqrt(found.variance))
+    denoiser = Denoiser(
         (found.mean * found.levels).reshape(views, count, 2),
         (found.basis * found.levels[:, None]).reshape(views, count, 2, -1),
         noise.reshape(views, count, 2)[..., 0],
-        _tails(errors),
-        mixture,
+        learn_tails(errors),
+        learn_mixture(found.scores, white),
+        no_curves(views, count),
+    )
+    freedom = degrees_of_freedom(denoiser.mixture, found.scores, white)
+    offsets = np.where(known, (given - found.mean * found.levels) / noise, 0)
+    return denoiser._replace(curves=_learn_curves(denoiser, offsets, known, freedom))
+
+
+def _learn_curves(
+    mixture: Denoiser, offsets: Float64, known: Bool, freedom: float
+) -> PrincipalCurves:
+    """Learn curves from frames (N, D), of which a part is known, that a mixture denoises already.
+
+    Their share in the answer is the one with the least risk, which Stein's unbiased estimate
+    (1981) tells: the squared residuals, and twice the degrees of freedom; the mixture's are given.
+    """
+    views, count, _ = mixture.mean.shape
+    by_mixture = mixture._expected(offsets, known, range(views))
+    clipped = offsets.copy()
+    if mixture.tails > 0:
+        clip_frames_into(offsets, by_mixture, mixture.tails, clipped)
+    filled = np.where(known, clipped, by_mixture)
+    learnt = learn_curves(filled, by_mixture, mixture.basis.shape[-1])
+    if learnt is None:
+        return no_curves(views, count)
+    change = (learnt.expected - by_mixture)[known]
+    kept = (learnt.freedom - freedom) / filled.shape[1]
+    gained = ((filled - by_mixture)[known] * change).mean() - kept
+    share = float(min(gained / np.square(change).mean(), 1.0))
+    if not share > LEAST_SHARE:
+        return no_curves(views, count)
+    # As precise as in a file, so that it makes no difference whether a model was stored.
+    points = learnt.points.T.astype(np.float32).astype(np.float64)
+    return PrincipalCurves(
+        np.ascontiguousarray(points).reshape(views, count, 2, -1), learnt.heights, share
     )
 
 
@@ -263,21 +347,6 @@ def _changes_of_levels(variances: Float64, times: Int64) -> Float64:
     usual = max(float(np.median(variances)), LEAST_VARIANCE)
     pooled = (variances * times + usual * POOLED_FRAMES) / (times + POOLED_FRAMES)
     return np.sqrt(pooled / usual).repeat(2)
-
-
-def _tails(errors: Float64) -> float:
-    """Return one over the degrees of freedom of squared errors of keypoints; 0: Gaussian.
-
-    Half the square of a keypoint's error has the distribution F(2, degrees).
-    """
-    median = np.quantile(errors, 0.5)
-    if median <= 0:  # most keypoints have no noise at all
-        return 0.0
-    ratio = np.quantile(errors, LARGE) / median
-    degrees = np.arange(3, 3 * MOST_DEGREES)
-    large, half = ((1 - share) ** (-2 / degrees) - 1 for share in (LARGE, 0.5))
-    found = degrees[np.abs(large / half - ratio).argmin()]
-    return 1 / float(found) if found <= MOST_DEGREES else 0.0
 
 
 def _unknown_share(removed: Float64, observed: Bool, *, heavy: bool) -> Float64:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from models.capture.heavy_tails import ROUNDS_OF_TAILS, clip_into
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import cholesky, cholesky_solve
 
@@ -21,7 +22,6 @@ Bool = NDArray[np.bool_]
 # their components together are one mixture, which errs less than any of its parts.
 FRAMES_PER_COMPONENT, STARTS = (46, 23), 2
 ROUNDS = 20
-ROUNDS_OF_TAILS = 4  # of a frame, if its noise has heavy tails
 POOLED_FRAMES = 100  # that the covariance of all components together counts for in each
 LEAST_SIGNAL = 1e-4  # variance of a component in any direction, as a share of that of the noise
 
@@ -52,6 +52,33 @@ def learn_mixture(scores: Float64, noise: float) -> ScoreMixture:
     precisions = (vectors / signal[:, None]) @ vectors.mT
     heights = np.log(shares / len(parts)) - np.log(signal).sum(1) / 2
     return ScoreMixture(heights, centres, precisions)
+
+
+def degrees_of_freedom(mixture: ScoreMixture, scores: Float64, noise: float) -> float:
+    """Return how much of its own noise the expectation of a frame keeps, on average.
+
+    The divergence of the expected scores with respect to the scores (N, Q), whose noise is white:
+    their covariance over its variance, and what learning the centres adds.
+    """
+    size, logs, gains = scores.shape[1], [], []
+    signals = np.linalg.inv(mixture.precisions)
+    for height, centre, signal in zip(mixture.heights, mixture.centres, signals, strict=True):
+        seen = np.linalg.inv(signal + noise**2 * np.eye(size))
+        offset = scores - centre
+        shrinking = np.linalg.slogdet(signal @ seen).logabsdet / 2
+        logs.append(height + shrinking - ((offset @ seen) * offset).sum(1) / 2)
+        gains.append(signal @ seen)
+    belongs = np.exp(np.array(logs) - np.max(logs, axis=0))  # (M, N)
+    belongs /= belongs.sum(0)
+    mean, squares = np.zeros_like(scores), np.zeros(len(scores))
+    for share, centre, gain in zip(belongs, mixture.centres, gains, strict=True):
+        answer = centre + (scores - centre) @ gain.T
+        mean += share[:, None] * answer
+        squares += share * np.square(answer).sum(1)
+    kept = np.trace(gains, axis1=1, axis2=2) @ belongs
+    kept += (squares - np.square(mean).sum(1)) / noise**2
+    kept += size * (np.square(belongs) / (belongs.sum(1, keepdims=True) + 1e-9)).sum(0)
+    return float(kept.mean())
 
 
 def _learn(
@@ -114,9 +141,7 @@ def posterior_means_into(
 ) -> None:
     """Write the expected scores (N, Q) of frames of which a part is observed.
 
-    Noise with heavy tails is Student's t, of both coordinates of a keypoint together. What of a
-    coordinate is further off than Gaussian noise would be is taken away, a few times over
-    (modified residuals: Huber and Ronchetti, *Robust Statistics*, 2009, 7.8).
+    Noise with heavy tails is taken into account as by `clip_into`, a few times over.
 
     Parameters
     ----------
@@ -132,6 +157,7 @@ def posterior_means_into(
     inner_products, factors = np.empty((size, size)), np.empty((count, size, size))
     shifts, logs, said = np.empty((count, size)), np.empty(count), np.empty(size)
     determinants, energies = np.empty(count), np.empty(count)
+    expected = np.empty(len(basis))
     _weigh_centres(mixture, shifts, energies)
     for n in range(len(offsets)):
         if n == 0 or not _same(observed[n], observed[n - 1]):
@@ -141,7 +167,11 @@ def posterior_means_into(
         clipped = offsets[n].copy()
         for i in range(ROUNDS_OF_TAILS if tails > 0.0 else 1):
             if i > 0:
-                _clip_into(basis, offsets[n], out[n], tails, clipped)
+                for d in range(len(basis)):
+                    expected[d] = 0.0
+                    for j in range(size):
+                        expected[d] += basis[d, j] * out[n, j]
+                clip_into(offsets[n], expected, tails, clipped)
             for j in range(size):
                 said[j] = 0.0
             for d in range(len(basis)):
@@ -149,24 +179,6 @@ def posterior_means_into(
                     for j in range(size):
                         said[j] += basis[d, j] * clipped[d]
             _mix(mixture, factors, determinants, shifts, energies, said, logs, out[n])
-
-
-@inner
-def _clip_into(
-    basis: Float64, offsets: Float64, scores: Float64, tails: float, out: Float64
-) -> None:
-    """Write the offsets (D,) without what heavy tails add to their residuals."""
-    residual = np.empty(2)
-    for p in range(len(offsets) // 2):
-        squared = 0.0
-        for i in range(2):
-            residual[i] = offsets[2 * p + i]
-            for j in range(len(scores)):
-                residual[i] -= basis[2 * p + i, j] * scores[j]
-            squared += residual[i] ** 2
-        share = min((1.0 + 2.0 * tails) / (1.0 + squared * tails), 1.0)
-        for i in range(2):
-            out[2 * p + i] = offsets[2 * p + i] - (1.0 - share) * residual[i]
 
 
 @compiled
