@@ -215,6 +215,8 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
     size = float(np.median(observations.sizes[usable])) if usable.any() else 1.0
     views, count = keypoints.shape[1:3]
     frames = np.flatnonzero(observed.mean((1, 2)) >= OBSERVED_SHARE)
+    # Draws go by places, so frames get places that do not depend on their order.
+    frames = frames[np.nansum(keypoints[frames], axis=(1, 2, 3)).argsort(kind="stable")]
     frames = frames[:: max(1, -(-len(frames) // MOST_FRAMES))]
     width = 2 * views * count  # D
     if len(frames) < LEAST_FRAMES or width > MOST_COORDINATES:
@@ -260,9 +262,8 @@ def _learn_curves(
     """
     views, count, _ = mixture.mean.shape
     by_mixture = mixture._expected(offsets, known, range(views))
-    clipped = offsets.copy()
-    if mixture.tails > 0:
-        clip_frames_into(offsets, by_mixture, mixture.tails, clipped)
+    clipped = np.empty_like(offsets)
+    clip_frames_into(offsets, by_mixture, mixture.tails, clipped)
     filled = np.where(known, clipped, by_mixture)
     learnt = learn_curves(filled, by_mixture, mixture.basis.shape[-1])
     if learnt is None:

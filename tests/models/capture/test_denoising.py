@@ -7,6 +7,7 @@ import torch
 from models.capture.denoising import LEAST_FRAMES, Denoiser, learn_denoiser
 from models.capture.metrics import pa_mpjpe
 from models.capture.observations import as_observations
+from models.capture.principal_curves import no_curves
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
@@ -176,15 +177,18 @@ def test_a_fit_stores_it_and_lifts_with_it(noisy: Float64) -> None:
 
 
 def test_a_file_of_before_is_read(noisy: Float64, model: Denoiser) -> None:
-    """Noise was the same for all keypoints then, and Gaussian."""
+    """Noise was the same for all keypoints then, and Gaussian, and there were no curves."""
     arrays = model.to_arrays()
-    del arrays["tails"]
+    for name in ("tails", "curves_points", "curves_heights", "curves_share"):
+        del arrays[name]
     arrays["noise"] = torch.tensor([NOISE], dtype=torch.float64)
     assert {name: value.ndim for name, value in arrays.items()} == {
         name: len(shape) for name, shape in Denoiser.shapes(KEYPOINTS, "mixture").items()
     }
     before = Denoiser.from_arrays(arrays)
-    like_it = model._replace(noise=np.full((VIEWS, KEYPOINTS), NOISE))
+    like_it = model._replace(
+        noise=np.full((VIEWS, KEYPOINTS), NOISE), curves=no_curves(VIEWS, KEYPOINTS)
+    )
     np.testing.assert_array_equal(pixels(noisy, before, [0, 1]), pixels(noisy, like_it, [0, 1]))
 
 
