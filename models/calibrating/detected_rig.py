@@ -70,6 +70,8 @@ def adjust_to_detected(
     points = triangulate_clear(frames, rig)
     for _ in range(ROUNDS):
         equations = linearise_at_clear(frames, rig, points)
+        if not np.isfinite(equations.by_shared).all():  # points ran away along parallel rays
+            return None
         of_edges, right = _equations_of_edges(equations, points, edges)
         growing = _growing(rig)
         information = equations.information + of_edges + believed.precision

@@ -45,7 +45,7 @@ def rig_prior(problem: Problem, rig: Rig, *, given_poses: GivenPoses | None) -> 
         these = np.flatnonzero(untold[:, number])
         index = VIEW * these + number
         covariance = group_covariance(problem.lens_groups[these], together, alone)
-        precision[np.ix_(index, index)] = np.linalg.inv(covariance)
+        precision[np.ix_(index, index)] = np.linalg.inv(covariance) / problem.said_once
         free[index] = True
     for number in (CENTRE_X, CENTRE_Y):
         these = np.flatnonzero(untold[:, number])

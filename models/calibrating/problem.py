@@ -56,6 +56,9 @@ class Problem(NamedTuple):
     cameras_alike: Alike
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
     kept: NDArray[np.bool_]  # (K,) whose cameras stay as a solution has them
+    # Of what keypoints say, the share that others do not say as well, since their noise was
+    # removed together. What is believed of lenses beforehand counts by as much more.
+    said_once: float = 1.0
 
     @property
     def side(self) -> float:

@@ -119,6 +119,13 @@ def self_calibrate(
     problem, best, kept, reason = yield from _with_likely_lenses(arranged, told)
     if noisy is not None:
         adjusted = yield from _by_detected(problem, best, noisy, edges)
+        if adjusted is None and kept is None and _leaves_lenses_to_shapes(problem, best):
+            # Shapes say of two views what suits them. Another start, and the outcome without
+            # any word of detected keypoints, is with lenses that are not far from the usual ones.
+            firm = yield from search(problem._replace(said_once=told), answers, config)
+            if firm.checked.solution.rig.resting.all():
+                best = firm.checked.solution
+                adjusted = yield from _by_detected(problem, best, noisy, edges)
         if adjusted is not None:
             best, kept = adjusted
             reason = f"{reason}; cameras are adjusted to keypoints as they were detected"
@@ -141,6 +148,12 @@ def self_calibrate(
     )
     noticed = (*found.findings, *camera_findings(found, problem.images, problem.size))
     return replace(found, findings=noticed), best.scene
+
+
+def _leaves_lenses_to_shapes(problem: Problem, best: Solution) -> bool:
+    """Whether two views that rest have focal lengths that nobody told."""
+    untold = np.isinf(problem.lens_sds[:, FOCAL]).all()
+    return bool(untold and len(best.rig.groups) == 2 and best.rig.resting.all())
 
 
 def _with_likely_lenses(

@@ -20,8 +20,9 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
-FRAMES_PER_STOP = (6, 8, 10)  # through whose means a curve is first led: three curves
-FRAMES_PER_POINT = 2  # of a curve
+FRAMES_PER_STOP = (3, 5, 8)  # through whose means a curve is first led: three curves
+FRAMES_PER_POINT = 2  # of a curve, if that makes more of them than `PLENTY`
+PLENTY = 500  # points of a curve; fewer only if there are fewer frames
 MOST_NUMBERS = 1_000_000  # coordinates of the points of all curves together
 MOST_DIMENSIONS = 128  # leading components in which curves are learnt
 MEANS_ROUNDS = 10  # of k-means
@@ -71,7 +72,8 @@ def learn_curves(offsets: Float64, expected: Float64, dimensions: int) -> Learnt
         Of how many components of the frames the neighbourhood is told.
     """
     frames, width = offsets.shape
-    count = min(frames // FRAMES_PER_POINT, MOST_NUMBERS // (len(FRAMES_PER_STOP) * width))
+    count = max(frames // FRAMES_PER_POINT, min(frames, PLENTY))
+    count = min(count, MOST_NUMBERS // (len(FRAMES_PER_STOP) * width))
     stops = [frames // each for each in FRAMES_PER_STOP]
     if min(stops) < 3 or count < max(stops):
         return None
