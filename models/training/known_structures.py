@@ -7,12 +7,16 @@ import torch
 from numpy.typing import NDArray
 
 from models.bundle.known_structures import LEAST_STRUCTURES, WEIGHTS, KnownStructures
+from models.bundle.problem import Views
 from models.bundle.shape_model import align
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift
+from models.network.settling import first_order_cameras
 from models.training.batches import Data
 
 LEAST_UNSEEN = 8  # frames to judge by
+ROUNDS = 3  # of solving for cameras and foreshortening in turn
+TINY = 1e-6
 MOST_VIEWS = 8  # with more, structures are worth as much as with so many
 
 MakePrior = Callable[[KnownStructures | None], FittedPrior]
@@ -41,8 +45,10 @@ def believe_where_better(
     """Return the structures, believed for those numbers of views that they make lifts better for.
 
     Frames that the network was not taught, which the structures do not come from either, show one
-    of their views, two, and so on. Their structures are held against those of all their views, in
-    keypoints that several views tell. Of too few such frames nothing is believed.
+    of their views, two, and so on. Their structures are held against what their other views show:
+    those are neither the network's answer nor the structures'. As there are few such frames,
+    structures are believed unless they are worse by more than a standard error; of too few frames
+    nothing is believed.
     """
     shown = (unseen.weights > 0).any(-1)  # (H, K)
     several = (shown.sum(1) > 1).nonzero()[:, 0]
@@ -52,30 +58,68 @@ def believe_where_better(
     if len(several) < LEAST_UNSEEN:
         return nothing
     priors = make_prior(structures._replace(believed=np.ones(1))), make_prior(None)
-    truth = priors[1].lift(pixels, confidence=weights, refine="full").points3d
-    told = ((weights > 0).sum(1) > 1).numpy()  # (H, P)
+    whole = priors[1].lift(pixels, confidence=weights, refine="full")
     drawn = torch.from_numpy(np.random.default_rng(seed).random(shown.shape))
     order = (drawn - shown.double()).argsort(1).argsort(1)
     believed: list[bool] = []
     for views in range(1, min(shown.shape[1], MOST_VIEWS)):
-        chosen = (shown.sum(1) > views).numpy() & np.isfinite(truth).all((1, 2))
+        chosen = (shown.sum(1) > views) & torch.from_numpy((whole.camera_models > 0).any(1))
         if chosen.sum() < LEAST_UNSEEN:
             break
-        some = (weights * (order < views)[..., None])[chosen]
-        lifts = [prior.lift(pixels[chosen], confidence=some, refine="full") for prior in priors]
-        ours, theirs = (_mean_error(lift, truth[chosen], told[chosen]) for lift in lifts)
+        kept = (order < views)[chosen, :, None]  # (C, K, 1)
+        frames = several[chosen]
+        hidden = Views(
+            unseen.keypoints[frames].double().numpy(),
+            torch.where(kept, 0, unseen.weights[frames]).double().numpy(),
+        )
+        some = weights[chosen] * kept
+        ours, theirs = (
+            _errors_in_hidden_views(
+                prior.lift(pixels[chosen], confidence=some, refine="full"),
+                hidden,
+                whole.points3d[chosen],
+                whole.rotations[chosen],
+                abs(prior.foreshortening),
+            )
+            for prior in priors
+        )
+        worse = ours - theirs
         # Where views tell every keypoint, both are equal: it is as with fewer views.
-        believed.append(believed[-1] if believed and ours == theirs else ours < theirs)
+        doubt = worse.std() / np.sqrt(len(worse))
+        believed.append(believed[-1] if believed and not worse.any() else worse.mean() <= doubt)
     if not any(believed):
         return nothing
     # What all views of a frame show has nothing to be held against: it counts as one view less.
     return structures._replace(believed=np.array([*believed, believed[-1]], np.float64))
 
 
-def _mean_error(lift: Lift, truth: NDArray[np.float32], told: NDArray[np.bool_]) -> float:
-    """Return the mean distance from structures (N, P, 3), aligned to them, of what is told."""
-    lifted = np.isfinite(lift.points3d).all((1, 2))
-    goal = truth[lifted].astype(np.float64)
-    aligned, _ = align(lift.points3d[lifted].astype(np.float64), goal)
-    distances = np.linalg.norm(aligned - (goal - goal.mean(-2, keepdims=True)), axis=-1)
-    return float(distances[told[lifted]].mean()) if told[lifted].any() else 0.0
+def _errors_in_hidden_views(
+    lift: Lift,
+    hidden: Views,
+    points: NDArray[np.float32],
+    rotations: NDArray[np.float32],
+    foreshortening: float,
+) -> NDArray[np.float64]:
+    """Return how far structures are from what `hidden` views show, shares of a view's size (N,).
+
+    Cameras of these views, (N, K, P, 2) normalised, are found anew for each structure, to first
+    order. They begin as `rotations` (N, K, 3, 3) have them, which see `points` (N, P, 3).
+    """
+    structures = np.nan_to_num(lift.points3d).astype(np.float64)
+    _, similarity = align(structures, np.nan_to_num(points).astype(np.float64))
+    structures -= structures.mean(1, keepdims=True)
+    radii = np.sqrt(np.square(structures).sum(-1).mean(-1))[:, None, None]
+    guesses = np.nan_to_num(rotations).astype(np.float64) @ similarity.rotations.mT[:, None]
+    found = first_order_cameras(
+        structures / radii.clip(TINY),
+        hidden.keypoints.astype(np.float32),
+        hidden.weights.astype(np.float32),
+        guesses[..., :2, :],
+        foreshortening,
+        rounds=ROUNDS,
+    )
+    off = np.square(hidden.keypoints - found.projected - foreshortening * found.slopes).sum(-1)
+    errors = np.sqrt((hidden.weights * off).sum(-1) / hidden.weights.sum(-1).clip(TINY))  # (N, K)
+    counts = (hidden.weights > 0).any(-1)
+    means: NDArray[np.float64] = (errors * counts).sum(1) / counts.sum(1)
+    return means
