@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from safetensors.torch import load
 
 from models.bundle.known_structures import LEAST_STRUCTURES, KnownStructures
 from models.capture.metrics import pa_mpjpe
+from models.capture.observations import as_observations
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
+from models.training.batches import Data
+from models.training.known_structures import believe_where_better
 from models.training.trainer import fit
 from tests.models.lifting.comparison import without
 from tests.models.rigs import RigCapture, keypoint, make_rig_capture
@@ -59,6 +63,27 @@ def errors_of(
     """Return the errors (N, P) of lifts in metres, never mirrored."""
     points = prior.lift(keypoints).points3d
     return np.asarray(pa_mpjpe(points, truth, reflection="never").errors, np.float64)
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_structures_are_believed_if_hidden_views_bear_them_out(
+    capture: RigCapture,
+    unseen: NDArray[np.int64],
+    prior: FittedPrior,
+    plain: FittedPrior,
+    better: bool,
+) -> None:
+    """With them a single view is completed better here, so without them it is worse."""
+    arrays = load(prior.to_bytes())
+    known = KnownStructures.from_arrays(
+        {name: arrays[f"structures.{name}"] for name in KnownStructures._fields}
+    )
+    frames = Data.of(as_observations(capture.keypoints[unseen]), np.arange(len(unseen)))
+
+    def make_prior(structures: KnownStructures | None) -> FittedPrior:
+        return prior if (structures is not None) == better else plain
+
+    assert believe_where_better(known, frames, make_prior, seed=[0]).believed[0] == better
 
 
 def test_one_view_is_completed_by_what_is_known(
