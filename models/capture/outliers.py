@@ -8,6 +8,7 @@ and everything is learnt anew. Left and right keypoints that were taken for each
 outliers, but change places.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -57,6 +58,9 @@ LEAST_SCALE = 1e-3  # of the side of a view, what lens models and rounding leave
 FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.05, 0.001, 0.4  # of outliers among the keypoints
 LEAST_SEEN = 10  # how often a keypoint of a view must be seen to have a scale of its own
 FRAMES_AT_A_TIME = 64  # that a thread judges
+# Judged one by one, frames of the fit have so many times as many outliers as were learnt, at most;
+# scales are else made that much wider, so often.
+MOST_TIMES, WIDER, WIDENING_ROUNDS = 1.25, 1.5, 6
 DIGITS = 3  # of probabilities, after the point: more would say nothing, and be long as text
 
 
@@ -223,6 +227,26 @@ def learn_outliers(observations: Observations) -> OutlierModel | None:
         pairs = np.concatenate((pairs, more))
         judge = OutlierJudge(model._replace(pairs=pairs), range(len(model.mean)))
         model = _learn(judge.put_right(observations)[0], pairs)
+    return None if model is None else _more_careful(model, observations)
+
+
+def _more_careful(model: OutlierModel, observations: Observations) -> OutlierModel:
+    """Widen the scales until a frame, judged on its own, has as many outliers as were learnt.
+
+    A model explains the frames that it was learnt from too well, above all where few keypoints of
+    each are observed. Judged by it, right ones are then called outliers.
+    """
+    judge = OutlierJudge(model, range(len(model.mean)))
+    every = math.ceil(len(observations.weights) / MOST_FRAMES)
+    some = observations.frames(slice(None, None, every))
+    observations = judge.put_right(some)[0]
+    observed = np.count_nonzero(observations.weights)
+    for _ in range(WIDENING_ROUNDS):
+        outliers = np.count_nonzero(judge.probabilities(observations) > OUTLIER)
+        if outliers <= MOST_TIMES * model.share * observed:
+            break
+        model = model._replace(scales=WIDER * model.scales)
+        judge = OutlierJudge(model, range(len(model.mean)))
     return model
 
 

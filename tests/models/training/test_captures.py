@@ -9,7 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from models.capture.metrics import pa_mpjpe
+from models.capture.observations import as_observations
+from models.capture.outliers import OutlierJudge, learn_outliers
 from models.settings.config import FitConfig
+from models.settings.keypoints import OUTLIER
 from models.training.trainer import fit
 
 ROOT = Path(__file__).parents[3]
@@ -43,3 +46,17 @@ def test_a_twentieth_of_human36m_is_lifted_to_within_5_mm_by_perspective(
     assert prior.cameras.arrangement == "static"
     found = prior.lift(keypoints)
     assert pa_mpjpe(found.points3d, truth, reflection="never").mean < 0.005
+
+
+def test_right_keypoints_of_few_views_are_no_outliers(human36m: dict[str, NDArray[Any]]) -> None:
+    """Of three frames in five one of four views is left, of most others two."""
+    keypoints = human36m["keypoints"].astype(np.float64)
+    rng = np.random.default_rng(1)
+    kept = rng.choice([1, 2, 3], len(keypoints), p=[0.6, 0.25, 0.15])
+    order = rng.random(keypoints.shape[:2]).argsort(1).argsort(1)
+    keypoints[order >= kept[:, None]] = np.nan
+    seen = as_observations(keypoints)
+    model = learn_outliers(seen)
+    assert model is not None
+    probabilities = OutlierJudge(model, range(4)).probabilities(seen)
+    assert (probabilities > OUTLIER).sum() < 0.002 * np.isfinite(probabilities).sum()
