@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.problem import Scene
 from models.calibrating.handedness import NothingFoundError
 from models.calibrating.result import CameraReport, SelfCalibration, camera_report
@@ -312,6 +313,28 @@ def test_a_distorted_lens_is_found() -> None:
     np.testing.assert_allclose(cameras.distortions[:, 0], -0.25, atol=0.05)
     check_lenses(cameras)
     assert error(capture, scene) < 0.01
+
+
+def test_noisy_cameras_that_face_each_other_have_lenses_near_the_usual() -> None:
+    """Rays to a point are nearly one there; what suits shapes is 9 % off."""
+    facing = make_rig_capture([0.0, 175.0], frames=120, noise=0, hidden=0, seed=4)
+    exact = facing.keypoints
+    noise, left = (np.random.default_rng(seed).standard_normal(exact.shape) for seed in (5, 6))
+    detected = exact + 12 * noise
+    clear = exact + 0.1 * (exact.mean(0) - exact) + 2 * left  # pulled, as by removing noise
+    found, _ = finished(
+        self_calibrate(
+            clear,
+            facing.weights,
+            facing.answers(),
+            FitConfig(),
+            [IMAGE_SIZE] * 2,
+            detected=detected,
+            noisy=NoisyFrames(clear, detected, facing.weights, 12.0),
+        )
+    )
+    assert found.resting.all()
+    np.testing.assert_allclose(found.rig.lenses.focals, FOCAL, rtol=0.06)
 
 
 def test_a_fisheye_lens_is_taken_as_it_is_given() -> None:
