@@ -21,8 +21,8 @@ Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
 FRAMES_PER_STOP = (3, 5, 8)  # through whose means a curve is first led: three curves
-FRAMES_PER_POINT = 2  # of a curve, if that makes more of them than `PLENTY`
-PLENTY = 500  # points of a curve; fewer only if there are fewer frames
+FRAMES_PER_POINT = 2  # of a curve, if that makes more than `PLENTY`
+PLENTY, MOST_POINTS = 500, 1000  # of a curve; fewer only if there are fewer frames
 MOST_NUMBERS = 1_000_000  # coordinates of the points of all curves together
 MOST_DIMENSIONS = 128  # leading components in which curves are learnt
 MEANS_ROUNDS = 10  # of k-means
@@ -72,10 +72,10 @@ def learn_curves(offsets: Float64, expected: Float64, dimensions: int) -> Learnt
         Of how many components of the frames the neighbourhood is told.
     """
     frames, width = offsets.shape
-    count = max(frames // FRAMES_PER_POINT, min(frames, PLENTY))
+    count = max(min(frames // FRAMES_PER_POINT, MOST_POINTS), min(frames, PLENTY))
     count = min(count, MOST_NUMBERS // (len(FRAMES_PER_STOP) * width))
     stops = [frames // each for each in FRAMES_PER_STOP]
-    if min(stops) < 3 or count < max(stops):
+    if min(stops) < 3 or count < min(stops):
         return None
     vectors = np.linalg.svd(offsets, full_matrices=False)[2].T[:, :MOST_DIMENSIONS]  # (D, Q)
     given, start = offsets @ vectors, expected @ vectors

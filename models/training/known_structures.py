@@ -47,8 +47,8 @@ def believe_where_better(
     Frames that the network was not taught, which the structures do not come from either, show one
     of their views, two, and so on. Their structures are held against what their other views show:
     those are neither the network's answer nor the structures'. As there are few such frames,
-    structures are believed unless they are worse by more than a standard error; of too few frames
-    nothing is believed.
+    structures are believed for one view unless they are worse by more than a standard error, and
+    for several if they are better by more than that. Of too few frames nothing is believed.
     """
     shown = (unseen.weights > 0).any(-1)  # (H, K)
     several = (shown.sum(1) > 1).nonzero()[:, 0]
@@ -84,9 +84,11 @@ def believe_where_better(
             for prior in priors
         )
         worse = ours - theirs
-        # Where views tell every keypoint, both are equal: it is as with fewer views.
         doubt = worse.std() / np.sqrt(len(worse))
-        believed.append(believed[-1] if believed and not worse.any() else worse.mean() <= doubt)
+        # A single view leaves so much open that what is known need not prove its worth; of several
+        # it must. Where views tell every keypoint, both are equal: it is as with fewer views.
+        helps = worse.mean() <= (doubt if views == 1 else -doubt)
+        believed.append(believed[-1] if believed and not worse.any() else bool(helps))
     if not any(believed):
         return nothing
     # What all views of a frame show has nothing to be held against: it counts as one view less.
