@@ -129,8 +129,12 @@ def test_a_model_that_one_process_deletes_is_refused_by_the_other(
     assert lift(first, model, capture) == 404
     wait_for(lambda: lift(second, model, capture) == 404, "the other process", 3)
     for socket in sockets:
-        socket.send(as_bytes(1, capture.keypoints[0]))
-        assert isinstance(socket.recv(timeout=60), str)  # what is wrong
+
+        def refused(socket: ClientConnection = socket) -> bool:
+            socket.send(as_bytes(1, capture.keypoints[0]))
+            return isinstance(socket.recv(timeout=60), str)  # what is wrong, not an answer
+
+        wait_for(refused, "the stream to be refused", 3)
         with pytest.raises(ConnectionClosed) as closed:
             socket.recv(timeout=60)
         assert closed.value.rcvd is not None
