@@ -17,7 +17,7 @@ from models.capture.score_mixture import ScoreMixture, posterior_mean_into
 
 Float64 = NDArray[np.float64]
 
-# The variance of d: times what a frame shows of it, and at least times what the denoiser leaves of
+# The variance of d: times what a frame shows of it, and at least times what the mixture leaves of
 # the noise in frames of its fit. Frames unlike these are then left as they were smoothed.
 DOUBT, LEAST_DOUBT = 2.0, 0.5
 
