@@ -43,7 +43,8 @@ def test_the_wheel_claims_one_import_name(environment: Path) -> None:
 
 def test_a_service_of_the_wheel_runs_its_own_modules(environment: Path, tmp_path: Path) -> None:
     within = ("/usr/bin/env", f"PYTHONPATH={environment}{os.pathsep}{ROOT / 'client'}")
-    live = start_service(tmp_path / "data", program=[*within, *python("-m", "fewview.cli")])
+    program = [*within, *python("-m", "fewview.cli")]
+    live = start_service(tmp_path / "data", program=program, popen=subprocess.Popen)
     try:
         assert live.http.get("/health/ready").status_code == 200
     finally:

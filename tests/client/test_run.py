@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -14,7 +13,9 @@ import pytest
 from fewview.calibration import Camera, read_cameras, write_cameras
 from safetensors import safe_open
 
+from tests import fork_server
 from tests.models.rigs import IMAGE_SIZE, RigCapture, make_rig_capture
+from worker.process import python
 
 NAMES = [f"k{p}" for p in range(16)]
 QUICK = ("-c", "steps=40", "-c", "dictionary_sizes=[16,8]", "-c", "batch_size=16")
@@ -42,12 +43,12 @@ def files(capture: RigCapture, tmp_path_factory: pytest.TempPathFactory) -> list
 
 
 def command(*words: str) -> list[str]:
-    return [sys.executable, "-m", "fewview.cli", "run", *words]
+    return python("-m", "fewview.cli", "run", *words)
 
 
 def run(*words: str) -> "subprocess.CompletedProcess[str]":
     env = {name: value for name, value in os.environ.items() if not name.startswith("FEWVIEW_")}
-    return subprocess.run(command(*words), capture_output=True, text=True, env=env, check=False)
+    return fork_server.run(command(*words), env=env)
 
 
 def test_files_become_an_animation_cameras_and_a_model(
@@ -85,7 +86,7 @@ def test_it_goes_on_where_it_was_stopped(files: list[str], tmp_path: Path) -> No
     # In another order than the views, and one more than there are.
     lenses = [Camera(f"CAM-{v}", np.diag([500 + v, 500, 1])) for v in (2, 0, 3, 1)]
     words += ["--calibration", str(write_cameras(tmp_path / "rig.yml", lenses))]
-    with subprocess.Popen(command(*words), stderr=subprocess.PIPE, text=True) as process:
+    with fork_server.Popen(command(*words), stderr=subprocess.PIPE, text=True) as process:
         notes = tmp_path / "run.json"
         deadline = time.monotonic() + 120
         while not (notes.exists() and json.loads(notes.read_text())["fit_id"]):

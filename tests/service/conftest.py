@@ -31,6 +31,7 @@ from models.training.trainer import fit
 from service.app import create_app, make_server
 from service.settings import Settings
 from tests.deployments import deployed
+from tests.fork_server import Popen
 from tests.processes import descendants, free_port, processes
 from tests.sharing import fitted_once
 from worker.process import python, tied
@@ -329,9 +330,10 @@ def start_service(
     *options: str,
     program: Sequence[str] = python("-m", "service.cli"),
     cwd: Path | None = None,
+    popen: type["subprocess.Popen[str]"] = Popen,
 ) -> Live:
     """Start ``fewview serve`` on a data folder and a free port; wait until it says its address."""
-    process = subprocess.Popen(
+    process = popen(
         tied(*program, "serve", "--port=0", f"--data-dir={folder}", *options),
         env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")},
         stdout=subprocess.PIPE,

@@ -25,6 +25,7 @@ from store.database import Store
 from store.datasets import Description
 from store.records import FitJob
 from tests.deployments import deployed
+from tests.fork_server import Popen
 from tests.processes import free_port, tied
 from tests.sharing import fitted_once
 from worker.queue import enqueue, open_queue
@@ -109,7 +110,7 @@ def start_worker(settings: WorkerSettings) -> Iterator[StartWorker]:
     started: list[subprocess.Popen[bytes]] = []
 
     def start() -> "subprocess.Popen[bytes]":
-        process = subprocess.Popen(
+        process = Popen(
             tied("-m", "service.cli", "worker"),
             env=os.environ | settings.to_environment(),
         )

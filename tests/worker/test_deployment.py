@@ -1,7 +1,6 @@
 """Workers and services that are pointed at the objects of others."""
 
 import os
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -9,6 +8,7 @@ from redis import Redis
 
 from store import fits
 from store.database import Store
+from tests.fork_server import run
 from worker.process import python
 from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
@@ -32,14 +32,7 @@ def test_a_forgotten_setting_of_the_records_is_refused_and_harms_nothing(
     }
     forgotten.pop("FEWVIEW_DATABASE_URL", None)
     before = sorted(store.objects.list())
-    refused = subprocess.run(
-        python("-m", "service.cli", command),
-        env=os.environ | forgotten,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    refused = run(python("-m", "service.cli", command), env=os.environ | forgotten)
     assert refused.returncode == 2, refused
     assert "FEWVIEW_DATABASE_URL" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1, refused.stderr

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 
 from redis import Redis
 from rq import Queue
@@ -10,6 +9,7 @@ from rq import Queue
 from store import lookup
 from store.database import Store
 from store.records import FitJob
+from tests.fork_server import Popen, run
 from tests.processes import tied
 from tests.worker.conftest import LONG, queue
 from worker.settings import WorkerSettings
@@ -48,7 +48,7 @@ runner.run(WorkerSettings())
 def test_the_worker_is_told_to_leave_in_an_import(redis: Redis, settings: WorkerSettings) -> None:
     Queue("fits", connection=redis).enqueue("worker.jobs.fit", dataset_id="ds_none")
     environment = os.environ | settings.to_environment()
-    worker = subprocess.Popen(tied("-c", TOLD_IN_AN_IMPORT), env=environment)
+    worker = Popen(tied("-c", TOLD_IN_AN_IMPORT), env=environment)
     try:
         assert worker.wait(30) == 0
     finally:
@@ -60,9 +60,7 @@ def test_the_worker_is_told_to_leave_as_a_job_comes(
     store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
 ) -> None:
     fit = queue(store, redis, dataset_id, LONG)
-    worker = subprocess.Popen(
-        tied("-c", TOLD_BEFORE_THE_JOB), env=os.environ | settings.to_environment()
-    )
+    worker = Popen(tied("-c", TOLD_BEFORE_THE_JOB), env=os.environ | settings.to_environment())
     try:
         assert worker.wait(30) == 0
         assert lookup.get(store, FitJob, fit.id).status in ("queued", "running")
@@ -92,11 +90,5 @@ def test_the_worker_is_told_to_leave_in_an_outage(
 ) -> None:
     queue(store, redis, dataset_id, LONG)
     environment = os.environ | settings.to_environment()
-    done = subprocess.run(
-        tied("-c", TOLD_IN_AN_OUTAGE),
-        check=False,
-        env=environment,
-        timeout=60,
-        stderr=subprocess.PIPE,
-    )
-    assert done.returncode in (0, -signal.SIGTERM), done.stderr.decode()
+    done = run(tied("-c", TOLD_IN_AN_OUTAGE), env=environment)
+    assert done.returncode in (0, -signal.SIGTERM), done.stderr

@@ -17,6 +17,7 @@ from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
 from store.records import FitJob, LiftJob
+from tests.fork_server import Popen, run
 from tests.processes import tied
 from tests.worker.conftest import CONFIG, FitHere, wait_for, wait_until
 from worker.needs import queue_for
@@ -37,7 +38,7 @@ def start_taking(settings: WorkerSettings) -> Iterator[StartTaking]:
         command = tied("-m", "service.cli", "worker", "--takes", takes)
         environment = os.environ | settings.to_environment()
         del environment["FEWVIEW_TAKES"]
-        started.append(subprocess.Popen(command, env=environment))
+        started.append(Popen(command, env=environment))
 
     yield start
     for process in started:
@@ -122,12 +123,9 @@ def test_many_lifts_hold_up_no_fit(redis: Redis, start_taking: StartTaking) -> N
 
 @pytest.mark.parametrize("takes", [",", "fits,fits", "fits,trains"])
 def test_queues_that_there_are_not_are_refused(takes: str) -> None:
-    ran = subprocess.run(
+    ran = run(
         tied("-m", "service.cli", "worker", "--takes", takes),
         env=os.environ | {"FEWVIEW_REDIS_URL": "redis://127.0.0.1:1"},
-        capture_output=True,
-        text=True,
-        check=False,
     )
     assert ran.returncode == 2
     assert "--takes: expected some of lifts, fits, gpu-fits, each once" in ran.stderr

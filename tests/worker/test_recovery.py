@@ -21,6 +21,7 @@ from store.database import Store
 from store.jobs import by_job
 from store.records import FitJob, Model
 from tests.deployments import on_every_deployment
+from tests.fork_server import Popen
 from tests.processes import free_port, tied
 from tests.worker.conftest import (
     CONFIG,
@@ -216,7 +217,7 @@ def test_redis_dies_under_a_running_fit(
         for record in (fit, waiting):
             enqueue(open_queue(client), record)
     environment = settings.model_copy(update={"redis_url": url}).to_environment()
-    worker = subprocess.Popen(tied("-m", "service.cli", "worker"), env=os.environ | environment)
+    worker = Popen(tied("-m", "service.cli", "worker"), env=os.environ | environment)
     try:
         wait_for_step(store, fit.id, 100)
         server.terminate()
@@ -274,7 +275,10 @@ def test_cancel_stops_a_fit_that_does_not_listen(
 def test_later_jobs_find_imported_what_takes_seconds(
     store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
 ) -> None:
-    """Torch may be imported in the process that forks, not used: its threads would be lost."""
+    """Torch may be imported in the process that forks, not used: its threads would be lost.
+
+    The worker is started from nothing: where tests fork one, all is imported.
+    """
     environment = settings.model_copy(update={"fit_threads": 2}).to_environment()
     worker = subprocess.Popen(tied("-m", "service.cli", "worker"), env=os.environ | environment)
     try:
@@ -294,7 +298,7 @@ def test_a_fit_that_takes_too_long_fails(
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=LONG)
     enqueue(open_queue(redis), fit)
     environment = settings.model_copy(update={"max_fit_seconds": 1}).to_environment()
-    with subprocess.Popen(tied("-m", "service.cli", "worker"), env=os.environ | environment) as w:
+    with Popen(tied("-m", "service.cli", "worker"), env=os.environ | environment) as w:
         record = wait_until(store, fit.id, "failed")
         w.terminate()
     assert record.error is not None

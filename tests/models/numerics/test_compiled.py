@@ -1,16 +1,17 @@
-"""Machine code is kept between processes, and never outlives a change of any room's sources."""
+"""Machine code is kept between processes, and never outlives a change that the compiler sees."""
 
 import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from models.numerics.compiled import digest_of_sources
+from models.numerics.compiled import KEPT_VERSIONS
 
 ROOT = Path(__file__).parents[3]
 # Root may write everywhere unless this right is taken from it.
@@ -72,14 +73,43 @@ def test_machine_code_is_kept_until_a_function_of_another_room_changes(folder: P
     assert ask(folder) == (42.0, 1)
     (folder / "models/numerics/called.py").write_text(CALLED.replace("2.0", "3.0"))
     assert ask(folder) == (63.0, 0)
+    (folder / "models/numerics/called.py").write_text(CALLED)  # back on the branch of before
+    assert ask(folder) == (42.0, 1)
 
 
-def test_without_the_digest_of_all_rooms_machine_code_would_be_stale(folder: Path) -> None:
-    """What the test above would show if it proved nothing: Numba sees the caller's file only."""
-    cache = str(folder / "cache")
-    assert ask(folder, NUMBA_CACHE_DIR=cache) == (42.0, 0)
-    (folder / "models/numerics/called.py").write_text(CALLED.replace("2.0", "3.0"))
-    assert ask(folder, NUMBA_CACHE_DIR=cache) == (42.0, 1)
+def test_what_the_compiler_does_not_see_compiles_nothing(folder: Path) -> None:
+    assert ask(folder) == (42.0, 0)
+    called, caller = (
+        folder / f"models/{name}.py" for name in ("numerics/called", "lifting/caller")
+    )
+    called.write_text('"""Two."""\n' + CALLED.replace(":\n", ':\n    """Return two."""\n'))
+    caller.write_text("# Twice as much.\n\n" + CALLER)
+    (folder / "models/lifting/curve.py").write_text("two = 3\n")  # which the functions do not reach
+    assert ask(folder) == (42.0, 1)
+
+
+def test_of_two_processes_one_compiles_and_the_other_waits(folder: Path) -> None:
+    with ThreadPoolExecutor() as pool:
+        answers = [pool.submit(ask, folder) for _ in range(2)]
+        assert sorted(answer.result() for answer in answers) == [(42.0, 0), (42.0, 1)]
+
+
+def test_machine_code_of_the_last_versions_alone_is_kept(folder: Path) -> None:
+    for number in range(KEPT_VERSIONS + 2):
+        (folder / "models/numerics/called.py").write_text(CALLED.replace("2.0", f"{number}.0"))
+        assert ask(folder) == (21.0 * number, 0)
+    kept = list((folder / "models/__pycache__/compiled").glob("*/caller.twice-*"))
+    assert (
+        sorted(path.suffix for path in kept) == [".nbc"] * KEPT_VERSIONS + [".nbi"] * KEPT_VERSIONS
+    )
+    assert ask(folder) == (21.0 * number, 1)
+
+
+def test_the_folder_may_be_chosen(folder: Path) -> None:
+    chosen = str(folder / "chosen")
+    assert ask(folder, NUMBA_CACHE_DIR=chosen) == (42.0, 0)
+    assert ask(folder, NUMBA_CACHE_DIR=chosen) == (42.0, 1)
+    assert not list((folder / "models/__pycache__").glob("compiled/*.nbi"))
 
 
 def test_machine_code_is_read_where_it_cannot_be_written(folder: Path) -> None:
@@ -92,12 +122,3 @@ def test_where_no_folder_can_be_written_every_process_compiles(folder: Path) -> 
     with write_protected(folder):
         assert ask(folder) == (42.0, 0)
         assert ask(folder) == (42.0, 0)
-
-
-def test_the_digest_sees_contents_and_names(folder: Path) -> None:
-    before = digest_of_sources(folder)
-    called = folder / "models/numerics/called.py"
-    called.rename(folder / "models/capture/called.py")
-    moved = digest_of_sources(folder)
-    (folder / "models/capture/called.py").write_text(CALLED.replace("2.0", "3.0"))
-    assert len({before, moved, digest_of_sources(folder)}) == 3

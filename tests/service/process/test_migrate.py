@@ -1,6 +1,5 @@
 """`fewview migrate`, and what others say of tables that wait for it."""
 
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from sqlalchemy import Engine, text
 from store import schema
 from store.engine import open_engine
 from store.settings import StoreSettings
+from tests import fork_server
 from tests.deployments import PostgreSQL
 from tests.service.process.test_keeping import run
 from worker.process import python
@@ -50,7 +50,7 @@ def test_a_service_refuses_older_tables_until_it_was_run(
     told, folder = f"--database-url={url}", f"--data-dir={tmp_path}"
     assert run("migrate", told, "--check").status == 1
     serve = python("-m", "service.cli", "serve", told, folder, "--port=0")
-    refused = subprocess.run(serve, capture_output=True, text=True, check=False, timeout=60)
+    refused = fork_server.run(serve)
     assert refused.returncode == 2
     assert "run `fewview migrate`" in refused.stderr
     assert refused.stderr.count("\n") == 1

@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 
 from models.capture.synthetic import synthetic_capture
+from tests.fork_server import run
 from tests.processes import descendants, processes
 from tests.service.conftest import (
     BYTES,
@@ -23,9 +23,10 @@ from tests.service.conftest import (
     to_npz,
     wait_for,
 )
+from worker.process import python
 
 SLOW = {"steps": 500, "refine": "off"}
-Start = Callable[[], Live]
+Start = Callable[..., Live]
 
 
 @pytest.fixture
@@ -33,9 +34,9 @@ def start(tmp_path: Path) -> Iterator[Start]:
     """Give a function that starts the service on one data folder, again after it was killed."""
     started: list[Live] = []
 
-    def start() -> Live:
+    def start(**how: Any) -> Live:
         options = ("--lease-seconds=4", "--checkpoint-seconds=0.2")
-        started.append(start_service(tmp_path / "data", *options))
+        started.append(start_service(tmp_path / "data", *options, **how))
         return started[-1]
 
     yield start
@@ -127,7 +128,7 @@ def test_the_api_is_killed_in_the_middle_of_an_upload(start: Start) -> None:
 
 
 def test_everything_is_killed_and_started_again(start: Start) -> None:
-    live = start()
+    live = start(popen=subprocess.Popen)  # from nothing, as users start it
     fit = live.fit(upload(live), **SLOW)
     wait_for_step(live, fit["id"], 100)
     family = descendants(live.process.pid)
@@ -135,7 +136,7 @@ def test_everything_is_killed_and_started_again(start: Start) -> None:
     live.process.kill()
     live.process.wait()
     wait_for(lambda: not family & processes().keys(), "all its processes to die", 5)
-    again = start()
+    again = start(popen=subprocess.Popen)
     ended = again.finished(fit["id"])
     assert ended["status"] == "succeeded"
     assert ended["attempt"] > 1
@@ -165,12 +166,7 @@ def test_a_second_service_on_the_same_folder_or_port_is_refused(
         (["--port=99999"], "--port"),
         (["--frobnicate"], "frobnicate"),
     ):
-        refused = subprocess.run(
-            [sys.executable, "-m", "service.cli", "serve", *arguments],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        refused = run(python("-m", "service.cli", "serve", *arguments))
         assert refused.returncode == 2, refused
         assert reason in refused.stderr
 
@@ -178,12 +174,7 @@ def test_a_second_service_on_the_same_folder_or_port_is_refused(
 def test_every_setting_is_in_the_help_and_in_the_readme() -> None:
     from service.settings import Settings
 
-    shown = subprocess.run(
-        [sys.executable, "-m", "service.cli", "serve", "--help"],
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
+    shown = run(python("-m", "service.cli", "serve", "--help")).stdout
     settings = Path("docs/settings.md").read_text()
     for name, field in Settings.model_fields.items():
         assert f"--{name.replace('_', '-')}" in shown

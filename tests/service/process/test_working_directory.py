@@ -1,5 +1,6 @@
 """Nothing of the folder that the service is started in is imported, whatever lies there."""
 
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -36,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def live(folder: Path) -> Iterator[Live]:
     script = Path(sys.executable).with_name("fewview")
-    live = start_service(folder / "data", program=[str(script)], cwd=folder)
+    live = start_service(folder / "data", program=[str(script)], cwd=folder, popen=subprocess.Popen)
     yield live
     kill_service(live)
 
