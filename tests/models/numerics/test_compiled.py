@@ -98,10 +98,9 @@ def test_machine_code_of_the_last_versions_alone_is_kept(folder: Path) -> None:
     for number in range(KEPT_VERSIONS + 2):
         (folder / "models/numerics/called.py").write_text(CALLED.replace("2.0", f"{number}.0"))
         assert ask(folder) == (21.0 * number, 0)
-    kept = list((folder / "models/__pycache__/compiled").glob("*/caller.twice-*"))
-    assert (
-        sorted(path.suffix for path in kept) == [".nbc"] * KEPT_VERSIONS + [".nbi"] * KEPT_VERSIONS
-    )
+    for suffix in ("nbi", "nbc"):
+        kept = (folder / "models/__pycache__/compiled").glob(f"caller.twice-*.{suffix}")
+        assert len(list(kept)) == KEPT_VERSIONS
     assert ask(folder) == (21.0 * number, 1)
 
 
