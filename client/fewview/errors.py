@@ -15,10 +15,7 @@
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from fewview.api.forms import Job
+from typing import Any, Protocol
 
 
 class FewviewError(Exception):
@@ -94,20 +91,32 @@ class ConnectionFailed(FewviewError):  # noqa: N818
     """The service cannot be reached at the client's URL, or did not answer in time."""
 
 
+class EndedJob(Protocol):
+    """What ``Fit`` and ``LiftJob`` have (`fewview.api.forms`), which are not imported here."""
+
+    @property
+    def id(self) -> str:
+        """What the service calls it."""
+
+    @property
+    def status(self) -> str:
+        """``failed`` or ``cancelled``."""
+
+
 class JobFailed(FewviewError):  # noqa: N818
     """A fit or a lift ended without a result.
 
     Attributes
     ----------
     job
-        The fit or lift as the service last told it.
+        The ``Fit`` or ``LiftJob``, as the service last answered.
     code
         Why, such as ``unusable_capture``; ``cancelled`` if somebody cancelled it.
     message
         The same in words.
     """
 
-    def __init__(self, job: "Job", code: str, message: str) -> None:
+    def __init__(self, job: EndedJob, code: str, message: str) -> None:
         super().__init__(f"{job.id} {job.status} ({code}): {message}")
         self.job, self.code, self.message = job, code, message
 

@@ -5,12 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import datetime
 from functools import cache
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Generic, TypeVar, get_args, get_origin, get_type_hints
 
 import httpx2
 import numpy as np
 
-from fewview.api.operations import Page
 from fewview.capture import Float64
 
 Form = TypeVar("Form")
@@ -53,6 +52,14 @@ class Described:
     raw: dict[str, Any] = field(repr=False, compare=False)
     tags: tuple[str, ...] = field(default=(), kw_only=True)
     metadata: dict[str, Any] = field(default_factory=dict, kw_only=True)
+
+
+@dataclass(frozen=True)
+class Page(Generic[Form]):
+    """Items of a list; ``cursor`` asks for the next, None at the end."""
+
+    items: tuple[Form, ...]
+    cursor: str | None
 
 
 @dataclass(frozen=True)

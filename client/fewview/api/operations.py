@@ -2,10 +2,11 @@
 
 import functools
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar, overload
 
 from fewview.api.drivers import Awaiting, Blocking
+from fewview.api.forms import Page
 from fewview.api.retries import call
 from fewview.api.steps import Request, Steps
 
@@ -61,14 +62,6 @@ class operation(Generic[P, T]):  # noqa: N801
             return result
 
         return wait
-
-
-@dataclass(frozen=True)
-class Page(Generic[T]):
-    """Items of a list; ``cursor`` asks for the next, None at the end."""
-
-    items: tuple[T, ...]
-    cursor: str | None
 
 
 class listing(Generic[P, T]):  # noqa: N801

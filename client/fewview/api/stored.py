@@ -6,9 +6,9 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import httpx2
 
-from fewview.api.forms import Deleted, Described, form_in, page_of, read
+from fewview.api.forms import Deleted, Described, Page, form_in, page_of, read
 from fewview.api.lifting import identifier
-from fewview.api.operations import Driver, Page, Resource, listing, operation
+from fewview.api.operations import Driver, Resource, listing, operation
 from fewview.api.steps import Request, Steps, nothing, path
 
 S = TypeVar("S", bound=Described)
