@@ -15,6 +15,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 from models.numerics.threads import use_threads
 from tests.deployments import PostgreSQL, postgresql_served
 from tests.object_stores import S3, s3_served
+from tests.sharing import forget_older_fits
 
 use_threads(1)
 
@@ -31,3 +32,8 @@ def postgresql() -> Iterator[PostgreSQL]:
     """Run a PostgreSQL for this test process: `StoreSettings(database_url=...new_url())`."""
     with postgresql_served() as served:
         yield served
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if not hasattr(session.config, "workerinput"):  # of xdist: once a run
+        forget_older_fits()

@@ -64,6 +64,8 @@ class Request:
         The process that asked.
     descriptors
         The numbers that the descriptors sent along shall have.
+    mask
+        What new files are not to be allowed (umask(2)).
     """
 
     parent: int
@@ -72,6 +74,7 @@ class Request:
     environment: dict[str, str]
     descriptors: list[int]
     new_session: bool
+    mask: int
 
 
 class ForkServer:
@@ -136,11 +139,18 @@ class Popen(subprocess.Popen[Any]):
             dict(os.environ if told["env"] is None else told["env"]),
             list(given),
             told["start_new_session"],
+            _mask(),
         )
         self.pid = Popen.server.run(request, list(given.values()))
         self._child_created = True
         ends = ("p2cread", "p2cwrite", "c2pread", "c2pwrite", "errread", "errwrite")
         self._close_pipe_fds(*(told[end] for end in ends))  # type: ignore[attr-defined]
+
+
+def _mask() -> int:
+    mask = os.umask(0o077)  # which can only be read by changing it
+    os.umask(mask)
+    return mask
 
 
 def run(command: Sequence[str], **options: Any) -> "subprocess.CompletedProcess[str]":
@@ -193,6 +203,7 @@ def take_place(request: Request, descriptors: list[int]) -> None:
     os.chdir(request.directory)
     os.environ.clear()
     os.environ.update(request.environment)
+    os.umask(request.mask)
     if request.new_session:
         os.setsid()
     for number, fd in enumerate(descriptors, FREE_DESCRIPTORS):

@@ -116,9 +116,9 @@ def capture() -> SyntheticCapture:
 
 
 @pytest.fixture(scope="session")
-def weights(capture: SyntheticCapture, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def weights(capture: SyntheticCapture) -> bytes:
     config = FitConfig.model_validate(CONFIG)
-    prior = fitted_once(tmp_path_factory, "service", lambda: fit(capture.keypoints, config))
+    prior = fitted_once("service", lambda: fit(capture.keypoints, config))
     return prior.to_bytes()
 
 

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -88,14 +87,15 @@ def capture() -> Capture:
 
 
 @pytest.fixture(scope="session")
-def fit_here(capture: Capture, tmp_path_factory: pytest.TempPathFactory) -> FitHere:
+def fit_here(capture: Capture) -> FitHere:
     """Fit the capture in a test process, without queue and worker."""
 
     def fit_once(config: dict[str, Any]) -> FittedPrior:
         told = FitConfig.model_validate(config)
         name = hashlib.sha256(told.model_dump_json().encode()).hexdigest()
-        make = partial(fit, capture.keypoints, told, confidence=capture.confidence)
-        return fitted_once(tmp_path_factory, f"worker-{name}", make)
+        return fitted_once(
+            name, lambda: fit(capture.keypoints, told, confidence=capture.confidence)
+        )
 
     return fit_once
 

@@ -39,10 +39,10 @@ def capture() -> RigCapture:
 
 
 @pytest.fixture(scope="module")
-def prior(capture: RigCapture, tmp_path_factory: pytest.TempPathFactory) -> FittedPrior:
+def prior(capture: RigCapture) -> FittedPrior:
     order = np.random.default_rng(0).permutation(len(capture.keypoints))
     frames = capture.keypoints[np.sort(order[:FRAMES])]
-    return fitted_once(tmp_path_factory, "structures", lambda: fit(frames, QUICK))
+    return fitted_once("structures", lambda: fit(frames, QUICK))
 
 
 @pytest.fixture(scope="module")

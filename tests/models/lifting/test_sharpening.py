@@ -39,8 +39,8 @@ def capture() -> RigCapture:
 
 
 @pytest.fixture(scope="module")
-def prior(capture: RigCapture, tmp_path_factory: pytest.TempPathFactory) -> FittedPrior:
-    return fitted_once(tmp_path_factory, "sharpening", lambda: fit(capture.keypoints, QUICK))
+def prior(capture: RigCapture) -> FittedPrior:
+    return fitted_once("sharpening", lambda: fit(capture.keypoints, QUICK))
 
 
 @pytest.fixture(scope="module")

@@ -116,10 +116,8 @@ def noisy() -> RigCapture:
 
 
 @pytest.fixture(scope="module")
-def prior(noisy: RigCapture, tmp_path_factory: pytest.TempPathFactory) -> FittedPrior:
-    return fitted_once(
-        tmp_path_factory, "skeleton", lambda: fit(noisy.keypoints, QUICK, edges=JOINED)
-    )
+def prior(noisy: RigCapture) -> FittedPrior:
+    return fitted_once("skeleton", lambda: fit(noisy.keypoints, QUICK, edges=JOINED))
 
 
 @pytest.fixture(scope="module")

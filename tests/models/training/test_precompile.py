@@ -1,81 +1,117 @@
 """After compiling ahead, no fit and no lift compiles anything more."""
 
+import json
 import subprocess
-import sys
+from collections.abc import Callable
 
-# Signatures are counted in a process of their own: other tests compile for other arguments.
-SCRIPT = """
-import sys
 import numpy as np
-from numba.core.caching import FunctionCache
+import pytest
+
 from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.calibration import KnownLength
-from models.settings.config import FitConfig
-from models.training.precompile import compile_all, noisy_film_at_rest
+from models.settings.config import Arrangement, FitConfig, Refine
+from models.training.precompile import noisy_film_at_rest
 from models.training.trainer import Trainer, fit
+from tests.sharing import made_once
+from worker.process import python
 
-def signatures():
-    found = set()
-    for name, module in list(sys.modules.items()):
-        if name.startswith("models."):
-            for function in vars(module).values():
-                if isinstance(getattr(function, "_cache", None), FunctionCache):
-                    name = function.py_func.__module__ + "." + function.py_func.__qualname__
-                    found |= {f"{name}{signature}" for signature in function.signatures}
-    return found
+MODES: tuple[Refine, ...] = ("auto", "full", "off")
+AHEAD = """
+import json
+from models.training.precompile import compile_all
+print(json.dumps(sorted(compile_all())))
+"""
+# What is machine code in a process that did nothing else: not forked, for that has it all.
+PART = """
+import json
+import tests.models.training.test_precompile as parts
+from models.numerics.compiled import signatures
+parts.PARTS["{name}"]()
+print(json.dumps(sorted(signatures())))
+"""
 
-compile_all()
-before = signatures()
-assert before
-capture = synthetic_capture(frames=60, views=3, noise=2, hidden_views=0.1, seed=2)
-more = {"early_stopping": True, "known_length": KnownLength(keypoints=(0, 1), length=0.3)}
-for refine, cameras in (("auto", "auto"), ("full", "moving"), ("off", "auto")):
-    config = FitConfig(steps=40, batch_size=32, refine=refine, cameras=cameras, **more)
-    trainer = Trainer(capture.keypoints, config, image_sizes=[(1280, 1024)] * 3)
+
+def fit_resume_and_lift(refine: Refine, cameras: Arrangement) -> None:
+    capture = synthetic_capture(frames=60, views=3, noise=2, hidden_views=0.1, seed=2)
+    length = KnownLength(keypoints=(0, 1), length=0.3)
+    config = FitConfig(
+        steps=40,
+        batch_size=32,
+        refine=refine,
+        cameras=cameras,
+        early_stopping=True,
+        known_length=length,
+    )
+    sizes = [(1280, 1024)] * 3
+    trainer = Trainer(capture.keypoints, config, image_sizes=sizes)
     for progress in trainer.run():
         if progress.step == 33:
             break
-    trainer = Trainer(
-        capture.keypoints, config, image_sizes=[(1280, 1024)] * 3, checkpoint=trainer.checkpoint()
-    )
-    for progress in trainer.run():
+    trainer = Trainer(capture.keypoints, config, image_sizes=sizes, checkpoint=trainer.checkpoint())
+    for _ in trainer.run():
         pass
     prior = FittedPrior.from_bytes(trainer.result().to_bytes())
-    for mode in ("auto", "full", "off"):
+    for mode in MODES:
         lift = prior.lift(capture.keypoints, refine=mode)
         prior.lift(capture.keypoints[:1], previous=lift.frames(slice(1)), refine=mode)
         prior.lift(capture.keypoints[::-1, ::2], views=(0, 2), refine=mode)
         prior.lift(capture.keypoints.astype(np.float64)[:, :1], refine=mode)
-fit(capture.keypoints[:, :1], FitConfig(steps=4))
-noisy = noisy_film_at_rest()[::-1]
-told = FitConfig(steps=40, batch_size=32, cameras="static")
-times = np.arange(len(noisy)) / 30
-for taken in (None, times):
-    prior = fit(noisy, told, edges=[[0, 1], [1, 2]], times=taken)
-    assert "noise were removed" in prior.cameras.reason
-    prior.lift(noisy[:1])
-prior.lift(noisy, times=times)
-hidden = capture.keypoints.copy()
-hidden[:, :, 5] = np.nan
-prior = fit(hidden, FitConfig(steps=4, cameras="moving"))
-prior.lift(hidden, previous=prior.lift(hidden))
-limbs = [1, 2, 4, 5, 10, 11, 13, 14]
-swapped = synthetic_capture(frames=200, views=3, noise=1, seed=4).keypoints
-swapped[::8, 0][:, limbs] = swapped[::8, 0][:, [4, 5, 1, 2, 13, 14, 10, 11]]
-prior = fit(swapped, FitConfig(steps=4, cameras="moving"))
-assert any(finding.code == "left_right_mended" for finding in prior.findings)
-prior.lift(swapped)
-fit(synthetic_capture(frames=30, views=2, noise=5, seed=3).keypoints[:, :, :5], FitConfig(steps=4))
-print("\\n".join(sorted(signatures() - before)))
-"""
 
 
-def test_a_fit_and_its_lifts_need_nothing_that_was_not_compiled_ahead() -> None:
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", SCRIPT],
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.strip() == ""
+def fit_noisy_films() -> None:
+    noisy = noisy_film_at_rest()[::-1]
+    config = FitConfig(steps=40, batch_size=32, cameras="static")
+    times = np.arange(len(noisy)) / 30
+    for taken in (None, times):
+        prior = fit(noisy, config, edges=[[0, 1], [1, 2]], times=taken)
+        assert prior.cameras is not None
+        assert "noise were removed" in prior.cameras.reason
+        prior.lift(noisy[:1])
+    prior.lift(noisy, times=times)
+
+
+def fit_odd_captures() -> None:
+    capture = synthetic_capture(frames=60, views=3, noise=2, hidden_views=0.1, seed=2)
+    fit(capture.keypoints[:, :1], FitConfig(steps=4))
+    capture.keypoints[:, :, 5] = np.nan
+    prior = fit(capture.keypoints, FitConfig(steps=4, cameras="moving"))
+    prior.lift(capture.keypoints, previous=prior.lift(capture.keypoints))
+    limbs = [1, 2, 4, 5, 10, 11, 13, 14]
+    swapped = synthetic_capture(frames=200, views=3, noise=1, seed=4).keypoints
+    swapped[::8, 0][:, limbs] = swapped[::8, 0][:, [4, 5, 1, 2, 13, 14, 10, 11]]
+    prior = fit(swapped, FitConfig(steps=4, cameras="moving"))
+    assert any(finding.code == "left_right_mended" for finding in prior.findings)
+    prior.lift(swapped)
+    few = synthetic_capture(frames=30, views=2, noise=5, seed=3).keypoints[:, :, :5]
+    fit(few, FitConfig(steps=4))
+
+
+# A few together, for each process imports torch and Numba.
+PARTS: dict[str, Callable[[], None]] = {
+    "refined where it helps": lambda: fit_resume_and_lift("auto", "auto"),
+    "always refined": lambda: fit_resume_and_lift("full", "moving"),
+    "never refined": lambda: fit_resume_and_lift("off", "auto"),
+    "noisy films": fit_noisy_films,
+    "odd captures": fit_odd_captures,
+}
+
+
+@pytest.fixture(scope="module")
+def ahead(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
+    """Return the functions that compiling ahead leaves as machine code."""
+    return set(json.loads(made_once(tmp_path_factory, "ahead.json", lambda: printed_by(AHEAD))))
+
+
+def printed_by(code: str) -> bytes:
+    command = python("-W", "ignore", "-c", code)
+    return subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_fits_and_lifts_need_nothing_that_was_not_compiled_ahead(
+    part: str, ahead: set[str]
+) -> None:
+    needed = set(json.loads(printed_by(PART.format(name=part))))
+    assert needed
+    assert needed <= ahead

@@ -25,23 +25,19 @@ def capture() -> SyntheticCapture:
 
 
 @pytest.fixture(scope="module")
-def prior(capture: SyntheticCapture, tmp_path_factory: pytest.TempPathFactory) -> FittedPrior:
+def prior(capture: SyntheticCapture) -> FittedPrior:
     """Fit every second frame; the others are lifted unseen."""
     keypoints, confidence = capture.keypoints[::2], capture.confidence[::2]
     config = FitConfig(steps=450, cameras="moving")
-    return fitted_once(
-        tmp_path_factory, "refined", lambda: fit(keypoints, config, confidence=confidence)
-    )
+    return fitted_once("refined", lambda: fit(keypoints, config, confidence=confidence))
 
 
 @pytest.fixture(scope="module")
-def weak(capture: SyntheticCapture, tmp_path_factory: pytest.TempPathFactory) -> FittedPrior:
+def weak(capture: SyntheticCapture) -> FittedPrior:
     """Fit as the paper does, with weak perspective alone."""
     keypoints, confidence = capture.keypoints, capture.confidence
     config = FitConfig(steps=600, refine="off")
-    return fitted_once(
-        tmp_path_factory, "weak", lambda: fit(keypoints, config, confidence=confidence)
-    )
+    return fitted_once("weak", lambda: fit(keypoints, config, confidence=confidence))
 
 
 @pytest.fixture(scope="module")

@@ -45,9 +45,9 @@ LATER = (LATER_CLEAN + NOISE * np.random.default_rng(1).standard_normal(CLEAN.sh
 
 
 @pytest.fixture(scope="module")
-def prior(tmp_path_factory: pytest.TempPathFactory) -> FittedPrior:
+def prior() -> FittedPrior:
     config = FitConfig(steps=40, batch_size=16, refine="off")
-    made = fitted_once(tmp_path_factory, "film", lambda: fit(NOISY, config, times=TIMES))
+    made = fitted_once("film", lambda: fit(NOISY, config, times=TIMES))
     assert made.smooths
     return made
 
