@@ -1,0 +1,63 @@
+"""Whatever keypoints come: findings are about what there is, and reading in step loses nothing."""
+
+import numpy as np
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from models.capture.checks import capture_findings, observed
+from models.capture.clocks import Clocks, frames_apart, in_step
+from tests.odd_arrays import Float32, bounded, captures
+
+
+@bounded
+@given(captures())
+def test_findings_name_views_frames_and_keypoints_that_there_are(keypoints: Float32) -> None:
+    frames, views, points, _ = keypoints.shape
+    for finding in capture_findings(keypoints, image_sizes=[(640, 480)] * views):
+        assert set(finding.views) <= set(range(views))
+        assert set(finding.keypoints) <= set(range(points))
+        for first, last in finding.frames:
+            assert 0 <= first <= last < frames
+
+
+@bounded
+@given(captures(), st.integers(0, 3))
+def test_a_view_that_shows_nothing_is_found(keypoints: Float32, view: int) -> None:
+    frames, views, points, _ = keypoints.shape
+    assume(points >= 4)  # fewer say nothing of a camera
+    hidden = 1 + view % views
+    clear = np.random.default_rng(0).uniform(0, 500, (frames, 1, points, 2)).astype(np.float32)
+    seen = np.concatenate((clear, keypoints), axis=1)
+    seen[:, hidden] = np.nan
+    found = [one for one in capture_findings(seen) if one.code == "view_never_seen"]
+    assert hidden in {number for one in found for number in one.views}
+    assert 0 not in {number for one in found for number in one.views}
+
+
+@bounded
+@given(captures(), st.floats(0.5, 240))
+def test_views_that_are_in_step_are_read_as_they_are(keypoints: Float32, fps: float) -> None:
+    times = np.arange(len(keypoints)) / fps
+    views = keypoints.shape[1]
+    none_late = Clocks(times[:1], np.zeros((1, views)))
+    for told in (times, np.repeat(times[:, None], views, axis=1)):
+        read, confidence = in_step(keypoints, None, told, none_late)
+        np.testing.assert_array_equal(read, keypoints)
+        assert confidence is None
+        assert frames_apart(told, none_late) == 0
+
+
+@bounded
+@given(captures(), st.floats(-3, 3), st.integers(1, 3))
+def test_a_late_view_is_never_read_where_it_showed_nothing(
+    keypoints: Float32, late: float, view: int
+) -> None:
+    views = keypoints.shape[1]
+    times = np.arange(len(keypoints), dtype=np.float64)
+    offsets = np.zeros((1, views))
+    offsets[0, view % views] = late if view % views else 0.0
+    read, _ = in_step(keypoints, None, times, Clocks(times[:1], offsets))
+    assert read.shape == keypoints.shape
+    never = ~observed(keypoints).any(axis=0)  # (K, P)
+    assert not observed(read)[:, never].any()
+    np.testing.assert_array_equal(read[:, 0], keypoints[:, 0])
