@@ -19,6 +19,7 @@ from store.lift_files import result_file
 from store.records import LiftJob
 from tests.models.lifting.comparison import without
 from tests.models.walk import film
+from tests.sharing import fitted_once
 from tests.worker.conftest import StartWorker, wait_for
 from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
@@ -36,7 +37,7 @@ def keypoints() -> NDArray[np.float64]:
 
 @pytest.fixture(scope="module")
 def prior(keypoints: NDArray[np.float64]) -> FittedPrior:
-    return fit(keypoints, CONFIG, times=TIMES)
+    return fitted_once("film", lambda: fit(keypoints, CONFIG, times=TIMES))
 
 
 @pytest.fixture

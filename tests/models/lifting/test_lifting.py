@@ -16,6 +16,7 @@ from models.settings.config import FitConfig
 from models.training.trainer import Trainer, fit
 from tests.models.lifting.comparison import same
 from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, RigCapture, keypoint, make_rig_capture
+from tests.sharing import fitted_once
 
 Float64 = NDArray[np.float64]
 QUICK: dict[str, Any] = {"steps": 30, "dictionary_sizes": (16, 8), "batch_size": 8}
@@ -44,7 +45,10 @@ def capture() -> RigCapture:
 
 @pytest.fixture(scope="module")
 def prior(capture: RigCapture) -> FittedPrior:
-    return fit(capture.keypoints, FitConfig(steps=200), image_sizes=[IMAGE_SIZE] * 3)
+    sizes = [IMAGE_SIZE] * 3
+    return fitted_once(
+        "lifting", lambda: fit(capture.keypoints, FitConfig(steps=200), image_sizes=sizes)
+    )
 
 
 def some(lift: Lift, frames: Any, views: Any = slice(None)) -> Lift:

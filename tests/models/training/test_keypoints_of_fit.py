@@ -11,6 +11,7 @@ from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import FitConfig
 from models.training.trainer import Trainer, fit
 from tests.models.rigs import RigCapture, make_rig_capture
+from tests.sharing import fitted_once
 
 Float64 = NDArray[np.float64]
 QUICK: dict[str, Any] = {"steps": 30, "dictionary_sizes": (16, 8), "batch_size": 8}
@@ -25,7 +26,8 @@ def capture() -> RigCapture:
 @pytest.fixture(scope="module")
 def without(capture: RigCapture) -> FittedPrior:
     """Return the fit of a capture that never had the keypoint."""
-    return fit(np.delete(capture.keypoints, GONE, axis=2), told(lambda p: p - (p > GONE)))
+    others = np.delete(capture.keypoints, GONE, axis=2)
+    return fitted_once("without", lambda: fit(others, told(lambda p: p - (p > GONE))))
 
 
 def told(place: Any) -> FitConfig:
@@ -43,7 +45,7 @@ def hidden(capture: RigCapture) -> Float64:
 
 @pytest.fixture(scope="module")
 def prior(capture: RigCapture) -> FittedPrior:
-    return fit(hidden(capture), told(int))
+    return fitted_once("hidden", lambda: fit(hidden(capture), told(int)))
 
 
 def test_a_keypoint_that_no_view_shows_is_not_invented(

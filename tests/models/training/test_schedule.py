@@ -11,6 +11,7 @@ from models.training.budget import Clock, plan_within_budget
 from models.training.holdout import split
 from models.training.schedule import PERSPECTIVE_REFRESHES, Schedule
 from models.training.trainer import Progress, Trainer, fit
+from tests.sharing import fitted_once
 
 # The cameras move here; looking for rest would take most of the time.
 QUICK = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8, cameras="moving")
@@ -158,7 +159,7 @@ def test_early_stopping_is_resumed_bit_for_bit(capture: SyntheticCapture) -> Non
 @pytest.fixture(scope="module")
 def source(capture: SyntheticCapture) -> FittedPrior:
     config = FitConfig(steps=300, dictionary_sizes=(32, 8), batch_size=16, refine="off")
-    return fit(capture.keypoints[:150], config)
+    return fitted_once("source", lambda: fit(capture.keypoints[:150], config))
 
 
 def test_a_start_from_a_model_is_ahead_of_one_from_nothing(

@@ -8,7 +8,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from service.settings import Settings
-from tests.processes import descendants
+from tests.processes import command_of, descendants
 from tests.service.conftest import BYTES, JSON, MIB, Live, problem
 
 pytestmark = pytest.mark.usefixtures("unchanged")
@@ -109,11 +109,7 @@ def test_json_that_grows_as_it_is_read_is_refused(api: TestClient, piece: bytes)
 
 def test_the_memory_for_json_is_bounded(live: Live) -> None:
     """64 MiB of empty lists took 1.5 GB."""
-    (pid,) = (
-        pid
-        for pid in descendants(live.process.pid)
-        if b"service.app" in Path(f"/proc/{pid}/cmdline").read_bytes()
-    )
+    (pid,) = (pid for pid in descendants(live.process.pid) if b"service.app" in command_of(pid))
 
     def peak() -> int:
         status = Path(f"/proc/{pid}/status").read_text()

@@ -19,7 +19,7 @@ from websockets.sync.client import ClientConnection
 from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
 from tests.object_stores import folder_away
-from tests.processes import descendants, processes
+from tests.processes import command_of, descendants, processes
 from tests.service.conftest import (
     BYTES,
     JSON,
@@ -53,11 +53,7 @@ def opened() -> Iterator[ExitStack]:
 
 
 def api_processes(live: Live) -> list[int]:
-    return sorted(
-        pid
-        for pid in descendants(live.process.pid)
-        if b"service.app" in Path(f"/proc/{pid}/cmdline").read_bytes()
-    )
+    return sorted(pid for pid in descendants(live.process.pid) if b"service.app" in command_of(pid))
 
 
 def by_process(live: Live, opened: ExitStack) -> list[Live]:

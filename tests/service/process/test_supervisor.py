@@ -14,7 +14,7 @@ import pytest
 
 from models.capture.synthetic import synthetic_capture
 from tests.fork_server import run
-from tests.processes import descendants, processes
+from tests.processes import command_of, descendants, processes
 from tests.service.conftest import (
     BYTES,
     Live,
@@ -47,7 +47,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
 def part(live: Live, *words: str) -> int:
     """Return the process of the service whose command line holds all the words."""
     for pid in descendants(live.process.pid):
-        command = Path(f"/proc/{pid}/cmdline").read_bytes().decode()
+        command = command_of(pid).decode()
         parent = processes().get(pid)
         if parent == live.process.pid and all(word in command for word in words):
             return pid

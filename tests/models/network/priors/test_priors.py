@@ -29,6 +29,7 @@ from models.network.settling import SETTLE_NONE
 from models.numerics.rotations import rotations_from_rows
 from models.settings.config import FitConfig
 from models.training.trainer import Trainer, fit
+from tests.sharing import fitted_once
 
 # Every prior in several sizes: odd ones, and the smallest there are.
 CONFIGS = {
@@ -209,7 +210,9 @@ def test_a_fit_resumes_bit_for_bit(config: FitConfig, capture: SyntheticCapture)
 @every_prior
 def test_it_is_fitted_lifted_and_refined(config: FitConfig, capture: SyntheticCapture) -> None:
     longer = config.model_copy(update={"steps": 300, "batch_size": 64})
-    prior = fit(capture.keypoints, longer, confidence=capture.confidence)
+    prior = fitted_once(
+        config.prior, lambda: fit(capture.keypoints, longer, confidence=capture.confidence)
+    )
     errors = {
         mode: _error(prior.lift(capture.keypoints, refine=mode).points3d, capture)
         for mode in ("off", "full")
