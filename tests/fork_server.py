@@ -153,11 +153,20 @@ def _mask() -> int:
     return mask
 
 
-def run(command: Sequence[str], **options: Any) -> "subprocess.CompletedProcess[str]":
-    """Do as `subprocess.run` does with the same command, and return what it said as text."""
+def run(
+    command: Sequence[str], *, timeout: float = 300, **options: Any
+) -> "subprocess.CompletedProcess[str]":
+    """Run a command to its end, and return what it printed as text.
+
+    A command that takes longer than `timeout` seconds is killed: ``subprocess.TimeoutExpired``.
+    """
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with Popen(command, **(streams | options)) as process:
-        out, err = process.communicate()
+        try:
+            out, err = process.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
     return subprocess.CompletedProcess(command, process.returncode, out, err)
 
 

@@ -121,7 +121,7 @@ class _Cache(FunctionCache):
     _impl_class = _Implementation
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
-        return sig, codegen.magic_tuple()  # the digest in the file's name says the rest
+        return sig, codegen.magic_tuple()  # the file's name holds the digest of the code
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return machine code; None if this process shall compile it, and then call `save`."""
@@ -159,8 +159,8 @@ class _Cache(FunctionCache):
 
     def _forget_older(self) -> None:
         """Delete the machine code of versions of the function that came before the last few."""
-        name, _, rest = self._impl.filename_base.rpartition("-")
-        version = rest.partition(".")[2]
+        name, _, ending = self._impl.filename_base.rpartition("-")
+        version = ending.partition(".")[2]
         indices = Path(self.cache_path).glob(f"{glob.escape(name)}-*.{version}.nbi")
         newest_first = sorted(indices, key=lambda path: path.stat().st_mtime, reverse=True)
         for index in newest_first[KEPT_VERSIONS:]:

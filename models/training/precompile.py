@@ -29,9 +29,7 @@ from models.settings.config import Arrangement, FitConfig, Refine
 from models.settings.priors import PriorName
 from models.training.trainer import fit
 
-PROCESSES = (
-    2  # each takes half a gigabyte; what they share is compiled by one and read by the other
-)
+PROCESSES = 2  # each takes half a gigabyte
 STEPS = 30  # enough for every kind of teacher
 POSES, FRAMES_BETWEEN = 12, 8  # of a film
 REFINING: tuple[Refine, ...] = ("auto", "off")
@@ -69,7 +67,7 @@ def _compile(part: int) -> frozenset[str]:
 
 def _fit_and_lift(prior: PriorName, refine: Refine) -> None:
     capture = synthetic_capture(frames=LEAST_FRAMES, views=2, hidden_keypoints=0.05, seed=1)
-    # One search for rest is enough.
+    # One search for static cameras is enough.
     cameras: Arrangement = "auto" if prior == next(iter(PRIORS)) else "moving"
     config = FitConfig(
         prior=prior, steps=STEPS, batch_size=8, refine=refine, cameras=cameras, synchronise="off"

@@ -90,5 +90,5 @@ def test_the_worker_is_told_to_leave_in_an_outage(
 ) -> None:
     queue(store, redis, dataset_id, LONG)
     environment = os.environ | settings.to_environment()
-    done = run(tied("-c", TOLD_IN_AN_OUTAGE), env=environment)
+    done = run(tied("-c", TOLD_IN_AN_OUTAGE), env=environment, timeout=60)
     assert done.returncode in (0, -signal.SIGTERM), done.stderr

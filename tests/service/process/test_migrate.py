@@ -50,7 +50,7 @@ def test_a_service_refuses_older_tables_until_it_was_run(
     told, folder = f"--database-url={url}", f"--data-dir={tmp_path}"
     assert run("migrate", told, "--check").status == 1
     serve = python("-m", "service.cli", "serve", told, folder, "--port=0")
-    refused = fork_server.run(serve)
+    refused = fork_server.run(serve, timeout=60)
     assert refused.returncode == 2
     assert "run `fewview migrate`" in refused.stderr
     assert refused.stderr.count("\n") == 1
