@@ -1,7 +1,8 @@
 """Reading files of strangers in a process of its own, which may run out of memory, time or luck.
 
 Readers trust no count that is in a file, and yet a small file may ask for gigabytes, and the
-libraries below them are written in C. What happens there ends the child, and not its parent.
+libraries below them are written in C. What happens there ends the child, and not its parent; and
+the child is confined, so that no file can have it read what is not in the upload.
 """
 
 import io
@@ -21,6 +22,7 @@ from fewview.capture import Capture
 from fewview.errors import FormatError
 from fewview.reading_options import ReadingOptions
 
+from service.wire.confinement import confine
 from worker.process import die_with_parent, python
 
 logger = logging.getLogger(__name__)
@@ -29,10 +31,10 @@ MEMORY = 3 * 2**30  # bytes of addresses, what Python and its libraries take amo
 SECONDS = 120
 OUT, CAPTURE, OTHERS = "out", "capture.npz", "others.json"
 LONGEST_LOG = 2000  # characters
-# OpenBLAS sets addresses aside for each thread.
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-# Settings of ours, and of records and objects, passwords among them: no business of the child's.
-OURS = ("FEWVIEW_", "AWS_", "AZURE_", "GOOGLE_", "PG")
+# All that the child gets of the environment, which holds passwords: of records, of objects, ...
+KEPT = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH")
+# OpenBLAS sets addresses aside for each thread; HDF5 loads programs for filters, but for "::".
+OWN = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::"}
 
 
 def read_apart(
@@ -56,7 +58,7 @@ def read_apart(
     """
     out = folder / OUT
     out.mkdir()
-    told = {
+    asked = {
         "names": list(names),
         "options": asdict(options),
         "max_bytes": max_bytes,
@@ -66,15 +68,15 @@ def read_apart(
     # ones, for in the child's working directory lie the files of strangers.
     places = [str(Path(place).resolve()) for place in sys.path]
     code = f"import sys; sys.path[:] = {places!r}; from {__name__} import main; main()"
-    others = {name: value for name, value in os.environ.items() if not name.startswith(OURS)}
+    kept = {name: os.environ[name] for name in KEPT if name in os.environ}
     try:
-        done = subprocess.run(  # noqa: S603 (our own program; what is told comes as data)
+        done = subprocess.run(  # noqa: S603 (our own program; names come as data)
             python("-c", code),
-            input=json.dumps(told).encode(),
+            input=json.dumps(asked).encode(),
             capture_output=True,
             cwd=folder,
             # What the child unpacks goes with the folder, even if it is killed.
-            env=others | ONE_THREAD | {"TMPDIR": str(folder)},
+            env=kept | OWN | {"TMPDIR": str(folder)},
             timeout=SECONDS,
             check=False,
         )
@@ -84,8 +86,8 @@ def read_apart(
         return _capture(out)
     if done.returncode == 1 and done.stdout:
         raise FormatError(done.stdout.decode(errors="replace"))
-    said = done.stderr.decode(errors="replace")[-LONGEST_LOG:]
-    logger.warning("Reading files ended with status %d: %s", done.returncode, said)
+    errors = done.stderr.decode(errors="replace")[-LONGEST_LOG:]
+    logger.warning("Reading files ended with status %d: %s", done.returncode, errors)
     raise FormatError(
         f"{', '.join(names)}: broken, or too much: reading ended without an answer "
         f"(status {done.returncode})"
@@ -108,9 +110,12 @@ def _tuples(value: Any) -> Any:
 
 
 def main() -> None:
-    """Read what standard input tells into the folder ``out``; exit status 1 with what is wrong."""
-    told = json.loads(sys.stdin.buffer.read())
-    die_with_parent(told["parent"])
+    """Read the files that standard input names into the folder ``out``.
+
+    Exit status 1: what is wrong with them is on standard output.
+    """
+    asked = json.loads(sys.stdin.buffer.read())
+    die_with_parent(asked["parent"])
     for limit, most in (
         (resource.RLIMIT_AS, MEMORY),
         (resource.RLIMIT_CPU, SECONDS),
@@ -118,18 +123,21 @@ def main() -> None:
     ):
         resource.setrlimit(limit, (most, most))
     try:
-        _read(told["names"], ReadingOptions(**told["options"]), told["max_bytes"])
+        _read(asked["names"], ReadingOptions(**asked["options"]), asked["max_bytes"])
     except FormatError as error:
         sys.stdout.write(str(error))
         sys.exit(1)
     except MemoryError:
-        sys.stdout.write(f"{', '.join(told['names'])}: need more memory than there is; part them")
+        sys.stdout.write(f"{', '.join(asked['names'])}: need more memory than there is; part them")
         sys.exit(1)
 
 
 def _read(names: list[str], options: ReadingOptions, max_bytes: int) -> None:
-    from fewview.readers.reading import read_with  # noqa: PLC0415 (within the limits)
+    # Within the limits, and before no module of ours can be opened any more.
+    import h5py  # noqa: F401, PLC0415
+    from fewview.readers.reading import read_with  # noqa: PLC0415
 
+    confine(Path())
     capture = read_with(names, replace(options, untrusted=True))
     arrays = capture.arrays()
     size = sum(array.nbytes for array in arrays.values())

@@ -1,10 +1,13 @@
 """Zip files of what a detector wrote into folders."""
 
+import lzma
 import re
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
@@ -13,6 +16,7 @@ from fewview.readers.sources import ZIP, Source
 
 MAX_UNPACKED = 2**30  # bytes
 MAX_MEMBERS = 200_000  # files
+MAX_DEPTH = 32  # of folders in folders
 NAMED = "named"  # the folder of what was unpacked, under its own name
 
 
@@ -55,8 +59,8 @@ def unpacked(path: Path, folder: Path) -> Path:
     FormatError
         If it is broken or encrypted, unpacks to too much, or holds files outside it.
     """
-    inside = folder / "inside"
-    inside.mkdir(parents=True)
+    named = folder / NAMED / (path.name.partition(".")[0] or "zip")
+    named.mkdir(parents=True)
     try:
         with zipfile.ZipFile(path) as archive:
             members = [each for each in archive.infolist() if _is_file(each)]
@@ -67,11 +71,14 @@ def unpacked(path: Path, folder: Path) -> Path:
                     f"than the {MAX_MEMBERS:,} files and {MAX_UNPACKED / 2**20:,.0f} MiB that are "
                     "read of a zip file; part it"
                 )
+            _without_common_folders(members, path)
             for member in members:
-                archive.extract(member, inside)
+                archive.extract(member, named)
     except (
         zipfile.BadZipFile,
         zlib.error,
+        lzma.LZMAError,
+        struct.error,
         EOFError,
         OSError,
         RuntimeError,  # encrypted members
@@ -81,11 +88,18 @@ def unpacked(path: Path, folder: Path) -> Path:
         if isinstance(error, FormatError):
             raise
         raise FormatError(f"{path}: a zip file that cannot be read ({error})") from error
-    while len(within := list(inside.iterdir())) == 1 and within[0].is_dir():
-        inside = within[0]
-    named = folder / NAMED / (path.name.partition(".")[0] or "zip")
-    named.parent.mkdir()
-    return inside.rename(named)
+    return named
+
+
+def _without_common_folders(members: list[zipfile.ZipInfo], path: Path) -> None:
+    """Take the folders that all files are in away from their names."""
+    places = [PurePosixPath(member.filename).parts for member in members]
+    if max(map(len, places), default=0) > MAX_DEPTH:
+        raise FormatError(f"{path}: has more than {MAX_DEPTH} folders within each other")
+    levels = zip(*{place[:-1] for place in places}, strict=False)  # as deep as the least deep
+    common = sum(1 for _ in takewhile(lambda level: len(set(level)) == 1, levels))
+    for member, place in zip(members, places, strict=True):
+        member.filename = "/".join(place[common:])
 
 
 def _is_file(member: zipfile.ZipInfo) -> bool:

@@ -22,6 +22,7 @@ COORDINATES = {
     "prob": 2,
     "p": 2,
 }
+MAX_COLUMNS = 2**16  # of a table: 21,845 keypoints with their confidence
 Label = tuple[str, str, str]  # individual ("" if there is one), keypoint, coordinate
 
 
@@ -47,10 +48,12 @@ def view_of_columns(
     FormatError
         If there are no columns of x and y, or there are z.
     """
+    bounded_columns(len(labels), what)
     people = tuple(dict.fromkeys(label[0] for label in labels))
     axes = {label[2] for label in labels}
-    at = [{label[1] for label in labels if label[2] == axis} for axis in "xy"]
-    points = tuple(dict.fromkeys(label[1] for label in labels if label[1] in at[0] & at[1]))
+    with_x, with_y = ({label[1] for label in labels if label[2] == axis} for axis in "xy")
+    whole = with_x & with_y
+    points = tuple(dict.fromkeys(label[1] for label in labels if label[1] in whole))
     if "z" in axes:
         raise FormatError(
             f"{what}: has columns of x, y and z, so it holds 3D points; Fewview makes 3D from the "
@@ -76,6 +79,15 @@ def view_of_columns(
         people=people,
         keypoint_names=points,
     )
+
+
+def bounded_columns(count: int, what: str) -> None:
+    """Refuse a table of more columns than people have keypoints; `what` names its file."""
+    if count > MAX_COLUMNS:
+        raise FormatError(
+            f"{what}: has {count:,} columns, more than the {MAX_COLUMNS:,} that are read; "
+            "leave out those that hold no keypoints"
+        )
 
 
 def row_numbers(rows: Sequence[object], what: str) -> Int64:

@@ -126,15 +126,16 @@ def _common_keypoints(views: list[View], notes: list[str]) -> list[View]:
             )
         known = next((each for each in names if each is not None), None)
         return [replace(view, keypoint_names=known) for view in views]
-    told = [each for each in names if each is not None]
-    common = [name for name in told[0] if all(name in each for each in told)]
+    named = [each for each in names if each is not None]
+    in_all = set(named[0]).intersection(*named[1:])
+    common = [name for name in named[0] if name in in_all]
     if not common:
         raise FormatError(
             "the cameras have no keypoint of the same name: "
-            + "; ".join(f"{v.name}: {', '.join(n[:4])}" for v, n in zip(views, told, strict=True))
+            + "; ".join(f"{v.name}: {', '.join(n[:4])}" for v, n in zip(views, named, strict=True))
         )
-    for view, each in zip(views, told, strict=True):
-        left = [name for name in each if name not in common]
+    for view, each in zip(views, named, strict=True):
+        left = [name for name in each if name not in in_all]
         if left:
             notes.append(f"{view.name}: {', '.join(left)} left out, as not all cameras have them")
     return [_only_keypoints(view, common) for view in views]
@@ -142,7 +143,8 @@ def _common_keypoints(views: list[View], notes: list[str]) -> list[View]:
 
 def _only_keypoints(view: View, common: list[str]) -> View:
     names = list(view.keypoint_names or ())
-    index = [names.index(name) for name in common]
+    first = {name: place for place, name in reversed(list(enumerate(names)))}
+    index = [first[name] for name in common]
     place = {old: new for new, old in enumerate(index)}
     edges: Edges | None = None
     if view.edges is not None:

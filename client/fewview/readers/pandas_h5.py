@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fewview.errors import FormatError
-from fewview.readers import pickles
+from fewview.readers import hdf5, pickles
 from fewview.readers.sources import Source
 from fewview.readers.views import bounded
 
@@ -28,13 +28,11 @@ def read_table(source: Source) -> Table:
     FormatError
         If there is none, or it cannot be read.
     """
-    import h5py  # noqa: PLC0415 (heavy)
-
     name = next((name for name, of_pandas in source.hdf5.items() if of_pandas), None)
     if name is None:
         raise FormatError(f"{source}: holds no table of pandas")
     try:
-        with h5py.File(source.path, "r") as file:
+        with hdf5.opened(source.path) as file:
             group = file[name]
             if "table" in group:
                 return _appendable(group["table"], group, str(source))
@@ -56,7 +54,9 @@ def _fixed(group: Any, what: str) -> Table:
         items, _ = _axis(group, f"block{block}_items", what)
         data = group[f"block{block}_values"]
         if data.dtype.kind in "fiub" and "shape" not in data.attrs:
-            numbers = data[()] if data.attrs.get("transposed", 0) else data[()].T
+            numbers = hdf5.values(data, what)
+            if not data.attrs.get("transposed", 0):
+                numbers = numbers.T
             values[:, [place[item] for item in items]] = numbers
     return columns, levels, values, [row if len(row) > 1 else row[0] for row in rows]
 
@@ -69,7 +69,7 @@ def _axis(group: Any, name: str, what: str) -> tuple[list[tuple[Any, ...]], list
     count = int(group.attrs[f"{name}_nlevels"])
     for level in range(count):
         values = _values(group[f"{name}_level{level}"], what)
-        codes = group[f"{name}_label{level}"][()]
+        codes = hdf5.values(group[f"{name}_label{level}"], what)
         columns.append(["" if code < 0 else values[code] for code in codes])
         names.append(_level_name(group[f"{name}_level{level}"]))
     return list(zip(*columns, strict=True)), names
@@ -85,7 +85,7 @@ def _values(dataset: Any, what: str) -> list[Any]:
     """Return an array's values; a pickle of PyTables is read without running it."""
     if str(dataset.attrs.get("CLASS", b""), "ascii", "replace") == "VLARRAY":
         return list(pickles.load(bytes(dataset[0]), what).tolist())
-    values = dataset[()].tolist()
+    values = hdf5.values(dataset, what).tolist()
     return [
         value.decode("utf-8", "replace") if isinstance(value, bytes) else value for value in values
     ]
@@ -94,7 +94,7 @@ def _values(dataset: Any, what: str) -> list[Any]:
 def _appendable(table: Any, group: Any, what: str) -> Table:
     """Read the layout ``format="table"``: one compound, labels as a pickle in an attribute."""
     bounded((len(table), sum(math.prod(table.dtype[n].shape) for n in table.dtype.names)), what)
-    rows = table[()]
+    rows = hdf5.values(table, what)
     columns: list[Any] = []
     parts = []
     for name in table.dtype.names:

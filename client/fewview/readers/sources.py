@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fewview.errors import FormatError
+from fewview.readers import hdf5
 from fewview.readers.names import frame_number, natural
 
 MAX_JSON = 2**29  # bytes: parsed it takes several times as much
@@ -84,13 +85,8 @@ class Source:
         """Names of the top level of an HDF5 file, and whether pandas wrote what is there."""
         if not self.begins(HDF5):
             return {}
-        import h5py  # noqa: PLC0415 (heavy)
-
-        try:
-            with h5py.File(self.path, "r") as file:
-                return {name: "pandas_type" in file[name].attrs for name in file}
-        except (OSError, KeyError, RuntimeError) as error:
-            raise FormatError(f"{self}: no HDF5 file, or a broken one ({error})") from error
+        with hdf5.opened(self.path) as file:
+            return {name: "pandas_type" in file[name].attrs for name in file}
 
     @cached_property
     def lines(self) -> list[str]:

@@ -144,10 +144,16 @@ def hostile(tmp_path: Path) -> dict[str, bytes]:
     with h5py.File(promised, "w") as file:  # 2 KiB that unpack to 3.8 GB
         file.create_dataset("tracks", (2, 2, 4, 30_000_000), "f8", compression="gzip", chunks=True)
         file["node_names"] = [b"a", b"b", b"c", b"d"]
+    outside = tmp_path / "outside.h5"
+    with h5py.File(outside, "w") as file:
+        elsewhere = [("/etc/passwd", 0, h5py.h5s.UNLIMITED)]
+        file.create_dataset("tracks", (1, 2, 4, 12), "f8", external=elsewhere)
+        file["node_names"] = [b"a", b"b", b"c", b"d"]
     cut = files.dlc_h5_fixed(tmp_path / "cut.h5", files.columns(NAMES), LEFT.reshape(12, 12))
     nested = b'{"people": [' + b"[" * 100_000
     return {
         "promised.h5": promised.read_bytes(),
+        "outside.h5": outside.read_bytes(),
         "cut.h5": cut.read_bytes()[:3000],
         "noise.h5": b"\x89HDF\r\n\x1a\n" + bytes(range(256)) * 20,
         "nested.json": nested,

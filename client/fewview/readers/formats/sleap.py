@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from fewview.capture import Float32
 from fewview.errors import FormatError
+from fewview.readers import hdf5
 from fewview.readers.sources import Source
-from fewview.readers.views import Edges, View, bounded, packed
+from fewview.readers.views import Edges, View, packed
 
 USER, PREDICTED = 0, 1
 PIXEL_CENTRES_SINCE = 1.1  # earlier projects count from the corner of a pixel, half a pixel apart
@@ -42,27 +43,26 @@ def read_analysis(source: Source) -> list[View]:
     FormatError
         If its arrays do not fit together.
     """
-    with _opened(source) as file:
-        tracks = file["tracks"]
-        bounded(tracks.shape, str(source))
-        nodes = _texts(file["node_names"])
+    what = str(source)
+    with hdf5.opened(source.path) as file:
+        tracks = hdf5.values(file["tracks"], what)
+        nodes = _texts(file["node_names"], what)
         if tracks.ndim != 4:
             raise FormatError(f"{source}: `tracks` has the shape {tracks.shape}, of no SLEAP")
-        values = tracks[()]
-        axes = _axes(file, len(nodes))
+        axes = _axes(file, tracks.shape, len(nodes))
         if not axes:
             raise FormatError(
                 f"{source}: `tracks` {tracks.shape} is not of {len(nodes)} nodes in 2D"
             )
-        values = tracks[()].transpose([axes.index(axis) for axis in AXES])
-        scores = file["point_scores"][()] if "point_scores" in file else None
+        values = tracks.transpose([axes.index(axis) for axis in AXES])
+        scores = hdf5.values(file["point_scores"], what) if "point_scores" in file else None
         if scores is not None and scores.ndim == 3:
             left = [axis for axis in axes if axis != "xy"]
             scores = scores.transpose([left.index(axis) for axis in AXES[:3]])
         if scores is not None and scores.shape != values.shape[:3]:
             raise FormatError(f"{source}: `point_scores` do not fit `tracks`")
-        names = _texts(file["track_names"]) if "track_names" in file else []
-        edges = file["edge_inds"][()] if "edge_inds" in file else np.empty((0, 2))
+        names = _texts(file["track_names"], what) if "track_names" in file else []
+        edges = hdf5.values(file["edge_inds"], what) if "edge_inds" in file else np.empty((0, 2))
     people = tuple(names) if len(names) == values.shape[1] else None
     if people is None and values.shape[1] == 1:
         people = ("",)
@@ -79,16 +79,16 @@ def read_analysis(source: Source) -> list[View]:
     ]
 
 
-def _axes(file: Any, nodes: int) -> tuple[str, ...]:
+def _axes(file: Any, shape: tuple[int, ...], nodes: int) -> tuple[str, ...]:
     """Return what the axes of `tracks` are; nothing if it is not of these nodes in 2D."""
-    tracks = file["tracks"]
+    attributes = file["tracks"].attrs
     layouts: tuple[tuple[str, ...], ...] = LAYOUTS
-    if "dims" in tracks.attrs:
-        layouts = (tuple(map(str, json.loads(tracks.attrs["dims"]))),)
+    if "dims" in attributes:
+        layouts = (tuple(map(str, json.loads(attributes["dims"]))),)
     elif not file.attrs.get("transpose", True):
         layouts = LAYOUTS[1:]
     for axes in layouts:
-        size = dict(zip(axes, tracks.shape, strict=True))
+        size = dict(zip(axes, shape, strict=True))
         if sorted(axes) == sorted(AXES) and (size["node"], size["xy"]) == (nodes, 2):
             return axes
     return ()
@@ -102,17 +102,19 @@ def read_slp(source: Source) -> list[View]:
     FormatError
         If its tables do not fit together, or nothing is labelled.
     """
-    with _opened(source) as file:
-        for table in ("frames", "instances", "points", "pred_points"):
-            bounded(file[table].shape, str(source))
-        frames, instances = file["frames"][()], file["instances"][()]
-        points = {USER: _points(file["points"]), PREDICTED: _points(file["pred_points"])}
+    what = str(source)
+    with hdf5.opened(source.path) as file:
+        frames, instances, user, predicted = (
+            hdf5.values(file[table], what)
+            for table in ("frames", "instances", "points", "pred_points")
+        )
+        points = {USER: _points(user), PREDICTED: _points(predicted)}
         metadata = file["metadata"].attrs
         content = json.loads(metadata["json"])
         if float(metadata.get("format_id", 1.0)) < PIXEL_CENTRES_SINCE:
             for rows in points.values():
                 rows[:, :2] -= 0.5
-        tracks = [json.loads(text)[1] for text in _texts(file.get("tracks_json", ()))]
+        tracks = [json.loads(text)[1] for text in _texts(file.get("tracks_json"), what)]
         notes: tuple[str, ...] = ()
         at_once = frames["instance_id_end"].astype(int) - frames["instance_id_start"].astype(int)
         untracked = float(np.mean(instances["track"] < 0)) if len(instances) else 0.0
@@ -121,7 +123,7 @@ def read_slp(source: Source) -> list[View]:
                 f"its {len(tracks)} tracks are fragments: animals are followed by where they are",
             )
             tracks, notes = [], notes if tracks else ()
-        videos = [_video(text, n) for n, text in enumerate(_texts(file.get("videos_json", ())))]
+        videos = [_video(text, n) for n, text in enumerate(_texts(file.get("videos_json"), what))]
     nodes, edges = _skeleton(content, source)
     found = sorted({int(video) for video in frames["video"]})
     views = []
@@ -148,26 +150,18 @@ def read_slp(source: Source) -> list[View]:
     return views
 
 
-def _opened(source: Source) -> Any:
-    import h5py  # noqa: PLC0415 (heavy)
-
-    try:
-        return h5py.File(source.path, "r")
-    except OSError as error:
-        raise FormatError(f"{source}: no HDF5 file, or a broken one ({error})") from error
-
-
-def _texts(dataset: Any) -> list[str]:
-    values = dataset[()] if hasattr(dataset, "shape") else dataset
+def _texts(dataset: Any, what: str) -> list[str]:
+    """Return the texts of a dataset; none if it is not there."""
+    values = () if dataset is None else hdf5.values(dataset, what)
     return [v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in values]
 
 
-def _points(table: Any) -> Array:
+def _points(rows: Array) -> Array:
     """Return (n, 3) x, y, score; what people placed has the score 1, what is not visible NaN."""
-    rows = table[()]
-    scores = rows["score"] if "score" in rows.dtype.names else np.ones(len(rows))
+    scored = "score" in (rows.dtype.names or ())
+    scores = rows["score"] if scored else np.ones(len(rows))
     values = np.stack([rows["x"], rows["y"], scores], axis=-1).astype(np.float64)
-    if "score" not in rows.dtype.names:
+    if not scored:
         values[~rows["visible"]] = np.nan
     return values
 

@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 
 from fewview.capture import Float64
 from fewview.errors import FormatError
-from fewview.readers.columns import COORDINATES, Label, row_numbers, view_of_columns
+from fewview.readers.columns import (
+    COORDINATES,
+    Label,
+    bounded_columns,
+    row_numbers,
+    view_of_columns,
+)
 from fewview.readers.names import natural
 from fewview.readers.separated import Words, cells, read_columns, separator
 from fewview.readers.sources import Source
@@ -55,6 +61,7 @@ def read(source: Source) -> list[View]:
     """
     head = next(source.text_lines())
     header = cells(head, separator(head))
+    bounded_columns(len(header), str(source))
     roles, columns = _roles(header), _columns(header)
     if roles.keys() & {"person", "keypoint"} and not roles.keys() & {"frame", "time"}:
         raise FormatError(f"{source}: has no column `frame` or `time` that joins its rows")
@@ -64,10 +71,11 @@ def read(source: Source) -> list[View]:
     if not len(values):
         raise FormatError(f"{source}: no rows")
     told = dict(zip(roles, texts, strict=True))
+    known = {*columns, *roles.values()}
     nowhere = [
         cell
         for place, cell in enumerate(header)
-        if place not in {*columns, *roles.values()} and cell and not _OF_ALL.match(cell)
+        if place not in known and cell and not _OF_ALL.match(cell)
     ]
     notes = (f"columns that were not understood: {', '.join(nowhere[:6])}",) if nowhere else ()
     cameras = told.pop("camera", Words(("",), np.zeros(len(values), np.int64)))
@@ -107,6 +115,7 @@ def _view(
         people = Words(tuple(map(str, range(int(places.max()) + 1))), places)
     shape = (len(numbers), len(people.words), len(points.words), len(columns))
     bounded(shape, str(source))
+    bounded_columns(len(people.words) * len(points.words) * len(columns), str(source))
     table = np.full(shape, np.nan)
     table[frames, people.codes, points.codes] = values
     labels: list[Label] = []
@@ -183,13 +192,14 @@ def _roles(header: Sequence[str]) -> dict[str, int]:
 
 def _columns(header: Sequence[str]) -> dict[int, tuple[str, str]]:
     """Return of each column with a coordinate its keypoint ("" in a tidy table) and its axis."""
-    tidy = "keypoint" in _roles(header)
+    roles = _roles(header)
+    tidy, others = "keypoint" in roles, set(roles.values())
     found: dict[int, tuple[str, str]] = {}
     for index, cell in enumerate(header):
         if tidy:
             if cell.lower() in (*COORDINATES, "z"):
                 found[index] = ("", cell.lower())
-        elif index not in _roles(header).values():
+        elif index not in others:
             if match := _WIDE.match(cell):
                 found[index] = (match[1], match[2].lower())
             elif match := _TURNED.match(cell):
@@ -198,5 +208,5 @@ def _columns(header: Sequence[str]) -> dict[int, tuple[str, str]]:
 
 
 def _wide(header: Sequence[str]) -> bool:
-    columns = _columns(header).values()
+    columns = set(_columns(header).values())
     return any((name, "x") in columns and (name, "y") in columns for name, _ in columns)

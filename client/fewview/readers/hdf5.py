@@ -1,0 +1,139 @@
+"""HDF5 files that hold all of their data themselves.
+
+HDF5 lets a file take data from other files: by links, by external storage, by virtual datasets. A
+reader that follows these hands out any file that its user may read, so whoever sends a file could
+have that file's reader send back others. Files as detectors write them have none of these.
+"""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from fewview.errors import FormatError
+from fewview.readers.views import bounded
+
+MAX_OBJECTS = 100_000  # groups and datasets
+MAX_DEPTH = 32  # of groups in groups
+MAX_BYTES = 2**32  # of a dataset that is read, uncompressed
+# The filters that the library has built in: it would load any other as a program.
+FILTERS = frozenset({1, 2, 3, 4, 5, 6, 32000})  # deflate to scaleoffset, and h5py's LZF
+OTHER_FILES = "which can read other files; copy the data into the file itself"
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Open an HDF5 file for reading, as an `h5py.File`.
+
+    Raises
+    ------
+    FormatError
+        If it is broken, or holds a link, a dataset or a reference that leads elsewhere.
+    """
+    import h5py  # noqa: PLC0415 (heavy)
+
+    try:
+        file = h5py.File(path, "r")
+    except (OSError, RuntimeError) as error:
+        raise FormatError(f"{path}: no HDF5 file, or a broken one ({error})") from error
+    with file:
+        _check(file, str(path))
+        yield file
+
+
+def values(dataset: Any, what: str) -> Any:
+    """Return what a dataset holds, of bounded size.
+
+    Raises
+    ------
+    FormatError
+        If it is no dataset, or too large.
+    """
+    shape = getattr(dataset, "shape", None)
+    if shape is None:
+        raise FormatError(f"{what}: {dataset.name} is a group, or empty, where an array should be")
+    bounded(shape, f"{what}: {dataset.name}")
+    if math.prod(shape) * dataset.dtype.itemsize > MAX_BYTES:
+        raise FormatError(f"{what}: {dataset.name} is too large; cut it in parts")
+    return dataset[()]
+
+
+def _check(file: Any, what: str) -> None:
+    """Walk all links without following any that leads out of its group."""
+    import h5py  # noqa: PLC0415 (heavy)
+
+    groups = [(file, 0)]
+    seen: set[Any] = set()
+    count = 0
+    while groups:
+        group, depth = groups.pop()
+        _check_attributes(group, what)
+        for name in group:
+            count += 1
+            path = f"{group.name.rstrip('/')}/{name}"
+            if count > MAX_OBJECTS or depth > MAX_DEPTH:
+                raise FormatError(
+                    f"{what}: has more than {MAX_OBJECTS:,} groups and datasets, or more than "
+                    f"{MAX_DEPTH} groups within each other"
+                )
+            if not _is_hard(group, name):
+                raise FormatError(f"{what}: {path} is a link to a name, {OTHER_FILES}")
+            item = group[name]
+            if isinstance(item, h5py.Dataset):
+                _check_dataset(item, what)
+            elif isinstance(item, h5py.Group):
+                at = h5py.h5o.get_info(item.id).addr
+                if at not in seen:  # hard links can make circles
+                    seen.add(at)
+                    groups.append((item, depth + 1))
+            else:
+                raise FormatError(f"{what}: {path} is no group and no dataset")
+
+
+def _is_hard(group: Any, name: str) -> bool:
+    import h5py  # noqa: PLC0415 (heavy)
+
+    try:
+        return isinstance(group.get(name, getlink=True), h5py.HardLink)
+    except TypeError:  # of a kind that users define
+        return False
+
+
+def _check_dataset(dataset: Any, what: str) -> None:
+    # Before its shape is asked for, which opens the files of a virtual dataset.
+    if dataset.is_virtual:
+        raise FormatError(f"{what}: {dataset.name} is a virtual dataset, {OTHER_FILES}")
+    if dataset.external is not None:
+        raise FormatError(f"{what}: {dataset.name} has external storage, {OTHER_FILES}")
+    plist = dataset.id.get_create_plist()
+    filters = {plist.get_filter(place)[0] for place in range(plist.get_nfilters())}
+    if not filters <= FILTERS:
+        raise FormatError(
+            f"{what}: {dataset.name} is compressed by a filter that is not HDF5's own; write it "
+            "with gzip"
+        )
+    if _refers(dataset.id.get_type()):
+        raise FormatError(f"{what}: {dataset.name} holds references, which are not followed")
+    _check_attributes(dataset, what)
+
+
+def _check_attributes(item: Any, what: str) -> None:
+    """Refuse references, but for those of dimension scales, which nobody here reads."""
+    for name in item.attrs:
+        kind = item.attrs.get_id(name).get_type()
+        if name not in ("DIMENSION_LIST", "REFERENCE_LIST") and _refers(kind):
+            raise FormatError(f"{what}: the attribute {name} of {item.name} holds references")
+
+
+def _refers(kind: Any) -> bool:
+    """Whether values of this type of HDF5's are references, or hold any."""
+    import h5py  # noqa: PLC0415 (heavy)
+
+    if isinstance(kind, h5py.h5t.TypeReferenceID):
+        return True
+    if isinstance(kind, h5py.h5t.TypeCompoundID):
+        return any(_refers(kind.get_member_type(n)) for n in range(kind.get_nmembers()))
+    if isinstance(kind, h5py.h5t.TypeArrayID | h5py.h5t.TypeVlenID):
+        return _refers(kind.get_super())
+    return False
