@@ -28,7 +28,7 @@ from store.private import keep_private
 from store.records import FitJob, LiftJob
 from worker.contract import KnownJob, PlainDataSerializer
 from worker.housekeeping import keep_house
-from worker.process import die_with_parent
+from worker.process import tie_forks
 from worker.queue import (
     FAILURE_SECONDS,
     RESULT_SECONDS,
@@ -114,9 +114,7 @@ class JobWorker(Worker):
         if housekeeping.take_turn(self._store):
             # Not here: the object store's threads would not live on in a forked work-horse, which
             # would wait for them forever.
-            self._sweeping = FORK.Process(
-                target=_sweep, args=(self._settings, os.getpid()), daemon=True
-            )
+            self._sweeping = FORK.Process(target=_sweep, args=(self._settings,), daemon=True)
             self._sweeping.start()
 
     def execute_job(self, job: Job, queue: Queue) -> None:
@@ -182,11 +180,6 @@ class JobWorker(Worker):
         """Note in Redis that a job runs; it need not be found again any more if it does."""
         super().prepare_job_execution(job, remove_from_intermediate_queue=True)
 
-    def main_work_horse(self, job: Job, queue: Queue) -> None:
-        """Run a job; the forked process starts here."""
-        die_with_parent(self.pid or os.getppid())
-        super().main_work_horse(job, queue)
-
     def handle_warm_shutdown_request(self) -> None:
         """Have the running job save what it has and go back to the queue, then leave."""
         super().handle_warm_shutdown_request()  # type: ignore[no-untyped-call]
@@ -208,8 +201,7 @@ def _import_for_later_jobs() -> None:
     import worker.lifting  # noqa: F401, PLC0415
 
 
-def _sweep(settings: WorkerSettings, parent: int) -> None:
-    die_with_parent(parent)
+def _sweep(settings: WorkerSettings) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):  # which the worker takes for itself
         signal.signal(number, signal.SIG_DFL)
     try:
@@ -240,6 +232,7 @@ def run(settings: WorkerSettings) -> None:
         raise ValueError("A worker needs FEWVIEW_REDIS_URL, for example redis://localhost:6379/0.")
     check_reachable(settings.redis_url)
     keep_private(settings)
+    tie_forks()  # work-horses, the sweep, and what opens the records first
     stopping = False
     while not stopping:
         try:
