@@ -111,6 +111,10 @@ class WorkQueue(Queue):
         """The jobs that a worker has taken and not begun."""
         return Taken(self.key, connection=self.connection)
 
+    def has_work(self) -> bool:
+        """Tell whether jobs wait; those that a worker has taken and not begun do, too."""
+        return bool(self.connection.exists(self.key, self.intermediate_queue_key))
+
     @classmethod
     def lmove(
         cls, connection: Redis, queue_key: str, timeout: int | None

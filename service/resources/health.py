@@ -117,7 +117,8 @@ def check_ready(request: Request, store: StoreDep, connection: RedisDep) -> Read
         names = ", ".join(pointer.lstrip("/") for pointer, _ in failures)
         raise ApiError("unavailable", f"Cannot be reached: {names}.", errors=failures)
     workers = at_work.count(connection)
-    if workers.known and not workers.at_work and any(q.count for q in open_queues(connection)):
+    waits = any(queue.has_work() for queue in open_queues(connection))
+    if waits and workers.known and not workers.at_work:
         why = "jobs wait, and no worker does its work; the workers' logs say why"
         raise ApiError("unavailable", f"workers: {why}.", errors=[("/workers", why)])
     return Readiness(**checks, workers=workers.at_work)
