@@ -92,7 +92,7 @@ class KnownJob(Job):
             try:
                 sizes = dict(zip(FIELDS, pipeline.execute(), strict=True))
             except ResponseError as error:
-                if "WRONGTYPE" not in str(error):
+                if not is_of_wrong_type(error):
                     raise
                 raise NoSuchJobError(f"{self.key} is no job") from error
         short = [name for name, size in sizes.items() if size <= plain_data.MAX_BYTES]
@@ -152,6 +152,11 @@ class KnownJob(Job):
         """Return the job function."""
         self.check_function()
         return super().func
+
+
+def is_of_wrong_type(error: Exception) -> bool:
+    """Tell whether Redis says that a key holds another type, for somebody else wrote it."""
+    return isinstance(error, ResponseError) and "WRONGTYPE" in str(error)
 
 
 def _inflated(data: bytes) -> bytes:

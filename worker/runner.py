@@ -8,7 +8,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing.context import ForkProcess
-from typing import Any, cast
+from typing import Any
 
 import redis.exceptions
 from obstore.exceptions import BaseError as ObjectStoreError
@@ -28,7 +28,7 @@ from store.errors import StoreError
 from store.private import keep_private
 from store.records import FitJob, LiftJob
 from worker import at_work
-from worker.contract import RESULT_SECONDS, KnownJob, PlainDataSerializer
+from worker.contract import RESULT_SECONDS, KnownJob, PlainDataSerializer, is_of_wrong_type
 from worker.housekeeping import keep_house
 from worker.process import tie_forks
 from worker.queue import (
@@ -147,24 +147,23 @@ class JobWorker(Worker):
         It is recorded before, and until then stays where reconcilers find it: nothing that ends
         that process, or this one, can lose it.
         """
-        if not self._reconciler.adopt(cast(WorkQueue, queue), job.id):
+        assert isinstance(queue, WorkQueue)  # noqa: S101 (this worker has no others)
+        if not self._reconciler.adopt(queue, job.id):
             return
         job.origin = queue.name  # whatever its producer wrote
         job.timeout = self._settings.max_fit_seconds + TIMEOUT_SLACK_SECONDS
         try:
             super().execute_job(job, queue)
-        except redis.exceptions.RedisError:
-            # The record is the truth: a job does not need Redis to go on and finish.
-            logger.exception("Redis is away: waiting for the running job")
-            if self.horse_pid:
-                self.wait_for_horse()
-            raise
         except StopRequested:
             raise
-        except Exception:  # of this job alone; what is left undone the reconciler sees to
-            logger.exception("The job %s could not be carried through", job.id)
-            if self.horse_pid:
+        except Exception as error:
+            away = isinstance(error, redis.exceptions.RedisError) and not is_of_wrong_type(error)
+            logger.exception("Job %s: %s", job.id, "Redis is away" if away else "cannot go on")
+            if self.horse_pid:  # the record is the truth: a job can finish without Redis
                 self.wait_for_horse()
+            if away:
+                raise
+            queue.intermediate_queue.set_aside(job.id.encode())
         if not self.stopping:
             _import_for_later_jobs()
         if self.stopping:  # an import may take for its own what SIGTERM raises in it

@@ -5,9 +5,8 @@ import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-import pytest
 from redis import Redis
 from rq import Queue, Worker
 from rq.job import Job, Retry
@@ -47,8 +46,8 @@ PLACES: dict[str, Callable[[Any], dict[str, Any]]] = {
 Spoil = Callable[[Redis, Job], Any]
 
 
-def fields(**values: Any) -> Spoil:
-    return lambda redis, job: redis.hset(job.key, mapping=values)
+def fields(**values: str | bytes) -> Spoil:
+    return lambda redis, job: redis.hset(job.key, mapping=cast(Any, values))
 
 
 def compressed_twice(redis: Redis, job: Job) -> None:
@@ -90,6 +89,9 @@ SPOILT: dict[str, Spoil] = {
     "fields of no name": lambda redis, job: redis.hset(job.key, b"\xff", b"\xff"),
     "no fields": lambda redis, job: redis.delete(job.key),
     "no job": lambda redis, job: (redis.delete(job.key), redis.set(job.key, "x")),
+    "executions that are none": lambda redis, job: redis.set(f"rq:executions:{job.id}", "x"),
+    "results that are none": lambda redis, job: redis.set(f"rq:results:{job.id}", "x"),
+    "dependents that are none": lambda redis, job: redis.set(f"{job.key}:dependents", "x"),
     "a deleted fit": fields(meta=pickle.dumps({"fit_id": [10**100]})),
 }
 
@@ -149,6 +151,8 @@ def test_whatever_is_written_about_a_job_stops_no_worker(
         queue = "lifts" if number % 5 == 0 else "fits"
         spoilt[name, queue] = ask[queue]()
         spoil(redis, spoilt[name, queue])
+    redis.set("rq:job:my job", "whose name is none, and which is no job either")
+    redis.rpush(queues["fits"].key, "my job")
     in_json = Queue("fits", connection=redis, serializer=JSONSerializer)
     good = in_json.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=BRIEF)
     behind = ask["lifts"]()

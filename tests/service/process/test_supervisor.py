@@ -183,9 +183,9 @@ def test_nothing_outlives_a_service_whose_parts_are_killed_at_any_time(start: St
         time.sleep(random.uniform(0, 0.05))
         parents = processes()
         parts = {pid for pid in parents if is_part(live, pid)}
-        if parts := sorted({parents.get(pid, 0) for pid in begun} & parts or parts):
+        if victims := sorted({parents.get(pid, 0) for pid in begun} & parts or parts):
             with suppress(ProcessLookupError):
-                os.kill(random.choice(parts), signal.SIGKILL)
+                os.kill(random.choice(victims), signal.SIGKILL)
                 killed += 1
     assert killed > 5
     seen |= descendants(live.process.pid)
