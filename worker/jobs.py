@@ -13,7 +13,7 @@ from store.database import Store
 from store.errors import NotFoundError
 from store.jobs import Job
 from store.records import FitJob, LiftJob
-from worker.contract import KnownJob
+from worker.contract import HelpArguments, KnownJob
 from worker.heartbeat import Heartbeat
 from worker.patience import patiently
 from worker.reconciler import adopt, recorded_as
@@ -125,8 +125,9 @@ def help_lift(lift_id: str) -> dict[str, str | None]:
     While there are more chunks than helpers, one such job waits on the queue. Whoever takes it
     puts the next one there, and so every worker that has nothing else to do helps.
     """
+    asked = HelpArguments(lift_id=lift_id)  # by a stranger, perhaps
     with _opened() as (job, store, settings):
-        return _help(job, store, settings, lift_id)
+        return _help(job, store, settings, asked.lift_id)
 
 
 def _help(

@@ -21,7 +21,15 @@ from store.database import Store
 from store.lifts import waiting_job
 from store.records import FitJob, LiftJob
 from store.settings import shown
-from worker.contract import FIT_JOB, HELP_JOB, JOB_ID, KnownJob, PlainDataSerializer
+from worker.contract import (
+    FAILURE_SECONDS,
+    FIT_JOB,
+    HELP_JOB,
+    JOB_ID,
+    RESULT_SECONDS,
+    KnownJob,
+    PlainDataSerializer,
+)
 from worker.needs import queue_for
 from worker.settings import QUEUES, QueueName
 
@@ -29,8 +37,6 @@ logger = logging.getLogger(__name__)
 
 START_PATIENCE_SECONDS = 3.0
 POLL_SECONDS = 0.1  # between two looks at several queues
-RESULT_SECONDS = 24 * 3600
-FAILURE_SECONDS = 7 * 24 * 3600
 
 
 def connect(url: str, *, retries: int, timeout_seconds: float = 5.0) -> Redis:
@@ -79,9 +85,9 @@ class Taken(IntermediateQueue):
         return cast(list[bytes], self.connection.lrange(self.key, 0, -1))
 
     def set_aside(self, name: bytes) -> None:
-        """Take away what can be no job's identifier; its producer reads that the job failed."""
+        """Take away what can be no job; its producer reads that the job failed."""
         job = Job.redis_job_namespace_prefix.encode() + name
-        if self.connection.exists(job):
+        if self.connection.type(job) == b"hash":
             self.connection.hset(job, "status", "failed")
             self.connection.expire(job, FAILURE_SECONDS)
         self.connection.lrem(self.key, 0, name)  # type: ignore[arg-type]
@@ -104,6 +110,10 @@ class WorkQueue(Queue):
     def intermediate_queue(self) -> Taken:
         """The jobs that a worker has taken and not begun."""
         return Taken(self.key, connection=self.connection)
+
+    def has_work(self) -> bool:
+        """Tell whether jobs wait; those that a worker has taken and not begun do, too."""
+        return bool(self.connection.exists(self.key, self.intermediate_queue_key))
 
     @classmethod
     def lmove(
@@ -156,7 +166,8 @@ def forget_cancelled(queue: Queue) -> None:
     long_ago = time.time() - FAILURE_SECONDS
     for job_id in registry.get_job_ids(cleanup=False):
         if (queue.connection.zscore(registry.key, job_id) or 0.0) < long_ago:
-            registry.remove(job_id, delete_job=True)
+            registry.remove(job_id)
+            queue.connection.delete(Job.key_for(job_id))  # which need not be read for that
 
 
 def enqueue(queue: Queue, record: FitJob | LiftJob) -> None:

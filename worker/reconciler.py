@@ -6,9 +6,9 @@ from functools import partial
 
 from pydantic import ValidationError
 from redis import Redis
-from redis.exceptions import ResponseError
-from rq import Queue
-from rq.exceptions import DeserializationError, NoSuchJobError
+from redis.exceptions import RedisError
+from rq.exceptions import DeserializationError, NoSuchJobError, StopRequested
+from sqlalchemy.exc import DataError, IntegrityError, SQLAlchemyError, StatementError
 
 from models.settings.config import FitConfig
 from store import clock, fits, jobs, lifts
@@ -27,12 +27,15 @@ from worker.contract import (
     arguments_of,
 )
 from worker.needs import queue_for
+from worker.outcomes import FAULT
+from worker.patience import is_outage
 from worker.queue import WorkQueue, enqueue, open_queue, open_queues
 from worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
 
 GRACE_SECONDS = 2.0
+LONGEST_MESSAGE = 2000  # characters that are kept of what is wrong with a job
 
 
 class Reconciler:
@@ -89,40 +92,69 @@ class Reconciler:
                 enqueue(open_queue(self._connection, queue_for(self._store, record)), record)
                 del self._lost_since[job_id]
 
-    def adopt(self, queue: Queue, job_id: str) -> None:
-        """Record what a job on a queue asks for, unless that is known."""
+    def adopt(self, queue: WorkQueue, job_id: str) -> bool:
+        """Record what a job on a queue asks for, unless that is known; return whether it may run.
+
+        Whatever is wrong with one job keeps nobody from the others: it is set aside.
+        """
+        try:
+            if not self._record(queue, job_id):
+                return False
+        except (StopRequested, RedisError):
+            raise
+        except Exception as error:
+            if not _is_of_the_job(error):
+                raise
+            logger.exception("The job %s on the queue %s is set aside", job_id, queue.name)
+            self._set_aside(queue, job_id.encode(), "internal_error", FAULT)
+            return False
+        self._known.add(job_id)
+        return True
+
+    def _record(self, queue: WorkQueue, job_id: str) -> bool:
+        """Record what a job asks for, unless that is known; return whether there is such a job."""
         if (
             jobs.by_job(self._store, FitJob, job_id) is None
             and lifts.helped(self._store, job_id) is None
         ):
             try:
                 job = KnownJob.fetch(job_id, self._connection, PlainDataSerializer)
-            except (NoSuchJobError, ResponseError) as error:
-                if isinstance(error, ResponseError) and "WRONGTYPE" not in str(error):
-                    raise  # else: what has the name of a job's key is none
+            except NoSuchJobError:
                 queue.remove(job_id)
                 queue.intermediate_queue.remove(job_id)
-                return
+                return False
             if isinstance(job, KnownJob) and not calls(job, HELP_JOB) and recorded_as(job) is None:
                 adopt(self._store, job, self._settings)
-        self._known.add(job_id)
+        return True
 
     def _set_misnamed_aside(self, queue: WorkQueue) -> None:
         for name in queue.intermediate_queue.misnamed():
             why = "a job's identifier is 1 to 200 letters, digits, underscores and dashes"
             logger.warning("%r on the queue %s is set aside: %s", name[:200], queue.name, why)
-            refuse = partial(
-                jobs.refuse,
-                self._store,
-                job_id=storable(name.decode(errors="replace"))[:200],
-                error={"code": "invalid_arguments", "message": f"job_id: {why}"},
-                dataset_id="",
-            )
-            if queue.name == "lifts":
-                refuse(LiftJob, name="lift", model_id="")
-            else:
-                refuse(FitJob, name="fit", config={})
-            queue.intermediate_queue.set_aside(name)
+            self._set_aside(queue, name, "invalid_arguments", f"job_id: {why}")
+
+    def _set_aside(self, queue: WorkQueue, name: bytes, code: str, message: str) -> None:
+        """Take a job from its queue; its failure is recorded, if the records can hold it."""
+        refuse = partial(
+            jobs.refuse,
+            self._store,
+            job_id=storable(name.decode(errors="replace"))[:200],
+            error={"code": code, "message": message},
+            dataset_id="",
+        )
+        if queue.name == "lifts":
+            refuse(LiftJob, name="lift", model_id="")
+        else:
+            refuse(FitJob, name="fit", config={})
+        queue.connection.lrem(queue.key, 0, name)  # type: ignore[arg-type]
+        queue.intermediate_queue.set_aside(name)
+
+
+def _is_of_the_job(error: Exception) -> bool:
+    """Tell whether an error is of what a job says, and not of records or objects that are away."""
+    if isinstance(error, SQLAlchemyError):
+        return isinstance(error, DataError | IntegrityError) or type(error) is StatementError
+    return not is_outage(error)
 
 
 def calls(job: KnownJob, function: str) -> bool:
@@ -138,7 +170,8 @@ def recorded_as(job: KnownJob) -> str | None:
 
     A job that was, and has no record any more, is of a fit or a lift that was deleted.
     """
-    return job.meta.get("fit_id") or job.meta.get("lift_id")
+    noted = job.meta.get("fit_id") or job.meta.get("lift_id")
+    return noted if isinstance(noted, str) else None
 
 
 def adopt(store: Store, job: KnownJob, settings: WorkerSettings) -> str:
@@ -179,7 +212,7 @@ def _refuse(store: Store, job: KnownJob, arguments: dict[str, object], error: Ex
         jobs.refuse,
         store,
         job_id=job.id,
-        error={"code": code, "message": storable(_in_words(error))},
+        error={"code": code, "message": storable(_in_words(error)[:LONGEST_MESSAGE])},
         dataset_id=said("dataset_id"),
     )
     if calls(job, LIFT_JOB):

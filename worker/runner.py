@@ -18,6 +18,7 @@ from rq import Queue, Worker
 from rq.exceptions import StopRequested
 from rq.job import Job
 from rq.registry import StartedJobRegistry
+from rq.utils import now
 from rq.worker import DequeueStrategy
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -26,12 +27,11 @@ from store.database import Store
 from store.errors import StoreError
 from store.private import keep_private
 from store.records import FitJob, LiftJob
-from worker.contract import KnownJob, PlainDataSerializer
+from worker import at_work
+from worker.contract import RESULT_SECONDS, KnownJob, PlainDataSerializer, is_of_wrong_type
 from worker.housekeeping import keep_house
-from worker.process import die_with_parent
+from worker.process import tie_forks
 from worker.queue import (
-    FAILURE_SECONDS,
-    RESULT_SECONDS,
     WorkQueue,
     check_reachable,
     connect,
@@ -48,6 +48,7 @@ CANCEL_PATIENCE_SECONDS = 0.7  # before a job that does not heed a cancel loses 
 TIMEOUT_SLACK_SECONDS = 300  # the fit ends itself; RQ's timeout is for one that hangs
 REDIS_RETRIES = 12
 ASK_SECONDS = 300  # between two looks whether the objects are to be swept
+REDIS_AWAY = (redis.exceptions.ConnectionError, redis.exceptions.TimeoutError)
 FORK = multiprocessing.get_context("fork")
 
 
@@ -69,6 +70,7 @@ class JobWorker(Worker):
         self._settings = settings
         self._store = store
         self._reconciler = Reconciler(store, connection, settings)
+        self._rounds = 0
         self._asked_at = time.monotonic()  # nobody sweeps in the way of the first jobs
         self._sweeping: ForkProcess | None = None
 
@@ -81,16 +83,32 @@ class JobWorker(Worker):
         """Tell Redis that this worker lives, and look after the records."""
         super().heartbeat(timeout, pipeline)
         if pipeline is None and not self.is_horse:
-            self._look_after_records()
+            looked = self._look_after_records()
+            # The first comes before any job is looked for, the second may come before one is begun.
+            self._rounds += 1
+            if looked and self._rounds > 2:
+                at_work.leave_sign(self.connection, self.key)
 
     def maintain_heartbeats(self, job: Job) -> None:
         """Do the same while a job runs, and stop it if it does not heed a cancel."""
         super().maintain_heartbeats(job)
         if self.stopping:
             self._have_job_saved()  # it may not have been there yet when SIGTERM came
-        self._look_after_records(job)
+        if self._look_after_records(job):
+            at_work.leave_sign(self.connection, self.key)
 
-    def _look_after_records(self, job: Job | None = None) -> None:
+    def run_maintenance_tasks(self) -> None:
+        """Clean RQ's registries; what is wrong in them keeps nobody from work."""
+        try:
+            super().run_maintenance_tasks()  # type: ignore[no-untyped-call]
+        except (StopRequested, *REDIS_AWAY):
+            raise
+        except Exception:
+            logger.exception("RQ's registries cannot be cleaned")
+            self.last_cleaned_at = now()  # type: ignore[assignment]
+
+    def _look_after_records(self, job: Job | None = None) -> bool:
+        """Return whether records and queue are in step, as far as the records can be reached."""
         try:
             self._reconciler.step()
             if job is not None and any(
@@ -103,6 +121,12 @@ class JobWorker(Worker):
         except SQLAlchemyError:
             self._reconciler.unsettle()
             logger.exception("The records cannot be reached")
+        except (StopRequested, redis.exceptions.RedisError):
+            raise
+        except Exception:
+            logger.exception("Records and queue cannot be kept in step")
+            return False
+        return True
 
     def _sweep_if_due(self) -> None:
         if self._sweeping is not None and not self._sweeping.is_alive():
@@ -114,9 +138,7 @@ class JobWorker(Worker):
         if housekeeping.take_turn(self._store):
             # Not here: the object store's threads would not live on in a forked work-horse, which
             # would wait for them forever.
-            self._sweeping = FORK.Process(
-                target=_sweep, args=(self._settings, os.getpid()), daemon=True
-            )
+            self._sweeping = FORK.Process(target=_sweep, args=(self._settings,), daemon=True)
             self._sweeping.start()
 
     def execute_job(self, job: Job, queue: Queue) -> None:
@@ -125,17 +147,23 @@ class JobWorker(Worker):
         It is recorded before, and until then stays where reconcilers find it: nothing that ends
         that process, or this one, can lose it.
         """
-        self._reconciler.adopt(queue, job.id)
+        assert isinstance(queue, WorkQueue)  # noqa: S101 (this worker has no others)
+        if not self._reconciler.adopt(queue, job.id):
+            return
+        job.origin = queue.name  # whatever its producer wrote
         job.timeout = self._settings.max_fit_seconds + TIMEOUT_SLACK_SECONDS
-        job.result_ttl, job.failure_ttl = RESULT_SECONDS, FAILURE_SECONDS
         try:
             super().execute_job(job, queue)
-        except redis.exceptions.RedisError:
-            # The record is the truth: a job does not need Redis to go on and finish.
-            logger.exception("Redis is away: waiting for the running job")
-            if self.horse_pid:
-                self.wait_for_horse()
+        except StopRequested:
             raise
+        except Exception as error:
+            away = isinstance(error, redis.exceptions.RedisError) and not is_of_wrong_type(error)
+            logger.exception("Job %s: %s", job.id, "Redis is away" if away else "cannot go on")
+            if self.horse_pid:  # the record is the truth: a job can finish without Redis
+                self.wait_for_horse()
+            if away:
+                raise
+            queue.intermediate_queue.set_aside(job.id.encode())
         if not self.stopping:
             _import_for_later_jobs()
         if self.stopping:  # an import may take for its own what SIGTERM raises in it
@@ -182,11 +210,6 @@ class JobWorker(Worker):
         """Note in Redis that a job runs; it need not be found again any more if it does."""
         super().prepare_job_execution(job, remove_from_intermediate_queue=True)
 
-    def main_work_horse(self, job: Job, queue: Queue) -> None:
-        """Run a job; the forked process starts here."""
-        die_with_parent(self.pid or os.getppid())
-        super().main_work_horse(job, queue)
-
     def handle_warm_shutdown_request(self) -> None:
         """Have the running job save what it has and go back to the queue, then leave."""
         super().handle_warm_shutdown_request()  # type: ignore[no-untyped-call]
@@ -208,8 +231,7 @@ def _import_for_later_jobs() -> None:
     import worker.lifting  # noqa: F401, PLC0415
 
 
-def _sweep(settings: WorkerSettings, parent: int) -> None:
-    die_with_parent(parent)
+def _sweep(settings: WorkerSettings) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):  # which the worker takes for itself
         signal.signal(number, signal.SIG_DFL)
     try:
@@ -240,13 +262,15 @@ def run(settings: WorkerSettings) -> None:
         raise ValueError("A worker needs FEWVIEW_REDIS_URL, for example redis://localhost:6379/0.")
     check_reachable(settings.redis_url)
     keep_private(settings)
+    tie_forks()  # work-horses, the sweep, and what opens the records first
     stopping = False
     while not stopping:
         try:
+            connection = connect(str(settings.redis_url), retries=REDIS_RETRIES)
+            at_work.note_start(connection)
             with ProcessPoolExecutor(1, mp_context=FORK) as apart:  # this process will fork
                 apart.submit(_open_store, settings).result()
             store = Store(settings, forks=True)
-            connection = connect(str(settings.redis_url), retries=REDIS_RETRIES)
             worker = JobWorker(connection, settings, store)
             try:
                 worker.work(logging_level="WARNING", dequeue_strategy=DequeueStrategy.ROUND_ROBIN)

@@ -33,7 +33,7 @@ from store.errors import StoreError
 from store.private import keep_private
 from store.settings import shown
 from worker.cores import usable_cores
-from worker.process import python, tied
+from worker.process import adopt_orphans, children, end_children, python, tied
 from worker.queue import check_reachable
 
 logger = logging.getLogger(__name__)
@@ -150,6 +150,8 @@ def serve(settings: Settings) -> None:
     users: list[Child] = []  # of the queue
     listeners: list[socket.socket] = []
     embedded = settings.redis_url is None
+    adopt_orphans()
+    before = children()  # of who became this process, if anyone did
     try:
         keep_private(settings)
         lock = _lock(settings) if embedded else None
@@ -176,13 +178,17 @@ def serve(settings: Settings) -> None:
             signals.pause()
             for child in (*queue, *users):
                 child.watch()
+            end_children(before | {c.process.pid for c in (*queue, *users) if c.process})
     except _Stop:
         print("Stopping: a running fit goes on at the next start.", flush=True)
     finally:
         for listener in listeners:
             listener.close()  # or connections would still be dealt to a process that has left
-        stop(users, STOP_SECONDS + settings.drain_seconds + settings.grace_seconds)
-        stop(queue)  # which the others need until their end
+        try:
+            stop(users, STOP_SECONDS + settings.drain_seconds + settings.grace_seconds)
+            stop(queue)  # which the others need until their end
+        finally:
+            end_children(before)  # whoever started it, and whenever
     if lock is not None:
         lock.close()
 
@@ -274,7 +280,7 @@ def _workers(count: int, settings: Settings, environment: dict[str, str]) -> lis
 
 def _apis(listeners: Sequence[socket.socket], settings: Settings) -> list[Child]:
     environment = settings.share().to_environment()
-    command = python("-m", "service.app", str(os.getpid()))
+    command = tied(*python("-m", "service.app"))
     return [
         Child(f"API {number}", [*command, str(fileno)], environment, inherited=(fileno,))
         for number, fileno in enumerate((listener.fileno() for listener in listeners), 1)

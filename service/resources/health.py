@@ -11,13 +11,14 @@ import redis.exceptions
 from fastapi import APIRouter, Request
 from obstore.exceptions import BaseError as ObjectStoreError
 from pydantic import BaseModel, ConfigDict, Field
-from rq import Worker
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.http.dependencies import RedisDep, StoreDep, refuse_if_leaving
 from service.http.errors import ApiError, problems
 from store import deployment
 from store.errors import DeploymentError
+from worker import at_work
+from worker.queue import open_queues
 
 logger = logging.getLogger(__name__)
 router = APIRouter(tags=["health"])
@@ -59,7 +60,7 @@ class Readiness(BaseModel):
     queue: Check
     records: Check
     objects: Check
-    workers: int = Field(description="Workers on the queue, here or elsewhere.")
+    workers: int = Field(description="Workers that do their work, here or elsewhere.")
 
 
 class Version(BaseModel):
@@ -89,7 +90,8 @@ async def check_live() -> Liveness:
 def check_ready(request: Request, store: StoreDep, connection: RedisDep) -> Readiness:
     """Reach queue, records and objects; 503 names those that cannot be reached.
 
-    Once the service stops it is 503 with the code `draining`.
+    It is 503, too, while jobs wait and there are workers, but none of them does its work. Once the
+    service stops it is 503 with the code `draining`.
     """
     refuse_if_leaving(request)
     parts: dict[str, Callable[[], object]] = {
@@ -114,4 +116,9 @@ def check_ready(request: Request, store: StoreDep, connection: RedisDep) -> Read
     if failures:
         names = ", ".join(pointer.lstrip("/") for pointer, _ in failures)
         raise ApiError("unavailable", f"Cannot be reached: {names}.", errors=failures)
-    return Readiness(**checks, workers=Worker.count(connection=connection))
+    workers = at_work.count(connection)
+    waits = any(queue.has_work() for queue in open_queues(connection))
+    if waits and workers.known and not workers.at_work:
+        why = "jobs wait, and no worker does its work; the workers' logs say why"
+        raise ApiError("unavailable", f"workers: {why}.", errors=[("/workers", why)])
+    return Readiness(**checks, workers=workers.at_work)

@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import socket
 import sqlite3
 import subprocess
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ from store.jobs import by_job
 from store.records import FitJob, Model
 from tests.deployments import on_every_deployment
 from tests.fork_server import Popen
-from tests.processes import free_port, tied
+from tests.processes import descendants, free_port, processes, tied
 from tests.worker.conftest import (
     CONFIG,
     LONG,
@@ -322,3 +323,20 @@ def test_a_capture_without_any_usable_view_fails_with_the_reason(
     assert record.error is not None
     assert record.error["code"] == "unusable_capture"
     assert "usable view" in record.error["message"]
+
+
+def test_a_worker_that_is_killed_as_it_starts_leaves_nothing_behind(
+    settings: WorkerSettings,
+) -> None:
+    """It opens the records in a process of its own, which waits for them here."""
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"postgresql://nobody@127.0.0.1:{silent.getsockname()[1]}/none"
+        environment = settings.to_environment() | {"FEWVIEW_DATABASE_URL": address}
+        worker = Popen(tied("-m", "service.cli", "worker"), env=os.environ | environment)
+        try:
+            wait_for(lambda: bool(descendants(worker.pid)), "the process that opens the records")
+            begun = descendants(worker.pid)
+        finally:
+            worker.kill()
+            worker.wait()
+        wait_for(lambda: not begun & processes().keys(), "it to end with its worker", 10)

@@ -4,8 +4,11 @@ import os
 import signal
 import subprocess
 import threading
+import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import httpx2
@@ -13,8 +16,8 @@ import numpy as np
 import pytest
 
 from models.capture.synthetic import synthetic_capture
-from tests.fork_server import run
-from tests.processes import command_of, descendants, processes
+from tests.fork_server import Popen, run
+from tests.processes import command_of, descendants, processes, tied
 from tests.service.conftest import (
     BYTES,
     Live,
@@ -25,6 +28,8 @@ from tests.service.conftest import (
 )
 from worker.process import python
 
+CHAOS_SECONDS = 8.0
+LONG = {"steps": 1_000_000, "refine": "off"}
 SLOW = {"steps": 500, "refine": "off"}
 Start = Callable[..., Live]
 
@@ -52,6 +57,15 @@ def part(live: Live, *words: str) -> int:
         if parent == live.process.pid and all(word in command for word in words):
             return pid
     raise AssertionError(f"there is no process with {words}")
+
+
+def is_part(live: Live, pid: int) -> bool:
+    """Tell whether the service started a process, and would start it again."""
+    known = (b"service.cli\0worker", b"service.app", b"valkey-server")
+    return (
+        any(words in command_of(pid) for words in known)
+        and processes().get(pid) == live.process.pid
+    )
 
 
 def upload(live: Live, frames: int = 60) -> str:
@@ -153,6 +167,64 @@ def test_sigterm_saves_the_running_fit_for_the_next_start(start: Start) -> None:
     again = start()
     ended = again.finished(fit["id"])
     assert ended["status"] == "succeeded"
+
+
+def test_nothing_outlives_a_service_whose_parts_are_killed_at_any_time(start: Start) -> None:
+    """Most of them as they start others, which are easily forgotten then."""
+    live = start()
+    live.fit(upload(live), **LONG)
+    random, seen, killed = Random(1), set[int](), 0  # noqa: S311
+    ends = time.monotonic() + CHAOS_SECONDS
+    while time.monotonic() < ends:
+        begun, seen = descendants(live.process.pid) - seen, seen | descendants(live.process.pid)
+        if not begun and random.random() < 0.99:
+            time.sleep(0.005)
+            continue
+        time.sleep(random.uniform(0, 0.05))
+        parents = processes()
+        parts = {pid for pid in parents if is_part(live, pid)}
+        if victims := sorted({parents.get(pid, 0) for pid in begun} & parts or parts):
+            with suppress(ProcessLookupError):
+                os.kill(random.choice(victims), signal.SIGKILL)
+                killed += 1
+    assert killed > 5
+    seen |= descendants(live.process.pid)
+    live.process.terminate()
+    live.process.wait(60)
+    wait_for(lambda: not seen & processes().keys(), "all that it started to end", 5)
+
+
+# A part that starts a process and forgets it, as none of ours should.
+CARELESS = """
+import subprocess, sys
+from service.process import supervisor
+from service.settings import Settings
+
+program = "import subprocess, sys; print(subprocess.Popen(['sleep', '999']).pid, flush=True)"
+wait = "; import os, time\\nwhile not os.path.exists(sys.argv[1]): time.sleep(0.01)"
+command = [sys.executable, "-c", program + wait, sys.argv[1] + "/leave"]
+supervisor._workers = lambda *_: [supervisor.Child("Careless", command, {})]
+supervisor.serve(Settings(port=0, data_dir=sys.argv[1]))
+"""
+
+
+def test_not_even_what_a_part_forgets_outlives_the_service(tmp_path: Path) -> None:
+    process = Popen(tied("-c", CARELESS, str(tmp_path)), stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        orphan = int(process.stdout.readline())
+        assert "Fewview" in process.stdout.readline()  # it is served
+        (tmp_path / "leave").touch()
+        wait_for(lambda: orphan not in processes(), "what an ended part forgot to be ended", 30)
+        (tmp_path / "leave").unlink()
+        forgotten = next(int(line) for line in process.stdout if line.strip().isdigit())
+        process.terminate()
+        assert process.wait(60) == 0
+        assert forgotten not in processes()
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
 
 
 def test_a_second_service_on_the_same_folder_or_port_is_refused(

