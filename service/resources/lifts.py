@@ -215,7 +215,7 @@ def create_lift(
         labels=body,
         chunk_frames=settings.lift_chunk_frames,
         max_queued=settings.max_queued_lifts,
-        idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
+        idempotency=idempotency(request, idempotency_key, upload),
     )
     announce(record, store, redis, response)
     return LiftJob.of(record)
