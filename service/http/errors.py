@@ -14,6 +14,7 @@ from sqlalchemy.exc import InterfaceError, OperationalError, TimeoutError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
+from service.http.methods import allow
 from store.errors import (
     CaptureError,
     ConfigError,
@@ -175,13 +176,14 @@ def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
     """Return the OpenAPI responses of an operation that can end in these problems.
 
     All can end in ``invalid_input`` (of a parameter at least), ``host_not_allowed``,
-    ``internal_error``, ``object_damaged``, ``unavailable``; those that read a body in
-    ``overloaded``.
+    ``head_too_large``, ``internal_error``, ``object_damaged``, ``unavailable``; those that read a
+    body in ``overloaded``.
     """
     described: dict[int | str, dict[str, Any]] = {}
     of_all = (
         "invalid_input",
         "host_not_allowed",
+        "head_too_large",
         "internal_error",
         "object_damaged",
         "unavailable",
@@ -215,7 +217,7 @@ def install(app: FastAPI) -> None:
 def _handler(to_api_error: Callable[[Any], ApiError]) -> Callable[[Request, Any], Any]:
     async def handle(request: Request, error: Any) -> Response:
         if isinstance(error, HTTPException):
-            error = _with_place(request, error)
+            error = _with_methods(request, _with_place(request, error))
         return to_api_error(error).response()
 
     return handle
@@ -227,6 +229,13 @@ def _with_place(request: Request, error: HTTPException) -> HTTPException:
         return error
     detail = f"{error.detail}: {request.method} {request.url.path}"
     return HTTPException(error.status_code, detail, error.headers)
+
+
+def _with_methods(request: Request, error: HTTPException) -> HTTPException:
+    """Return Starlette's own error of a wrong method with all methods that are right."""
+    if error.status_code != HTTPStatus.METHOD_NOT_ALLOWED:
+        return error
+    return HTTPException(error.status_code, error.detail, {"Allow": allow(request)})
 
 
 def _of_http(error: HTTPException) -> ApiError:

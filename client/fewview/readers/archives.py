@@ -42,7 +42,7 @@ def is_archive(path: Path) -> bool:
         with zipfile.ZipFile(path) as archive:
             return "keypoints.npy" not in archive.namelist()
     except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
-        raise FormatError(f"{path}: a zip file or npz that is broken ({error})") from error
+        raise FormatError(f"{path}: a zip file or npz that is broken ({_cause(error)})") from error
 
 
 def unpacked(path: Path, folder: Path) -> Path:
@@ -80,7 +80,7 @@ def unpacked(path: Path, folder: Path) -> Path:
     ) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"{path}: a zip file that cannot be read ({error})") from error
+        raise FormatError(f"{path}: a zip file that cannot be read ({_cause(error)})") from error
     while len(within := list(inside.iterdir())) == 1 and within[0].is_dir():
         inside = within[0]
     named = folder / NAMED / (path.name.partition(".")[0] or "zip")
@@ -92,3 +92,8 @@ def _is_file(member: zipfile.ZipInfo) -> bool:
     parts = PurePosixPath(member.filename).parts
     hidden = any(part.startswith(".") or part == "__MACOSX" for part in parts)
     return not member.is_dir() and not hidden
+
+
+def _cause(error: Exception) -> str:
+    """Return what went wrong, without the path of a folder that was unpacked into."""
+    return (isinstance(error, OSError) and error.strerror) or str(error)

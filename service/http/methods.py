@@ -1,0 +1,26 @@
+"""Which methods a path has: the ``Allow`` header of a 405 (RFC 9110, 15.5.6)."""
+
+from fastapi import Request
+from starlette.routing import BaseRoute, Match, Mount
+from starlette.types import Scope
+
+METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
+
+
+def allow(request: Request) -> str:
+    """Return the methods that the path of a request has in all its routes together.
+
+    A router names those of one route alone. HEAD is answered wherever GET is.
+    """
+    # A router has made the scope its own; the root of the application is kept apart.
+    root = request.scope.get("app_root_path", request.scope.get("root_path", ""))
+    scope = {**request.scope, "root_path": root}
+    routes: list[BaseRoute] = request.app.routes
+    found = [method for method in METHODS if any(_has(route, scope, method) for route in routes)]
+    return ", ".join(found[:1] + ["HEAD"] + found[1:] if "GET" in found else found)
+
+
+def _has(route: BaseRoute, scope: Scope, method: str) -> bool:
+    match, _ = route.matches({**scope, "method": method})
+    # What is mounted takes any method: files, which are read alone.
+    return match is Match.FULL and (method == "GET" or not isinstance(route, Mount))
