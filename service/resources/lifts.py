@@ -295,7 +295,7 @@ def get_lift_result(
     return ranged_response(
         request,
         file.size,
-        partial(file.read, store.objects.get_range),
+        partial(file.read, lookup.reader_of(store, records.LiftJob, lift.id)),
         media_type=MEDIA_TYPES[chosen],
         filename=f"{lift.id}.{chosen}",
         checksum=file.checksum(),

@@ -1,7 +1,6 @@
 """What is no capture is refused with its field named, and nothing is stored."""
 
 import random
-import re
 from typing import Any
 
 import numpy as np
@@ -318,21 +317,6 @@ def test_pages(api: TestClient, kind: str) -> None:
 
 def test_unknown_routes_and_methods(api: TestClient) -> None:
     assert "GET /nothing" in problem(api.get("/nothing"), 404, "not_found")
-
-
-def test_a_wrong_method_is_answered_with_all_that_are_right(api: TestClient) -> None:
-    """Of every path, whichever of its routes have them; and what is named is answered."""
-    paths = api.get("/openapi.json").json()["paths"]
-    of_paths = {re.sub(r"\{\w+\}", "none", path): set(known) for path, known in paths.items()}
-    static = ("/openapi.json", "/docs", "/docs/assets/swagger-ui.css")
-    for path, known in (of_paths | dict.fromkeys(static, {"get"})).items():
-        right = {method.upper() for method in known} | ({"HEAD"} if "get" in known else set())
-        for method in {"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"} - right:
-            response = api.request(method, path)
-            assert response.status_code == 405, (method, path)
-            if method != "HEAD":
-                problem(response, 405, "method_not_allowed")
-            assert sorted(response.headers["allow"].split(", ")) == sorted(right), (method, path)
 
 
 def mutations(seed: int, count: int) -> list[tuple[bytes, dict[str, str]]]:
