@@ -4,7 +4,7 @@ from fastapi import Request
 from starlette.routing import BaseRoute, Match, Mount
 from starlette.types import Scope
 
-METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
+METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 
 
 def allow(request: Request) -> str:
@@ -16,11 +16,13 @@ def allow(request: Request) -> str:
     root = request.scope.get("app_root_path", request.scope.get("root_path", ""))
     scope = {**request.scope, "root_path": root}
     routes: list[BaseRoute] = request.app.routes
-    found = [method for method in METHODS if any(_has(route, scope, method) for route in routes)]
-    return ", ".join(found[:1] + ["HEAD"] + found[1:] if "GET" in found else found)
+    return ", ".join(
+        method for method in METHODS if any(_has(route, scope, method) for route in routes)
+    )
 
 
 def _has(route: BaseRoute, scope: Scope, method: str) -> bool:
-    match, _ = route.matches({**scope, "method": method})
+    asked = "GET" if method == "HEAD" else method  # as `Head` has it
+    match, _ = route.matches({**scope, "method": asked})
     # What is mounted takes any method: files, which are read alone.
-    return match is Match.FULL and (method == "GET" or not isinstance(route, Mount))
+    return match is Match.FULL and (asked == "GET" or not isinstance(route, Mount))
