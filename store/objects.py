@@ -73,6 +73,8 @@ class Objects:
                     finally:
                         os.close(descriptor)
         except OSError as error:  # never the answer that there is no such object
+            with suppress(Exception):  # it may not survive, so it shall not be there
+                self.delete(key)
             raise ObjectStoreError(f"{key} could not be written: {error}") from error
 
     def get(self, key: str) -> bytes:
