@@ -1,12 +1,15 @@
 # docker build -t fewview .
 # With CUDA, ten times the size: docker build --build-arg TORCH=cu130 -t fewview .
-FROM python:3.12-slim AS build
-# A folder of https://download.pytorch.org/whl: cpu, cu130, ...
-ARG TORCH=cpu
+FROM python:3.12.12-slim-trixie AS build
 RUN python -m venv /opt/fewview
 ENV PATH=/opt/fewview/bin:$PATH PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
-RUN pip install --index-url "https://download.pytorch.org/whl/$TORCH" torch==2.13.0
 WORKDIR /src
+COPY requirements.lock ./
+RUN pip install --no-deps --require-hashes -r requirements.lock
+# A folder of https://download.pytorch.org/whl: cpu, cu130, ... What torch needs besides, for
+# processors, is in the lock already.
+ARG TORCH=cpu
+RUN pip install --index-url "https://download.pytorch.org/whl/$TORCH" torch==2.13.0
 COPY pyproject.toml README.md LICENSE ./
 COPY client client
 COPY fewview_server fewview_server
@@ -14,12 +17,12 @@ COPY models models
 COPY store store
 COPY worker worker
 COPY service service
-RUN pip install ./client '.[postgresql]'
+RUN pip install --no-deps --no-build-isolation --no-index ./client . && pip check
 # Machine code for any processor of this architecture, beside the package: every user may read it.
 ENV NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
 RUN fewview precompile
 
-FROM python:3.12-slim
+FROM python:3.12.12-slim-trixie
 RUN useradd --create-home --uid 1000 fewview && install -d -m 700 -o fewview -g fewview /data
 COPY --from=build /opt/fewview /opt/fewview
 ENV PATH=/opt/fewview/bin:$PATH \

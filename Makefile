@@ -12,7 +12,7 @@ CAPTURE ?=
 ARGUMENTS ?=
 IMAGE_SIZE ?=
 
-.PHONY: demo test check lint types serve openapi benchmark fidelity performance clean
+.PHONY: demo test check lint types serve openapi lock benchmark fidelity performance clean
 
 demo: .venv/compiled
 	$(BIN)/python examples/demo.py $(if $(CAPTURE),"$(CAPTURE)")
@@ -60,6 +60,15 @@ performance: .venv/ready
 
 openapi: .venv/ready
 	$(BIN)/python -P -m service.openapi > docs/openapi.json
+
+# What the image installs, anew: the newest versions that pyproject.toml allows, with their hashes.
+LOCK := build/lock/bin
+lock:
+	$(PYTHON) -m venv build/lock
+	$(LOCK)/pip install --quiet uv==0.13.9
+	$(LOCK)/uv pip compile --quiet --upgrade --universal --python-version 3.12 --generate-hashes \
+	  --extra postgresql --group build --no-emit-package torch --no-emit-package fewview \
+	  --custom-compile-command 'make lock' pyproject.toml --output-file requirements.lock
 
 # Finished only once everything is installed: an interrupted set-up starts over.
 .venv/ready: pyproject.toml client/pyproject.toml

@@ -46,6 +46,7 @@ from service.resources import (
     reconstructions,
 )
 from service.resources.events import Events
+from service.resources.integrity import Integrity
 from service.settings import Settings
 from store.database import Store
 from worker.patience import patiently
@@ -102,6 +103,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.engine = Engine(
             app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
         )
+        app.state.integrity = Integrity(app.state.store)
         app.state.rooms = Rooms(app.state.store)
         threading.Thread(target=app.state.engine.models.warm_newest, daemon=True).start()
         yield

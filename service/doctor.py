@@ -22,15 +22,17 @@ from service.settings import Settings
 from store import clock, schema
 from store.database import Store
 from store.engine import open_engine
-from store.errors import StoreError
+from store.errors import StoreError, in_words
 from store.housekeeping import known_keys
 from store.ids import new_id
+from store.integrity import find_damage
 from store.mistakes import unknown
 from store.records import FitJob, LiftJob
 from store.settings import StoreSettings, shown
 from worker.queue import connect, open_queues
 
 MOST_CLOCK_SECONDS = 5.0
+MOST_LOOK_SECONDS = 300.0  # at the file of the records
 MOST_WAITING_SECONDS = 3600.0
 LITTLE_SPACE, TOO_LITTLE_SPACE = 2**31, 2**28  # bytes
 SHOWN = 10  # of many
@@ -52,7 +54,7 @@ def examine(settings: Settings, *, deep: bool) -> Iterator[Verdict]:
     Parameters
     ----------
     deep
-        Read every stored object.
+        Read every stored object, and compare indices of the records with their tables.
     """
     yield Verdict("ok", "versions", f"fewview-server {version('fewview-server')}, Python "
                   f"{sys.version.partition(' ')[0]}")  # fmt: skip
@@ -66,6 +68,10 @@ def examine(settings: Settings, *, deep: bool) -> Iterator[Verdict]:
     except (redis.exceptions.RedisError, FileNotFoundError) as error:
         connection = None
         yield _no_queue(settings, error)
+    damage = _damage(settings, deep=deep)
+    yield from damage
+    if any(verdict.state == "failed" for verdict in damage):
+        return
     try:
         store = open_store(settings)
     except (StoreError, *AWAY) as error:
@@ -106,10 +112,21 @@ def open_store(settings: StoreSettings) -> Store:
     return Store(settings)
 
 
-def in_words(error: BaseException) -> str:
-    """Return the first line of an error; what libraries add is for their authors."""
-    said = str(getattr(error, "orig", None) or error).strip().partition("\n")[0]
-    return said or type(error).__name__
+def _damage(settings: Settings, *, deep: bool) -> list[Verdict]:
+    """Look through the file of the records, if that is what they are in."""
+    url = settings.resolved_database_url
+    if url.get_backend_name() != "sqlite" or not Path(str(url.database)).exists():
+        return []
+    try:
+        found = find_damage(open_engine(url, forks=True), seconds=MOST_LOOK_SECONDS, deep=deep)
+    except TimeoutError as error:
+        return [Verdict("warning", "records", f"{error}: whether they are damaged is not known")]
+    except AWAY as error:
+        return [Verdict("failed", "records", in_words(error))]
+    if found is None:
+        return [Verdict("ok", "records", "their file is not damaged, as far as SQLite can tell")]
+    words = f"{url.database} is damaged ({found}): stop the service and restore a backup"
+    return [Verdict("failed", "records", words)]
 
 
 def _settings(settings: Settings) -> Iterator[Verdict]:

@@ -12,14 +12,14 @@ from pydantic import Field
 from pydantic_settings import CliApp, CliImplicitFlag, CliPositionalArg, SettingsConfigDict
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.doctor import examine, in_words, open_store
+from service.doctor import examine, open_store
 from service.settings import Settings
 from store import backup as backups
 from store import housekeeping, retention, schema
 from store.backup import Outcome
 from store.database import Store
 from store.engine import open_engine
-from store.errors import StoreError
+from store.errors import StoreError, in_words
 from store.private import keep_private
 from store.settings import StoreSettings, shown
 from worker.settings import WorkerSettings

@@ -20,6 +20,7 @@ from store.ids import new_id
 from store.labels import Labels
 from store.lookup import get, lock, lost
 from store.records import Chunk, Dataset, FitJob, LiftJob
+from store.space import discarded_if_full
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def create(
         return get(store, Dataset, earlier)
     key = _put_chunk(store, dataset_id, capture)
     findings = dataset_findings.of_new(capture, description.image_sizes)
-    with store.writing() as session:
+    with discarded_if_full(store, key), store.writing() as session:
         earlier = claim(session, idempotency, dataset_id)
         if earlier is None:
             dataset = Dataset(
@@ -125,7 +126,7 @@ def append(
             _check_times(dataset, capture)
             columns = _with(dataset, capture)  # too slow for a transaction
             columns["findings"] = dataset_findings.of_longer(store, dataset, capture)
-            with store.writing() as session:
+            with discarded_if_full(store, key), store.writing() as session:
                 if replayed(session, idempotency) is not None:
                     break
                 appended = _extend(session, dataset, columns)

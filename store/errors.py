@@ -105,3 +105,9 @@ class KeyReusedError(StoreError):
 
 class LeaseLostError(StoreError):
     """The work is no longer this attempt's: it was cancelled, finished or taken over."""
+
+
+def in_words(error: BaseException) -> str:
+    """Return the first line of an error; what libraries add is for their authors."""
+    said = str(getattr(error, "orig", None) or error).strip().partition("\n")[0]
+    return said or type(error).__name__

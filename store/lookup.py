@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, TypeVar
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from store.array_files import GetRange
 from store.database import Store
 from store.errors import DamagedError, NotFoundError, StoreError
 from store.labels import says, tagged
@@ -62,6 +63,18 @@ def lost(
         if session.get(kind, identifier) is None:
             return NotFoundError(kind.noun, identifier)
     return DamagedError(str(missing.filename))
+
+
+def reader_of(store: Store, kind: type[Resource], identifier: str) -> GetRange:
+    """Return what reads ranges of a record's objects, and raises as `lost` says for one that is."""
+
+    def read(key: str, start: int, end: int) -> bytes:
+        try:
+            return store.objects.get_range(key, start, end)
+        except FileNotFoundError as error:
+            raise lost(store, kind, identifier, error) from error
+
+    return read
 
 
 def lock(session: Session, kind: type[Resource], identifier: str) -> Resource:

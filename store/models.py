@@ -16,6 +16,7 @@ from store.idempotency import Idempotency, claim, replayed
 from store.ids import new_id
 from store.lookup import get, lock, lost
 from store.records import FitJob, LiftJob, Model
+from store.space import discarded_if_full
 
 
 class Whereabouts(NamedTuple):
@@ -49,7 +50,7 @@ def create(
     if earlier is not None:
         return get(store, Model, earlier)
     model = new_record(store, weights, **columns)
-    with store.writing() as session:
+    with discarded_if_full(store, model.weights_key), store.writing() as session:
         earlier = claim(session, idempotency, model.id)
         if earlier is None:
             session.add(model)

@@ -73,6 +73,8 @@ class Objects:
                     finally:
                         os.close(descriptor)
         except OSError as error:  # never the answer that there is no such object
+            with suppress(Exception):  # it may not survive, so it shall not be there
+                self.delete(key)
             raise ObjectStoreError(f"{key} could not be written: {error}") from error
 
     def get(self, key: str) -> bytes:
@@ -94,15 +96,15 @@ class Objects:
     def get_range(self, key: str, start: int, end: int) -> bytes:
         """Return the bytes from ``start`` up to ``end`` of an object that holds them.
 
-        Before the first range of an object is returned, the whole of it is read once and checked.
-        Raises as :meth:`get` does.
+        Before its first range is returned, an object is read whole and checked; and again once
+        anything has written to it since. Raises as :meth:`get` does.
         """
-        _check(self, key)
+        self._check_once(key)
         return self.peek(key, start, end)
 
     def get_ranges(self, key: str, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
         """Do the same for ranges that are not empty; several take little longer than one."""
-        _check(self, key)
+        self._check_once(key)
         return self._read(key, ranges)
 
     def peek(self, key: str, start: int, end: int) -> bytes:
@@ -125,6 +127,19 @@ class Objects:
         if [len(data) for data in found] != [end - start for start, end in ranges]:
             raise DamagedError(key)
         return [bytes(data) for data in found]
+
+    def _check_once(self, key: str) -> None:
+        if keys.checksum_of(key) is not None:
+            _check(self, key, self._written(key))
+
+    def _written(self, key: str) -> tuple[object, ...]:
+        """Return what differs once an object was written to, by whomever."""
+        with _naming(key):
+            if self._folder is None:
+                found = obstore.head(self._store, key)
+                return found["e_tag"], found["last_modified"], found["size"]
+            file = (self._folder / key).stat()
+        return file.st_ino, file.st_ctime_ns, file.st_mtime_ns, file.st_size
 
     def check(self, key: str) -> int:
         """Read an object, without keeping it, and return its size; raises as :meth:`get` does."""
@@ -202,8 +217,7 @@ def _naming(key: str) -> Iterator[None]:
         raise FileNotFoundError(errno.ENOENT, "there is no such object", key) from error
 
 
-# Objects are written once, so what was found of one holds for good.
+# What was found of an object holds until it is written to.
 @lru_cache(maxsize=100_000)
-def _check(objects: Objects, key: str) -> None:
-    if keys.checksum_of(key) is not None:
-        objects.check(key)
+def _check(objects: Objects, key: str, _written: tuple[object, ...]) -> None:
+    objects.check(key)

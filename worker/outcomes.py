@@ -9,11 +9,13 @@ from obstore.exceptions import BaseError as ObjectStoreError
 from sqlalchemy.exc import SQLAlchemyError
 
 from store.errors import DamagedError, LeaseLostError, NotFoundError
+from store.space import is_full
 
 logger = logging.getLogger(__name__)
 
 # What users of the API read of errors that are not theirs; the worker's log says more.
 OBJECTS_AWAY = "The objects (arrays and weights) could not be read or written for too long."
+DISK_FULL = "There was no space left to store what was made."
 FAULT = "This is a fault in Fewview; the worker's log says more."
 
 
@@ -81,7 +83,7 @@ def _record(error: BaseException, outcomes: Outcomes) -> bool:
         case ValueError():
             outcomes.fail(outcomes.unusable, str(error))
         case ObjectStoreError() | OSError():
-            outcomes.try_again(OBJECTS_AWAY)
+            outcomes.try_again(DISK_FULL if is_full(error) else OBJECTS_AWAY)
             return False
         case _:
             outcomes.fault(FAULT)

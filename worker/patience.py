@@ -9,6 +9,9 @@ from typing import TypeVar
 from obstore.exceptions import BaseError as ObjectStoreError
 from sqlalchemy.exc import InterfaceError, OperationalError, TimeoutError
 
+from store.errors import in_words
+from store.space import is_full
+
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
@@ -44,6 +47,7 @@ def patiently(
         except OUTAGES as error:
             if not is_outage(error) or hurry() or time.monotonic() > deadline:
                 raise
-            logger.warning("Records or objects are away, trying again: %s", error)
+            what = "There is no space left" if is_full(error) else "Records or objects are away"
+            logger.warning("%s, trying again: %s", what, in_words(error))
         time.sleep(pause * random.uniform(0.5, 1))  # noqa: S311 (so that not all come back at once)
         pause = min(2 * pause, LONGEST_PAUSE_SECONDS)

@@ -10,10 +10,11 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from obstore.exceptions import BaseError as ObjectStoreError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from sqlalchemy.exc import InterfaceError, OperationalError, TimeoutError
+from sqlalchemy.exc import DatabaseError, InterfaceError, OperationalError, TimeoutError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
+from service.http.methods import allow
 from store.errors import (
     CaptureError,
     ConfigError,
@@ -25,8 +26,11 @@ from store.errors import (
     NotFoundError,
     QueueFullError,
     SourceError,
+    in_words,
 )
+from store.integrity import RECORDS_DAMAGED, is_corrupt
 from store.mistakes import Mistake, mistakes, summary
+from store.space import is_full
 
 logger = logging.getLogger(__name__)
 
@@ -54,7 +58,9 @@ PROBLEMS = {
     "head_too_large": (431, "The request's head is too large"),
     "internal_error": (500, "Something went wrong inside"),
     "object_damaged": (500, "A stored object is damaged"),
+    "records_damaged": (500, "The records are damaged"),
     "overloaded": (503, "Too many requests are in hand"),
+    "storage_full": (507, "There is no space left"),
     "unavailable": (503, "A part of the service cannot be reached"),
     "draining": (503, "The service is stopping"),
 }
@@ -175,15 +181,18 @@ def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
     """Return the OpenAPI responses of an operation that can end in these problems.
 
     All can end in ``invalid_input`` (of a parameter at least), ``host_not_allowed``,
-    ``internal_error``, ``object_damaged``, ``unavailable``; those that read a body in
-    ``overloaded``.
+    ``head_too_large``, ``internal_error``, ``object_damaged``, ``records_damaged``,
+    ``storage_full``, ``unavailable``; those that read a body in ``overloaded``.
     """
     described: dict[int | str, dict[str, Any]] = {}
     of_all = (
         "invalid_input",
         "host_not_allowed",
+        "head_too_large",
         "internal_error",
         "object_damaged",
+        "records_damaged",
+        "storage_full",
         "unavailable",
     )
     for code in dict.fromkeys((*codes, *of_all)):
@@ -215,7 +224,7 @@ def install(app: FastAPI) -> None:
 def _handler(to_api_error: Callable[[Any], ApiError]) -> Callable[[Request, Any], Any]:
     async def handle(request: Request, error: Any) -> Response:
         if isinstance(error, HTTPException):
-            error = _with_place(request, error)
+            error = _with_methods(request, _with_place(request, error))
         return to_api_error(error).response()
 
     return handle
@@ -227,6 +236,13 @@ def _with_place(request: Request, error: HTTPException) -> HTTPException:
         return error
     detail = f"{error.detail}: {request.method} {request.url.path}"
     return HTTPException(error.status_code, detail, error.headers)
+
+
+def _with_methods(request: Request, error: HTTPException) -> HTTPException:
+    """Return Starlette's own error of a wrong method with all methods that are right."""
+    if error.status_code != HTTPStatus.METHOD_NOT_ALLOWED:
+        return error
+    return HTTPException(error.status_code, error.detail, {"Allow": allow(request)})
 
 
 def _of_http(error: HTTPException) -> ApiError:
@@ -246,6 +262,8 @@ def _of_full_queue(error: QueueFullError) -> ApiError:
 
 def _of_outage(part: str) -> Callable[[Exception], ApiError]:
     def to_api_error(error: Exception) -> ApiError:
+        if is_full(error):
+            return _of_full_disk(error)
         logger.error("Unavailable: %s", error)
         return ApiError(
             "unavailable",
@@ -254,6 +272,30 @@ def _of_outage(part: str) -> Callable[[Exception], ApiError]:
         )
 
     return to_api_error
+
+
+def _of_full_disk(error: Exception) -> ApiError:
+    logger.error("There is no space left: %s", in_words(error))
+    return ApiError(
+        "storage_full",
+        "There is no space left to store this, and nothing of it was stored. Delete what is not "
+        "needed, or have whoever runs the service make space.",
+    )
+
+
+def _of_files(error: OSError) -> ApiError:
+    if is_full(error):
+        return _of_full_disk(error)
+    logger.error("A fault, or a file that cannot be used", exc_info=error)
+    return of_bug(error)
+
+
+def _of_database(error: DatabaseError) -> ApiError:
+    if not is_corrupt(error):
+        logger.error("A fault in what the records were asked", exc_info=error)
+        return of_bug(error)
+    logger.error("The records are damaged: %s", in_words(error))
+    return ApiError("records_damaged", RECORDS_DAMAGED)
 
 
 def _of_damage(error: DamagedError) -> ApiError:
@@ -288,11 +330,13 @@ TRANSLATIONS: dict[type[Exception], Callable[[Any], ApiError]] = {
     KeyReusedError: lambda error: ApiError("idempotency_key_reused", str(error)),
     QueueFullError: _of_full_queue,
     HTTPException: _of_http,
+    DatabaseError: _of_database,
     OperationalError: _of_outage("records"),
     InterfaceError: _of_outage("records"),  # a connection that was lost
     TimeoutError: _of_outage("records"),  # all connections are in use
     ObjectStoreError: _of_outage("objects"),
     redis.exceptions.RedisError: _of_outage("queue"),
+    OSError: _of_files,
     Exception: of_bug,
 }
 

@@ -1,13 +1,35 @@
 """The ``Idempotency-Key`` header."""
 
+import hashlib
+import json
+
 from fastapi import Request
 
+from service.http.uploads import Upload
 from store.idempotency import Idempotency
 
 
-def idempotency(request: Request, key: str | None, fingerprint: str) -> Idempotency | None:
+def idempotency(request: Request, key: str | None, upload: Upload) -> Idempotency | None:
     """Return the key of a creating request, unique to its method and path."""
     if key is None:
         return None
     scope = f"{request.method} {request.url.path}"[:200]
-    return Idempotency(scope, key, f"{fingerprint}?{request.url.query}"[:200])
+    return Idempotency(scope, key, _digest(request, upload))
+
+
+def _digest(request: Request, upload: Upload) -> str:
+    """Return the SHA-256 of everything in a request that what it makes may depend on.
+
+    Of a form these are its fields and files, and not its bytes: clients that send it again choose
+    another boundary.
+    """
+    whole = [
+        request.method,
+        request.url.path,
+        sorted(request.query_params.multi_items()),
+        upload.is_json,
+        hashlib.sha256(upload.data).hexdigest(),
+        sorted(upload.fields.items()),
+        [(file.name, hashlib.sha256(file.data).hexdigest()) for file in upload.files],
+    ]
+    return hashlib.sha256(json.dumps(whole).encode()).hexdigest()

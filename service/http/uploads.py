@@ -1,6 +1,5 @@
 """Request bodies, read within their limits: JSON, raw bytes, or multipart/form-data."""
 
-import hashlib
 import io
 import zipfile
 from collections.abc import AsyncIterator
@@ -94,15 +93,6 @@ class Upload:
         A form of files may be small, and yet be read for minutes, in a process of its own.
         """
         return self.decoded_bytes >= LARGE_BYTES or len(self.files) > 0
-
-    def fingerprint(self) -> str:
-        """Return a digest of everything in the body."""
-        digest = hashlib.sha256(self.data)
-        for file in self.files[1:]:
-            digest.update(f"\0{file.name}\0".encode() + hashlib.sha256(file.data).digest())
-        for name, text in sorted(self.fields.items()):
-            digest.update(f"\0{name}\0{text}".encode())
-        return digest.hexdigest()
 
     def json(self, model: type[Body]) -> Body:
         """Return the JSON body as ``model``."""

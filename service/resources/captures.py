@@ -34,7 +34,7 @@ def download_capture(dataset_id: Identifier, store: StoreDep, request: Request) 
     return ranged_response(
         request,
         file.size,
-        partial(file.read, store.objects.get_range),
+        partial(file.read, lookup.reader_of(store, records.Dataset, record.id)),
         media_type=OCTETS,
         filename=f"{record.id}.npz",
         checksum=file.checksum(),

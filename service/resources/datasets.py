@@ -159,7 +159,7 @@ def create_dataset(
         store,
         capture,
         description,
-        idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
+        idempotency=idempotency(request, idempotency_key, upload),
     )
     response.headers["Location"] = f"/datasets/{record.id}"
     dataset = Dataset.of(record)
@@ -193,7 +193,7 @@ def append_frames(
         dataset_id,
         read_frames(upload, settings),
         max_frames=settings.max_dataset_frames,
-        idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
+        idempotency=idempotency(request, idempotency_key, upload),
     )
     return Dataset.of(record)
 

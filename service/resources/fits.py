@@ -232,7 +232,7 @@ def create_fit(
         from_model=body.from_model,
         labels=body,
         max_queued=settings.max_queued_fits,
-        idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
+        idempotency=idempotency(request, idempotency_key, upload),
     )
     announce(record, store, redis, response)
     return Fit.of(record)

@@ -17,6 +17,7 @@ from service.http.dependencies import RedisDep, StoreDep, refuse_if_leaving
 from service.http.errors import ApiError, problems
 from store import deployment
 from store.errors import DeploymentError
+from store.integrity import RECORDS_DAMAGED, is_corrupt
 from worker import at_work
 from worker.queue import open_queues
 
@@ -88,9 +89,10 @@ async def check_live() -> Liveness:
 
 @router.get("/health/ready", responses=problems("unavailable", "draining"))
 def check_ready(request: Request, store: StoreDep, connection: RedisDep) -> Readiness:
-    """Reach queue, records and objects; 503 names those that cannot be reached.
+    """Reach queue, records and objects; 503 names those that cannot be reached, or are damaged.
 
-    It is 503, too, while jobs wait and there are workers, but none of them does its work. Once the
+    It is 503, too, while jobs wait and there are workers, but none of them does its work. Whether
+    a file of records is damaged is looked for once in a while, beside these requests. Once the
     service stops it is 503 with the code `draining`.
     """
     refuse_if_leaving(request)
@@ -106,16 +108,20 @@ def check_ready(request: Request, store: StoreDep, connection: RedisDep) -> Read
         try:
             reach()
         except (redis.exceptions.RedisError, SQLAlchemyError, ObjectStoreError, OSError) as error:
-            logger.warning("%s cannot be reached: %s", name, error)
-            failures.append((f"/{name}", "cannot be reached; the log says why"))
+            logger.warning("%s cannot be used: %s", name, error)
+            words = "cannot be reached; the log says why"
+            failures.append((f"/{name}", RECORDS_DAMAGED if is_corrupt(error) else words))
         except DeploymentError as error:
             logger.error("%s", error)
             failures.append((f"/{name}", "not those of the records; the log says more"))
         else:
             checks[name] = Check(milliseconds=round(1000 * (time.perf_counter() - started), 3))
+    if "records" in checks and request.app.state.integrity.damage() is not None:
+        failures.append(("/records", RECORDS_DAMAGED))
     if failures:
         names = ", ".join(pointer.lstrip("/") for pointer, _ in failures)
-        raise ApiError("unavailable", f"Cannot be reached: {names}.", errors=failures)
+        words = f"Cannot be reached, or are damaged: {names}."
+        raise ApiError("unavailable", words, errors=failures)
     workers = at_work.count(connection)
     waits = any(queue.has_work() for queue in open_queues(connection))
     if waits and workers.known and not workers.at_work:

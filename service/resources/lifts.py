@@ -215,7 +215,7 @@ def create_lift(
         labels=body,
         chunk_frames=settings.lift_chunk_frames,
         max_queued=settings.max_queued_lifts,
-        idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
+        idempotency=idempotency(request, idempotency_key, upload),
     )
     announce(record, store, redis, response)
     return LiftJob.of(record)
@@ -295,7 +295,7 @@ def get_lift_result(
     return ranged_response(
         request,
         file.size,
-        partial(file.read, store.objects.get_range),
+        partial(file.read, lookup.reader_of(store, records.LiftJob, lift.id)),
         media_type=MEDIA_TYPES[chosen],
         filename=f"{lift.id}.{chosen}",
         checksum=file.checksum(),

@@ -339,7 +339,7 @@ def import_model(
     record = models.create(
         store,
         weights,
-        idempotency=idempotency(request, idempotency_key, upload.fingerprint()),
+        idempotency=idempotency(request, idempotency_key, upload),
         **columns,
     )
     response.headers["Location"] = f"/models/{record.id}"

@@ -148,7 +148,7 @@ def get_reconstruction(
             return ranged_response(
                 request,
                 file.size,
-                partial(file.read, store.objects.get_range),
+                partial(file.read, lookup.reader_of(store, records.FitJob, fit.id)),
                 media_type=NPZ if chosen == "npz" else OCTETS,
                 filename=f"{filename}.{chosen}",
                 checksum=file.checksum(),

@@ -24,6 +24,8 @@ from service.wire.reading_apart import OUT, read_apart
 
 LONGEST_NAME = 100  # bytes of a file's name, characters of a camera's that is named after it
 LONGEST_NOTE, MOST_NOTES = 1000, 100
+# Of a whole path; readers are given names alone, so such a path is one of this machine.
+FOLDERS = re.compile(r"(?<![\w.)\]-])/(?:[^\s'\"/()]+/)*(?=[\w.])")
 
 
 def _one_of(*known: str) -> AfterValidator:
@@ -137,7 +139,7 @@ def read_files(
                 Path(folder, names[-1]).write_bytes(file.data)
             found = read_apart(Path(folder), names, options, max_bytes=settings.max_body_bytes)
     except FormatError as error:
-        raise invalid("/files", _text(str(error), LONGEST_NOTE)) from error
+        raise invalid("/files", _sentence(str(error))) from error
     arrays = {
         name: array
         for name in ("keypoints", "confidence", "points3d", "times")
@@ -151,12 +153,17 @@ def read_files(
         told["skeleton"] = {"keypoint_names": found.keypoint_names, "edges": found.edges or ()}
     if found.image_sizes is not None:
         told["image_sizes"] = found.image_sizes
-    return Read(arrays, told, [_text(note, LONGEST_NOTE) for note in found.notes[:MOST_NOTES]])
+    return Read(arrays, told, [_sentence(note) for note in found.notes[:MOST_NOTES]])
 
 
 def _text(told: str, longest: int) -> str:
     """Return text that a file had a say in, of bounded length, without halves of characters."""
     return told[:longest].encode(errors="replace").decode()
+
+
+def _sentence(said: str) -> str:
+    """Return an error or a note, without the folders of this machine that a library names."""
+    return _text(FOLDERS.sub("", said), LONGEST_NOTE)
 
 
 def _name(told: str, taken: list[str]) -> str:

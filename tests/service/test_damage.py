@@ -53,6 +53,21 @@ def test_a_range_of_a_damaged_capture_is_not_served_either(
 
 
 @pytest.mark.parametrize("harm", HARMS)
+def test_damage_after_a_read_is_noticed_at_the_next(
+    api: TestClient, settings: Settings, weights: bytes, harm: Harm
+) -> None:
+    dataset = make_dataset(api, frames=30)["id"]
+    model = api.post("/models", content=weights, headers=BYTES).json()["id"]
+    capture = f"/datasets/{dataset}/capture"
+    asked = [(capture, {}), (capture, {"Range": "bytes=300-400"}), (f"/models/{model}/weights", {})]
+    assert [api.get(url, headers=more).status_code for url, more in asked] == [200, 206, 200]
+    harm(only_file(settings, f"datasets/{dataset}"))
+    harm(only_file(settings, f"models/{model}"))
+    for url, more in asked:
+        problem(api.get(url, headers=more), 500, "object_damaged")
+
+
+@pytest.mark.parametrize("harm", HARMS)
 def test_damaged_weights_lift_nothing(
     api: TestClient, settings: Settings, weights: bytes, capture: SyntheticCapture, harm: Harm
 ) -> None:

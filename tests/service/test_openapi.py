@@ -151,7 +151,7 @@ def test_every_error_is_a_problem(spec: dict[str, Any]) -> None:
                 assert list(response["content"]) == [errors.PROBLEM_JSON], operation["operationId"]
                 schema = response["content"][errors.PROBLEM_JSON]["schema"]
                 assert schema == {"$ref": "#/components/schemas/Problem"}
-        assert {"422", "500", "503"} <= operation["responses"].keys()
+        assert {"421", "422", "431", "500", "503"} <= operation["responses"].keys()
 
 
 def test_every_list_of_words_has_one_name() -> None:

@@ -8,6 +8,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 import pytest
 from obstore.exceptions import BaseError as ObjectStoreError
@@ -93,6 +94,29 @@ def test_what_is_not_what_was_put_is_not_given(objects: Objects, found: bytes) -
     with pytest.raises(DamagedError):
         objects.get_ranges(older, [(0, 1), (4, 20)])
     assert objects.damaged([key, older]) == {key}
+
+
+def test_what_is_damaged_after_it_was_read_is_not_given(objects: Objects) -> None:
+    data = os.urandom(1000)
+    key = keys.of_chunk(new_id("ds"), data)
+    objects.put(key, data)
+    assert objects.get_range(key, 0, 8) == data[:8]
+    for found in (data[:-1] + bytes([data[-1] ^ 1]), data[:500]):
+        file = Path(unquote(urlsplit(objects.url).path), key)
+        times = (file.stat().st_atime_ns, file.stat().st_mtime_ns) if file.exists() else None
+        objects.put(key, found)
+        if times:  # as if nothing had been written
+            os.utime(file, ns=times)
+        for _ in range(2):
+            with pytest.raises(DamagedError, match=key):
+                objects.get_range(key, 0, 8)
+            with pytest.raises(DamagedError, match=key):
+                objects.get_ranges(key, [(0, 8), (20, 30)])
+        objects.put(key, data)  # from a backup
+        assert objects.get_range(key, 0, 8) == data[:8]
+    objects.delete(key)
+    with pytest.raises(FileNotFoundError):
+        objects.get_range(key, 0, 8)
 
 
 def test_all_of_ours_are_listed_and_deleted(objects: Objects) -> None:

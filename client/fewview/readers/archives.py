@@ -46,7 +46,7 @@ def is_archive(path: Path) -> bool:
         with zipfile.ZipFile(path) as archive:
             return "keypoints.npy" not in archive.namelist()
     except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
-        raise FormatError(f"{path}: a zip file or npz that is broken ({error})") from error
+        raise FormatError(f"{path}: a zip file or npz that is broken ({_cause(error)})") from error
 
 
 def unpacked(path: Path, folder: Path) -> Path:
@@ -87,7 +87,7 @@ def unpacked(path: Path, folder: Path) -> Path:
     ) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"{path}: a zip file that cannot be read ({error})") from error
+        raise FormatError(f"{path}: a zip file that cannot be read ({_cause(error)})") from error
     return named
 
 
@@ -106,3 +106,8 @@ def _is_file(member: zipfile.ZipInfo) -> bool:
     parts = PurePosixPath(member.filename).parts
     hidden = any(part.startswith(".") or part == "__MACOSX" for part in parts)
     return not member.is_dir() and not hidden
+
+
+def _cause(error: Exception) -> str:
+    """Return what went wrong, without the path of a folder that was unpacked into."""
+    return (isinstance(error, OSError) and error.strerror) or str(error)

