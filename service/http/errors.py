@@ -164,7 +164,7 @@ def invalid(pointer: str, detail: str) -> ApiError:
 
 def from_validation(error: ValidationError, kind: type[BaseModel]) -> ApiError:
     """Return the errors that pydantic found as it was to make a ``kind`` of what came."""
-    return of_mistakes(mistakes(error.errors(), kind))
+    return of_mistakes(mistakes(error.errors(include_url=False, include_input=False), kind))
 
 
 def _of_parameters(error: RequestValidationError) -> ApiError:

@@ -13,6 +13,7 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ValidationError
 from starlette.datastructures import FormData, UploadFile
 
+from service.http.bounds import check_bounds
 from service.http.errors import ApiError, from_validation, invalid
 from service.settings import Settings
 
@@ -100,7 +101,9 @@ class Upload:
             raise ApiError("unsupported_media_type", "expected Content-Type application/json")
         self._refuse_costly()
         try:
-            return model.model_validate(orjson.loads(self.data))
+            body = orjson.loads(self.data)
+            check_bounds(body, model)
+            return model.model_validate(body)
         except orjson.JSONDecodeError as error:
             raise ApiError(
                 "malformed_body",
@@ -140,6 +143,7 @@ class Upload:
                 values[name] = text if known and known.annotation is str else orjson.loads(text)
             except orjson.JSONDecodeError as error:
                 raise invalid(f"/{name}", f"expected JSON, got {text[:40]!r}") from error
+        check_bounds(values, model)
         try:
             return model.model_validate(values)
         except ValidationError as error:

@@ -17,6 +17,7 @@ from models.lifting import lift as lifts
 from models.lifting.lift_findings import lift_findings
 from models.lifting.observing import Observed
 from models.settings.config import Index, Refine
+from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.negotiation import NPZ, OCTETS
@@ -79,7 +80,7 @@ class LiftRequest(BaseModel):
     confidence: CONFIDENCE = None
     times: TIMES = None
     refine: Refine | None = Field(None, description=REFINE)
-    views: list[Index] | None = Field(None, description=VIEWS)
+    views: list[Index] | None = Field(None, max_length=MAX_VIEWS, description=VIEWS)
     frame: FrameOfReference | None = Field(None, description=FRAME_OF_REFERENCE)
     up: Up | None = Field(None, description=UP)
 
@@ -108,7 +109,8 @@ ModelQuery = Annotated[
 ]
 RefineQuery = Annotated[Refine | None, Query(description=REFINE)]
 ViewsQuery = Annotated[
-    list[Index] | None, Query(description=f"{VIEWS} Repeat it: `views=0&views=2`.")
+    list[Index] | None,
+    Query(max_length=MAX_VIEWS, description=f"{VIEWS} Repeat it: `views=0&views=2`."),
 ]
 
 

@@ -15,6 +15,7 @@ from starlette.websockets import WebSocketDisconnect
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift
 from models.lifting.observing import Following
+from service.http.bounds import check_bounds
 from service.http.dependencies import refuse_if_leaving
 from service.http.errors import (
     PROBLEMS,
@@ -365,7 +366,9 @@ def _read_start(message: str | bytes) -> StreamStart:
             "", "expected JSON in the first message: the model and how to lift, got bytes"
         )
     try:
-        return StreamStart.model_validate(json_object(message))
+        found = json_object(message)
+        check_bounds(found, StreamStart)
+        return StreamStart.model_validate(found)
     except ValidationError as error:
         raise from_validation(error, StreamStart) from error
 

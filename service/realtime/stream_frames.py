@@ -14,6 +14,7 @@ from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import Lift
 from models.lifting.lift_findings import lift_findings
 from models.settings.times import MAX_TIME
+from service.http.bounds import check_bounds
 from service.http.errors import ApiError, from_validation, invalid
 from service.realtime.frames import to_frames
 from service.realtime.rooms import check_known
@@ -145,6 +146,7 @@ def read_frame(
 
 def _read_flush(found: dict[str, object]) -> Frame:
     try:
+        check_bounds(found, StreamFlush)
         StreamFlush.model_validate(found)
     except ValidationError as error:
         raise from_validation(error, StreamFlush) from error
@@ -187,6 +189,7 @@ def _from_json(
     sequence = found.get("sequence")
     frame.sequence = sequence if type(sequence) is int and 0 <= sequence < 2**32 else None
     try:
+        check_bounds(found, StreamFrame)
         sent = StreamFrame.model_validate(found)
     except ValidationError as error:
         raise from_validation(error, StreamFrame) from error

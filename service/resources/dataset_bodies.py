@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from models.settings.keypoints import MAX_VIEWS
 from models.settings.times import MAX_FPS, check_rate
 from service.http.errors import invalid
 from service.http.uploads import HOW_TO_SEND_FILES, Upload
@@ -37,10 +38,14 @@ class DatasetDescription(Labels):
     name: Name = "capture"
     skeleton: Skeleton | None = None
     view_names: list[ViewName] | None = Field(
-        None, description="One name per view, such as those of the cameras."
+        None,
+        max_length=MAX_VIEWS,
+        description="One name per view, such as those of the cameras.",
     )
     image_sizes: list[ImageSize | None] | None = Field(
-        None, description="Width and height in pixels of each view's images, null if unknown."
+        None,
+        max_length=MAX_VIEWS,
+        description="Width and height in pixels of each view's images, null if unknown.",
     )
     fps: float | None = Field(
         None,

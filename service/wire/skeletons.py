@@ -1,9 +1,11 @@
 """The JSON form of a skeleton: what the keypoints are called and which of them are joined."""
 
+from collections import Counter
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from models.settings.keypoints import MAX_KEYPOINTS
 from service.http.errors import invalid
 from store.labels import Text
 
@@ -17,7 +19,9 @@ class Skeleton(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     keypoint_names: list[KeypointName] | None = Field(
-        None, description="One unique name per keypoint, in the order of the arrays."
+        None,
+        max_length=MAX_KEYPOINTS,
+        description="One unique name per keypoint, in the order of the arrays.",
     )
     edges: list[Edge] = Field(
         [],
@@ -37,7 +41,7 @@ class Skeleton(BaseModel):
                 f"expected {keypoints} names, one for each keypoint, got {len(names)}",
             )
         if names is not None and len(set(names)) != keypoints:
-            twice = next(name for place, name in enumerate(names) if name in names[:place])
+            twice, _ = Counter(names).most_common(1)[0]
             raise invalid(
                 "/skeleton/keypoint_names",
                 f"expected different names, but {twice!r} is there {names.count(twice)} times",

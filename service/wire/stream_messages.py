@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 from typing_extensions import TypeAliasType
 
 from models.settings.config import Index, Refine
+from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
 from models.settings.times import MAX_FPS, MAX_LAG
 from service.http.errors import FieldError
@@ -74,7 +75,7 @@ class StreamStart(BaseModel):
     )
 
     model: Text = Field(max_length=200, description="The model's identifier.")
-    views: list[Index] | None = Field(None, min_length=1, description=VIEWS)
+    views: list[Index] | None = Field(None, min_length=1, max_length=MAX_VIEWS, description=VIEWS)
     refine: Refine | None = Field(None, description=REFINE)
     on_overload: Overload = Field(
         "all",
