@@ -22,11 +22,14 @@ class Idempotency:
         The client's ``Idempotency-Key``.
     fingerprint
         A digest of the request; the same key with another digest is refused.
+    older_fingerprint
+        What an older version may have noted of the same request.
     """
 
     scope: str
     key: str
     fingerprint: str
+    older_fingerprint: str | None = None
 
 
 def replayed(session: Session, request: Idempotency | None) -> str | None:
@@ -42,7 +45,7 @@ def replayed(session: Session, request: Idempotency | None) -> str | None:
     earlier = session.get(IdempotencyKey, (request.scope, request.key))
     if earlier is None:
         return None
-    if earlier.fingerprint != request.fingerprint:
+    if earlier.fingerprint not in (request.fingerprint, request.older_fingerprint):
         raise KeyReusedError(
             f"Idempotency-Key {request.key!r} was used before with a different request. "
             "Send a new key, or repeat the first request unchanged."

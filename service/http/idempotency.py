@@ -14,7 +14,7 @@ def idempotency(request: Request, key: str | None, upload: Upload) -> Idempotenc
     if key is None:
         return None
     scope = f"{request.method} {request.url.path}"[:200]
-    return Idempotency(scope, key, _digest(request, upload))
+    return Idempotency(scope, key, _digest(request, upload), _older_digest(request, upload))
 
 
 def _digest(request: Request, upload: Upload) -> str:
@@ -33,3 +33,18 @@ def _digest(request: Request, upload: Upload) -> str:
         [(file.name, hashlib.sha256(file.data).hexdigest()) for file in upload.files],
     ]
     return hashlib.sha256(json.dumps(whole).encode()).hexdigest()
+
+
+def _older_digest(request: Request, upload: Upload) -> str | None:
+    """Return what older versions noted of a request, for those sent again across an upgrade.
+
+    Keys are kept for a day. What was cut off at 200 characters stands for many requests: None.
+    """
+    digest = hashlib.sha256(upload.data)
+    for file in upload.files[1:]:
+        name = f"\0{file.name}\0".encode(errors="replace")
+        digest.update(name + hashlib.sha256(file.data).digest())
+    for field, text in sorted(upload.fields.items()):
+        digest.update(f"\0{field}\0{text}".encode(errors="replace"))
+    noted = f"{digest.hexdigest()}?{request.url.query}"
+    return noted if len(noted) < 200 else None

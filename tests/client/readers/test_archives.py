@@ -50,6 +50,11 @@ def test_zip_files_that_are_not_to_be_unpacked(
     with pytest.raises(FormatError):
         fewview.read(outside)
     assert not list(tmp_path.parent.rglob("outside.txt"))
+    long = tmp_path / "long.zip"
+    with zipfile.ZipFile(long, "w") as archive:
+        archive.writestr(f"cam/{'n' * 300}.csv", "0,1")
+    with pytest.raises(FormatError, match=r"cannot be read \([^/]+\)$"):  # no folder of ours
+        fewview.read(long)
     monkeypatch.setattr("fewview.readers.archives.MAX_UNPACKED", 100)
     with pytest.raises(FormatError, match="part it"):
         fewview.read(whole)
