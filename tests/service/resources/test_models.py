@@ -2,6 +2,7 @@
 
 import io
 import pickle
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from models.capture.metrics import pa_mpjpe, pck
 from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from models.findings.finding import Finding
 from models.lifting.fitted_prior import FittedPrior
+from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
 from models.training.trainer import fit
 from service.realtime.engine import Engine
@@ -344,6 +346,52 @@ def damaged(weights: bytes) -> dict[str, bytes]:
     }
 
 
+def test_a_file_agrees_with_itself(api: TestClient, weights: bytes) -> None:
+    """Its parts are of as many views, its limits are numbers, its curve is one of a fit."""
+    arrays, about = load(weights), about_of(weights)
+    denoised = (FIXTURES / "denoised.safetensors").read_bytes()
+    others, said = load(denoised), about_of(denoised)
+    refused: dict[str, bytes] = {}
+    for usual in ("[[NaN], 1, 2]", "[[], 1, 2]", "[[-1], 1, 2]", "[[1], NaN, 2]", "[[1], 3, 2]",
+                  "[[1], Infinity, Infinity]", "[[1], 1, NaN]", "[[1" + "0" * 400 + "], 1, 2]",
+                  "[[1], -1, 2]", f"[{[1] * 65}, 1, 2]"):  # fmt: skip
+        refused[f"usual {usual}"] = rewritten(arrays, about | {"usual": usual})
+    for views in ("-1", "2", "65", "1" + "0" * 400):
+        refused[f"views {views}"] = rewritten(arrays, about | {"views": views})
+    whole = {"known": "1" * int(said["keypoints"]), "places": "[]", "usual": "[[1], 1, 2]"}
+    refused["noise of other views"] = rewritten(
+        others, said | whole | {"views": "9", "findings": "[]"}
+    )
+    refused["places of no view"] = rewritten(arrays, about | {"places": "[[3, 0, 1.0, 1.0]]"})
+    refused["places beyond all"] = rewritten(
+        arrays, about | {"places": f"[[0, 0, 1{'0' * 400}, 1.0]]"}
+    )
+    for what, curve in {
+        "long": np.cumsum(np.ones((900_000, 3)), 0),
+        "falling": np.array([[2.0, 1, 1], [1, 1, 1]]),
+        "of halves": np.array([[0.5, 1, 1]]),
+        "endless": np.array([[1e300, 1, 1]]),
+    }.items():
+        refused[f"curve {what}"] = rewritten(arrays | {"curve": curve}, about)
+    for name in [name for name in arrays if name.startswith(("cameras.", "outliers."))]:
+        cut = np.ascontiguousarray(arrays[name][:1])
+        if (
+            arrays[name].ndim
+            and len(arrays[name]) == 3
+            and "doubt" not in name
+            and "shape" not in name
+        ):
+            refused[f"one view of {name}"] = rewritten(arrays | {name: cut}, about)
+    for what, data in refused.items():
+        if len(data) > 4 * 1024 * 1024:
+            with pytest.raises(WeightsError):
+                FittedPrior.from_bytes(data)
+            continue
+        response = api.post("/models", content=data, headers=BYTES)
+        assert response.status_code == 400, (what, response.text)
+        problem(response, 400, "malformed_body")
+
+
 def about_of(weights: bytes) -> dict[str, str]:
     size = int.from_bytes(weights[:8], "little")
     metadata = orjson.loads(weights[8 : 8 + size])["__metadata__"]
@@ -353,6 +401,17 @@ def about_of(weights: bytes) -> dict[str, str]:
 
 def rewritten(arrays: dict[str, Any], about: dict[str, str]) -> bytes:
     return save(arrays, {"fewview": orjson.dumps(about).decode()})
+
+
+def test_lists_read_no_curves(api: TestClient, settings: Settings, weights: bytes) -> None:
+    """Whatever curve an older version took in, only who asks for the model is given it."""
+    made = api.post("/models", content=weights, headers=BYTES).json()
+    for curve in ("no JSON", "[]"):
+        with sqlite3.connect(settings.data_dir / "records.db") as records:
+            told = (curve, made["id"])
+            records.execute("UPDATE models SET training_curve = ? WHERE id = ?", told)
+        assert made["id"] in [one["id"] for one in api.get("/models?limit=200").json()["items"]]
+    assert api.delete(f"/models/{made['id']}").status_code == 204
 
 
 @pytest.mark.usefixtures("unchanged")
