@@ -173,9 +173,9 @@ def _read_words(words: str) -> dict[str, Any]:
     try:
         said = json.loads(words)
         noticed = said["findings"] if "findings" in said else said["warnings"]
-        said["reason"].encode()  # halves of characters, which no answer can hold, are refused
+        json.dumps(said, ensure_ascii=False).encode()  # no answer can hold halves of characters
         complete = isinstance(said["reason"], str) and isinstance(noticed, list)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         complete = False
     if not complete:
         raise WeightsError("the file does not say what was found of the cameras")

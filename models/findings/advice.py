@@ -54,7 +54,7 @@ def attempt_steps(
     try:
         return (yield from check)
     except FAULTS:
-        _log_failure(check.__qualname__)
+        _log_failure(repr(check))
         return otherwise
 
 

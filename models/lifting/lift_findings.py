@@ -36,9 +36,8 @@ def _found(lift: Lift, prior: FittedPrior, first_frame: int | None) -> Iterator[
         every = first_frame is None and about.all()
         numbers = np.flatnonzero(about) + (first_frame or 0)
         evidence = _EVIDENCE[bit](lift.frames(about), prior)
-        known = {name: value for name, value in evidence.items() if np.isfinite(value)}
         finding = Finding.of(code, frames=() if every else numbers)
-        yield finding.model_copy(update={"evidence": known})
+        yield finding.with_evidence(evidence)
 
 
 def _of_rig(lift: Lift, prior: FittedPrior) -> dict[str, float]:

@@ -130,4 +130,4 @@ def _finding(timing: Timing, view: int, step: float | None) -> Finding:
         evidence["changes_from"], evidence["changes_to"] = map(float, timing.frames)
     severity: Severity = "warning" if sure and not applied else "info"
     finding = Finding.of("views_out_of_step", views=(view,), severity=severity)
-    return finding.model_copy(update={"evidence": evidence})
+    return finding.with_evidence(evidence)
