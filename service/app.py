@@ -1,6 +1,7 @@
 """The FastAPI application."""
 
 import asyncio
+import gc
 import logging
 import resource
 import socket
@@ -70,6 +71,9 @@ RESOURCES = (
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 
 # What scripts of web pages may read, besides what they always may.
+# New lists and objects before each of Python's searches for garbage: JSON of a large capture is
+# millions of lists, and with Python's own thresholds parsing it takes twice as long.
+GARBAGE_THRESHOLDS = (100_000, 50, 100)
 EXPOSED_HEADERS = (
     "Accept-Ranges",
     "Content-Disposition",
@@ -94,6 +98,7 @@ def create_app(settings: Settings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        gc.set_threshold(*GARBAGE_THRESHOLDS)
         app.state.store = Store(settings)
         app.state.redis = connect(
             str(settings.redis_url), retries=1, timeout_seconds=QUEUE_PATIENCE_SECONDS

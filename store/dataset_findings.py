@@ -1,5 +1,6 @@
 """What is noticed of a capture's keypoints as it is stored, at a cost that is bounded."""
 
+import logging
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -9,10 +10,14 @@ from numpy.typing import NDArray
 from sqlalchemy import func, select
 
 from models.capture.checks import ABSENCES, NUMBERS, absences, capture_findings, observed, sample
+from models.findings.advice import FAULTS, noticed
 from models.findings.finding import Finding, dumped
 from store.capture import Capture, concatenate
 from store.database import Store
+from store.errors import DamagedError
 from store.records import Chunk, Dataset
+
+logger = logging.getLogger(__name__)
 
 MOST_CHUNKS = 16  # that are looked at when frames are added
 
@@ -41,6 +46,9 @@ def of_longer(store: Store, dataset: Dataset, added: Capture) -> list[Any]:
             parts.append(Capture.frames_from(partial(store.objects.peek, chunk.key), part))
         except FileNotFoundError:  # the dataset was deleted since: nobody will read its findings
             continue
+        except (DamagedError, *FAULTS):  # whoever needs the chunk will be refused
+            logger.exception("Findings are made without the damaged chunk %s", chunk.key)
+            continue
         numbers.append(np.arange(chunk.first_frame, chunk.first_frame + part.stop))
     last = np.arange(min(added.frames, size))
     parts.append(_frames(added, last))
@@ -49,8 +57,8 @@ def of_longer(store: Store, dataset: Dataset, added: Capture) -> list[Any]:
     found = _of_sample(concatenate(parts), dataset.image_sizes, there, frames)
     if len(there) == frames:
         return dumped(found)
-    before = [Finding.model_validate(finding) for finding in dataset.findings or []]
-    return dumped(_with(_still(before, _absences(added, frames)), found))
+    still = noticed(_still, dataset.findings or [], _absences(added, frames))
+    return dumped(_with(still, found))
 
 
 def _of_sample(
@@ -61,8 +69,8 @@ def _of_sample(
     )
 
 
-def _absences(capture: Capture, frames: int) -> list[Finding]:
-    return list(absences(observed(capture.keypoints, capture.confidence), frames))
+def _absences(capture: Capture, frames: int) -> tuple[Finding, ...]:
+    return noticed(absences, observed(capture.keypoints, capture.confidence), frames)
 
 
 def _with(absent: Iterable[Finding], found: Sequence[Finding]) -> list[Finding]:
@@ -70,10 +78,11 @@ def _with(absent: Iterable[Finding], found: Sequence[Finding]) -> list[Finding]:
     return [*absent, *(finding for finding in found if finding.code not in ABSENCES)]
 
 
-def _still(before: Sequence[Finding], now: Sequence[Finding]) -> Iterator[Finding]:
-    """Yield what is absent both from the frames before and from those that were added."""
+def _still(before: Sequence[Any], now: Sequence[Finding]) -> Iterator[Finding]:
+    """Yield what is absent both from the frames before (plain data) and from those added."""
+    known = [Finding.model_validate(finding) for finding in before]
     for finding in now:
-        for earlier in before:
+        for earlier in known:
             if finding.code != earlier.code:
                 continue
             views = tuple(sorted(set(earlier.views) & set(finding.views)))

@@ -20,9 +20,11 @@ def _printable(tag: str) -> str:
     return tag
 
 
-def _without_nul(text: str) -> str:
+def _held_by_databases(text: str) -> str:
     if "\0" in text:
         raise ValueError("expected text without the character NUL (U+0000)")
+    if any("\ud800" <= character <= "\udfff" for character in text):
+        raise ValueError("expected whole characters, got half of one (U+D800 to U+DFFF)")
     return text
 
 
@@ -43,7 +45,7 @@ def _bounded(value: dict[str, Any]) -> dict[str, Any]:
     if size > MAX_METADATA:
         raise ValueError(f"expected {MAX_METADATA} bytes of JSON at most, got {size}")
     for text in _texts(value):
-        _without_nul(text)
+        _held_by_databases(text)
     return value
 
 
@@ -59,7 +61,7 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(item)
 
 
-Text = Annotated[str, AfterValidator(_without_nul)]  # which every database can hold
+Text = Annotated[str, AfterValidator(_held_by_databases)]  # which every database can hold
 Tag = Annotated[str, Field(min_length=1, max_length=64), AfterValidator(_printable)]
 Tags = Annotated[list[Tag], Field(max_length=MAX_TAGS), AfterValidator(_once)]
 Metadata = Annotated[dict[str, Any], AfterValidator(_bounded)]

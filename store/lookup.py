@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 from sqlalchemy import select
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session, defer
 
 from store.array_files import GetRange
 from store.database import Store
@@ -103,9 +103,13 @@ def page(
     limit: int,
     after: str | None,
 ) -> list[Resource]:
-    """Return up to ``limit`` records, newest first, older than ``after`` if it is given."""
+    """Return up to ``limit`` records, newest first, older than ``after`` if it is given.
+
+    They come without the columns that are in no list (``unlisted``).
+    """
     before, since = filters.created_before, filters.created_after
-    query = select(kind).order_by(kind.id.desc()).limit(limit)
+    left_out = [defer(getattr(kind, name), raiseload=True) for name in kind.unlisted]
+    query = select(kind).options(*left_out).order_by(kind.id.desc()).limit(limit)
     if after is not None:
         query = query.where(kind.id < after)
     if filters.ids:

@@ -20,8 +20,12 @@ class Record(DeclarativeBase):
 
 
 class Labelled:
-    """Columns of what people say of anything stored; older records hold null."""
+    """Columns of what people say of anything stored; older records hold null.
 
+    `unlisted` names those columns that are read one by one, and not in lists.
+    """
+
+    unlisted: ClassVar[tuple[str, ...]] = ()
     name: Mapped[str] = mapped_column(index=True)
     tags: Mapped[list[Any] | None]
     user_metadata: Mapped[dict[str, Any] | None]
@@ -157,6 +161,7 @@ class Model(Labelled, Record):
     """A fitted prior: its weights are an object, its figures are here."""
 
     noun: ClassVar = "model"
+    unlisted: ClassVar = ("training_curve",)  # long, and in no list
     __tablename__ = "models"
 
     id: Mapped[str] = mapped_column(primary_key=True)

@@ -26,6 +26,7 @@ from models.bundle.shared_likelihood import likelihood_of_shared
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.lens_prior import PINHOLE, rig_prior
 from models.calibrating.problem import Problem, Solution, copied, reprojection_distances
+from models.findings.advice import attempt_steps
 from models.numerics.medians import lower_median
 from models.numerics.steps import Steps
 
@@ -81,8 +82,13 @@ class Candidate(NamedTuple):
 def check_told(problem: Problem, solution: Solution) -> Steps[Checked]:
     """Refine or refuse, one by one, what was told and is contradicted; most often nothing is.
 
-    Ends when fewer than two told poses are left: which of them is wrong cannot be known then.
+    Ends when fewer than two told poses are left: which of them is wrong cannot be known then. If
+    it fails, that is logged, and everything stays as it was told.
     """
+    return (yield from attempt_steps(_checked(problem, solution), Checked(problem, solution, ())))
+
+
+def _checked(problem: Problem, solution: Solution) -> Steps[Checked]:
     found: list[Doubt] = []
     settled: set[tuple[int, Part]] = set()
     for _ in range(MOST_DOUBTS):

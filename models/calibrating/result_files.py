@@ -26,6 +26,7 @@ OLD_WARNINGS: dict[str, FindingCode] = {
     "the given poses": "calibration_disagrees",
     "the known length": "known_length_disagrees",
 }
+NOT_ORTHONORMAL = 1e-3  # of rotations, what rounding may leave
 OF_ALL_VIEWS = ("shape_mean", "shape_basis", "doubt_basis", "doubt_scales", "numbers")
 
 
@@ -110,14 +111,16 @@ def from_arrays(arrays: Arrays, words: str) -> SelfCalibration:
     }
     if not all(len(a[name]) == len(a["groups"]) for name in a if name not in OF_ALL_VIEWS):
         raise WeightsError("the file contradicts itself about the cameras")
-    groups = a["groups"].astype(np.int64)
+    groups, deviations = a["groups"].astype(np.int64), a["deviations"]
     models = _lens_models(said, a)
     spread, error_spread, misfit_limit, noise, unit = a["numbers"].tolist()
     consistent = (
         len(models) == len(groups) > 0
-        and a["deviations"].shape[1] in (VIEW - 1, VIEW)
+        and deviations.shape[1] in (VIEW - 1, VIEW)
         and np.array_equal(np.unique(groups), np.arange(int(groups.max()) + 1))
         and bool((a["focals"] > 0).all())
+        and bool((deviations >= 0).all() and (a["errors"] >= 0).all())
+        and _are_rotations(a["extrinsic_rotations"])
         and bool((a["doubt_scales"] > 0).all())
         and min(spread, error_spread, noise, unit) > 0
         and misfit_limit >= 0
@@ -126,7 +129,6 @@ def from_arrays(arrays: Arrays, words: str) -> SelfCalibration:
     if not consistent:
         raise WeightsError("the file contradicts itself about the cameras")
     lenses = Lenses(a["focals"], a["centres"], a["distortion"], models)
-    deviations = a["deviations"]
     if deviations.shape[1] < VIEW:  # the second radial coefficient was kept
         deviations = np.insert(deviations, RADIAL_2, 0, axis=1)
     return SelfCalibration(
@@ -141,6 +143,15 @@ def from_arrays(arrays: Arrays, words: str) -> SelfCalibration:
         str(said["reason"]),
         _findings(said),
         _certainty(said),
+    )
+
+
+def _are_rotations(matrices: Float64) -> bool:
+    """Whether matrices (K, 3, 3) are orthonormal and mirror nothing."""
+    products = matrices @ matrices.transpose(0, 2, 1)
+    return bool(
+        (np.abs(products - np.eye(3)) < NOT_ORTHONORMAL).all()
+        and (np.linalg.det(matrices) > 0).all()
     )
 
 
@@ -162,6 +173,7 @@ def _read_words(words: str) -> dict[str, Any]:
     try:
         said = json.loads(words)
         noticed = said["findings"] if "findings" in said else said["warnings"]
+        json.dumps(said, ensure_ascii=False).encode()  # no answer can hold halves of characters
         complete = isinstance(said["reason"], str) and isinstance(noticed, list)
     except (ValueError, KeyError, TypeError, RecursionError):
         complete = False

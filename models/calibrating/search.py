@@ -22,6 +22,7 @@ from models.calibrating.told_cameras import (
     in_words,
     poses_disagree,
 )
+from models.findings.advice import attempt_steps, noticed
 from models.findings.finding import Finding
 from models.numerics.steps import Steps
 from models.settings.config import FitConfig
@@ -62,7 +63,7 @@ def search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) -
         return found
     anew = yield from _search(forget_lenses(problem, refused), answers, config)
     of_lenses = tuple(doubt for doubt in found.checked.doubts if doubt.part == "lens")
-    findings = disagreements(problem, found.told, anew.checked._replace(doubts=of_lenses))
+    findings = noticed(disagreements, problem, found.told, anew.checked._replace(doubts=of_lenses))
     reason = anew.reason + in_words(findings)
     return anew._replace(reason=reason, findings=anew.findings + findings)
 
@@ -75,10 +76,10 @@ def _search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) 
     if len(problem.posed) > 1:
         posed = yield from arrange_posed(problem, moving)
         if posed.fits:
-            findings = disagreements(problem, posed.told, posed.checked, posed.unit)
+            findings = noticed(disagreements, problem, posed.told, posed.checked, posed.unit)
             reason = "the poses of the cameras were given" + in_words(findings)
             return Arranged(posed.told, posed.checked, reason, 1.0, findings, posed.unit)
-        findings = poses_disagree(problem, posed.told, moving)
+        findings = noticed(poses_disagree, problem, posed.told, moving)
     if config.cameras == "moving":
         said = "the cameras were declared moving"
         rest = Rest(moving, said, [handed.log_odds], problem.lens_groups)
@@ -86,11 +87,13 @@ def _search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) 
         declared, hint = config.cameras == "static", config.hand
         rest = yield from find_rest(problem, handed, moving, declared=declared, hint=hint)
         if declared and rest.solution.noise > DOUBTFUL_REST * moving.noise:
-            freely = yield from find_rest(problem, handed, moving, declared=False, hint=hint)
-            findings += _against_declared_rest(rest.solution, freely.solution)
+            freely = yield from attempt_steps(
+                find_rest(problem, handed, moving, declared=False, hint=hint), rest
+            )
+            findings += noticed(_against_declared_rest, rest.solution, freely.solution)
     told, problem = rest.solution, problem._replace(lens_groups=rest.lens_groups)
     checked = yield from check_told(problem, told)
-    findings += disagreements(problem, told, checked)
+    findings += noticed(disagreements, problem, told, checked)
     hand = 1.0 if config.handedness is not None else certainty(rest.evidence)
     reason = rest.reason + in_words(findings)
     # What a told lens is found to be, once it is refused, is no longer the rigid scene's.

@@ -36,6 +36,7 @@ from models.calibrating.problem import (
 from models.calibrating.result import SelfCalibration
 from models.calibrating.search import Arranged, search
 from models.calibrating.told_cameras import unit_by_length
+from models.findings.advice import noticed
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
 from models.numerics.steps import Steps
@@ -146,8 +147,8 @@ def self_calibrate(
     found = replace(
         _result(problem, best, surely, reason, unit, findings), handedness_certainty=arranged.hand
     )
-    noticed = (*found.findings, *camera_findings(found, problem.images, problem.size))
-    return replace(found, findings=noticed), best.scene
+    of_cameras = noticed(camera_findings, found, problem.images, problem.size)
+    return replace(found, findings=(*found.findings, *of_cameras)), best.scene
 
 
 def _leaves_lenses_to_shapes(problem: Problem, best: Solution) -> bool:

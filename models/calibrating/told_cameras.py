@@ -125,7 +125,7 @@ def _disagrees(
 ) -> Finding:
     noises = {"noise_as_told": told.measured_noise, "noise": without.measured_noise}
     finding = Finding.of("calibration_disagrees", views=views)
-    return finding.model_copy(update={"evidence": noises | numbers})
+    return finding.with_evidence(noises | numbers)
 
 
 def in_words(findings: tuple[Finding, ...]) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from models.capture.extents import Extents, extents
 from models.capture.frozen import Place, frozen_places
+from models.findings.advice import attempt, noticed
 from models.findings.finding import Finding
 from models.settings.keypoints import MIN_KEYPOINTS
 
@@ -78,6 +79,8 @@ def capture_findings(
 ) -> tuple[Finding, ...]:
     """Return what keypoints (N, K, P, 2) in pixels alone tell of a capture.
 
+    A check that fails is logged, and the others say what they find.
+
     Parameters
     ----------
     keypoints, confidence
@@ -93,21 +96,22 @@ def capture_findings(
     seen = observed(pixels, confidence)
     numbers = np.arange(len(pixels)) if numbers is None else numbers
     frozen = np.zeros(seen.shape, np.bool_)
-    for place in frozen_places(pixels, seen) if places is None else places:
+    if places is None:
+        places = attempt(frozen_places, [], pixels, seen)
+    for place in places:
         frozen[place.frames, place.k, place.p] = True
-    stuck = list(_frozen(pixels, seen, frozen, numbers))
+    stuck = noticed(_frozen, pixels, seen, frozen, numbers)
     seen = seen & ~frozen  # which are no detections
     capture = _Capture(pixels, seen, extents(pixels, seen), numbers)
     if not capture.sees().any():
-        return tuple(stuck)  # such a capture cannot be fitted, which says the rest
-    found = [
-        *absences(seen, len(pixels) if frames is None else frames),
+        return stuck  # such a capture cannot be fitted, which says the rest
+    return (
+        *noticed(absences, seen, len(pixels) if frames is None else frames),
         *stuck,
-        *_identical(capture),
-    ]
-    normalised = list(_normalised(capture))
-    found += normalised or _outside(capture, image_sizes)
-    return (*found, *_motionless(capture))
+        *noticed(_identical, capture),
+        *(noticed(_normalised, capture) or noticed(_outside, capture, image_sizes)),
+        *noticed(_motionless, capture),
+    )
 
 
 def sample(frames: int, views: int, keypoints: int) -> NDArray[np.int64]:

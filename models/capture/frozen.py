@@ -97,6 +97,8 @@ def _step(shown: Float32) -> float:
     If none, hardly two of some thousand coordinates are the same.
     """
     values = shown[np.isfinite(shown)]
+    if not len(values):
+        return 0.0
     values = values[:: -(-len(values) // STEP_VALUES)]
     different = np.unique(values)
     if not 1 < len(different) < ROUNDED * len(values):

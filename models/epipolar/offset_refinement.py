@@ -34,6 +34,7 @@ LARGEST_STEP = 1.5  # frames: beyond it, motion is not linear any more
 # The scatter of blocks of frames tells how sure offsets are: at most so many, and each longer than
 # errors of smoothed keypoints (in half widths) and of detectors (in frames) are alike.
 MOST_BLOCKS, BLOCK_WIDTHS, BLOCK_FRAMES = 16, 1.5, 8
+FEWEST_BLOCKS = 4  # with three, Student's t has no variance
 FLOOR = 2e-4  # of the extent of the keypoints: finer than any detector or lens model
 RIDGE = 1e-9  # of the information: views that no pair tells of stay where they are
 
@@ -95,8 +96,11 @@ def refine_offsets(
 ) -> Refined | None:
     """Refine the coefficients `start` (K, M) of `functions` (T, M) of the scene's frames.
 
-    The view `reference` keeps its own. None if too few keypoints are seen by two views.
+    The view `reference` keeps its own. None if too few keypoints are seen by two views,
+    or there are too few frames to tell how sure their offsets are.
     """
+    if scene.blocks < FEWEST_BLOCKS:
+        return None
     views, size = start.shape
     coefficients = start.copy()
     thin = slice(None, None, 1 + functions.shape[0] * len(scene.tracks[0].pixels[0]) // POINTS)
@@ -199,6 +203,8 @@ def _equations(
         matrix = fit_fundamental(x, y, floor=FLOOR).matrix
     for step in range(MATRIX_ROUNDS + 1):
         across_y, across_x, distances, by_matrix = _linearise(matrix, x, y)
+        if not np.isfinite(distances).all():  # keypoints in an epipole have no epipolar line
+            return None
         scale = max(robust_scale(distances), FLOOR)
         weights = student_weights(distances, scale) / scale**2
         weighted = weights[:, None] * by_matrix
@@ -229,14 +235,22 @@ def _linearise(
     """Return epipolar normals of y and x (M, 2), Sampson distances (M,), derivatives (M, 7).
 
     Normals are those of epipolar lines, over Sampson's denominator; derivatives are by `_tangents`.
+    NaN where both keypoints lie in the epipoles.
     """
     one = np.ones((len(x), 1))
     hx, hy = np.concatenate((x, one), 1), np.concatenate((y, one), 1)
     lines_y, lines_x = hx @ matrix.T, hy @ matrix
     norms = np.sqrt(np.square(lines_y[:, :2]).sum(1) + np.square(lines_x[:, :2]).sum(1))[:, None]
-    rows = (hy[:, :, None] * hx[:, None]).reshape(-1, 9) / norms
-    distances = rows @ matrix.ravel()
-    return lines_y[:, :2] / norms, lines_x[:, :2] / norms, distances, rows @ _tangents(matrix)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rows, across_y, across_x = (
+            part / norms
+            for part in (
+                (hy[:, :, None] * hx[:, None]).reshape(-1, 9),
+                lines_y[:, :2],
+                lines_x[:, :2],
+            )
+        )
+    return across_y, across_x, rows @ matrix.ravel(), rows @ _tangents(matrix)
 
 
 def _tangents(matrix: Float64) -> Float64:

@@ -1,7 +1,8 @@
 """What was noticed, in the shape that datasets, fits, models, lifts and streams share."""
 
 import logging
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -12,6 +13,7 @@ from models.findings.catalogue import CATALOGUE, FindingCode, Severity
 
 MOST_RANGES = 100  # of frames that one finding lists
 Index = Annotated[int, Field(ge=0)]
+Number = Annotated[float, Field(allow_inf_nan=False)]  # others become null in JSON
 
 
 class Finding(BaseModel):
@@ -34,7 +36,7 @@ class Finding(BaseModel):
         description="Ranges of frames, the first and the last of each; all frames if empty.",
     )
     keypoints: tuple[Index, ...] = Field((), description="Which keypoints; all if empty.")
-    evidence: dict[str, float] = Field({}, description="The numbers that it rests on, by name.")
+    evidence: dict[str, Number] = Field({}, description="The numbers that it rests on, by name.")
     effect: str = Field(description="What it leads to.")
     remedy: str = Field(description="What to do about it.")
 
@@ -61,10 +63,14 @@ class Finding(BaseModel):
             views=tuple(sorted(int(view) for view in views)),
             frames=frame_ranges(frames),
             keypoints=tuple(sorted(int(keypoint) for keypoint in keypoints)),
-            evidence={name: float(value) for name, value in evidence.items()},
+            evidence=_finite(evidence),
             effect=entry.effect,
             remedy=entry.remedy,
         )
+
+    def with_evidence(self, numbers: Mapping[str, float]) -> Self:
+        """Return the same finding, resting on other numbers, the finite of these."""
+        return self.model_copy(update={"evidence": _finite(numbers)})
 
     def __str__(self) -> str:
         """Say it in one line, for logs and terminals."""
@@ -75,6 +81,10 @@ class Finding(BaseModel):
             said.append("frames " + _listed([f"{a}-{b}" if a < b else a for a, b in self.frames]))
         said += [f"{name} {value:.4g}" for name, value in self.evidence.items()]
         return ", ".join(said) + f". {self.effect} {self.remedy}"
+
+
+def _finite(numbers: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(value) for name, value in numbers.items() if math.isfinite(value)}
 
 
 def dumped(findings: Iterable[Finding]) -> list[dict[str, Any]]:

@@ -1,10 +1,18 @@
 """The training curve that a fitted prior keeps, and that a fit goes on with."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
+
+from models.numerics.tensor_files import WeightsError
+
+# A fit notes 200 rows, and some more whenever its plan grows. As plain data they take many times
+# the bytes that they have in a file.
+MOST_ROWS = 4000
+MOST_STEPS = 2**53  # that a float counts
 
 
 class CurvePoint(NamedTuple):
@@ -21,5 +29,17 @@ def curve_to_tensor(curve: Sequence[CurvePoint]) -> Tensor:
 
 
 def curve_from_tensor(rows: Tensor) -> tuple[CurvePoint, ...]:
-    """Read what `curve_to_tensor` returned."""
+    """Read what `curve_to_tensor` returned.
+
+    Raises
+    ------
+    WeightsError
+        When it has more rows than any fit notes, or its steps do not rise from 1 on.
+    """
+    if len(rows) > MOST_ROWS:
+        raise WeightsError(f"the training curve may have {MOST_ROWS} rows, it has {len(rows)}")
+    steps = rows[:, 0].tolist()
+    rising = all(before < step for before, step in pairwise([0.0, *steps]))
+    if not rising or not all(step.is_integer() and step <= MOST_STEPS for step in steps):
+        raise WeightsError("the training curve must have whole steps that rise from 1 on")
     return tuple(CurvePoint(int(step), loss, error) for step, loss, error in rows.tolist())

@@ -1,19 +1,20 @@
 """What lifts must know of the capture that their prior was fitted to."""
 
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from models.capture.clocks import Clocks
 from models.capture.frozen import at_places
 from models.findings.finding import Finding
 from models.network.answers import Usual, nothing_unusual
 from models.numerics.tensor_files import WeightsError
-from models.settings.keypoints import MAX_KEYPOINTS
+from models.settings.keypoints import MAX_KEYPOINTS, MAX_VIEWS
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
@@ -66,6 +67,12 @@ class FittedCapture(NamedTuple):
             return None
         return self.clocks if views is None else self.clocks.of_views(views)
 
+    def check_views(self, learnt: Iterable[int]) -> None:
+        """Raise `WeightsError` unless all that was learnt of views is of as many; 0 is of none."""
+        counts = {count for count in (self.views, *learnt) if count}
+        if len(counts) > 1 or any(count > MAX_VIEWS for count in counts):
+            raise WeightsError(f"the file contradicts itself about the views: {sorted(counts)}")
+
     def to_header(self) -> dict[str, str]:
         """Return it as texts, for the header of a file."""
         about = {
@@ -101,19 +108,31 @@ class FittedCapture(NamedTuple):
             if "clocks" in about:
                 moments, offsets = (np.array(a, np.float64) for a in json.loads(about["clocks"]))
                 clocks = Clocks(moments, offsets)
-        except (KeyError, TypeError, ValueError, ValidationError, RecursionError) as error:
+        except (ArithmeticError, LookupError, TypeError, ValueError, RecursionError) as error:
             raise WeightsError("the header does not say what the keypoints were") from error
         consistent = (
             known.sum() == keypoints
             and len(known) <= MAX_KEYPOINTS
-            and len(usual.misfits) > 0
+            and 0 <= views <= MAX_VIEWS
+            and _is_usual(usual)
             and bool(np.isfinite(places).all())
             and bool((places[:, :2] >= 0).all() and (places[:, 1] < len(known)).all())
+            and bool((places[:, 0] < views).all())
             and (clocks is None or clocks.suit(views))
         )
         if not consistent:
             raise WeightsError("the header contradicts itself about the keypoints")
         return cls(views, known, places, usual, findings, clocks)
+
+
+def _is_usual(usual: Usual) -> bool:
+    """Whether limits are some; infinity is a limit that no frame is beyond."""
+    return (
+        0 < len(usual.misfits) <= MAX_VIEWS
+        and bool((usual.misfits >= 0).all())  # NaN is not
+        and 0 <= usual.least_size <= usual.most_size
+        and usual.least_size < math.inf
+    )
 
 
 def whole_capture(keypoints: int) -> FittedCapture:

@@ -315,7 +315,15 @@ class FittedPrior:
             When the bytes are damaged, foreign, or not what their header promises. Nothing larger
             than `data` is allocated before that is known.
         """
-        about = read_about(data, kind="prior")
+        try:
+            return cls._from_file(data, read_about(data, kind="prior"))
+        except WeightsError:
+            raise
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+            raise WeightsError(f"the file contradicts itself: {error}") from error
+
+    @classmethod
+    def _from_file(cls, data: bytes, about: dict[str, str]) -> "FittedPrior":
         try:
             config = FitConfig.model_validate_json(about["config"])
             keypoints = int(about["keypoints"])
@@ -331,15 +339,25 @@ class FittedPrior:
             shapes |= prefixed(f"{name}.", part.shapes())
         arrays = unpack(data, shapes=shapes)
         parts = {name: p.read(without_prefix(f"{name}.", arrays)) for name, p in there.items()}
+        cameras, outliers = parts.get("cameras"), parts.get("outliers")
+        removal = NoiseRemoval(parts.get("denoiser"), parts.get("motion"))
+        capture.check_views(
+            (
+                0 if cameras is None else len(cameras.rig.groups),
+                0 if outliers is None else len(outliers.mean),
+                0 if removal.denoiser is None else len(removal.denoiser.mean),
+                0 if removal.motion is None else len(removal.motion.noise),
+            )
+        )
         return cls(
             config,
             {name: arrays[name] for name in weights},
             curve_from_tensor(arrays["curve"]),
             arrays["foreshortening"].item(),
-            parts.get("cameras"),
-            NoiseRemoval(parts.get("denoiser"), parts.get("motion")),
+            cameras,
+            removal,
             capture,
-            parts.get("outliers"),
+            outliers,
             parts.get("skeleton"),
             parts.get("structures"),
         )

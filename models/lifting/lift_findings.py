@@ -1,8 +1,11 @@
 """Findings of lifts: which frames are unlike the fit, in what, and by how much."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
+from models.findings.advice import noticed
 from models.findings.finding import Finding
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import FINDING_BITS, Lift
@@ -22,7 +25,10 @@ def lift_findings(
     """
     if not lift.findings.any():
         return ()
-    found = []
+    return noticed(_found, lift, prior, first_frame)
+
+
+def _found(lift: Lift, prior: FittedPrior, first_frame: int | None) -> Iterator[Finding]:
     for bit, code in FINDING_BITS.items():
         about = (lift.findings & bit) > 0  # (N,)
         if not about.any():
@@ -30,10 +36,8 @@ def lift_findings(
         every = first_frame is None and about.all()
         numbers = np.flatnonzero(about) + (first_frame or 0)
         evidence = _EVIDENCE[bit](lift.frames(about), prior)
-        known = {name: value for name, value in evidence.items() if np.isfinite(value)}
         finding = Finding.of(code, frames=() if every else numbers)
-        found.append(finding.model_copy(update={"evidence": known}))
-    return tuple(found)
+        yield finding.with_evidence(evidence)
 
 
 def _of_rig(lift: Lift, prior: FittedPrior) -> dict[str, float]:

@@ -16,6 +16,7 @@ from models.capture.noise_removal import NoiseRemoval, learn_noise_removal
 from models.capture.observations import Observations, as_observations
 from models.capture.outliers import OutlierJudge, OutlierModel, learn_outliers
 from models.epipolar.order_checks import order_findings
+from models.findings.advice import attempt, noticed
 from models.findings.finding import Finding
 from models.lifting.fitted_capture import FittedCapture
 from models.network.answers import nothing_unusual
@@ -64,7 +65,7 @@ def observe(
         When a view shows a keypoint that the weights have not, or there are other keypoints.
     """
     pixels, confidence = read.keypoints, read.confidence
-    places = frozen_places(pixels, observed(pixels, confidence))
+    places = attempt(frozen_places, [], pixels, observed(pixels, confidence))
     findings = capture_findings(pixels, confidence, image_sizes, places=places)
     rows = [(place.k, place.p, *place.pixel) for place in places]
     views, keypoints = pixels.shape[1:3]
@@ -87,7 +88,7 @@ def observe(
     ]
     still = any(finding.code == "no_motion" and not finding.views for finding in findings)
     if not still:  # one pose, however often it is shown, suits many geometries
-        order = order_findings(detected, observations.weights, late=late)
+        order = noticed(order_findings, detected, observations.weights, late=late)
         capture = capture._replace(findings=(*capture.findings, *order))
     capture = capture._replace(known=shown if known is None else _suited(known, shown))
     observations = _among(observations, capture.known)
@@ -96,7 +97,10 @@ def observe(
         judged = OutlierJudge(outliers, range(views)).without_outliers(observations)
         kept, swapped = judged.observations, judged.swapped
         told = (finding for finding in capture.findings if not _settled(finding, swapped))
-        found = (*_mended(swapped, capture.known), *_left_out(observations, kept))
+        found = (
+            *noticed(_mended, swapped, capture.known),
+            *noticed(_left_out, observations, kept),
+        )
         capture, observations = capture._replace(findings=(*told, *found)), kept
     if not config.denoising or not observations.usable.any():
         return Observed(observations, observations, capture, outliers, NoiseRemoval())

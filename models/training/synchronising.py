@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from models.capture.clocks import Clocks, in_step
 from models.epipolar.order_checks import put_in_order
 from models.epipolar.synchronisation import Timing, find_timing, is_film, reach_at
+from models.findings.advice import attempt
 from models.findings.catalogue import Severity
 from models.findings.finding import Finding
 from models.settings.config import Synchronise
@@ -40,16 +41,19 @@ def put_in_step(
     Times (N,) or (N, K) in seconds that differ between views are honoured. With them, views that
     are late nevertheless are looked for and shifted; without them they are only told, and nothing
     is told of frames that do not follow each other in time. `synchronise: off` looks for nothing.
+    If the search fails, that is logged, and no view is late.
     """
     read, trust = in_step(keypoints, confidence, times)
     first = None if times is None else times.reshape(len(times), -1)[:, 0]
     nothing = InStep(read, trust, first, None, ())
-    if synchronise == "off" or (times is None and not is_film(read.astype(np.float64))):
+    if synchronise == "off":
+        return nothing
+    if times is None and not attempt(is_film, False, read.astype(np.float64)):
         return nothing
     step = None if first is None or len(first) < 2 else float(np.median(np.diff(first)))
     reach = reach_at(None if step is None else 1 / step)
     slots = np.arange(len(read)) if first is None or step is None else _slots(first, step)
-    timing = _timing(read.astype(np.float64), _weights(read, trust), slots, reach)
+    timing = attempt(_timing, None, read.astype(np.float64), _weights(read, trust), slots, reach)
     if timing is None:
         return nothing
     frames = np.arange(len(slots), dtype=np.float64)
@@ -126,4 +130,4 @@ def _finding(timing: Timing, view: int, step: float | None) -> Finding:
         evidence["changes_from"], evidence["changes_to"] = map(float, timing.frames)
     severity: Severity = "warning" if sure and not applied else "info"
     finding = Finding.of("views_out_of_step", views=(view,), severity=severity)
-    return finding.model_copy(update={"evidence": evidence})
+    return finding.with_evidence(evidence)

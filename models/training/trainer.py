@@ -11,9 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from models.calibrating.image_sizes import ImageSizes
 from models.capture.observations import Observations
+from models.findings.advice import attempt
 from models.findings.finding import Finding
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
+from models.network.answers import nothing_unusual
 from models.network.priors.prior import Prior
 from models.network.priors.registry import make_prior
 from models.settings.config import FitConfig
@@ -197,7 +199,7 @@ class Trainer:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
         self._learner.update_network()
         prior = self._teaching.result(self.step, self._curve)
-        capture = self._capture._replace(usual=self._teaching.usual())
+        capture = self._capture._replace(usual=attempt(self._teaching.usual, nothing_unusual()))
         if self.config.refine != "off" and prior.cameras is None:
             found = (*capture.findings, Finding.of("cameras_not_found"))
             capture = capture._replace(findings=found)

@@ -146,13 +146,21 @@ class ApiError(Exception):
             title=title,
             status=status,
             code=self.code,
-            detail=self.detail,
-            errors=[FieldError(pointer=pointer, detail=detail) for pointer, detail in self.errors],
+            detail=_written(self.detail),
+            errors=[
+                FieldError(pointer=_written(pointer), detail=_written(detail))
+                for pointer, detail in self.errors
+            ],
         )
         headers = dict(self.headers or {})
         if status in (408, 413):  # or the rest of the body would be read, to be thrown away
             headers["Connection"] = "close"
         return Response(problem.model_dump_json(), status, headers, PROBLEM_JSON)
+
+
+def _written(text: str) -> str:
+    """Return a text without halves of characters, which no answer can hold."""
+    return text.encode(errors="replace").decode()
 
 
 def invalid(pointer: str, detail: str) -> ApiError:

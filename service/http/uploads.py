@@ -1,7 +1,11 @@
 """Request bodies, read within their limits: JSON, raw bytes, or multipart/form-data."""
 
+import codecs
 import io
+import lzma
+import struct
 import zipfile
+import zlib
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -11,6 +15,7 @@ from typing import Annotated, Any, TypeVar
 import orjson
 from fastapi import Depends, Request
 from pydantic import BaseModel, ValidationError
+from python_multipart.multipart import parse_options_header
 from starlette.datastructures import FormData, UploadFile
 
 from service.http.bounds import check_bounds
@@ -31,8 +36,23 @@ HOW_TO_SEND_FILES = (
     "Detectors' files (CSV, H5, JSON, zip) become a dataset in a form, one for each camera: "
     "curl -F files=@cam1.csv -F files=@cam2.csv ADDRESS/datasets"
 )
+CHARSETS = ("utf-8", "ascii", "iso8859-1")  # of forms
 LARGE_BYTES = 1024 * 1024
 MAX_MEMBERS = 64  # of a zip file of arrays
+# What a zip file that is none, or a broken one, raises while it is read.
+ZIP_FAULTS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    OverflowError,
+    RuntimeError,  # encrypted members, unknown compression
+    ValueError,
+)
 ZIP_ENTRY = b"PK\x01\x02"  # begins every entry of a zip file's directory
 NULL_BYTES = 256  # what a null of JSON counts: it may stand for a keypoint, a view or a frame
 # What JSON takes as lists of numbers: of each list or object, and of each of its items.
@@ -84,7 +104,7 @@ class Upload:
         try:
             with zipfile.ZipFile(io.BytesIO(self.data)) as archive:
                 return size + sum(member.file_size for member in archive.infolist())
-        except (zipfile.BadZipFile, ValueError, OSError):  # none, or one that cannot be read
+        except ZIP_FAULTS:  # none, or one that cannot be read
             return size
 
     @property
@@ -183,11 +203,13 @@ async def read_body(request: Request, *, max_files: int = 1) -> Upload:
     Raises
     ------
     ApiError
-        413 for JSON that is too long, 415 for another type, 422 for a form without a file.
+        413 for JSON that is too long, 415 for another type or charset, 422 for a form without a
+        file.
     """
     settings: Settings = request.app.state.settings
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type == "multipart/form-data":
+        _check_charset(request.headers["content-type"])
         async with request.form(max_files=max_files, max_fields=16) as form:
             return await _of_form(form, several=max_files > 1)
     if media_type in BINARY_TYPES:
@@ -211,6 +233,20 @@ async def read_body(request: Request, *, max_files: int = 1) -> Upload:
         f"expected Content-Type application/json, application/octet-stream (npz or safetensors) "
         f"or multipart/form-data, got {media_type or 'none'!r}. {hint}",
     )
+
+
+def _check_charset(content_type: str) -> None:
+    """Refuse a form whose texts are in another encoding than those that every tool knows."""
+    charset = parse_options_header(content_type)[1].get(b"charset", b"utf-8").decode("latin-1")
+    try:
+        known = codecs.lookup(charset).name in CHARSETS
+    except (LookupError, ValueError):
+        known = False
+    if not known:
+        raise ApiError(
+            "unsupported_media_type",
+            f"expected a form in UTF-8, got the charset {charset[:40]!r}; leave the charset out",
+        )
 
 
 async def _of_form(form: FormData, *, several: bool) -> Upload:

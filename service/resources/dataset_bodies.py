@@ -181,8 +181,8 @@ def _described_in(found: Arrays) -> dict[str, Any]:
     if isinstance(said.get("image_sizes"), list):
         said["image_sizes"] = [None if s == UNKNOWN_SIZE else s for s in said["image_sizes"]]
     if "fps" in found:
-        fps = found["fps"]
-        said["fps"] = fps.item() if fps.size == 1 else _listed(found, "fps")
+        fps = _listed(found, "fps")
+        said["fps"] = fps[0] if isinstance(fps, list) and len(fps) == 1 else fps
     return said
 
 
@@ -219,7 +219,12 @@ def _capture_in(found: Arrays, settings: Settings, notes: list[str] | None = Non
 def _listed(found: Arrays, name: str) -> Any:
     if found[name].size > MAX_LISTED:
         raise invalid(f"/{name}", f"expected {MAX_LISTED} values at most, got {found[name].size}")
-    return found[name].tolist()
+    if found[name].dtype.kind not in "biufSU":
+        raise invalid(f"/{name}", f"expected text or numbers, got {found[name].dtype}")
+    try:
+        return found[name].tolist()
+    except (SystemError, ValueError) as error:  # which one depends on the version of NumPy
+        raise invalid(f"/{name}", "expected text, got code points beyond the last") from error
 
 
 def _required(found: Arrays) -> np.ndarray[Any, Any]:

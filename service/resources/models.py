@@ -116,26 +116,27 @@ class ModelSummary(BaseModel):
     @classmethod
     def of(cls, record: records.Model) -> Self:
         """Return the wire form of a record."""
-        return cls.model_validate(
-            {
-                "id": record.id,
-                "name": record.name,
-                "created_at": record.created_at,
-                "fit_id": record.fit_id,
-                "dataset_id": record.dataset_id,
-                "frames": record.frames,
-                "views": record.views,
-                "keypoints": record.keypoints,
-                "config": record.config,
-                "skeleton": record.skeleton,
-                "weights_bytes": record.weights_bytes,
-                "weights_checksum": f"sha256:{record.weights_checksum}",
-                "training_curve": record.training_curve,
-                "findings": record.findings or [],
-                **labels_of(record),
-                **record.metrics,
-            }
-        )
+        return cls.model_validate(cls._said(record))
+
+    @classmethod
+    def _said(cls, record: records.Model) -> dict[str, Any]:
+        return {
+            "id": record.id,
+            "name": record.name,
+            "created_at": record.created_at,
+            "fit_id": record.fit_id,
+            "dataset_id": record.dataset_id,
+            "frames": record.frames,
+            "views": record.views,
+            "keypoints": record.keypoints,
+            "config": record.config,
+            "skeleton": record.skeleton,
+            "weights_bytes": record.weights_bytes,
+            "weights_checksum": f"sha256:{record.weights_checksum}",
+            "findings": record.findings or [],
+            **labels_of(record),
+            **record.metrics,
+        }
 
 
 class Model(ModelSummary):
@@ -149,6 +150,10 @@ class Model(ModelSummary):
     )
 
     training_curve: list[CurvePoint]
+
+    @classmethod
+    def _said(cls, record: records.Model) -> dict[str, Any]:
+        return {**super()._said(record), "training_curve": record.training_curve}
 
 
 class ModelPage(Page[ModelSummary]):
@@ -319,6 +324,13 @@ def import_model(
         prior = FittedPrior.from_bytes(weights)
     except WeightsError as error:
         raise ApiError("malformed_body", f"These are no weights of a model: {error}") from error
+    views = prior.capture.views or prior.known_views
+    if views and known.views not in (None, views):
+        raise ApiError(
+            "malformed_body",
+            f"These are no weights of a model: they are of {views} views, and the file says "
+            f"{known.views}.",
+        )
     known = known.model_copy(
         update={field: getattr(said, field) for field in said.model_fields_set}
     )

@@ -6,7 +6,6 @@ Nothing is ever unpickled, and no array is allocated before the bytes that fill 
 import io
 import math
 import zipfile
-import zlib
 from itertools import chain
 from typing import IO, Any
 
@@ -17,7 +16,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from service.http.errors import ApiError, invalid
-from service.http.uploads import HOW_TO_SEND_FILES, MAX_MEMBERS, ZIP_ENTRY
+from service.http.uploads import HOW_TO_SEND_FILES, MAX_MEMBERS, ZIP_ENTRY, ZIP_FAULTS
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -39,7 +38,7 @@ def from_bytes(data: bytes, *, max_bytes: int) -> Arrays:
         if int.from_bytes(data[:8], "little") > _MAX_HEADER:
             raise ValueError("no header at its start")
         return load(data)
-    except (SafetensorError, KeyError, TypeError, ValueError) as error:  # also unknown dtypes
+    except (SafetensorError, TypeError, *ZIP_FAULTS) as error:  # also unknown dtypes
         other = _other_kind(data)
         if other is not None:
             detail = f"The body is {other}, neither an .npz file nor safetensors. "
@@ -87,38 +86,42 @@ def _from_npz(data: bytes, max_bytes: int) -> Arrays:
                     name = member.filename.removesuffix(".npy")
                     arrays[name] = _from_npy(name, stream, member.file_size)
             return arrays
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        EOFError,
-        MemoryError,  # what ast.literal_eval says of headers nested without end
-        OSError,
-        OverflowError,
-        RuntimeError,  # encrypted members, unknown compression
-        ValueError,
-    ) as error:
+    except ZIP_FAULTS as error:
         raise ApiError("malformed_body", f"The .npz file cannot be read: {error}") from error
 
 
 def _from_npy(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
     """Read one member; numpy would believe the header and allocate whatever it promises."""
-    version = np.lib.format.read_magic(stream)
-    read_header = (
-        np.lib.format.read_array_header_1_0
-        if version == (1, 0)
-        else np.lib.format.read_array_header_2_0
-    )
-    shape, fortran_order, dtype = read_header(stream)
+    shape, fortran_order, dtype = _npy_header(name, stream)
     if dtype.hasobject:
         raise ApiError(
             "malformed_body",
             f"The array {name!r} of the .npz file holds pickled objects, which are never read. "
             "Save numbers, as in keypoints.astype('float32'), and text as numpy.array(names, str).",
         )
-    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > size:
+    if math.prod(shape) * dtype.itemsize > size:
         raise ValueError(f"the array {name!r} is cut short")
     values = np.frombuffer(stream.read(), dtype, count=math.prod(shape))
     return values.reshape(shape, order="F" if fortran_order else "C")
+
+
+def _npy_header(name: str, stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Return shape, whether it is in Fortran's order, and the type of one member."""
+    try:
+        version = np.lib.format.read_magic(stream)
+        read_header = (
+            np.lib.format.read_array_header_1_0
+            if version == (1, 0)
+            else np.lib.format.read_array_header_2_0
+        )
+        shape, fortran_order, dtype = read_header(stream)
+    except ZIP_FAULTS:
+        raise
+    except Exception as error:  # NumPy parses it as Python, and lets through what that raises
+        raise ValueError(f"the array {name!r} has a malformed header: {error}") from error
+    if not all(type(length) is int and length >= 0 for length in shape):
+        raise ValueError(f"the array {name!r} has a malformed header: its shape is {shape}")
+    return shape, fortran_order, dtype
 
 
 def to_safetensors(arrays: Arrays, metadata: dict[str, str]) -> bytes:

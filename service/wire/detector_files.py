@@ -17,7 +17,7 @@ from fewview.reading_options import ReadingOptions
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from service.http.errors import from_validation, invalid
-from service.http.uploads import Upload
+from service.http.uploads import ZIP_FAULTS, Upload
 from service.settings import Settings
 from service.wire.arrays import Arrays
 from service.wire.reading_apart import OUT, read_apart
@@ -90,7 +90,7 @@ def holds_arrays(upload: Upload) -> bool:
     try:
         with zipfile.ZipFile(BytesIO(data)) as archive:
             return all(name.endswith(".npy") for name in archive.namelist())
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+    except ZIP_FAULTS:
         return True
 
 

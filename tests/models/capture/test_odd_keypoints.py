@@ -1,12 +1,18 @@
 """Whatever keypoints come: findings are about what there is, and reading in step loses nothing."""
 
+import logging
+from logging.handlers import BufferingHandler
+
 import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from models.capture.checks import capture_findings, observed
 from models.capture.clocks import Clocks, frames_apart, in_step
-from tests.odd_arrays import Float32, bounded, captures
+from models.capture.frozen import frozen_places
+from models.epipolar.order_checks import order_findings
+from models.epipolar.synchronisation import find_timing, is_film
+from tests.odd_arrays import Float32, bounded, captures, films
 
 
 @bounded
@@ -61,3 +67,40 @@ def test_a_late_view_is_never_read_where_it_showed_nothing(
     never = ~observed(keypoints).any(axis=0)  # (K, P)
     assert not observed(read)[:, never].any()
     np.testing.assert_array_equal(read[:, 0], keypoints[:, 0])
+
+
+@bounded
+@given(films())
+def test_no_check_fails(keypoints: Float32) -> None:
+    """They are called one by one: inside a fit a check that fails is left out, and would be so."""
+    seen = observed(keypoints)
+    frozen_places(keypoints, seen)
+    pixels, weights = keypoints.astype(np.float64), seen.astype(np.float64)
+    assert is_film(pixels) in (True, False)
+    timing = find_timing(pixels, weights)
+    if timing is not None:
+        assert np.isfinite(timing.offsets).all()
+        assert not (timing.late & timing.doubtful).any()
+    with np.errstate(all="ignore"):
+        order_findings(pixels, weights)
+
+
+@bounded
+@given(films())
+def test_findings_of_films_are_made_without_a_failure(keypoints: Float32) -> None:
+    handler = BufferingHandler(1000)
+    logging.getLogger("models.findings.advice").addHandler(handler)
+    try:
+        capture_findings(keypoints, image_sizes=[(640, 480)] * keypoints.shape[1])
+    finally:
+        logging.getLogger("models.findings.advice").removeHandler(handler)
+    assert not handler.buffer
+
+
+def test_a_blind_view_does_not_hide_what_is_stuck_in_another() -> None:
+    rng = np.random.default_rng(0)
+    keypoints = rng.uniform(0, 900, (60, 3, 8, 2)).astype(np.float32)
+    keypoints[:, 2] = np.nan
+    keypoints[::3, 1, 4] = 0
+    codes = [finding.code for finding in capture_findings(keypoints)]
+    assert sorted(codes) == ["keypoint_frozen", "view_never_seen"]

@@ -125,3 +125,14 @@ def test_films_are_told_from_shuffled_frames() -> None:
     assert is_film(keypoints)
     assert not is_film(np.random.default_rng(0).permutation(keypoints))
     assert not is_film(keypoints[:10])
+
+
+@pytest.mark.parametrize("late", [(0, 12, 0, -12), (0, 10, 3, 0), (0, -12, 12, 5)])
+def test_short_captures_with_gaps_say_little_of_time(late: tuple[int, ...]) -> None:
+    """So few frames are left of views so late that nothing says how sure they are."""
+    rng = np.random.default_rng(0)
+    moments = np.arange(20.0, 70)[:, None] - np.array(late)
+    keypoints = film([0.0, 70.0, 160.0, 250.0], moments, noise=1.0)
+    seen = rng.random(keypoints.shape[:3]) > 0.3
+    timing = find_timing(np.where(seen[..., None], keypoints, np.nan), seen.astype(np.float64))
+    assert timing is None or np.isfinite(timing.offsets).all()

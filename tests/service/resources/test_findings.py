@@ -96,6 +96,15 @@ def test_harm_is_noticed_at_upload(api: TestClient, capture: SyntheticCapture, c
     assert api.get(f"/datasets/{made['id']}").json()["findings"] == made["findings"]
 
 
+def test_a_blind_view_does_not_hide_what_is_stuck(
+    api: TestClient, capture: SyntheticCapture
+) -> None:
+    keypoints = capture.keypoints.copy()
+    blind(keypoints)
+    keypoints[::3, 1, 3] = 5
+    assert sorted(codes(uploaded(api, keypoints))) == ["keypoint_frozen", "view_never_seen"]
+
+
 def test_nothing_is_noticed_of_a_good_capture(api: TestClient, capture: SyntheticCapture) -> None:
     assert uploaded(api, capture.keypoints)["findings"] == []
 

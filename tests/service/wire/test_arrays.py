@@ -40,6 +40,48 @@ def broken_deflate() -> bytes:
     return bytes(data)
 
 
+def broken(compression: int, *, at: int) -> bytes:
+    """Return an npz file with bytes of its one member replaced."""
+    data = bytearray(zip_of({"keypoints.npy": np.random.default_rng(0).bytes(4000)}, compression))
+    begin = 30 + len("keypoints.npy") + at
+    data[begin : begin + 20] = b"\xff" * 20
+    return bytes(data)
+
+
+def npy_text(text: str, version: int = 1) -> bytes:
+    """Return a file of one member with this header, and some bytes after it."""
+    size = struct.pack("<H" if version == 1 else "<I", len(text.encode()))
+    return zip_of(
+        {"keypoints.npy": b"\x93NUMPY" + bytes([version, 0]) + size + text.encode() + b"1" * 64}
+    )
+
+
+HEADERS = [
+    "",
+    "\n",
+    "{",
+    "{'descr': '<f4', 'shape': (",
+    "{'descr': '<f4', 'fortran_order': False, 'shape': (1,), ",
+    "{'descr': (), 'fortran_order': False, 'shape': (1,), }",
+    "{'descr': None, 'fortran_order': False, 'shape': (1,), }",
+    "{'descr': ('<f4',), 'fortran_order': False, 'shape': (1,), }",
+    "{'descr': [('a',)], 'fortran_order': False, 'shape': (1,), }",
+    "{'descr': ('<f4', (2, -1)), 'fortran_order': False, 'shape': (1,), }",
+    "{'descr': '<f4', 'fortran_order': False, 'shape': (True, 2, 4, 2), }",
+    "{'descr': '<f4', 'fortran_order': False, 'shape': (1.0, 2, 4, 2), }",
+    "{'descr': '<f4', 'fortran_order': False, 'shape': [1, 2, 4, 2], }",
+    "{'descr': '<f4', 'fortran_order': False, 'shape': ((1,), 2), }",
+    "{'descr': '<f4', 'fortran_order': False, 'shape': None, }",
+    "{'descr': '<f4', 'fortran_order': 2, 'shape': (1,), }",
+    "{'descr': '<f4', 'fortran_order': False, 'shape': (1L, 2L, }",
+    "{'descr': '<f4', 'fortran_order': False, 1: 2}",
+    "  {'descr':\n\t'<f4'\n  'shape'",
+    "'\ud7ff",
+    "[1, 2",
+    "1 +",
+    "lambda: 0",
+    "{**{}}",
+]
 NPZ = to_npz(keypoints=ARRAY)
 SAFETENSORS = to_safetensors(keypoints=ARRAY)
 HEADER = b'{"keypoints":{"dtype":"%s","shape":%s,"data_offsets":[0,%d]}}'
@@ -55,6 +97,16 @@ UNREADABLE: dict[str, bytes] = {
     "npz with a broken checksum": NPZ.replace(ARRAY.tobytes(), b"\x01" * ARRAY.nbytes),
     "npz that is encrypted": encrypted(),
     "npz that does not inflate": broken_deflate(),
+    **{
+        f"npz of compression {kind}, broken at {at}": broken(kind, at=at)
+        for kind in (zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
+        for at in (0, 4, 40, 2000)
+    },
+    **{
+        f"npy of version {version} with the header {text[:60]!r}": npy_text(text, version)
+        for text in HEADERS
+        for version in (1, 2)
+    },
     "zip of text": zip_of({"keypoints.npy": b"hello"}),
     "zip of nothing": zip_of({"keypoints.npy": b""}),
     "npy that promises much": zip_of({"keypoints.npy": npy_header("(100000, 16, 256, 2)")}),
@@ -130,3 +182,47 @@ def test_zip_bombs(api: TestClient) -> None:
     problem(api.post("/datasets", content=bomb, headers=BYTES), 413, "body_too_large")
     many = zip_of({f"a{n}.npy": b"" for n in range(70)})
     problem(api.post("/datasets", content=many, headers=BYTES), 413, "body_too_large")
+
+
+def code_points(*numbers: int) -> Any:
+    """Return an array of texts of a character each, whatever these numbers stand for."""
+    return np.array(numbers, "<u4").view("<U1")
+
+
+def test_texts_and_numbers_alone_describe(api: TestClient) -> None:
+    for dtype in ("M8[s]", "m8[ns]", "c16", [("a", "f4")], [("a", "U1")], "V4"):
+        for field in ("keypoint_names", "view_names", "image_sizes", "fps", "edges"):
+            odd = np.zeros(1, dtype)
+            body = to_npz(keypoints=ARRAY, **{field: odd})
+            response = api.post("/datasets", content=body, headers=BYTES)
+            problem(response, 422, "invalid_input", f"/{field}")
+
+
+@pytest.mark.parametrize("number", [0xD800, 0xDBFF, 0xDC00, 0xDFFF, 0x110000, 0xFFFFFFFF])
+@pytest.mark.parametrize("field", ["keypoint_names", "view_names", "image_sizes", "fps", "edges"])
+def test_code_points_that_are_no_characters(api: TestClient, field: str, number: int) -> None:
+    count = {"keypoint_names": 4, "view_names": 2}.get(field, 1)
+    texts = code_points(*range(65, 65 + count - 1), number)
+    body = to_npz(keypoints=ARRAY, **{field: texts})
+    for send in (
+        {"content": body, "headers": BYTES},
+        {"files": {"file": ("f", body)}, "data": {"name": "a"}},
+    ):
+        response = api.post("/datasets", **send)
+        pointers = [item["pointer"] for item in response.json()["errors"]]
+        assert all(field in pointer for pointer in pointers), pointers
+        problem(response, 422, "invalid_input")
+
+
+@pytest.mark.parametrize(
+    "charset", ["undefined", "idna", "punycode", "utf-7", "utf-16", "hex", "rot13", "none-such", ""]
+)
+def test_a_form_is_in_utf_8(api: TestClient, charset: str) -> None:
+    name = b'--b\r\nContent-Disposition: form-data; name="name"\r\n\r\n+2AA-\r\n'
+    file = b'--b\r\nContent-Disposition: form-data; name="file"; filename="f"\r\n\r\n'
+    body = name + file + NPZ + b"\r\n--b--\r\n"
+    for url in ("/datasets", "/models", "/datasets/ds_none/frames"):
+        for said in (charset, f'"{charset}"'):
+            headers = {"Content-Type": f"multipart/form-data; boundary=b; charset={said}"}
+            response = api.post(url, content=body, headers=headers)
+            problem(response, 415, "unsupported_media_type")
