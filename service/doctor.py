@@ -19,6 +19,7 @@ from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.settings import Settings
+from service.wire import confinement
 from store import clock, schema
 from store.database import Store
 from store.engine import open_engine
@@ -60,6 +61,7 @@ def examine(settings: Settings, *, deep: bool) -> Iterator[Verdict]:
                   f"{sys.version.partition(' ')[0]}")  # fmt: skip
     yield from _settings(settings)
     yield from _space(settings)
+    yield _confinement()
     connection = None
     try:
         connection = _queue(settings)
@@ -164,6 +166,19 @@ def _space(settings: Settings) -> Iterator[Verdict]:
         if room.free < LITTLE_SPACE:
             state = "failed" if room.free < TOO_LITTLE_SPACE else "warning"
         yield Verdict(state, "space", words)
+
+
+def _confinement() -> Verdict:
+    """Say whether the kernel confines the processes that read uploads of detectors' files."""
+    missing = {"landlock", "seccomp"}.difference(confinement.available())
+    if not missing:
+        return Verdict("ok", "uploads", "what reads a file of others can read nothing else")
+    words = (
+        f"the kernel has no {' and no '.join(sorted(missing))}: what reads a file of others can be "
+        "kept from other files only by its own checks. Linux 5.13 or newer on x86-64 or arm64 has "
+        "both"
+    )
+    return Verdict("warning", "uploads", words)
 
 
 def _queue(settings: Settings) -> Redis:

@@ -328,7 +328,8 @@ def test_a_doctor_says_what_is_right_and_what_to_do(
     live: Live, fitted: dict[str, Any], postgresql: PostgreSQL, tmp_path: Path
 ) -> None:
     well = done("doctor", "--deep", f"--data-dir={live.data_dir}", FEWVIEW_STOREURL="x")
-    for part in ("versions", "settings", "space", "queue", "records", "clocks", "workers"):
+    parts = ("versions", "settings", "space", "uploads", "queue", "records", "clocks", "workers")
+    for part in parts:
         assert f"ok       {part}" in well
     assert "are as they were written" in well
     assert "FEWVIEW_STOREURL: unknown setting: did you mean 'FEWVIEW_STORE_URL'?" in well

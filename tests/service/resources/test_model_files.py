@@ -66,7 +66,7 @@ def damaged(weights: bytes) -> dict[str, bytes]:
     config = FitConfig.model_validate(CONFIG)
     wider = config.model_copy(update={"dictionary_sizes": (32, 8)}).model_dump_json()
     not_finite = {name: array.copy() for name, array in arrays.items()}
-    next(iter(not_finite.values())).flat[0] = np.nan
+    next(array for array in not_finite.values() if array.size).flat[0] = np.nan
     header = len(weights) - sum(array.nbytes for array in arrays.values()) - 8
     return {
         "empty": b"",
