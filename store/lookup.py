@@ -124,7 +124,7 @@ def identifiers(
 
 def _allowed(
     store: Store, kind: type[Resource], filters: Filters, after: str | None
-) -> Select[tuple[Resource]]:
+) -> Select[Resource]:
     """Return the query of all records that filters allow, newest first, older than ``after``."""
     before, since = filters.created_before, filters.created_after
     query = select(kind).order_by(kind.id.desc())

@@ -203,7 +203,7 @@ def test_labels_choose_what_is_listed_changed_and_deleted(served: Served, tmp_pa
     assert f"in use by {fit['id']}" in kept.stderr
     fewview("fits", "cancel", fit["id"], url)
     wait_for(lambda: served.client.fits.get(fit["id"]).status == "cancelled", "the fit to end")
-    chosen = {"id": [fit["id"]], "status": ["cancelled"]}
+    chosen: dict[str, Any] = {"id": [fit["id"]], "status": ["cancelled"]}
     assert served.client.fits.would_delete(**chosen) == 1
     with pytest.raises(Conflict, match="finds 1"):
         served.client.fits.delete_many(**chosen, expected_count=2)

@@ -6,6 +6,7 @@ import signal
 import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import httpx2
@@ -160,7 +161,8 @@ class Slow:
     def end(self) -> list[int]:
         """Kill the processes, and return how the requests were answered."""
         for pid in self._frozen:
-            os.kill(pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
         answers = [asking.result().status_code for asking in self._asking]
         self._threads.shutdown()
         return answers

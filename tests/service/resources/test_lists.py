@@ -179,16 +179,12 @@ def test_filters_are_bounded(api: TestClient) -> None:
 
 
 def deleted(api: TestClient, kind: str, **query: Any) -> dict[str, Any]:
-    """Delete as many as are found; return what of the answer does not say how many these are."""
-    found: dict[str, Any] = {}
-    for step in ({"dry_run": "true"}, {"expected_count": ""}):
-        response = api.delete(
-            f"/{kind}", params=query | {n: v or found["found"] for n, v in step.items()}
-        )
-        assert response.status_code == 200, response.text
-        assert found.get("found") in (None, response.json()["found"])
-        found = response.json()
-    del found["found"]
+    """Delete as many as are found, and return the answer without how many these are."""
+    count = api.delete(f"/{kind}", params=query | {"dry_run": True}).json()["found"]
+    response = api.delete(f"/{kind}", params=query | {"expected_count": count})
+    assert response.status_code == 200, response.text
+    found: dict[str, Any] = response.json()
+    assert found.pop("found") == count
     return found
 
 
@@ -220,29 +216,32 @@ def test_nothing_is_deleted_but_as_many_as_expected(
 ) -> None:
     name = f"counted {kind}"
     made = [make(kind, name)["id"] for _ in range(3)][::-1]
-    nothing = {"deleted": [], "refused": [], "next_cursor": None}
+    nothing: dict[str, Any] = {"deleted": [], "refused": [], "next_cursor": None}
 
     def asked(**query: Any) -> httpx2.Response:
         return api.delete(f"/{kind}", params={"name": name} | query)
 
     # Pages do not make the count smaller, and what is not found is none of them.
-    for query in ({}, {"limit": 1}, {"id": [*made, "none"]}, {"expected_count": 7}):
+    dry: list[dict[str, Any]] = [{}, {"limit": 1}, {"id": [*made, "none"]}, {"expected_count": 7}]
+    for query in dry:
         assert asked(dry_run=True, **query).json() == nothing | {"found": 3}
     assert asked(dry_run=True, cursor=made[0]).json()["found"] == 2
     assert asked(dry_run=True, name="nobody").json()["found"] == 0
-    for query in ({}, {"limit": 1}, {"id": made}, {"dry_run": False}):
+    uncounted: list[dict[str, Any]] = [{}, {"limit": 1}, {"id": made}, {"dry_run": False}]
+    for query in uncounted:
         said = problem(asked(**query), 422, "invalid_input", "/expected_count")
         assert "dry_run=true" in said
     for wrong in (-1, "some", "", 2.5):
         problem(asked(expected_count=wrong), 422, "invalid_input", "/expected_count")
-    for query in (
+    miscounted: list[dict[str, Any]] = [
         {"expected_count": 2},
         {"expected_count": 4},
         {"expected_count": 0},
         {"expected_count": 1, "limit": 1},
         {"expected_count": 4, "id": [*made, "none"]},
         {"expected_count": 10**30},
-    ):
+    ]
+    for query in miscounted:
         assert "finds 3" in problem(asked(**query), 409, "conflict")
     assert identifiers(api, kind, name=name) == made
 
