@@ -70,6 +70,10 @@ RESOURCES = (
 
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 
+# Files of detectors that are read beside as many as there may be large uploads: reading may take
+# minutes, and this many slow ones keep no other waiting. Each takes `reading_apart.MEMORY` at most.
+SPARE_READERS = 2
+
 # What scripts of web pages may read, besides what they always may.
 # New lists and objects before each of Python's searches for garbage: JSON of a large capture is
 # millions of lists, and with Python's own thresholds parsing it takes twice as long.
@@ -159,6 +163,7 @@ def _set_bounds(app: FastAPI, settings: Settings) -> None:
     """Say how much is done at a time."""
     large = settings.large_at_a_time
     app.state.large_uploads = asyncio.Semaphore(large)
+    app.state.readers = asyncio.Semaphore(large + SPARE_READERS)
     app.state.calculations = asyncio.Semaphore(large)
     app.state.large_lifts = asyncio.Semaphore(large)
     # As many again are for small ones, which wait for nothing.

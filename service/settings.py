@@ -74,7 +74,8 @@ class Settings(WorkerSettings):
         ge=1,
         le=64,
         description="Bodies of more than a MiB that are worked on at a time, which takes many "
-        "times their size in memory; others wait their turn. Default: the CPUs there are, up to 4.",
+        "times their size in memory; others wait their turn, for 10 s at most. Default: the CPUs "
+        "there are, up to 4.",
     )
     max_frames: int = Field(
         100_000, ge=1, description="Most frames in one request, be it an upload or a lift."

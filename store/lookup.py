@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
-from sqlalchemy import select
+from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session, defer
 
 from store.array_files import GetRange
@@ -107,9 +107,31 @@ def page(
 
     They come without the columns that are in no list (``unlisted``).
     """
-    before, since = filters.created_before, filters.created_after
     left_out = [defer(getattr(kind, name), raiseload=True) for name in kind.unlisted]
-    query = select(kind).options(*left_out).order_by(kind.id.desc()).limit(limit)
+    query = _allowed(store, kind, filters, after).options(*left_out).limit(limit)
+    with store.reading() as session:
+        return list(session.scalars(query))
+
+
+def identifiers(
+    store: Store, kind: type[Resource], filters: Filters, *, limit: int, after: str | None
+) -> tuple[list[str], int]:
+    """Return the identifiers of a page, and how many records it and those after it have.
+
+    One statement finds both, so that both are of the same moment.
+    """
+    query = _allowed(store, kind, filters, after).limit(limit)
+    with store.reading() as session:
+        found = session.execute(query.with_only_columns(kind.id, func.count().over())).all()
+    return [identifier for identifier, _ in found], found[0][1] if found else 0
+
+
+def _allowed(
+    store: Store, kind: type[Resource], filters: Filters, after: str | None
+) -> Select[Resource]:
+    """Return the query of all records that filters allow, newest first, older than ``after``."""
+    before, since = filters.created_before, filters.created_after
+    query = select(kind).order_by(kind.id.desc())
     if after is not None:
         query = query.where(kind.id < after)
     if filters.ids:
@@ -121,9 +143,7 @@ def page(
     dialect = store.engine.dialect.name
     query = query.filter_by(**{n: value for n, value in filters.equal.items() if value is not None})
     query = query.where(*(tagged(dialect, kind, tag) for tag in filters.tags))
-    query = query.where(*(says(dialect, kind, *item) for item in filters.metadata.items()))
-    with store.reading() as session:
-        return list(session.scalars(query))
+    return query.where(*(says(dialect, kind, *item) for item in filters.metadata.items()))
 
 
 def _found(record: Resource | None, kind: type[Resource], identifier: str) -> Resource:

@@ -42,7 +42,7 @@ ROOMS = {
         ("cli",),
     ),
     CLIENT: (
-        ("animation", "capture", "errors", "evaluation", "placing", "upright"),
+        ("animation", "capture", "errors", "evaluation", "moments", "placing", "upright"),
         ("calibration", "embedded", "reading_options"),
         ("gif", "readers"),
         ("api", "known_data"),
@@ -162,8 +162,8 @@ def test_the_client_knows_no_floor_and_is_known_for_its_cameras_and_rooms_alone(
         if parts(module)[0] == CLIENT:
             continue
         used = {parts(name) for name in imports(module) if parts(name)[0] == CLIENT}
-        known = {"calibration", "capture", "errors", "evaluation", "readers", "reading_options"}
-        allowed = known if module.startswith("service.wire.") else set()
+        known = {"calibration", "capture", "errors", "evaluation", "moments", "readers"}
+        allowed = known | {"reading_options"} if module.startswith("service.wire.") else set()
         if module == "worker.rooms":
             allowed = {"placing", "room"}
         assert {name for _, name in used} <= allowed, module

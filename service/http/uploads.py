@@ -20,6 +20,7 @@ from starlette.datastructures import FormData, UploadFile
 
 from service.http.bounds import check_bounds
 from service.http.errors import ApiError, from_validation, invalid
+from service.http.turns import turn
 from service.settings import Settings
 
 Body = TypeVar("Body", bound=BaseModel)
@@ -109,11 +110,8 @@ class Upload:
 
     @property
     def is_large(self) -> bool:
-        """Whether to work on it takes so much that large ones take turns.
-
-        A form of files may be small, and yet be read for minutes, in a process of its own.
-        """
-        return self.decoded_bytes >= LARGE_BYTES or len(self.files) > 0
+        """Whether to work on it takes so much that large ones take turns."""
+        return self.decoded_bytes >= LARGE_BYTES
 
     def json(self, model: type[Body]) -> Body:
         """Return the JSON body as ``model``."""
@@ -181,7 +179,11 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
 
 
 async def read_files(request: Request) -> AsyncIterator[Upload]:
-    """Give a body as `read_upload` does; a form may have several files."""
+    """Give a body as `read_upload` does; a form may have files of detectors.
+
+    Those may be small, and yet be read for minutes, in a process of its own: they have turns of
+    their own, so that large uploads do not wait for them.
+    """
     settings: Settings = request.app.state.settings
     upload = await read_body(request, max_files=settings.max_views)
     async with _in_turn(request, upload):
@@ -190,8 +192,12 @@ async def read_files(request: Request) -> AsyncIterator[Upload]:
 
 @asynccontextmanager
 async def _in_turn(request: Request, upload: Upload) -> AsyncIterator[Upload]:
-    if upload.is_large:
-        async with request.app.state.large_uploads:
+    state = request.app.state
+    if upload.files:
+        async with turn(state.readers):
+            yield upload
+    elif upload.is_large:
+        async with turn(state.large_uploads):
             yield upload
     else:
         yield upload

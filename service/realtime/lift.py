@@ -22,6 +22,7 @@ from models.settings.rooms import FrameOfReference, Up
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses, request_body
+from service.http.turns import turn
 from service.http.uploads import LARGE_BYTES, Upload, read_body
 from service.realtime.engine import Engine
 from service.realtime.frames import to_frames
@@ -273,7 +274,7 @@ async def lift(
         request, upload.decoded_bytes, understand, engine.models.warm, rooms.remembered
     )
     if asked is None:  # the model or its room is cold, or there is none: records are waited for
-        async with request.app.state.large_uploads:
+        async with turn(request.app.state.large_uploads):
             asked = await run_in_threadpool(understand, engine.models.get, rooms.find)
         assert asked is not None  # noqa: S101
     if asked.capture.times is None:

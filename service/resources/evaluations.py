@@ -14,6 +14,7 @@ from models.settings.rooms import FrameOfReference
 from service.http.dependencies import SettingsDep, StoreDep
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.operations import request_body
+from service.http.turns import turn
 from service.http.uploads import Upload, UploadBody
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.engine import Engine
@@ -90,7 +91,7 @@ class EvaluationCreate(BaseModel):
 
 async def take_turn(request: Request, upload: UploadBody) -> AsyncIterator[Upload]:
     """Have a few evaluations at a time: each may hold hundreds of megabytes."""
-    async with request.app.state.calculations:
+    async with turn(request.app.state.calculations):
         yield upload
 
 

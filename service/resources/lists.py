@@ -1,14 +1,14 @@
 """What is stored as lists: filtered, continued by a cursor, deleted many at a time."""
 
 from collections.abc import Awaitable, Callable
-from datetime import UTC, datetime
 from typing import Annotated, Any, Generic, NamedTuple, Self, TypeVar
 
 from fastapi import APIRouter, Depends, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.http.dependencies import FREE_QUERY, StoreDep
-from service.http.errors import invalid, problems
+from service.http.errors import ApiError, invalid, problems
+from service.wire.moments import Moment
 from service.wire.schemas import Name
 from store import lookup
 from store.database import Store
@@ -23,7 +23,10 @@ MOST_LISTED = 200
 MOST_LABELS = 8  # tags, and keys of metadata, to filter by
 LONGEST_VALUE = 1000
 
-_MOMENT = "ISO 8601, UTC unless it names another zone."
+_MOMENT = (
+    "a date or a moment as ISO 8601 writes it, such as `2026-01-31` or `2026-01-31T09:30:00Z`; UTC "
+    "unless it names another zone."
+)
 
 # Parameters of names that are not known beforehand, as OpenAPI says them: an object whose members
 # are parameters of their own.
@@ -74,6 +77,7 @@ class Deleted(BaseModel):
                         "end.",
                     }
                 ],
+                "found": 12,
                 "next_cursor": "ds_01m7yspf3gqz6cz1v8e7ch3y7c",
             }
         }
@@ -81,8 +85,13 @@ class Deleted(BaseModel):
 
     deleted: list[str]
     refused: list[Refusal]
+    found: int = Field(
+        description="How many the query found before anything was deleted, on this page and on "
+        "those after it: what `expected_count` must be."
+    )
     next_cursor: str | None = Field(
-        description="Where it goes on if there are more: send the same again with this `cursor`."
+        description="Where it goes on if there are more: send the same again with this `cursor`, "
+        "and an `expected_count` that is less by what this page had."
     )
 
 
@@ -110,8 +119,10 @@ class Page(BaseModel, Generic[Item]):
         asked: Asked,
     ) -> Self:
         """Return the page that is asked for."""
-        found, cursor = _found(store, kind, asked)
-        return cls(items=[to_wire(record) for record in found], next_cursor=cursor)
+        found = lookup.page(store, kind, asked.filters, limit=asked.limit + 1, after=asked.cursor)
+        page = found[: asked.limit]
+        cursor = page[-1].id if len(found) > asked.limit else None
+        return cls(items=[to_wire(record) for record in page], next_cursor=cursor)
 
 
 async def no_columns() -> Columns:
@@ -163,16 +174,34 @@ def add_list_routes(
         response_model=Deleted,
         description=f"Delete the {nouns} that the list with the same query shows: those of some "
         "`id`, say, or of a `tag`. Without any filter nothing is deleted. What is in use stays, "
-        "and is named in `refused`.",
-        responses=problems(),
+        "and is named in `refused`. Ask with `dry_run=true` first, which deletes nothing and "
+        "answers how many are `found`; then send this number as `expected_count`. If it does not "
+        "agree any more, nothing is deleted (409).",
+        responses=problems("conflict"),
         openapi_extra=extra,
     )
-    def delete_resources(store: StoreDep, asked: Annotated[Asked, asked_for]) -> Any:
+    def delete_resources(
+        store: StoreDep,
+        asked: Annotated[Asked, asked_for],
+        dry_run: Annotated[
+            bool, Query(description="Delete nothing, and answer how many are `found`.")
+        ] = False,
+        expected_count: Annotated[
+            int | None,
+            Query(ge=0, description="How many the query finds; required unless `dry_run`."),
+        ] = None,
+    ) -> Any:
         if not asked.filters:
             raise invalid(
                 "/id", f"expected a filter, such as id, name or tag: this would delete all {nouns}"
             )
-        return _delete(store, kind, asked, delete)
+        if expected_count is None and not dry_run:
+            raise invalid(
+                "/expected_count",
+                f"expected how many {nouns} the query finds: send the same with dry_run=true, "
+                "which deletes nothing, and then `found` of its answer as expected_count",
+            )
+        return _delete(store, kind, asked, delete, None if dry_run else expected_count)
 
 
 def _asked_of(
@@ -205,16 +234,16 @@ def _asked_of(
             ),
         ] = [],  # noqa: B006
         created_before: Annotated[
-            datetime | None, Query(description=f"Those made before this moment: {_MOMENT}")
+            Moment | None, Query(description=f"Those made before this moment: {_MOMENT}")
         ] = None,
         created_after: Annotated[
-            datetime | None, Query(description=f"Those made after this moment: {_MOMENT}")
+            Moment | None, Query(description=f"Those made after this moment: {_MOMENT}")
         ] = None,
     ) -> Asked:
         filters = Filters(
             ids=identifiers,
-            created_before=_seconds(created_before),
-            created_after=_seconds(created_after),
+            created_before=created_before.timestamp() if created_before else None,
+            created_after=created_after.timestamp() if created_after else None,
             tags=tags,
             metadata=_metadata_in(request),
             equal={"name": name, **equal},
@@ -239,19 +268,29 @@ def _metadata_in(request: Request) -> dict[str, str]:
     return found
 
 
-def _found(store: Store, kind: type[Resource], asked: Asked) -> tuple[list[Resource], str | None]:
-    """Return the records of a page, and where the next begins."""
-    found = lookup.page(store, kind, asked.filters, limit=asked.limit + 1, after=asked.cursor)
-    page = found[: asked.limit]
-    return page, page[-1].id if len(found) > asked.limit else None
-
-
 def _delete(
-    store: Store, kind: type[Resource], asked: Asked, delete: Callable[[Store, str], None]
+    store: Store,
+    kind: type[Resource],
+    asked: Asked,
+    delete: Callable[[Store, str], None],
+    expected: int | None,
 ) -> Deleted:
-    found, cursor = _found(store, kind, asked)
-    known: list[str] = [record.id for record in found]
-    answer = Deleted(deleted=[], refused=[], next_cursor=cursor)
+    """Delete a page if as many are found as expected; nothing if that is None.
+
+    Page and count are of one moment, and what is made after it is not on the page.
+    """
+    known, found = lookup.identifiers(
+        store, kind, asked.filters, limit=asked.limit, after=asked.cursor
+    )
+    answer = Deleted(deleted=[], refused=[], found=found, next_cursor=None)
+    if expected is None:
+        return answer
+    if found != expected:
+        raise ApiError(
+            "conflict",
+            f"The query finds {found} {kind.noun}s, not {expected} as expected_count has it: "
+            "nothing was deleted. Look at the list with the same query.",
+        )
     for identifier in known:
         try:
             delete(store, identifier)
@@ -265,10 +304,5 @@ def _delete(
         for wanted in dict.fromkeys(asked.filters.ids)
         if wanted not in known
     ]
+    answer.next_cursor = known[-1] if found > len(known) else None
     return answer
-
-
-def _seconds(moment: datetime | None) -> float | None:
-    if moment is None:
-        return None
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()

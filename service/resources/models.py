@@ -22,6 +22,7 @@ from service.http.errors import BODY_PROBLEMS, ApiError, problems
 from service.http.idempotency import idempotency
 from service.http.negotiation import OCTETS
 from service.http.operations import binary_responses, request_body
+from service.http.turns import turn
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
 from service.resources.changes import add_change_route
@@ -255,7 +256,7 @@ def download_weights(model_id: Identifier, store: StoreDep, request: Request) ->
 
 async def take_turn(request: Request) -> AsyncIterator[None]:
     """Have a few networks made at a time, so that threads are left for others."""
-    async with request.app.state.calculations:
+    async with turn(request.app.state.calculations):
         yield
 
 

@@ -3,6 +3,10 @@
 Readers trust no count that is in a file, and yet a small file may ask for gigabytes, and the
 libraries below them are written in C. What happens there ends the child, and not its parent; and
 the child is confined, so that no file can have it read what is not in the upload.
+
+How many children there are at a time is bounded in `app.py`: the process's `large_at_a_time` and
+two more, of `MEMORY` at most each. Should they fill the machine's memory all the same, the kernel
+ends a child, and not the service. A child that takes long leaves the CPUs to others.
 """
 
 import io
@@ -13,6 +17,7 @@ import resource
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +34,8 @@ logger = logging.getLogger(__name__)
 
 MEMORY = 3 * 2**30  # bytes of addresses, what Python and its libraries take among them
 SECONDS = 120
+QUICK_SECONDS, SLOW_NICENESS = 5, 10  # whoever takes longer than the former has the latter
+FIRST_TO_END = "1000"  # of what the kernel ends where memory is full
 OUT, CAPTURE, OTHERS = "out", "capture.npz", "others.json"
 LONGEST_LOG = 2000  # characters
 # All that the child gets of the environment, which holds passwords: of records, of objects, ...
@@ -70,16 +77,9 @@ def read_apart(
     code = f"import sys; sys.path[:] = {places!r}; from {__name__} import main; main()"
     kept = {name: os.environ[name] for name in KEPT if name in os.environ}
     try:
-        done = subprocess.run(  # noqa: S603 (our own program; names come as data)
-            python("-c", code),
-            input=json.dumps(asked).encode(),
-            capture_output=True,
-            cwd=folder,
-            # What the child unpacks goes with the folder, even if it is killed.
-            env=kept | OWN | {"TMPDIR": str(folder)},
-            timeout=SECONDS,
-            check=False,
-        )
+        # What the child unpacks goes with the folder, even if it is killed.
+        environment = kept | OWN | {"TMPDIR": str(folder)}
+        done = _run(python("-c", code), json.dumps(asked).encode(), folder, environment)
     except subprocess.TimeoutExpired:
         raise FormatError(f"{', '.join(names)}: took more than {SECONDS} s to read") from None
     if done.returncode == 0:
@@ -92,6 +92,31 @@ def read_apart(
         f"{', '.join(names)}: broken, or too much: reading ended without an answer "
         f"(status {done.returncode})"
     )
+
+
+def _run(
+    command: list[str], given: bytes, folder: Path, environment: dict[str, str]
+) -> subprocess.CompletedProcess[bytes]:
+    """Do as ``subprocess.run`` does; a process that takes long gives way to others on the CPUs."""
+    with subprocess.Popen(  # noqa: S603 (our own program; names come as data)
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=folder,
+        env=environment,
+    ) as process:
+        quick = min(QUICK_SECONDS, SECONDS)
+        try:
+            try:
+                out, errors = process.communicate(given, timeout=quick)
+            except subprocess.TimeoutExpired:
+                os.setpriority(os.PRIO_PROCESS, process.pid, SLOW_NICENESS)
+                out, errors = process.communicate(timeout=SECONDS - quick)
+        except BaseException:
+            process.kill()
+            raise
+    return subprocess.CompletedProcess(command, process.returncode, out, errors)
 
 
 def _capture(out: Path) -> Capture:
@@ -116,6 +141,8 @@ def main() -> None:
     """
     asked = json.loads(sys.stdin.buffer.read())
     die_with_parent(asked["parent"])
+    with suppress(OSError):  # no Linux
+        Path("/proc/self/oom_score_adj").write_text(FIRST_TO_END)
     for limit, most in (
         (resource.RLIMIT_AS, MEMORY),
         (resource.RLIMIT_CPU, SECONDS),

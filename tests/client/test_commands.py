@@ -11,6 +11,7 @@ import pytest
 from fewview import cli
 from fewview.calibration import Camera, read_cameras, rotation_matrix, write_cameras
 from fewview.commands.talking import fields_in
+from fewview.errors import Conflict
 from typer.testing import CliRunner
 
 from tests.client.conftest import Served
@@ -184,6 +185,11 @@ def test_labels_choose_what_is_listed_changed_and_deleted(served: Served, tmp_pa
     assert listed(*pilot) == made[::-1]
     assert listed("--tag=other", "--name=labelled") == [other]
     assert listed("--tag=pilot", "--after=2100-01-01") == []
+    assert listed("--tag=pilot", "--before=2100-01-01T00:00:00+02:00") == made[::-1]
+    for command in ("list", "delete"):
+        for moment in ("2026", "20260131", "1767225600", "2026-02-30"):
+            wrong = fewview("datasets", command, "--after", moment, url)
+            assert refused(wrong, 2).startswith("fewview: --after: expected a date or a moment")
     assert "pilot" in fewview("datasets", "list", url).stdout
     changed = fewview("datasets", "change", made[0], "--tag=kept", "--metadata=day=3", url)
     assert changed.returncode == 0, changed.stderr
@@ -197,7 +203,11 @@ def test_labels_choose_what_is_listed_changed_and_deleted(served: Served, tmp_pa
     assert f"in use by {fit['id']}" in kept.stderr
     fewview("fits", "cancel", fit["id"], url)
     wait_for(lambda: served.client.fits.get(fit["id"]).status == "cancelled", "the fit to end")
-    served.client.fits.delete_many(id=[fit["id"]], status=["cancelled"])
+    chosen: dict[str, Any] = {"id": [fit["id"]], "status": ["cancelled"]}
+    assert served.client.fits.would_delete(**chosen) == 1
+    with pytest.raises(Conflict, match="finds 1"):
+        served.client.fits.delete_many(**chosen, expected_count=2)
+    assert served.client.fits.delete_many(**chosen, expected_count=1).deleted == (fit["id"],)
 
     assert "--yes" in refused(fewview("datasets", "delete", "--metadata=day=3", url), 2)
     assert "--tag" in refused(fewview("datasets", "delete", url), 2)

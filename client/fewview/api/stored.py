@@ -72,13 +72,42 @@ class Stored(Resource[Driver], Generic[Driver, S]):
         return self._call(self._delete(identifier(stored)))
 
     @operation
-    def delete_many(
+    def would_delete(
         self, /, *, metadata: Mapping[str, Any] | None = None, **filters: Any
-    ) -> Steps[Deleted]:
-        """Delete those that :meth:`list` gives with the same filters; what is in use stays.
+    ) -> Steps[int]:
+        """Return how many :meth:`delete_many` finds with the same filters; deletes nothing.
 
         Raises
         ------
+        InvalidRequest
+            There is no filter.
+        """
+        query = filters | _metadata(metadata) | {"dry_run": True}
+        return self._call(Request("DELETE", path(self._plural), _found, params=query))
+
+    @operation
+    def delete_many(
+        self,
+        /,
+        *,
+        expected_count: int,
+        metadata: Mapping[str, Any] | None = None,
+        **filters: Any,
+    ) -> Steps[Deleted]:
+        """Delete those that :meth:`list` gives with the same filters; what is in use stays.
+
+        Parameters
+        ----------
+        expected_count
+            How many these are, as :meth:`would_delete` returns it.
+        metadata, filters
+            As :meth:`list` takes them.
+
+        Raises
+        ------
+        Conflict
+            The filters find another number: nothing is deleted, or nothing more where it is about
+            more than a page. So it is, too, if an answer was lost on its way and asked for again.
         InvalidRequest
             There is no filter, so that all would be deleted.
         """
@@ -86,12 +115,15 @@ class Stored(Resource[Driver], Generic[Driver, S]):
         refused: tuple[Any, ...] = ()
         query: dict[str, Any] = filters | _metadata(metadata)
         while True:
+            query["expected_count"] = expected_count
             request = Request("DELETE", path(self._plural), _answered, params=query)
             some, cursor = yield from self._call(request)
             deleted, refused = deleted + some.deleted, refused + some.refused
             if cursor is None:
                 return Deleted(deleted, refused)
             query["cursor"] = cursor
+            # What a page of identifiers does not find is refused as well, but it has no next page.
+            expected_count -= len(some.deleted) + len(some.refused)
 
     def _get(self, identifier: str) -> Request[S]:
         return Request("GET", path(self._plural, identifier), form_in(self._form))
@@ -111,6 +143,10 @@ def _metadata(said: Mapping[str, Any] | None) -> dict[str, str]:
         f"metadata.{key}": value if isinstance(value, str) else json.dumps(value)
         for key, value in (said or {}).items()
     }
+
+
+def _found(response: httpx2.Response) -> int:
+    return int(response.json()["found"])
 
 
 def _answered(response: httpx2.Response) -> tuple[Deleted, str | None]:

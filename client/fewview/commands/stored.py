@@ -21,6 +21,7 @@ from fewview.commands.talking import (
     table,
     talking,
 )
+from fewview.moments import moment_in
 
 if TYPE_CHECKING:
     from fewview.client import Client
@@ -40,6 +41,7 @@ FILES = {
 JOBS = ("fits", "lifts")
 AT_ONCE = 200  # that one request may delete
 SHOWN = 20  # of those that are to be deleted
+MOMENT = "this date or moment, such as 2026-01-31T09:30:00Z; UTC unless it names another zone."
 Output = Annotated[Path, typer.Option("--output", "-o", help="The file to write.")]
 Identifier = Annotated[str, typer.Argument(metavar="ID")]
 Name = Annotated[str | None, typer.Option(help="Those of this very name.")]
@@ -50,8 +52,8 @@ WithMetadata = Annotated[
     list[str] | None,
     typer.Option("--metadata", help="Those that say so, such as `subject=M7`; may repeat."),
 ]
-Before = Annotated[datetime | None, typer.Option(help="Those made before this moment, UTC.")]
-After = Annotated[datetime | None, typer.Option(help="Those made after this moment, UTC.")]
+Before = Annotated[str | None, typer.Option(help=f"Those made before {MOMENT}")]
+After = Annotated[str | None, typer.Option(help=f"Those made after {MOMENT}")]
 
 
 def commands_of(kind: str) -> typer.Typer:
@@ -183,17 +185,24 @@ def _filters(
     tags: list[str] | None,
     metadata: list[str] | None,
     status: str | None,
-    before: datetime | None,
-    after: datetime | None,
+    before: str | None,
+    after: str | None,
 ) -> dict[str, Any]:
     return {
         "name": name,
         "tag": tags or None,
         "metadata": fields_in(metadata, "--metadata") or None,
         "status": status,
-        "created_before": before,
-        "created_after": after,
+        "created_before": _moment("--before", before),
+        "created_after": _moment("--after", after),
     }
+
+
+def _moment(option: str, text: str | None) -> datetime | None:
+    try:
+        return None if text is None else moment_in(text)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from error
 
 
 def _chosen(client: "Client", kind: str, filters: dict[str, Any], *, ask: bool) -> list[str]:
@@ -219,7 +228,8 @@ def _delete(client: "Client", kind: str, identifiers: Sequence[str], *, as_json:
     refused: list[dict[str, str]] = []
     for start in range(0, len(identifiers), AT_ONCE):
         some = identifiers[start : start + AT_ONCE]
-        answer = _part(client, kind).delete_many(id=some)
+        count = _part(client, kind).would_delete(id=some)
+        answer = _part(client, kind).delete_many(id=some, expected_count=count)
         deleted += answer.deleted
         refused += [vars(refusal) for refusal in answer.refused]
     words = f"deleted {', '.join(deleted) or 'nothing'}"

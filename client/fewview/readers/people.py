@@ -14,6 +14,7 @@ from fewview.readers.matching import SURE, Track, same_people
 from fewview.readers.views import Int64, View
 from fewview.reading_options import Person
 
+MAX_PEOPLE = 256  # in a frame: following takes their number squared
 MEMORY = 300  # frames after which somebody who was lost is not looked for any more
 NEAR, WIDENING, FAR = 0.75, 0.05, 2.0  # of a body's size: a step, more for each frame lost, at most
 
@@ -141,6 +142,12 @@ def _with(view: View, places: Int64, name: str) -> View:
 
 def _matched(views: Sequence[View], person: Person) -> tuple[list[View], list[str]]:
     """Follow people in each camera, find who is the same in all, and pick one."""
+    for view in views:
+        if view.people is None and view.keypoints.shape[1] > MAX_PEOPLE:
+            raise FormatError(
+                f"{view.name}: {view.keypoints.shape[1]:,} people in one frame are more than the "
+                f"{MAX_PEOPLE} that are followed; have the detector give the surest alone"
+            )
     tracks = _tracks(views)
     if len({view.keypoints.shape[2] for view in views}) == 1:
         people, sureness = same_people(tracks, len(views))

@@ -160,3 +160,11 @@ def test_tables_of_very_many_columns_take_no_time(count: int, tmp_path: Path) ->
             fewview.read(path)
     else:
         assert fewview.read([path, path]).keypoints.shape == (2, 2, count // 2, 2)
+
+
+def test_crowds_without_names_are_refused(tmp_path: Path) -> None:
+    """To follow people takes the square of their number."""
+    crowd = [list(files.walk(257, 25))] * 2
+    files.openpose(tmp_path / "cam", crowd)
+    with pytest.raises(FormatError, match="257 people in one frame are more than the 256"):
+        fewview.read(tmp_path / "cam")

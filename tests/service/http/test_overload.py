@@ -1,8 +1,13 @@
 """What is in hand is bounded: beyond that clients are told to come back, and places are freed."""
 
+import os
 import select
+import signal
 import socket
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
 
 import httpx2
 import numpy as np
@@ -11,7 +16,18 @@ import pytest
 
 from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
-from tests.service.conftest import BYTES, JSON, frames_of, problem, served, to_safetensors, wait_for
+from tests.client.readers import files
+from tests.processes import command_of, descendants
+from tests.service.conftest import (
+    BYTES,
+    JSON,
+    frames_of,
+    problem,
+    served,
+    to_npz,
+    to_safetensors,
+    wait_for,
+)
 
 KIB = 1024
 PLACES = 4  # small bodies that there is room for
@@ -113,3 +129,84 @@ def test_who_leaves_is_lifted_no_further(
         )
         waiting.close()
         wait_for(lambda: not refused(http, large), "the place of the one who left", seconds=15)
+
+
+class Slow:
+    """Requests whose processes are frozen, so that they take as long as the test wants."""
+
+    def __init__(self) -> None:
+        self._frozen: set[int] = set()
+        self._asking: list[Future[httpx2.Response]] = []
+        self._threads = ThreadPoolExecutor(8)
+
+    def ask(self, request: Callable[[], httpx2.Response], program: bytes) -> int:
+        """Send a request, freeze the process that works on it, and return that."""
+        self._asking.append(self._threads.submit(request))
+
+        def begun() -> int | None:
+            for pid in descendants(os.getpid()) - self._frozen:
+                if program in command_of(pid):
+                    return pid
+            return None
+
+        found: int = wait_for(begun, "a process that works on the request")
+        os.kill(found, signal.SIGSTOP)
+        self._frozen.add(found)
+        return found
+
+    def wait(self) -> bool:
+        """Whether all of them still wait for their answers."""
+        return not any(asking.done() for asking in self._asking)
+
+    def end(self) -> list[int]:
+        """Kill the processes, and return how the requests were answered."""
+        for pid in self._frozen:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        answers = [asking.result().status_code for asking in self._asking]
+        self._threads.shutdown()
+        return answers
+
+
+def test_slow_readers_keep_nobody_waiting(
+    settings: Settings, model: str, tmp_path: Path, capture: SyntheticCapture
+) -> None:
+    """Two read beside each other leave places; beyond these, nobody waits without end."""
+    read, network = b"reading_apart", b"onnx_file"
+    values = files.walk(12).reshape(12, -1)
+    table = files.dlc_csv(tmp_path / "a", files.columns(files.NAMES), values).read_bytes()
+    forms = [("files", (f"cam{view}.csv", table)) for view in range(2)]
+    large = to_npz(keypoints=capture.keypoints, ignored=np.zeros(2**18))
+    assert len(large) > 2**20
+
+    with served(settings.model_copy(update={"large_at_a_time": 1})) as http:
+
+        def post() -> httpx2.Response:
+            return http.post("/datasets", files=forms)
+
+        def download() -> httpx2.Response:
+            return http.get(f"/models/{model}/network")
+
+        def post_large() -> httpx2.Response:
+            return http.post("/datasets", content=large, headers=BYTES)
+
+        slow = Slow()
+        try:
+            first = [slow.ask(post, read) for _ in range(2)]
+            assert (post().status_code, post_large().status_code) == (201, 201)
+            assert slow.wait()
+            wait_for(lambda: os.getpriority(os.PRIO_PROCESS, first[0]) > 0, "others to go first")
+
+            slow.ask(post, read)
+            slow.ask(download, network)
+            with ThreadPoolExecutor(2) as threads:
+                waiting = [threads.submit(ask) for ask in (post, download)]
+                assert post_large().status_code == 201
+            for answer in (asking.result() for asking in waiting):
+                assert "try again" in problem(answer, 503, "overloaded")
+                assert int(answer.headers["Retry-After"]) > 0
+            assert slow.wait()
+        finally:
+            answers = slow.end()
+        assert answers == [422, 422, 422, 500]
+        assert post().status_code == 201  # their places are free again

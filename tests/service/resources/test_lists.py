@@ -4,6 +4,7 @@ from collections.abc import Callable
 from datetime import datetime, timedelta
 from typing import Any
 
+import httpx2
 import pytest
 from starlette.testclient import TestClient
 
@@ -77,10 +78,30 @@ def test_moments_have_a_zone_or_are_utc(api: TestClient) -> None:
     for text in (moment.isoformat(), offset, naive, "9999-12-31T23:59:59.999999-12:00"):
         assert identifiers(api, "datasets", name="zones", created_before=text) == [made["id"]]
         assert identifiers(api, "datasets", name="zones", created_after=text) == []
-    for text in ("yesterday", "2026-13-01T00:00:00Z", ""):
+    day = moment + timedelta(days=1)
+    for text in (f"{day:%Y-%m-%d}", f"{day:%Y-%m-%dT%H:%MZ}", f"{day:%Y-%m-%dT%H:%M:%S.123456789}"):
+        assert identifiers(api, "datasets", name="zones", created_before=text) == [made["id"]]
+    assert identifiers(api, "datasets", name="zones", created_after=f"{moment:%Y-01-01}")
+
+
+@pytest.mark.usefixtures("unchanged")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_moment_is_iso_8601_alone(api: TestClient, kind: str) -> None:
+    for text in (
+        "yesterday", "", " ", "2026", "20260131", "1767225600", "1767225600000", "1e9", "-1", "0.5",
+        "inf", "nan", "+2026", "\u0662\u0660\u0662\u0666", "2026-01", "2026-W05-1", "2026-02-30",
+        "2026-13-01T00:00:00Z", "2026-01-31T24:30Z", "2026-01-31 10:00", "2026-01-31T10:00+99:00",
+        "2026-01-31T1000", "2026-01-31T10:00:00Z\n", "0000-01-01", "2026-01-31T10:00:00 02:00",
+    ):  # fmt: skip
         for name in ("created_after", "created_before"):
-            refused = api.get("/datasets", params={name: text})
-            problem(refused, 422, "invalid_input", f"/{name}")
+            for method in ("GET", "DELETE"):
+                answer = api.request(method, f"/{kind}", params={name: text})
+                said = problem(answer, 422, "invalid_input", f"/{name}")
+                assert "ISO 8601" in said, text
+                assert "2026-01-31T09:30:00Z" in said, text
+
+
+def test_names_are_not_empty(api: TestClient) -> None:
     problem(api.get("/models", params={"name": ""}), 422, "invalid_input", "/name")
 
 
@@ -158,9 +179,12 @@ def test_filters_are_bounded(api: TestClient) -> None:
 
 
 def deleted(api: TestClient, kind: str, **query: Any) -> dict[str, Any]:
-    response = api.delete(f"/{kind}", params=query)
+    """Delete as many as are found, and return the answer without how many these are."""
+    count = api.delete(f"/{kind}", params=query | {"dry_run": True}).json()["found"]
+    response = api.delete(f"/{kind}", params=query | {"expected_count": count})
     assert response.status_code == 200, response.text
     found: dict[str, Any] = response.json()
+    assert found.pop("found") == count
     return found
 
 
@@ -186,10 +210,53 @@ def test_many_are_deleted_at_once(
     assert api.get(f"/{kind}/{kept}").status_code == 200
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_is_deleted_but_as_many_as_expected(
+    api: TestClient, make: Callable[[str, str], dict[str, Any]], kind: str
+) -> None:
+    name = f"counted {kind}"
+    made = [make(kind, name)["id"] for _ in range(3)][::-1]
+    nothing: dict[str, Any] = {"deleted": [], "refused": [], "next_cursor": None}
+
+    def asked(**query: Any) -> httpx2.Response:
+        return api.delete(f"/{kind}", params={"name": name} | query)
+
+    # Pages do not make the count smaller, and what is not found is none of them.
+    dry: list[dict[str, Any]] = [{}, {"limit": 1}, {"id": [*made, "none"]}, {"expected_count": 7}]
+    for query in dry:
+        assert asked(dry_run=True, **query).json() == nothing | {"found": 3}
+    assert asked(dry_run=True, cursor=made[0]).json()["found"] == 2
+    assert asked(dry_run=True, name="nobody").json()["found"] == 0
+    uncounted: list[dict[str, Any]] = [{}, {"limit": 1}, {"id": made}, {"dry_run": False}]
+    for query in uncounted:
+        said = problem(asked(**query), 422, "invalid_input", "/expected_count")
+        assert "dry_run=true" in said
+    for wrong in (-1, "some", "", 2.5):
+        problem(asked(expected_count=wrong), 422, "invalid_input", "/expected_count")
+    miscounted: list[dict[str, Any]] = [
+        {"expected_count": 2},
+        {"expected_count": 4},
+        {"expected_count": 0},
+        {"expected_count": 1, "limit": 1},
+        {"expected_count": 4, "id": [*made, "none"]},
+        {"expected_count": 10**30},
+    ]
+    for query in miscounted:
+        assert "finds 3" in problem(asked(**query), 409, "conflict")
+    assert identifiers(api, kind, name=name) == made
+
+    page = asked(expected_count=3, limit=2).json()
+    assert page == nothing | {"deleted": made[:2], "next_cursor": made[1], "found": 3}
+    last = asked(expected_count=1, cursor=page["next_cursor"]).json()
+    assert last == nothing | {"deleted": made[2:], "found": 1}
+    assert "finds 0" in problem(asked(expected_count=3), 409, "conflict")
+    assert asked(expected_count=0).json() == nothing | {"found": 0}
+
+
 @pytest.mark.usefixtures("unchanged")
 def test_nothing_is_deleted_without_a_filter(api: TestClient) -> None:
     for kind in KINDS:
-        for query in ({}, {"limit": 200}):
+        for query in ({}, {"limit": 200}, {"dry_run": True}, {"expected_count": 0}):
             problem(api.delete(f"/{kind}", params=query), 422, "invalid_input", "/id")
         problem(api.delete(f"/{kind}?nam=x"), 422, "invalid_input", "/nam")
 
