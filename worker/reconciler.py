@@ -152,6 +152,8 @@ class Reconciler:
 
 def _is_of_the_job(error: Exception) -> bool:
     """Tell whether an error is of what a job says, and not of records or objects that are away."""
+    if isinstance(error, StatementError) and isinstance(error.orig, StopRequested):
+        return False  # SIGTERM raised it
     if isinstance(error, SQLAlchemyError):
         return isinstance(error, DataError | IntegrityError) or type(error) is StatementError
     return not is_outage(error)

@@ -109,6 +109,7 @@ class JobWorker(Worker):
 
     def _look_after_records(self, job: Job | None = None) -> bool:
         """Return whether records and queue are in step, as far as the records can be reached."""
+        in_step = True
         try:
             self._reconciler.step()
             if job is not None and any(
@@ -118,15 +119,20 @@ class JobWorker(Worker):
                 logger.warning("Job %s did not stop when asked: killing it", job.id)
                 self.kill_horse()
             self._sweep_if_due()
-        except SQLAlchemyError:
-            self._reconciler.unsettle()
-            logger.exception("The records cannot be reached")
         except (StopRequested, redis.exceptions.RedisError):
             raise
-        except Exception:
-            logger.exception("Records and queue cannot be kept in step")
-            return False
-        return True
+        except Exception as error:
+            if self.stopping and not self._stop_requested:
+                raise StopRequested from error  # SIGTERM raised it, and a library wrapped it
+            in_step = isinstance(error, SQLAlchemyError)
+            if in_step:
+                self._reconciler.unsettle()
+            logger.exception(
+                "The records cannot be reached"
+                if in_step
+                else "Records and queue cannot be kept in step"
+            )
+        return in_step
 
     def _sweep_if_due(self) -> None:
         if self._sweeping is not None and not self._sweeping.is_alive():

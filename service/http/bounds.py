@@ -1,11 +1,12 @@
 """How much a JSON body may hold beside its arrays: counted before each item is validated."""
 
+from itertools import islice
 from typing import Any
 
 from pydantic import BaseModel
 
-from service.http.errors import invalid
-from store.mistakes import MOST, pointer
+from service.http.errors import invalid, of_mistakes
+from store.mistakes import MOST, Mistake, pointer, unknown
 
 MOST_ITEMS = 50_000  # of one field's lists and objects in all: 64 KiB of metadata have fewer
 
@@ -19,16 +20,14 @@ def check_bounds(body: Any, kind: type[BaseModel]) -> None:
     Raises
     ------
     ApiError
-        422 with a pointer to the field.
+        422 with a pointer to each field.
     """
     if not isinstance(body, dict):  # is refused as a whole
         return
     if len(body) > len(kind.model_fields) + MOST:
-        name = next(name for name in body if name not in kind.model_fields)
-        known = ", ".join(kind.model_fields)
-        raise invalid(
-            pointer(str(name)[:100]), f"unknown field, one of {len(body):,}: expected {known}"
-        )
+        known = kind.model_fields
+        strange = islice((str(name) for name in body if name not in known), MOST)
+        raise of_mistakes([Mistake(pointer(n), unknown("field", n, known)) for n in strange])
     for name, field in kind.model_fields.items():
         if field.annotation is not Any and _holds_more(body.get(name), MOST_ITEMS):
             raise invalid(pointer(name), f"expected {MOST_ITEMS:,} values at most")

@@ -1,5 +1,6 @@
 """Jobs of any content fail alone: no worker stops, and the job behind them is done."""
 
+import os
 import pickle
 import zlib
 from collections.abc import Callable
@@ -12,13 +13,16 @@ from rq import Queue, Worker
 from rq.job import Job, Retry
 from rq.serializers import JSONSerializer
 
-from store import jobs
+from store import jobs, lookup
 from store.database import Store
 from store.records import FitJob, LiftJob
 from tests.deployments import on_every_deployment
-from tests.worker.conftest import CONFIG, StartWorker, wait_for
+from tests.fork_server import run
+from tests.processes import tied
+from tests.worker.conftest import CONFIG, StartWorker, queue, wait_for
 from tests.worker.test_plain_data import BOMBS, MOST_MEMORY, circular, deep, shared
 from worker.queue import open_queue
+from worker.settings import WorkerSettings
 
 BRIEF = CONFIG | {"steps": 1, "refine": "off"}
 ARGUMENTS: dict[str, Any] = {
@@ -207,3 +211,32 @@ def test_a_job_that_the_records_refuse_is_set_aside(
     assert record.error is not None
     assert (record.status, record.error["code"]) == ("failed", "internal_error")
     assert open_queue(redis).get_job_ids() == []
+
+
+# A worker to which SIGTERM comes in the middle of a statement: SQLAlchemy wraps what it raises.
+ASKED_TO_LEAVE = """
+import os, signal
+from rq.exceptions import StopRequested
+from sqlalchemy.exc import StatementError
+from worker import reconciler, runner
+from worker.settings import WorkerSettings
+
+def leave(*_):
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+    except StopRequested as error:
+        raise StatementError("", "", {}, error) from error
+
+reconciler.Reconciler.step = leave
+runner.run(WorkerSettings())
+"""
+
+
+def test_sigterm_within_a_statement_ends_the_worker(
+    store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
+) -> None:
+    fit = queue(store, redis, dataset_id, CONFIG)
+    environment = os.environ | settings.to_environment()
+    ran = run(tied("-c", ASKED_TO_LEAVE), env=environment, timeout=60)
+    assert ran.returncode == 0, ran.stderr
+    assert lookup.get(store, FitJob, fit.id).status == "queued"
