@@ -12,7 +12,7 @@ CAPTURE ?=
 ARGUMENTS ?=
 IMAGE_SIZE ?=
 
-.PHONY: demo test check lint types serve openapi lock benchmark fidelity performance clean
+.PHONY: demo test check changed lint types serve openapi lock benchmark fidelity performance clean
 
 demo: .venv/compiled
 	$(BIN)/python examples/demo.py $(if $(CAPTURE),"$(CAPTURE)")
@@ -22,7 +22,10 @@ test: lint
 	$(MAKE) --jobs 2 types .venv/compiled
 	$(BIN)/pytest --numprocesses 4 --dist worksteal
 
-check: lint types
+check: lint
+	$(MAKE) --jobs 2 --output-sync types changed
+
+changed: .venv/ready
 	rooms=$$($(BIN)/python tests/rooms_changed.py) && if [ -z "$$rooms" ]; \
 	then echo "No file that has tests was changed."; \
 	else $(BIN)/pytest --numprocesses 2 --dist worksteal tests/test_floors.py $$rooms; fi
