@@ -74,10 +74,11 @@ QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the
 # minutes, and this many slow ones keep no other waiting. Each takes `reading_apart.MEMORY` at most.
 SPARE_READERS = 2
 
-# What scripts of web pages may read, besides what they always may.
 # New lists and objects before each of Python's searches for garbage: JSON of a large capture is
 # millions of lists, and with Python's own thresholds parsing it takes twice as long.
 GARBAGE_THRESHOLDS = (100_000, 50, 100)
+
+# What scripts of web pages may read, besides what they always may.
 EXPOSED_HEADERS = (
     "Accept-Ranges",
     "Content-Disposition",

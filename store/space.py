@@ -1,4 +1,4 @@
-"""A full disk, as all that writes to one says it."""
+"""A full disk, in the errors of all that writes to one."""
 
 import errno
 from collections.abc import Iterator

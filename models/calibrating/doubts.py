@@ -80,10 +80,10 @@ class Candidate(NamedTuple):
 
 
 def check_told(problem: Problem, solution: Solution) -> Steps[Checked]:
-    """Refine or refuse, one by one, what was told and is contradicted; most often nothing is.
+    """Refine or refuse, one by one, what was given and is contradicted; most often nothing is.
 
-    Ends when fewer than two told poses are left: which of them is wrong cannot be known then. If
-    it fails, that is logged, and everything stays as it was told.
+    Ends when fewer than two given poses are left: which of them is wrong cannot be known then. If
+    it fails, that is logged, and everything stays as it was given.
     """
     return (yield from attempt_steps(_checked(problem, solution), Checked(problem, solution, ())))
 

@@ -36,7 +36,7 @@ LARGEST_STEP = 1.5  # frames: beyond it, motion is not linear any more
 MOST_BLOCKS, BLOCK_WIDTHS, BLOCK_FRAMES = 16, 1.5, 8
 FEWEST_BLOCKS = 4  # with three, Student's t has no variance
 FLOOR = 2e-4  # of the extent of the keypoints: finer than any detector or lens model
-RIDGE = 1e-9  # of the information: views that no pair tells of stay where they are
+RIDGE = 1e-9  # of the information: views that no pair informs stay where they are
 
 
 class Scene(NamedTuple):

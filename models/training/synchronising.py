@@ -39,9 +39,9 @@ def put_in_step(
     """Read late views (of keypoints (N, K, P, 2)) later, so that every frame is one moment.
 
     Times (N,) or (N, K) in seconds that differ between views are honoured. With them, views that
-    are late nevertheless are looked for and shifted; without them they are only told, and nothing
-    is told of frames that do not follow each other in time. `synchronise: off` looks for nothing.
-    If the search fails, that is logged, and no view is late.
+    are late nevertheless are looked for and shifted; without them they are only reported, and
+    nothing is reported of frames that do not follow each other in time. `synchronise: off` looks
+    for nothing. If the search fails, that is logged, and no view is late.
     """
     read, trust = in_step(keypoints, confidence, times)
     first = None if times is None else times.reshape(len(times), -1)[:, 0]

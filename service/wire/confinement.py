@@ -78,7 +78,7 @@ def available() -> tuple[str, ...]:
     """Return by which means of the kernel processes can be confined here."""
     means = {
         "landlock": _landlock_version() > 0,
-        "seccomp": sys.platform == "linux" and platform.machine() in _MACHINES,
+        "seccomp": _has_seccomp(),
     }
     return tuple(name for name, has in means.items() if has)
 
@@ -118,6 +118,14 @@ def _landlock_version() -> int:
     if sys.platform != "linux":
         return 0
     return int(_LIBC.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _ABI_VERSION))
+
+
+def _has_seccomp() -> bool:
+    """Whether the kernel takes filters: it then finds fault with the address of none."""
+    if sys.platform != "linux" or platform.machine() not in _MACHINES:
+        return False
+    _LIBC.prctl(_PR_SET_SECCOMP, _SECCOMP_MODE_FILTER, None, 0, 0)
+    return ctypes.get_errno() == errno.EFAULT
 
 
 def _restrict_files(folder: Path) -> None:

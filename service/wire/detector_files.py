@@ -161,9 +161,9 @@ def _text(told: str, longest: int) -> str:
     return told[:longest].encode(errors="replace").decode()
 
 
-def _sentence(said: str) -> str:
+def _sentence(message: str) -> str:
     """Return an error or a note, without the folders of this machine that a library names."""
-    return _text(FOLDERS.sub("", said), LONGEST_NOTE)
+    return _text(FOLDERS.sub("", message), LONGEST_NOTE)
 
 
 def _name(told: str, taken: list[str]) -> str:
