@@ -24,23 +24,28 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import Response
 
 from service.http import errors
+from service.http.authentication import Authentication
 from service.http.connections import KEEP_ALIVE_SECONDS, Connection
 from service.http.dependencies import refuse_foreign_changes, refuse_unknown_query
 from service.http.faults import Faults
 from service.http.head import Head
 from service.http.hosts import Hosts
+from service.http.keyring import Keyring, fixed_callers
 from service.http.leaving import CLOSE_SECONDS, Server
 from service.http.limits import BodyLimit
 from service.http.operations import registered_schemas
+from service.http.rates import Rates
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
 from service.resources import (
+    audit,
     captures,
     datasets,
     evaluations,
     fits,
     health,
+    keys,
     lifts,
     models,
     queues,
@@ -65,6 +70,8 @@ RESOURCES = (
     lifts,
     evaluations,
     queues,
+    keys,
+    audit,
     health,
 )
 
@@ -113,12 +120,15 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.engine = Engine(
             app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
         )
+        app.state.keyring = Keyring(app.state.store, fixed_callers(settings))
+        app.state.rates = Rates(str(settings.redis_url))
         app.state.integrity = Integrity(app.state.store)
         app.state.rooms = Rooms(app.state.store)
         threading.Thread(target=app.state.engine.models.warm_newest, daemon=True).start()
         yield
         await asyncio.to_thread(app.state.engine.close)
         app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
+        app.state.keyring.close()
         app.state.store.close()
         app.state.redis.close()
 
@@ -146,6 +156,7 @@ def create_app(settings: Settings) -> FastAPI:
         seconds=settings.request_seconds,
     )
     app.add_middleware(Head)
+    app.add_middleware(Authentication, settings=settings)
     if settings.allowed_origins:
         app.add_middleware(Faults)
         app.add_middleware(

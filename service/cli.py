@@ -113,10 +113,23 @@ def keep(command: str) -> Callable[[list[str]], None]:
     return run_command
 
 
+def let_in(command: str) -> Callable[[list[str]], None]:
+    """Return what runs one of the commands in ``service.access``."""
+
+    def run_command(arguments: list[str]) -> None:
+        from service import access  # noqa: PLC0415 (not needed by the others)
+
+        getattr(access, command)(arguments)
+
+    return run_command
+
+
 KEEPING = ("backup", "restore", "migrate", "prune", "doctor")
-COMMANDS = {"serve": serve, "worker": work, "precompile": precompile, "health": health} | {
-    command: keep(command) for command in KEEPING
-}
+COMMANDS = (
+    {"serve": serve, "worker": work, "precompile": precompile, "health": health}
+    | {command: keep(command) for command in KEEPING}
+    | {command: let_in(command) for command in ("key", "audit")}
+)
 
 if __name__ == "__main__":  # as the parts of a service are started
     run(sys.argv[1], sys.argv[2:])

@@ -94,7 +94,7 @@ def backup(arguments: list[str]) -> None:
     """Run ``fewview backup``: status 0, 1 if it is not whole, 2 if it cannot be made."""
     settings = CliApp.run(Backup, cli_args=arguments)
     os.umask(0o077)  # captures are nobody else's
-    with _ending("backup"), closing(open_store(settings)) as store:
+    with ending("backup"), closing(open_store(settings)) as store:
         outcome = backups.backup(store, settings.folder, Progress(), deep=settings.deep)
         _report("backup", "Backed up", outcome)
 
@@ -102,7 +102,7 @@ def backup(arguments: list[str]) -> None:
 def restore(arguments: list[str]) -> None:
     """Run ``fewview restore``: status as above."""
     settings = CliApp.run(Restore, cli_args=arguments)
-    with _ending("restore"):
+    with ending("restore"):
         keep_private(settings)
         with closing(Store(settings)) as store:
             outcome = backups.restore(store, settings.folder, Progress())
@@ -112,7 +112,7 @@ def restore(arguments: list[str]) -> None:
 def prune(arguments: list[str]) -> None:
     """Run ``fewview prune``."""
     settings = CliApp.run(Prune, cli_args=arguments)
-    with _ending("prune"), closing(open_store(settings)) as store:
+    with ending("prune"), closing(open_store(settings)) as store:
         if settings.dry_run:
             gone = retention.outdated(store, settings.retention)
         else:
@@ -130,7 +130,7 @@ def prune(arguments: list[str]) -> None:
 def migrate(arguments: list[str]) -> None:
     """Run ``fewview migrate``: status 0, 1 if a check finds another version, 2 if it cannot be."""
     settings = CliApp.run(Migrate, cli_args=arguments)
-    with _ending("migrate"):
+    with ending("migrate"):
         engine = open_engine(settings.resolved_database_url, forks=False)
         found = schema.look(engine) if settings.check else schema.migrate(engine)
         engine.dispose()
@@ -178,7 +178,7 @@ class Progress:
 
 
 @contextmanager
-def _ending(command: str) -> Iterator[None]:
+def ending(command: str) -> Iterator[None]:
     """End with status 2 and one line where a command cannot be carried out."""
     try:
         yield

@@ -4,7 +4,7 @@ import re
 from ipaddress import ip_address
 from typing import Self
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from models.settings.keypoints import MAX_KEYPOINTS, MAX_VIEWS
 from worker.cores import usable_cores
@@ -17,14 +17,23 @@ WILDCARDS = ("", "0.0.0.0", "::")  # noqa: S104 (to listen on all addresses)
 class Settings(WorkerSettings):
     """All settings: the store's, the queue's and the service's own."""
 
-    open_to_network: bool = Field(
-        False,
-        description="Whether to listen on another address than loopback. There are no keys yet: "
-        "whoever reaches the service can read and delete everything.",
-    )
     host: str = Field(
         "127.0.0.1",
-        description="Address to listen on; another than loopback needs --open-to-network=true.",
+        description="Address to listen on; another than loopback needs a key: `fewview key "
+        "create`, or FEWVIEW_ADMIN_KEY.",
+    )
+    admin_key: str | None = Field(
+        None,
+        repr=False,
+        pattern=r"^[!-~]{32,200}$",
+        description="The token of a key with all scopes that is not in the records, for "
+        "deployments whose secrets come from the environment. Set FEWVIEW_ADMIN_KEY rather than "
+        "the option, which other users of the machine can read.",
+    )
+    trust_local: bool = Field(
+        True,
+        description="Whether requests without a key are allowed to processes of this machine that "
+        "run as the user of the service, or as root.",
     )
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
     cors_origins: str = Field(
@@ -131,18 +140,6 @@ class Settings(WorkerSettings):
     warm_model_bytes: int = Field(
         512 * MEBIBYTE, ge=0, description="Weights to keep in memory for lifting."
     )
-
-    @field_validator("host")
-    @classmethod
-    def _is_meant(cls, host: str, info: ValidationInfo) -> str:
-        if not is_loopback(host) and not info.data.get("open_to_network"):
-            raise ValueError(
-                f"{host!r} is open to the network, and there are no keys yet: whoever reaches the "
-                "service can read and delete everything. Keep 127.0.0.1 and put a proxy of yours "
-                "before it, or say that this is meant: --open-to-network=true "
-                "(FEWVIEW_OPEN_TO_NETWORK)."
-            )
-        return host
 
     @field_validator("cors_origins")
     @classmethod

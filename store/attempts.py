@@ -123,6 +123,7 @@ def succeed(
     """
     fit = lookup.get(store, FitJob, attempt.fit_id)
     said = {"name": fit.name, "tags": fit.tags, "user_metadata": fit.user_metadata}
+    said |= {"project": fit.project, "key_id": fit.key_id}
     model = models.new_record(store, weights, fit_id=fit.id, **said, **describe)
     reconstruction_key = keys.of_reconstruction(fit.id, reconstruction)
     store.objects.put(reconstruction_key, reconstruction)
@@ -137,6 +138,7 @@ def succeed(
                     "model_id": model.id,
                     "progress": progress,
                     "reconstruction_key": reconstruction_key,
+                    "stored_bytes": len(reconstruction),
                     "findings": model.findings,
                 },
             )

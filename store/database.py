@@ -1,14 +1,18 @@
 """Opening the store: one handle for records and objects."""
 
+import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Self
 
 from sqlalchemy import text
 from sqlalchemy.orm import Session
 
 from store import deployment, schema
+from store.authors import Author, AuthoredSession
 from store.engine import open_engine
 from store.objects import Objects
+from store.records import DEFAULT_PROJECT
 from store.settings import StoreSettings
 
 
@@ -28,6 +32,7 @@ class Store:
             This process will fork. Then it may not touch the objects, whose threads would not live
             on in the fork, so another process must have opened the store before.
         """
+        self.author: Author | None = None
         self.engine = open_engine(settings.resolved_database_url, forks=forks)
         try:
             schema.prepare(self.engine, embedded=settings.database_url is None)
@@ -38,10 +43,21 @@ class Store:
             self.close()
             raise
 
+    def on_behalf_of(self, author: Author) -> Self:
+        """Return this store as an author sees it: the author's project, and nothing else."""
+        seen = copy.copy(self)
+        seen.author = author
+        return seen
+
+    @property
+    def project(self) -> str:
+        """The project whose records are made, and seen where there is an author."""
+        return DEFAULT_PROJECT if self.author is None else self.author.project
+
     @contextmanager
     def reading(self) -> Iterator[Session]:
         """Give a session for reading."""
-        with Session(self.engine) as session:
+        with AuthoredSession(self.engine, author=self.author) as session:
             yield session
 
     @contextmanager
@@ -53,7 +69,8 @@ class Store:
         (``store.locks``), dataset, fit, model, lift, chunk of a lift, condemned objects by key.
         """
         engine = self.engine.execution_options(writing=True)
-        with Session(engine, expire_on_commit=False) as session, session.begin():
+        session = AuthoredSession(engine, author=self.author, expire_on_commit=False)
+        with session, session.begin():
             yield session
 
     def check_records(self) -> None:

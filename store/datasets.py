@@ -10,7 +10,8 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from models.settings.times import check_rate
-from store import dataset_findings, jobs, keys
+from store import audit, dataset_findings, jobs, keys
+from store.authors import owned_by
 from store.capture import Capture, Float64, concatenate, extend_checksum
 from store.database import Store
 from store.disposal import condemn, discard
@@ -21,6 +22,7 @@ from store.labels import Labels
 from store.lookup import get, lock, lost
 from store.records import Chunk, Dataset, FitJob, LiftJob
 from store.space import discarded_if_full
+from store.usage import check_space
 
 
 @dataclass(frozen=True)
@@ -49,11 +51,12 @@ def create(
         earlier = replayed(session, idempotency)
     if earlier is not None:
         return get(store, Dataset, earlier)
-    key = _put_chunk(store, dataset_id, capture)
+    key, size = _put_chunk(store, dataset_id, capture)
     findings = dataset_findings.of_new(capture, description.image_sizes)
     with discarded_if_full(store, key), store.writing() as session:
         earlier = claim(session, idempotency, dataset_id)
         if earlier is None:
+            check_space(session, size)
             dataset = Dataset(
                 id=dataset_id,
                 name=description.name,
@@ -72,11 +75,14 @@ def create(
                 last_times=_last_times(capture),
                 notes=description.notes,
                 findings=findings,
+                stored_bytes=size,
+                **owned_by(store.author),
                 **description.labels.columns(),
             )
             session.add(dataset)
             session.flush()
             session.add(Chunk(dataset_id=dataset_id, first_frame=0, frames=capture.frames, key=key))
+            audit.note(session, "dataset.create", dataset_id)
     if earlier is not None:
         discard(store, key)
         return get(store, Dataset, earlier)
@@ -109,7 +115,7 @@ def append(
             f"expected {expected[0]} views of {expected[1]} keypoints as in the dataset, "
             f"got {capture.keypoints.shape[1]} of {capture.keypoints.shape[2]}",
         )
-    key = _put_chunk(store, dataset_id, capture)
+    key, size = _put_chunk(store, dataset_id, capture)
     appended = False
     try:
         while not appended:
@@ -129,8 +135,11 @@ def append(
             with discarded_if_full(store, key), store.writing() as session:
                 if replayed(session, idempotency) is not None:
                     break
+                check_space(session, size)
+                columns["stored_bytes"] = Dataset.stored_bytes + size
                 appended = _extend(session, dataset, columns)
                 if appended:
+                    audit.note(session, "dataset.append", dataset_id)
                     session.add(
                         Chunk(
                             dataset_id=dataset_id,
@@ -279,11 +288,13 @@ def delete(store: Store, dataset_id: str) -> None:
         chunks = session.scalars(select(Chunk.key).where(Chunk.dataset_id == dataset_id)).all()
         condemned = condemn(session, chunks)
         session.delete(dataset)
+        audit.note(session, "dataset.delete", dataset_id)
     discard(store, *condemned)
 
 
-def _put_chunk(store: Store, dataset_id: str, capture: Capture) -> str:
+def _put_chunk(store: Store, dataset_id: str, capture: Capture) -> tuple[str, int]:
+    """Store frames as an object; return its key and its bytes."""
     data = capture.to_bytes()
     key = keys.of_chunk(dataset_id, data)
     store.objects.put(key, data)
-    return key
+    return key, len(data)

@@ -11,6 +11,7 @@ StoreError
 ├── DamagedError           a stored object is not what was stored
 ├── DeploymentError        records and objects that do not belong together
 ├── QueueFullError         as many fits, or lifts, wait as may
+├── QuotaError             a key has taken all that it may
 ├── KeyReusedError         an idempotency key came back with another request
 └── LeaseLostError         a stale attempt tried to write; its work belongs to another by now
 """
@@ -35,7 +36,13 @@ class DeploymentError(StoreError):
     """Records and objects do not belong together: nothing may be served or deleted."""
 
 
-KINDS = {"ds": "dataset", "fit": "fit", "mdl": "model", "lift": "lift"}  # by their identifiers
+KINDS = {
+    "ds": "dataset",
+    "fit": "fit",
+    "mdl": "model",
+    "lift": "lift",
+    "key": "key",
+}  # by their identifiers
 
 
 class NotFoundError(StoreError):
@@ -97,6 +104,10 @@ class QueueFullError(StoreError):
     def __init__(self, kind: str, limit: int) -> None:
         super().__init__(f"{limit} {kind}s are waiting already.")
         self.kind = kind
+
+
+class QuotaError(StoreError):
+    """A key has taken all that it may."""
 
 
 class KeyReusedError(StoreError):

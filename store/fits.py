@@ -19,9 +19,10 @@ from models.settings.calibration import Keypoint
 from models.settings.config import FitConfig, warm
 from models.settings.priors import ARCHITECTURE
 from store import clock, jobs
+from store.authors import author_of, owned_by
 from store.database import Store
 from store.disposal import condemn
-from store.errors import ConfigError, ConflictError, SourceError
+from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
 from store.idempotency import Idempotency
 from store.labels import Labels
 from store.lookup import lock, lost
@@ -79,6 +80,7 @@ def create(
             config=filled_in,
             from_model=from_model,
             job_id=job_id or fit_id,
+            **owned_by(author_of(session)) | {"project": dataset.project},
             **labels.columns(),
         )
 
@@ -90,6 +92,8 @@ def create(
 def _suited(config: FitConfig, session: Session, from_model: str, dataset: Dataset) -> FitConfig:
     """Fill in a configuration for a start from a model; raise for one that does not suit it."""
     model = lock(session, Model, from_model)  # against deletion, as the dataset is
+    if model.project != dataset.project:  # whoever queues jobs sees all projects
+        raise NotFoundError("model", from_model)
     if model.keypoints != dataset.keypoints:
         raise SourceError(
             "from_model",

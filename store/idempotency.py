@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from sqlalchemy.orm import Session
 
 from store import clock
+from store.authors import author_of
 from store.engine import insert
 from store.errors import KeyReusedError
-from store.records import IdempotencyKey
+from store.records import DEFAULT_PROJECT, IdempotencyKey
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def replayed(session: Session, request: Idempotency | None) -> str | None:
     """
     if request is None:
         return None
-    earlier = session.get(IdempotencyKey, (request.scope, request.key))
+    earlier = session.get(IdempotencyKey, (_scope(session, request), request.key))
     if earlier is None:
         return None
     if earlier.fingerprint not in (request.fingerprint, request.older_fingerprint):
@@ -51,6 +52,14 @@ def replayed(session: Session, request: Idempotency | None) -> str | None:
             "Send a new key, or repeat the first request unchanged."
         )
     return earlier.resource_id
+
+
+def _scope(session: Session, request: Idempotency) -> str:
+    """Return what a key is unique within: another project may use the same key."""
+    author = author_of(session)
+    if author is None or author.project == DEFAULT_PROJECT:
+        return request.scope
+    return f"{author.project}: {request.scope}"[:200]
 
 
 def claim(session: Session, request: Idempotency | None, resource_id: str) -> str | None:
@@ -69,7 +78,7 @@ def claim(session: Session, request: Idempotency | None, resource_id: str) -> st
     noted = (
         insert(session, IdempotencyKey)
         .values(
-            scope=request.scope,
+            scope=_scope(session, request),
             key=request.key,
             fingerprint=request.fingerprint,
             resource_id=resource_id,

@@ -10,7 +10,8 @@ from typing import Any, TypeVar
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
-from store import clock
+from store import audit, clock
+from store.authors import ALL_PROJECTS
 from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import ConflictError, QueueFullError
@@ -19,6 +20,7 @@ from store.ids import new_id
 from store.locks import alone
 from store.lookup import get, lock
 from store.records import FitJob, LiftJob
+from store.usage import check_queue
 
 TERMINAL = ("succeeded", "failed", "cancelled")
 MAX_CRASHES = 5  # workers that one fit, or one chunk of a lift, may take down
@@ -51,11 +53,14 @@ def create(
         if earlier is None and job_id is not None:
             earlier = session.scalar(select(kind.id).where(kind.job_id == job_id))
         if earlier is None:
-            waiting = select(func.count()).select_from(kind).where(kind.status == "queued")
-            if max_queued is not None and (session.scalar(waiting) or 0) >= max_queued:
+            waiting = select(func.count(kind.id)).where(kind.status == "queued")
+            count = session.scalar(waiting, execution_options=ALL_PROJECTS) or 0
+            if max_queued is not None and count >= max_queued:
                 raise QueueFullError(kind.noun, max_queued)
+            check_queue(session)
             made = make(session, identifier)
             session.add(made)
+            audit.note(session, f"{kind.noun}.create", identifier)
     return made if earlier is None else get(store, kind, earlier)
 
 
@@ -111,6 +116,8 @@ def lock_to_cancel(session: Session, kind: type[Job], identifier: str) -> Job:
             f"{kind.noun.capitalize()} {identifier!r} has already {job.status}; it cannot be "
             "cancelled."
         )
+    if job.status != "cancelled":
+        audit.note(session, f"{kind.noun}.cancel", identifier)
     return job
 
 
@@ -139,6 +146,7 @@ def delete(
             )
         keys = condemn(session, forget(session, job))
         session.delete(job)
+        audit.note(session, f"{kind.noun}.delete", identifier)
     discard(store, *keys)
 
 

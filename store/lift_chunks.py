@@ -134,6 +134,7 @@ def finish(
         with store.writing() as session:
             lift, mine = _held(session, helper, chunk)
             mine.arrays_key, mine.lines_key = arrays_key, lines_key
+            lift.stored_bytes += len(packed.data) + len(lines)
             mine.lines_bytes, mine.checksums = len(lines), packed.checksums
             mine.finished_at, mine.holder, mine.lease_expires_at = clock.read(session), None, None
             earlier = (Finding.model_validate(finding) for finding in lift.findings or [])

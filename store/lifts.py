@@ -16,9 +16,10 @@ from sqlalchemy.orm import Session
 
 from models.settings.keypoints import MAX_VIEWS
 from store import clock, jobs
+from store.authors import author_of, owned_by
 from store.database import Store
 from store.disposal import condemn, discard
-from store.errors import LiftError
+from store.errors import LiftError, NotFoundError
 from store.idempotency import Idempotency
 from store.labels import Labels
 from store.lookup import lock
@@ -69,6 +70,8 @@ def create(
         # Locked against deletion, so that no lift is queued of what is gone.
         dataset = lock(session, Dataset, dataset_id)
         model = lock(session, Model, model_id)
+        if model.project != dataset.project:  # whoever queues jobs sees all projects
+            raise NotFoundError("model", model_id)
         _check(views, dataset, model)
         if up is not None and frame != "room":
             raise LiftError("up", "up is of a room: ask for frame=room too, or leave it out")
@@ -85,6 +88,7 @@ def create(
             up=up,
             chunks=len(chunks),
             job_id=job_id or lift_id,
+            **owned_by(author_of(session)) | {"project": dataset.project},
             **labels.columns(),
         )
         session.add(lift)
@@ -221,7 +225,10 @@ def end(
     lift.status, lift.error, lift.finished_at = status, error, clock.read(session)
     lift.seconds_left = None
     lift.revision += 1
-    return [] if status == "succeeded" else condemn(session, _drop_chunks(session, lift))
+    if status == "succeeded":
+        return []
+    lift.stored_bytes = 0
+    return condemn(session, _drop_chunks(session, lift))
 
 
 def _drop_chunks(session: Session, lift: LiftJob) -> list[str]:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, TypeVar
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session, defer
 
+from store import audit
 from store.array_files import GetRange
 from store.database import Store
 from store.errors import DamagedError, NotFoundError, StoreError
@@ -92,6 +93,8 @@ def change(
             setattr(record, name, value)
         if isinstance(record, Job) and columns:
             record.revision += 1
+        if columns:
+            audit.note(session, f"{kind.noun}.change", identifier)
     return record
 
 

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import select, update
 
-from store import jobs, keys
+from store import audit, jobs, keys
+from store.authors import owned_by
 from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import DamagedError
@@ -17,6 +18,7 @@ from store.ids import new_id
 from store.lookup import get, lock, lost
 from store.records import FitJob, LiftJob, Model
 from store.space import discarded_if_full
+from store.usage import check_space
 
 
 class Whereabouts(NamedTuple):
@@ -36,6 +38,7 @@ def new_record(store: Store, weights: bytes, **columns: Any) -> Model:
         created_at=time.time(),
         weights_key=key,
         weights_bytes=len(weights),
+        stored_bytes=len(weights),
         weights_checksum=hashlib.sha256(weights).hexdigest(),
         **columns,
     )
@@ -49,11 +52,13 @@ def create(
         earlier = replayed(session, idempotency)
     if earlier is not None:
         return get(store, Model, earlier)
-    model = new_record(store, weights, **columns)
+    model = new_record(store, weights, **owned_by(store.author), **columns)
     with discarded_if_full(store, model.weights_key), store.writing() as session:
         earlier = claim(session, idempotency, model.id)
         if earlier is None:
+            check_space(session, model.stored_bytes)
             session.add(model)
+            audit.note(session, "model.create", model.id)
     if earlier is not None:
         discard(store, model.weights_key)
         return get(store, Model, earlier)
@@ -105,4 +110,5 @@ def delete(store: Store, model_id: str) -> None:
         refuse(FitJob, FitJob.from_model == model_id)
         condemned = condemn(session, [model.weights_key])
         session.delete(model)
+        audit.note(session, "model.delete", model_id)
     discard(store, *condemned)

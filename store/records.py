@@ -19,6 +19,23 @@ class Record(DeclarativeBase):
     }
 
 
+DEFAULT_PROJECT = "default"
+
+
+class Owned:
+    """Columns of what belongs to a project, which sees nothing of the others'.
+
+    ``key_id`` is the key that made it, if it was made with one, and ``stored_bytes`` are those of
+    its objects: what the quota of that key counts. Older records hold 0.
+    """
+
+    project: Mapped[str] = mapped_column(
+        String(64), index=True, default=DEFAULT_PROJECT, server_default=DEFAULT_PROJECT
+    )
+    key_id: Mapped[str | None] = mapped_column(index=True)
+    stored_bytes: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
+
+
 class Labelled:
     """Columns of what people say of anything stored; older records hold null.
 
@@ -31,7 +48,7 @@ class Labelled:
     user_metadata: Mapped[dict[str, Any] | None]
 
 
-class Dataset(Labelled, Record):
+class Dataset(Labelled, Owned, Record):
     """A stored capture: what is known of it without reading its arrays."""
 
     noun: ClassVar = "dataset"  # in messages and URLs
@@ -68,7 +85,7 @@ class Chunk(Record):
     key: Mapped[str]
 
 
-class Job(Labelled):
+class Job(Labelled, Owned):
     """Columns of what the queue carries. ``status`` is the one truth about it.
 
     ``revision`` grows with every visible change.
@@ -157,7 +174,7 @@ class LiftChunk(Record):
     checksums: Mapped[dict[str, Any] | None]  # CRC-32 of each array's bytes
 
 
-class Model(Labelled, Record):
+class Model(Labelled, Owned, Record):
     """A fitted prior: its weights are an object, its figures are here."""
 
     noun: ClassVar = "model"
@@ -211,3 +228,34 @@ class IdempotencyKey(Record):
     fingerprint: Mapped[str]
     resource_id: Mapped[str]
     created_at: Mapped[float]
+
+
+class AccessKey(Record):
+    """What lets a client in. Of its token only the SHA-256 is kept."""
+
+    noun: ClassVar = "key"
+    __tablename__ = "keys"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    name: Mapped[str]
+    project: Mapped[str] = mapped_column(String(64))
+    digest: Mapped[str] = mapped_column(unique=True)
+    scopes: Mapped[list[Any]]
+    quotas: Mapped[dict[str, Any] | None]  # of store.access_keys.Quotas; None: none
+    created_at: Mapped[float]
+    expires_at: Mapped[float | None]
+    revoked_at: Mapped[float | None]
+
+
+class AuditEntry(Record):
+    """Who changed what: written in the transaction of the change, and never changed itself."""
+
+    __tablename__ = "audit"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    at: Mapped[float] = mapped_column(index=True)
+    project: Mapped[str] = mapped_column(String(64))
+    key_id: Mapped[str]  # or who it was without one: see store.authors
+    action: Mapped[str]
+    target: Mapped[str]  # identifier of the record
+    request_id: Mapped[str | None]

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from sqlalchemy import select
 
-from store import clock, fits, lifts
+from store import audit, clock, fits, lifts
 from store.database import Store
 from store.errors import ConflictError, NotFoundError
 from store.records import FitJob, LiftJob
@@ -22,11 +22,14 @@ class Retention(NamedTuple):
         That succeeded. With a fit goes its reconstruction, not its model.
     failed
         Fits and lifts that failed or were cancelled.
+    audit
+        What the audit notes.
     """
 
     fits: float | None = None
     lifts: float | None = None
     failed: float | None = None
+    audit: float | None = None
 
 
 def outdated(store: Store, keep: Retention) -> list[FitJob | LiftJob]:
@@ -61,4 +64,6 @@ def prune(store: Store, keep: Retention) -> list[FitJob | LiftJob]:
         except (ConflictError, NotFoundError):
             continue
         gone.append(job)
+    if keep.audit is not None:
+        audit.forget(store, older_than_seconds=keep.audit * DAY_SECONDS)
     return gone

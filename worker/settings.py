@@ -87,6 +87,11 @@ class WorkerSettings(StoreSettings):
         description="Days after which fits and lifts that failed or were cancelled are deleted. "
         "Default: never.",
     )
+    keep_audit_days: float | None = Field(
+        365,
+        ge=0,
+        description="Days after which entries of the audit are deleted.",
+    )
     lift_turn_seconds: float = Field(
         30.0,
         ge=0.1,
@@ -105,7 +110,9 @@ class WorkerSettings(StoreSettings):
     @property
     def retention(self) -> Retention:
         """For how long what has ended is kept."""
-        return Retention(self.keep_fits_days, self.keep_lifts_days, self.keep_failed_days)
+        return Retention(
+            self.keep_fits_days, self.keep_lifts_days, self.keep_failed_days, self.keep_audit_days
+        )
 
     @property
     def queues(self) -> list[QueueName]:

@@ -32,6 +32,8 @@ OF_SERVER = {
     "restore": "Fill an empty deployment with a backup.",
     "migrate": "Bring the tables of the records to this version.",
     "prune": "Delete fits and lifts that ended long ago, and what crashes left.",
+    "key": "Make, list and revoke the keys that let clients in.",
+    "audit": "Print who changed what.",
     "doctor": "Examine a deployment, and say what to do.",
 }
 ELSEWHERE = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}

@@ -12,6 +12,7 @@ from redis import Redis
 from starlette.requests import HTTPConnection
 
 from service.http.errors import ApiError, of_mistakes
+from service.http.keyring import caller_of
 from service.http.origins import refuse_foreign
 from service.settings import Settings
 from store.database import Store
@@ -29,9 +30,9 @@ async def get_settings(request: Request) -> Settings:
 
 
 async def get_store(request: Request) -> Store:
-    """Return the open store."""
+    """Return the store as the caller sees it: the project of the key, and nothing else."""
     store: Store = request.app.state.store
-    return store
+    return store.on_behalf_of(caller_of(request).author)
 
 
 async def get_redis(request: Request) -> Redis:

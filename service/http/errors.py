@@ -25,6 +25,7 @@ from store.errors import (
     LiftError,
     NotFoundError,
     QueueFullError,
+    QuotaError,
     SourceError,
     in_words,
 )
@@ -40,7 +41,9 @@ PROBLEM_JSON = "application/problem+json"
 PROBLEMS = {
     "malformed_body": (400, "The body cannot be read"),
     "malformed_request": (400, "The request is no HTTP that can be read"),
+    "unauthorized": (401, "The request has no key that is in force"),
     "origin_not_allowed": (403, "Web pages of this origin may not do this"),
+    "forbidden": (403, "The key does not allow this"),
     "not_found": (404, "There is no such resource"),
     "method_not_allowed": (405, "The method is not allowed here"),
     "not_acceptable": (406, "No such representation"),
@@ -54,6 +57,7 @@ PROBLEMS = {
     "idempotency_key_reused": (422, "The idempotency key was used for another request"),
     "too_many_fits": (429, "Too many fits are waiting"),
     "too_many_lifts": (429, "Too many lifts are waiting"),
+    "quota_exceeded": (429, "The key has taken all that it may"),
     "host_not_allowed": (421, "The service has another name"),
     "head_too_large": (431, "The request's head is too large"),
     "internal_error": (500, "Something went wrong inside"),
@@ -188,12 +192,16 @@ def of_mistakes(found: list[Mistake]) -> ApiError:
 def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
     """Return the OpenAPI responses of an operation that can end in these problems.
 
-    All can end in ``invalid_input`` (of a parameter at least), ``host_not_allowed``,
+    All can end in ``unauthorized``, ``forbidden``, ``quota_exceeded``,
+    ``invalid_input`` (of a parameter at least), ``host_not_allowed``,
     ``head_too_large``, ``internal_error``, ``object_damaged``, ``records_damaged``,
     ``storage_full``, ``unavailable``; those that read a body in ``overloaded``.
     """
     described: dict[int | str, dict[str, Any]] = {}
     of_all = (
+        "unauthorized",
+        "forbidden",
+        "quota_exceeded",
         "invalid_input",
         "host_not_allowed",
         "head_too_large",
@@ -268,6 +276,10 @@ def _of_full_queue(error: QueueFullError) -> ApiError:
     )
 
 
+def _of_quota(error: QuotaError) -> ApiError:
+    return ApiError("quota_exceeded", str(error), headers={"Retry-After": "60"})
+
+
 def _of_outage(part: str) -> Callable[[Exception], ApiError]:
     def to_api_error(error: Exception) -> ApiError:
         if is_full(error):
@@ -334,9 +346,11 @@ TRANSLATIONS: dict[type[Exception], Callable[[Any], ApiError]] = {
     CaptureError: _of_input,
     LiftError: _of_input,
     SourceError: _of_input,
+    InputError: _of_input,
     ConfigError: lambda error: invalid(f"/config/{error.field}", str(error)),
     KeyReusedError: lambda error: ApiError("idempotency_key_reused", str(error)),
     QueueFullError: _of_full_queue,
+    QuotaError: _of_quota,
     HTTPException: _of_http,
     DatabaseError: _of_database,
     OperationalError: _of_outage("records"),

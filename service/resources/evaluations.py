@@ -126,13 +126,13 @@ def evaluate(
         found = stored_arrays(fit, store)
         if asked.frame == "room":
             model_id = model_of(fit)
-            found = rooms.find(engine.models.get(model_id), None).place_arrays(found)
+            found = rooms.find(engine.models.get(store.project, model_id), None).place_arrays(found)
         points = found["points3d"]
     figures = _measure(asked, points, truth)
 
     cameras: Cameras | None = None
     if fit is not None and (asked.calibration is not None or asked.triangulate == "found"):
-        cameras = _found(model_of(fit), engine)
+        cameras = _found(model_of(fit), engine, store)
     compared = None
     if cameras is not None and asked.calibration is not None:
         with _refused_as("/calibration"):
@@ -198,9 +198,11 @@ def _measure(asked: EvaluationCreate, points: Float32 | Float64, truth: Float32)
         return Figures.of(points, truth, asked.reach, mirrored_too=asked.mirrored_too)
 
 
-def _found(model_id: str, engine: Engine) -> Cameras:
+def _found(model_id: str, engine: Engine, store: Store) -> Cameras:
     with _refused_as("/fit_id"):
-        return found_cameras(ModelCameras.of(model_id, engine.models.get(model_id).prior.cameras))
+        return found_cameras(
+            ModelCameras.of(model_id, engine.models.get(store.project, model_id).prior.cameras)
+        )
 
 
 def _triangulated(

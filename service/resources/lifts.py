@@ -204,7 +204,7 @@ def create_lift(
     in_room = is_room(body.frame, body.up)
     if body.views is not None or in_room:
         dataset = lookup.get(store, records.Dataset, body.dataset_id)
-        model = engine.models.get(body.model_id)
+        model = engine.models.get(store.project, body.model_id)
         if body.views is not None:
             check_views(body.views, model.prior, dataset.views)
         if in_room:

@@ -206,7 +206,7 @@ def get_model_cameras(
 
     A model that was fitted without refinement answers too, with the arrangement `unknown`.
     """
-    cameras = ModelCameras.of(model_id, engine.models.get(model_id).prior.cameras)
+    cameras = ModelCameras.of(model_id, engine.models.get(store.project, model_id).prior.cameras)
     if format == "json":
         return cameras
     try:
@@ -277,7 +277,7 @@ def download_network(
     (N, K, 2) in pixels, NaN where there is no answer: what `POST /lift` answers with `refine: off`.
     Perspective is not in it. A model that removes noise before its network has none (409).
     """
-    if engine.models.get(model_id).prior.denoises:
+    if engine.models.get(store.project, model_id).prior.denoises:
         raise ApiError(
             "conflict",
             f"Model {model_id!r} removes noise from its keypoints before the network, which ONNX "

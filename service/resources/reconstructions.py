@@ -131,7 +131,9 @@ def get_reconstruction(
     direction = read_up(up)
     in_room = is_room(frame, direction)
     chosen = chosen_format(request, format)
-    room = rooms.find(engine.models.get(model_of(fit)), direction) if in_room else None
+    room = (
+        rooms.find(engine.models.get(store.project, model_of(fit)), direction) if in_room else None
+    )
     if _is_stored(fit, refine):
         if chosen == "json":
             said = (request.app.version, reconstruction_key(fit), about, findings, frame, direction)
@@ -211,7 +213,7 @@ def _lift_again(
             "leave it out for what the fit stored, or lift the frames in parts with POST /lift",
         )
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
-    prior = engine.models.get(model_id).prior
+    prior = engine.models.get(store.project, model_id).prior
     times = datasets.times_of(lookup.get(store, records.Dataset, fit.dataset_id), capture)
     keypoints, confidence = in_step(
         capture.keypoints, capture.confidence, times, prior.capture.clocks

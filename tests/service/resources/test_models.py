@@ -95,7 +95,7 @@ def test_the_cameras_that_were_found(
 ) -> None:
     model = api.post("/models", content=weights, headers=BYTES).json()["id"]
     engine = api.app.state.engine  # type: ignore[attr-defined]
-    monkeypatch.setattr(engine.models.get(model).prior, "cameras", found_cameras())
+    monkeypatch.setattr(engine.models.get("default", model).prior, "cameras", found_cameras())
     found = api.get(f"/models/{model}/cameras").json()
     assert (found["model"], found["arrangement"], found["noise"]) == (model, "mixed", 1.2)
     assert found["handedness_certainty"] == 0.75
@@ -113,7 +113,7 @@ def test_the_cameras_that_were_found(
     assert second["translation"] is second["translation_sd"] is None
     assert second["reprojection_error"] == 2.5
 
-    count = engine.models.get(model).prior.capture.views
+    count = engine.models.get("default", model).prior.capture.views
     body = {"model": model, "frames": [[None, None]], "views": [0, count]}
     detail = problem(api.post("/lift", json=body), 422, "invalid_input", "/views")
     assert f"views of the fit, 0 to {count - 1}, got {count}" in detail
@@ -280,13 +280,13 @@ def test_warm_models_are_read_once_and_given_up_when_there_are_too_many(
     ids = [api.post("/models", content=weights, headers=BYTES).json()["id"] for _ in range(3)]
     store = Store(settings)
     engine = Engine(store, max_bytes=2 * len(weights))
-    first = [engine.models.get(model).prior for model in ids[:2]]
-    assert [engine.models.get(model).prior for model in ids[:2]] == first
-    engine.models.get(ids[2])  # takes the place of the one not used for longest
-    assert engine.models.get(ids[1]).prior is first[1]
-    assert engine.models.get(ids[0]).prior is not first[0]
+    first = [engine.models.get("default", model).prior for model in ids[:2]]
+    assert [engine.models.get("default", model).prior for model in ids[:2]] == first
+    engine.models.get("default", ids[2])  # takes the place of the one not used for longest
+    assert engine.models.get("default", ids[1]).prior is first[1]
+    assert engine.models.get("default", ids[0]).prior is not first[0]
     models.delete(store, ids[1])  # by another process, say
     with pytest.raises(NotFoundError):
-        engine.models.get(ids[1])
+        engine.models.get("default", ids[1])
     engine.close()
     store.close()

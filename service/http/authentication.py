@@ -1,0 +1,133 @@
+"""Who sends a request, and whether the key allows it: asked before anything else is done."""
+
+from collections.abc import Iterable
+from typing import cast
+
+from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from service.http.errors import ApiError
+from service.http.keyring import OWNER, Caller, Keyring
+from service.http.peers import Peer
+from service.http.rates import Rates
+from service.settings import Settings, is_loopback
+from store import access_keys
+
+PROBES = ("/health/live", "/health/ready")  # which balancers ask without a key
+FORWARDED = (b"forwarded", b"x-forwarded-for")
+SUBPROTOCOL = "fewview"  # of a WebSocket whose client names its key in another subprotocol
+BEARER_SUBPROTOCOL = "bearer."
+HOW = (
+    "Send the header `Authorization: Bearer TOKEN`. Who keeps the service makes keys with "
+    "`fewview key create`."
+)
+# The first part of a path: what its routes need, whatever the method.
+OF_PATH: dict[str, access_keys.Scope] = {
+    "keys": "admin",
+    "audit": "admin",
+    "lift": "lift",
+    "evaluations": "read",  # which are calculated and not stored
+}
+
+
+class Authentication:
+    """Refuses requests, and handshakes of WebSockets, without a key that allows them.
+
+    The caller is in ``scope["state"]["caller"]``. Without a key only those are let in who connect
+    from this machine as the user that the service runs as, or as root, and not through a proxy.
+    """
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self._app, self._settings = app, settings
+        self._probes = () if is_loopback(settings.host) else PROBES
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] in ("http", "websocket") and scope["path"] not in self._probes:
+            try:
+                caller = self._identify(scope)
+                _check_scope(caller, needed(scope.get("method", "GET"), scope["path"]))
+                if caller.author.quotas.requests_per_second is not None:
+                    rates: Rates = scope["app"].state.rates
+                    await rates.take_request(caller)
+            except ApiError as error:
+                await error.response()(scope, receive, send)
+                return
+            scope["state"]["caller"] = caller
+        await self._app(scope, receive, send)
+
+    def _identify(self, scope: Scope) -> Caller:
+        """Return who sends a request; raise ``ApiError`` 401 if nobody knows."""
+        state = scope.setdefault("state", {})
+        token = _token_in(scope)
+        if token is not None:
+            keyring: Keyring = scope["app"].state.keyring
+            caller = keyring.find(token)
+            if caller is None:
+                raise _unauthorized("This key is unknown, expired or revoked.", "invalid_token")
+        elif self._is_owner(scope):
+            caller = OWNER
+        else:
+            raise _unauthorized(f"This needs a key. {HOW}")
+        author = caller.author._replace(request_id=state.get("request_id"))
+        return caller._replace(author=author)
+
+    def _is_owner(self, scope: Scope) -> bool:
+        """Tell whether a request without a key is one of the service's own user."""
+        peer = cast(Peer | None, scope["state"].get("peer"))
+        if peer is None or not self._settings.trust_local or not peer.trusted:
+            return False
+        return not any(name in FORWARDED for name, _ in scope["headers"])
+
+
+def needed(method: str, path: str) -> access_keys.Scope:
+    """Return the scope that a request needs; of a WebSocket the method is GET."""
+    first = path.lstrip("/").partition("/")[0]
+    if first in OF_PATH:
+        return OF_PATH[first]
+    if method in ("GET", "HEAD", "OPTIONS"):
+        return "read"
+    return "delete" if method == "DELETE" else "write"
+
+
+def subprotocol_of(connection: HTTPConnection) -> str | None:
+    """Return the subprotocol to accept a WebSocket with, if its client offers ours."""
+    offered = _offered(connection.headers)
+    return SUBPROTOCOL if SUBPROTOCOL in offered else None
+
+
+def _token_in(scope: Scope) -> str | None:
+    """Return the token that a request carries, if any; raise ``ApiError`` for another scheme."""
+    for name, value in scope["headers"]:
+        if name == b"authorization":
+            scheme, _, token = value.decode("latin-1").partition(" ")
+            if scheme.lower() != "bearer" or not token.strip():
+                raise _unauthorized(f"expected a key as a bearer token. {HOW}", "invalid_request")
+            return cast(str, token.strip())
+    if scope["type"] == "websocket":
+        for offer in _offered(Headers(scope=scope)):
+            if offer.startswith(BEARER_SUBPROTOCOL):
+                return offer.removeprefix(BEARER_SUBPROTOCOL)
+    return None
+
+
+def _offered(headers: Headers) -> Iterable[str]:
+    """Return the subprotocols that the client of a WebSocket offers."""
+    lines = headers.getlist("sec-websocket-protocol")
+    return [offer.strip() for line in lines for offer in line.split(",")]
+
+
+def _check_scope(caller: Caller, scope: access_keys.Scope) -> None:
+    if scope not in caller.scopes:
+        may = ", ".join(name for name in access_keys.SCOPES if name in caller.scopes)
+        raise ApiError(
+            "forbidden",
+            f"This needs a key with the scope {scope}; this one has {may or 'none'}.",
+            headers={"WWW-Authenticate": f'Bearer error="insufficient_scope", scope="{scope}"'},
+        )
+
+
+def _unauthorized(detail: str, error: str | None = None) -> ApiError:
+    challenge = 'Bearer realm="fewview"' + (f', error="{error}"' if error else "")
+    return ApiError("unauthorized", detail, headers={"WWW-Authenticate": challenge})

@@ -1,0 +1,62 @@
+"""The audit: who changed what, written in the transaction of the change."""
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from store import clock
+from store.authors import author_of
+from store.database import Store
+from store.ids import new_id
+from store.records import AuditEntry
+
+
+def note(session: Session, action: str, target: str) -> None:
+    """Note what an author does, in the author's transaction; the service's own work is not noted.
+
+    Parameters
+    ----------
+    action
+        Kind and verb: ``dataset.create``.
+    target
+        Identifier of the record.
+    """
+    author = author_of(session)
+    if author is None:
+        return
+    session.add(
+        AuditEntry(
+            id=new_id("audit"),
+            at=clock.read(session),
+            project=author.project,
+            key_id=author.key_id,
+            action=action,
+            target=target,
+            request_id=author.request_id,
+        )
+    )
+
+
+def page(
+    store: Store,
+    *,
+    limit: int,
+    after: str | None = None,
+    key_id: str | None = None,
+    target: str | None = None,
+) -> list[AuditEntry]:
+    """Return up to ``limit`` entries of all projects, newest first, older than ``after``."""
+    query = select(AuditEntry).order_by(AuditEntry.id.desc()).limit(limit)
+    if after is not None:
+        query = query.where(AuditEntry.id < after)
+    equal = {"key_id": key_id, "target": target}
+    query = query.filter_by(**{name: value for name, value in equal.items() if value is not None})
+    with store.reading() as session:
+        return list(session.scalars(query))
+
+
+def forget(store: Store, *, older_than_seconds: float) -> int:
+    """Delete what was noted longer ago than that; return how many entries went."""
+    with store.writing() as session:
+        old = delete(AuditEntry).where(AuditEntry.at < clock.now() - older_than_seconds)
+        gone: int = session.execute(old).rowcount  # type: ignore[attr-defined]
+    return gone

@@ -1,0 +1,26 @@
+"""What a key may take of a deployment."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Quotas(BaseModel):
+    """Bounds of a key; what is null has none."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    stored_bytes: int | None = Field(
+        None,
+        ge=0,
+        le=2**60,
+        description="Bytes of the datasets, models, reconstructions and lifts made with the key.",
+    )
+    queued_jobs: int | None = Field(
+        None,
+        ge=0,
+        le=2**31,
+        description="Fits and lifts made with the key that may wait at a time.",
+    )
+    requests_per_second: int | None = Field(None, ge=1, le=2**31)
+    lifted_frames_per_second: int | None = Field(
+        None, ge=1, le=2**31, description="Of `POST /lift` and streams."
+    )
