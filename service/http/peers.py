@@ -1,39 +1,19 @@
 """Which user is at the other end of a connection over loopback: the kernel knows.
 
-Linux answers this over netlink (sock_diag(7)) for one connection by its two ends. The answer has
-the user who made the socket, whoever holds it now: the connection of a proxy is the proxy's.
+It names who made the other socket: the connection of a proxy is the proxy's.
 """
 
 import os
 import socket
-import struct
-import sys
 from collections.abc import Set as AbstractSet
 from functools import cache, cached_property
-from ipaddress import IPv4Address, IPv6Address, ip_address
+from ipaddress import ip_address
 from pathlib import Path
-from typing import NamedTuple
 
-Address = IPv4Address | IPv6Address
-End = tuple[Address, int]  # its address and its port
+from fewview.sockets import CONNECTED, End, Socket, find, plain
 
-SOCK_DIAG, SOCK_DIAG_BY_FAMILY, REQUEST = 4, 20, 1  # linux/netlink.h, linux/sock_diag.h
-HEADER = struct.Struct("=IHHII")  # nlmsghdr: length, type, flags, sequence, port
-ENDS = struct.Struct("!HH16s16s")  # inet_diag_sockid: ports and addresses, source first
-QUESTION = struct.Struct("=BBBxI")  # inet_diag_req_v2: family, protocol, extensions, states
-ANY_SOCKET = struct.pack("=III", 0, 0xFFFFFFFF, 0xFFFFFFFF)  # interface and cookie
-ANSWER = struct.Struct("=BBxx36s12x12xII")  # inet_diag_msg: family, state, ends, user, inode
-ANSWER_BYTES = 4096
-# The states of a connection whose ends both had it (tcp_states.h): ESTABLISHED, FIN_WAIT1,
-# FIN_WAIT2 (this end has shut its writing down) and CLOSE_WAIT (the other end has).
-CONNECTED = {1, 4, 5, 8}
 OVERFLOW = Path("/proc/sys/kernel/overflowuid")
 USUAL_OVERFLOW = 65534
-
-
-class _Socket(NamedTuple):
-    uid: int
-    inode: int
 
 
 def peer_uid(client: tuple[str, int], server: tuple[str, int]) -> int | None:
@@ -50,12 +30,12 @@ def peer_uid(client: tuple[str, int], server: tuple[str, int]) -> int | None:
     -------
     int | None
         None where it cannot be known: the client is no process of this network namespace, it has
-        closed its socket, an address is not of loopback, or the system has no such question.
+        closed its socket, an address is not of loopback, or the system does not say.
     """
     theirs, ours = _end(client), _end(server)
     if theirs is None or ours is None:
         return None
-    found = _ask(theirs, ours)
+    found = _held(theirs, ours)
     return None if found is None else found.uid
 
 
@@ -87,10 +67,10 @@ class Peer:
         theirs, ours = _end(self._client), _end(self._server)
         if theirs is None or ours is None:
             return False
-        peer = _ask(theirs, ours)
+        peer = _held(theirs, ours)
         if peer is None or peer.uid not in _trusted_uids():
             return False
-        own = _ask(ours, theirs)
+        own = _held(ours, theirs)
         return own is not None and own.inode == self._inode
 
 
@@ -111,47 +91,20 @@ def _end(end: object) -> End | None:
     """Return an end as it is compared: IPv4 as such; None if it is not of loopback."""
     try:
         host, port = end[:2]  # type: ignore[index]
-        address = _plain(ip_address(host))
+        address = plain(ip_address(host))
     except (TypeError, ValueError):  # not known, or of a Unix socket
         return None
     return (address, port) if address.is_loopback else None
 
 
-def _plain(address: Address) -> Address:
-    return getattr(address, "ipv4_mapped", None) or address
-
-
-def _ask(source: End, target: End) -> _Socket | None:
-    """Return the socket that has these ends, if a process has it open."""
-    if sys.platform != "linux":
+def _held(source: End, target: End) -> Socket | None:
+    """Return the socket of exactly this connection, if a process has it open."""
+    if source[0].version != target[0].version:
         return None
-    family = socket.AF_INET if source[0].version == 4 else socket.AF_INET6
     try:
-        ends = ENDS.pack(source[1], target[1], source[0].packed, target[0].packed)
-        body = QUESTION.pack(family, socket.IPPROTO_TCP, 0, 0xFFFFFFFF) + ends + ANY_SOCKET
-        head = HEADER.pack(HEADER.size + len(body), SOCK_DIAG_BY_FAMILY, REQUEST, 1, 0)
-        with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, SOCK_DIAG) as kernel:
-            kernel.setblocking(False)  # the answer is there when the question has been sent
-            kernel.sendto(head + body, (0, 0))
-            answer, (sender, _) = kernel.recvfrom(ANSWER_BYTES)
-        if sender != 0 or HEADER.unpack_from(answer)[1] != SOCK_DIAG_BY_FAMILY:
-            return None
-        return _read(answer, source, target)
-    except (OSError, struct.error, ValueError):
+        found = find(source, target)
+    except OSError:
         return None
-
-
-def _read(answer: bytes, source: End, target: End) -> _Socket | None:
-    """Read who has the socket; a socket that nobody has any more is root's in every answer.
-
-    The kernel reads the user first and the inode then (inet_diag.c). When an owner closes a socket
-    it loses its inode, so one with an inode was still its owner's as the user was read.
-    """
-    family, state, ends, uid, inode = ANSWER.unpack_from(answer, HEADER.size)
-    size = 4 if family == socket.AF_INET else 16
-    ports_and_addresses = ENDS.unpack(ends)
-    addresses = [_plain(ip_address(packed[:size])) for packed in ports_and_addresses[2:]]
-    found = tuple(zip(addresses, ports_and_addresses[:2], strict=True))
-    if found != (source, target) or state not in CONNECTED or inode == 0:
+    if found is None or (found.source, found.target) != (source, target):
         return None
-    return _Socket(uid, inode)
+    return found if found.state in CONNECTED and found.inode != 0 else None
