@@ -132,7 +132,8 @@ def _damage(settings: Settings, *, deep: bool) -> list[Verdict]:
 
 
 def _settings(settings: Settings) -> Iterator[Verdict]:
-    known = ["FEWVIEW_URL", *(f"FEWVIEW_{name.upper()}" for name in Settings.model_fields)]
+    settings_of_ours = (f"FEWVIEW_{name.upper()}" for name in Settings.model_fields)
+    known = ["FEWVIEW_URL", "FEWVIEW_KEY", *settings_of_ours]  # the client's too
     strange = [n for n in os.environ if n.startswith("FEWVIEW_") and n.upper() not in known]
     for name in strange:
         words = f"{name}: {unknown('setting', name, known)}"

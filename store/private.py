@@ -16,7 +16,7 @@ def keep_private(settings: StoreSettings) -> None:
     A data folder that was there is left as it is, for it may hold other things. Records and objects
     that both live elsewhere are no business of this.
     """
-    if settings.database_url is not None and settings.store_url is not None:
+    if not settings.uses_data_dir:
         return
     os.umask(0o077)
     for name in OURS:

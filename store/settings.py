@@ -53,6 +53,11 @@ class StoreSettings(BaseSettings):
         return {f"FEWVIEW_{name.upper()}": str(value) for name, value in values.items()}
 
     @property
+    def uses_data_dir(self) -> bool:
+        """Whether records or objects live in the data folder."""
+        return self.database_url is None or self.store_url is None
+
+    @property
     def resolved_database_url(self) -> URL:
         """The records' URL, the embedded default included."""
         known = None if self.database_url is None else _records(self.database_url)

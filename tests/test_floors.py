@@ -42,8 +42,17 @@ ROOMS = {
         ("cli",),
     ),
     CLIENT: (
-        ("animation", "capture", "errors", "evaluation", "moments", "placing", "upright"),
-        ("calibration", "embedded", "reading_options"),
+        (
+            "animation",
+            "capture",
+            "errors",
+            "evaluation",
+            "moments",
+            "placing",
+            "sockets",
+            "upright",
+        ),
+        ("calibration", "embedded", "keys", "reading_options"),
         ("gif", "readers"),
         ("api", "known_data"),
         ("client", "room"),
@@ -166,6 +175,8 @@ def test_the_client_knows_no_floor_and_is_known_for_its_cameras_and_rooms_alone(
         allowed = known | {"reading_options"} if module.startswith("service.wire.") else set()
         if module == "worker.rooms":
             allowed = {"placing", "room"}
+        if module == "service.http.peers":
+            allowed = {"sockets"}
         assert {name for _, name in used} <= allowed, module
 
 

@@ -21,6 +21,7 @@ from fewview.api.operations import Driver, Resource, operation
 from fewview.api.steps import Steps
 from fewview.api.stream import AsyncStream, Line, Start, Stream
 from fewview.capture import Capture
+from fewview.keys import is_loopback, key_for
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 CONNECT_SECONDS = 10.0
@@ -117,28 +118,34 @@ class Client(Api[Blocking]):
     ----------
     url
         Where the service is; else what ``FEWVIEW_URL`` says, else http://127.0.0.1:8000.
+    key
+        Lets the client in, as ``fewview key create`` prints it. None: the one in ``FEWVIEW_KEY``,
+        else the token in the data folder of a service on this machine, if there is one. An empty
+        text: no key is sent.
     timeout
         Seconds that the service may stay silent.
     patience
         Seconds for which requests are tried again while it is away or busy; 0: once only.
     headers
-        Sent with every request, such as ``Authorization`` for a proxy.
+        Sent with every request. An ``Authorization`` among them, for a proxy, takes the place of
+        the key, and so do a user and a password in the URL.
 
     Raises
     ------
     ValueError
-        The URL is none.
+        The URL is none, or the key has characters that no header can hold.
     """
 
     def __init__(
         self,
         url: str | None = None,
+        key: str | None = None,
         *,
         timeout: float = 60.0,
         patience: float = 20.0,
         headers: Mapping[str, str] | None = None,
     ) -> None:
-        http = httpx2.Client(**_options(url, timeout, headers))
+        http = httpx2.Client(**_options(url, key, timeout, headers))
         super().__init__(Blocking(http, patience))
 
     def stream(self, model: Model | str, **start: Unpack[Start]) -> Stream:
@@ -181,12 +188,13 @@ class AsyncClient(Api[Awaiting]):
     def __init__(
         self,
         url: str | None = None,
+        key: str | None = None,
         *,
         timeout: float = 60.0,
         patience: float = 20.0,
         headers: Mapping[str, str] | None = None,
     ) -> None:
-        http = httpx2.AsyncClient(**_options(url, timeout, headers))
+        http = httpx2.AsyncClient(**_options(url, key, timeout, headers))
         super().__init__(Awaiting(http, patience))
 
     def stream(self, model: Model | str, **start: Unpack[Start]) -> AsyncStream:
@@ -206,13 +214,25 @@ class AsyncClient(Api[Awaiting]):
         await self.close()
 
 
-def _options(url: str | None, timeout: float, headers: Mapping[str, str] | None) -> dict[str, Any]:
+def _options(
+    url: str | None, key: str | None, timeout: float, headers: Mapping[str, str] | None
+) -> dict[str, Any]:
     """Return the options of httpx2's clients."""
     where = (url or os.environ.get("FEWVIEW_URL") or DEFAULT_URL).rstrip("/")
     if not where.startswith(("http://", "https://")):
         raise ValueError(f"expected a URL such as {DEFAULT_URL}, got {where!r}")
-    return {
-        "base_url": where,
+    base, sent = httpx2.URL(where), httpx2.Headers(dict(headers or {}))
+    options = {
+        "base_url": base,
         "timeout": httpx2.Timeout(timeout, connect=min(CONNECT_SECONDS, timeout)),
-        "headers": dict(headers or {}),
+        "headers": sent,
     }
+    if "Authorization" in sent or base.userinfo:
+        if key:
+            raise ValueError("key: there is an Authorization already; a request has only one")
+    else:
+        options["auth"] = key_for(base, key)
+    if is_loopback(base.host):  # which no proxy reaches, nor has to see
+        host = f"[{base.host}]" if ":" in base.host else base.host
+        options["mounts"] = {f"all://{host}": None}
+    return options

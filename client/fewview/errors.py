@@ -5,6 +5,8 @@
     FewviewError
     ├── ApiError             the service answered that it would not: status, code, detail, errors
     │   ├── InvalidRequest   400, 406, 413, 415, 416, 422: what was sent is wrong, and where
+    │   ├── Unauthorized     401: there is no key, or it is not in force
+    │   ├── Forbidden        403: the key does not allow this
     │   ├── NotFound         404: there is no such dataset, fit, model or lift
     │   ├── Conflict         409: not in the state that it is in
     │   ├── TooManyRequests  429: too many jobs wait
@@ -62,13 +64,21 @@ class ApiError(FewviewError):
         detail: str,
         errors: tuple[FieldError, ...] = (),
     ) -> None:
-        super().__init__(detail or title)
+        super().__init__(" ".join(filter(None, (detail or title, _REMEDIES.get(code)))))
         self.status, self.code, self.title, self.detail = status, code, title, detail
         self.errors = errors
 
 
 class InvalidRequest(ApiError):  # noqa: N818
     """What was sent is wrong; ``errors`` say where."""
+
+
+class Unauthorized(ApiError):  # noqa: N818
+    """The service asks for a key, or does not take the one that was sent."""
+
+
+class Forbidden(ApiError):  # noqa: N818
+    """The key does not allow this."""
 
 
 class NotFound(ApiError):  # noqa: N818
@@ -125,8 +135,16 @@ class FormatError(FewviewError, ValueError):
     """A file is not what its reader expects, or cannot be written; the message says what to do."""
 
 
+_REMEDIES = {  # by codes, which the message ends with
+    "unauthorized": "Give a key as FEWVIEW_KEY or Client(key=...); `fewview key create` makes one "
+    "where the service runs.",
+    "forbidden": "`fewview key create` makes a key with other scopes where the service runs; give "
+    "it as FEWVIEW_KEY or Client(key=...).",
+}
 _BY_STATUS: dict[int, type[ApiError]] = {
     400: InvalidRequest,
+    401: Unauthorized,
+    403: Forbidden,
     404: NotFound,
     406: InvalidRequest,
     409: Conflict,
@@ -153,7 +171,7 @@ def api_error(status: int, problem: dict[str, Any]) -> ApiError:
     title = str(problem.get("title") or f"HTTP status {status}")
     return kind(
         status,
-        code=str(problem.get("code") or "unknown"),
+        code=str(problem.get("code") or ("unauthorized" if status == 401 else "unknown")),
         title=title,
         detail=str(problem.get("detail") or title),
         errors=tuple(

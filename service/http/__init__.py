@@ -6,6 +6,8 @@
     What endpoints ask for: the settings, the store, the queue, the parameters of pages.
 ``hosts``, ``origins``
     Names of the service, and web pages, that requests may come by.
+``connections``, ``peers``
+    Connections within bounds, and which user of this machine is at the other end of one.
 ``limits``, ``uploads``
     Bodies on their way in, held to their limits.
 ``head``

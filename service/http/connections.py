@@ -6,6 +6,7 @@ from typing import Any
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from service.http.errors import ApiError
+from service.http.peers import Peer
 
 MAX_HEAD_BYTES = 64 * 1024
 # Between requests. Proxies keep theirs for 60 s, as a rule, and a request that they
@@ -36,8 +37,10 @@ class Connection(HttpToolsProtocol):
         self._reading_timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Wait for the first request."""
+        """Wait for the first request; every request has ``peer`` in the state of its scope."""
         super().connection_made(transport)
+        # This one's own, of which each request and a WebSocket's protocol take a copy.
+        self.app_state = {**self.app_state, "peer": Peer(transport.get_extra_info("socket"))}
         self._await_head()
 
     def connection_lost(self, exc: Exception | None) -> None:

