@@ -55,7 +55,8 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
     async def receive(self) -> Any:
         """Return what comes next, and make way for what comes after it."""
         message = await super().receive()
-        if self._came or not self.writable.is_set():
+        if (self._came or not self.writable.is_set()) and not self.transport.is_closing():
+            self.transport.pause_reading()  # which goes on with each message that is taken
             self._go_on_soon()
         return message
 

@@ -16,6 +16,7 @@ from websockets.server import ServerProtocol
 
 from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
+from tests.processes import growth
 from tests.service.conftest import BYTES, MIB, Live, served
 from tests.service.http.test_bounds import watched
 from tests.service.realtime.conftest import Answer, as_bytes, read_bytes, started
@@ -76,12 +77,17 @@ def figure(live: Live, weights: bytes) -> str:
 def test_floods_keep_nobody_waiting(live: Live, figure: str, name: str) -> None:
     piece = FLOODS[name] * (AT_ONCE // len(FLOODS[name]))
     alone = in_one_go(piece)
-    with watched(live) as waits, stream(live.http, figure) as connection:
+    with (
+        watched(live) as waits,
+        stream(live.http, figure) as connection,
+        growth(live.process.pid, b"service.app") as grew,
+    ):
         connection.setblocking(False)
         ends = time.monotonic() + 2
         while time.monotonic() < ends and select.select([], [connection], [], 0.5)[1]:
             connection.send(piece)
     assert max(waits) < max(alone, 0.5)
+    assert grew[0] < 32 * MIB
 
 
 def test_a_client_that_does_not_read_is_not_read_from(settings: Settings, model: str) -> None:
