@@ -35,6 +35,7 @@ from service.http.leaving import CLOSE_SECONDS, Server
 from service.http.limits import BodyLimit
 from service.http.operations import registered_schemas
 from service.http.rates import Rates
+from service.http.websockets import WebSocketConnection
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
@@ -240,11 +241,12 @@ def make_server(settings: Settings) -> Server:
     """Return what serves the application."""
     app = create_app(settings)
     connection: Any = partial(Connection, seconds=settings.request_seconds)
+    web_socket: Any = partial(WebSocketConnection, seconds=settings.request_seconds)
     config = uvicorn.Config(
         app,
         loop="uvloop",
         http=connection,
-        ws="websockets-sansio",
+        ws=web_socket,
         ws_max_size=settings.max_stream_bytes,
         ws_per_message_deflate=False,  # numbers hardly shrink, and it takes longer than the lift
         log_level="warning",

@@ -5,18 +5,16 @@ It is for processes of the service's own user whose connections do not show whos
 
 import os
 import re
-import secrets
 import stat
 import tempfile
 from contextlib import suppress
 from pathlib import Path
 
+from store.access_keys import TOKEN_PREFIX, new_token
 from store.errors import StoreError
 
 NAME = "token"
-PREFIX = "fewview_"
-SECRET_BYTES = 32
-TOKEN = re.compile(f"{PREFIX}[A-Za-z0-9_-]{{43}}")  # base64url has 6 bits a character
+TOKEN = re.compile(f"{TOKEN_PREFIX}[A-Za-z0-9_-]{{43}}")  # base64url has 6 bits a character
 MOST_BYTES = 4096
 OPEN_TO_OTHERS = 0o077
 
@@ -48,7 +46,7 @@ def _make(path: Path) -> None:
     descriptor, part = tempfile.mkstemp(prefix=f".{NAME}-", dir=path.parent)  # of mode 600
     try:
         with os.fdopen(descriptor, "w") as file:
-            file.write(f"{PREFIX}{secrets.token_urlsafe(SECRET_BYTES)}\n")
+            file.write(f"{new_token()}\n")
             file.flush()
             os.fsync(descriptor)
         with suppress(FileExistsError):

@@ -17,10 +17,25 @@ from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from store.crc import combine
 
 PIECE_BYTES = 1024 * 1024  # read at a time
+TYPES = {  # as safetensors calls them
+    "F64": "<f8",
+    "F32": "<f4",
+    "F16": "<f2",
+    "I64": "<i8",
+    "I32": "<i4",
+    "I16": "<i2",
+    "I8": "|i1",
+    "U64": "<u8",
+    "U32": "<u4",
+    "U16": "<u2",
+    "U8": "|u1",
+    "BOOL": "|b1",
+}
 
 GetRange = Callable[[str, int, int], bytes]  # of an object, from a start up to an end
 
@@ -99,6 +114,36 @@ class LaidOutFile:
                 yield part[offset : offset + size]
             start += size
             index += start == self._starts[index + 1]
+
+
+def safetensors_arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a safetensors file, which stay in the bytes given and are not written.
+
+    The library's own function copies them, and has all other threads wait for it.
+
+    Raises
+    ------
+    ValueError
+        If these bytes are no such file.
+    """
+    size = int.from_bytes(data[:8], "little")
+    if len(data) < 8 + size:
+        raise ValueError("its header is cut short")
+    arrays = {}
+    try:
+        for name, entry in json.loads(data[8 : 8 + size]).items():
+            if name == "__metadata__":
+                continue
+            dtype, shape = np.dtype(TYPES[entry["dtype"]]), entry["shape"]
+            start, end = (8 + size + offset for offset in entry["data_offsets"])
+            if not all(type(length) is int and length >= 0 for length in (*shape, start, end)):
+                raise ValueError(f"the array {name!r} has no sizes that can be")
+            if end > len(data) or end - start != dtype.itemsize * prod(shape) or start < 8 + size:
+                raise ValueError(f"the array {name!r} lies outside the file, or is cut short")
+            arrays[name] = np.frombuffer(data, dtype, prod(shape), start).reshape(shape)
+    except (AttributeError, KeyError, RecursionError, TypeError) as error:
+        raise ValueError(f"its header cannot be understood: {error!r:.200}") from error
+    return arrays
 
 
 def safetensors_header(

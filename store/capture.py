@@ -1,6 +1,7 @@
 """A capture's arrays, checked, and the bytes they are stored as."""
 
 import hashlib
+import io
 import json
 import math
 import zlib
@@ -10,10 +11,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from safetensors.numpy import load, save
 
 from models.settings.keypoints import check_confidence, check_keypoints
 from models.settings.times import check_times
+from store.array_files import PIECE_BYTES, safetensors_arrays, safetensors_header
 from store.errors import CaptureError
 
 Float32 = NDArray[np.float32]
@@ -21,6 +22,7 @@ Float64 = NDArray[np.float64]
 Array = TypeVar("Array", bound=NDArray[Any])
 
 ARRAYS = ("keypoints", "confidence", "points3d", "times")  # of a capture, in this order
+STORED = sorted(ARRAYS, key="times".__ne__)  # in a file the numbers of eight bytes come first
 
 
 @dataclass(frozen=True)
@@ -101,14 +103,24 @@ class Capture:
 
     def to_bytes(self) -> bytes:
         """Return the arrays as safetensors, which also say the CRC-32 of each."""
-        every = {name: getattr(self, name) for name in ARRAYS}
+        every = {name: getattr(self, name) for name in STORED}
         arrays = {n: np.ascontiguousarray(a) for n, a in every.items() if a is not None}
-        return save(arrays, {n: str(zlib.crc32(a.data)) for n, a in arrays.items()})
+        header = safetensors_header(
+            [(n, f"F{8 * a.itemsize}", a.shape, a.itemsize) for n, a in arrays.items()],
+            {n: str(zlib.crc32(a.data)) for n, a in arrays.items()},
+        )
+        whole = io.BytesIO(header)
+        whole.seek(0, io.SEEK_END)
+        for array in arrays.values():
+            rows = array.reshape(-1).view(np.uint8).data
+            for start in range(0, len(rows), PIECE_BYTES):  # other threads have turns between
+                whole.write(rows[start : start + PIECE_BYTES])
+        return whole.getvalue()
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "Capture":
         """Read back what :meth:`to_bytes` wrote."""
-        arrays = load(data)
+        arrays = safetensors_arrays(data)
         return cls(**{name: arrays[name] for name in ARRAYS if name in arrays})
 
     @classmethod

@@ -1,6 +1,8 @@
 """Processes and ports of one test session, which those of another have nothing to do with."""
 
 import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from worker import process
@@ -49,3 +51,21 @@ def command_of(pid: int) -> bytes:
         return Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
         return b""
+
+
+@contextmanager
+def growth(parent: int, program: bytes) -> Iterator[list[int]]:
+    """Give by how many bytes descendants that run a program have grown at most, once it is over."""
+    pids = [pid for pid in descendants(parent) if program in command_of(pid)]
+    assert pids
+
+    def of(name: str) -> int:
+        files = [Path(f"/proc/{pid}/status").read_text() for pid in pids]
+        rows = [row.split() for file in files for row in file.splitlines()]
+        return sum(1024 * int(row[1]) for row in rows if row[0] == f"{name}:")
+
+    for pid in pids:
+        Path(f"/proc/{pid}/clear_refs").write_text("5")
+    before, grew = of("VmRSS"), [0]
+    yield grew
+    grew[0] = of("VmHWM") - before

@@ -19,6 +19,29 @@ class _HeadTooLarge(Exception):  # noqa: N818 (raised through the parser, which 
     pass
 
 
+class Reading:
+    """Watches whether a client goes on reading; one that reads nothing for long is left."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, seconds: float) -> None:
+        self._loop, self._patience = loop, READING_PATIENCE * seconds
+        self._timer: asyncio.TimerHandle | None = None
+
+    def watch(self, transport: asyncio.Transport, left: int = -1) -> None:
+        """Leave the client if it has read nothing since ``left`` bytes waited for it."""
+        self.stop()
+        waiting = transport.get_write_buffer_size()
+        if waiting == left:
+            transport.abort()
+            return
+        self._timer = self._loop.call_later(self._patience, self.watch, transport, waiting)
+
+    def stop(self) -> None:
+        """Watch no longer."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+
 class Connection(HttpToolsProtocol):
     """Speaks HTTP as uvicorn does, within bounds that uvicorn leaves open.
 
@@ -34,7 +57,7 @@ class Connection(HttpToolsProtocol):
         self._in_head = self._got_on = False
         self._bytes_apart = 0  # since a body's last bytes, or the begin or end of a head
         self._head_timer: asyncio.TimerHandle | None = None
-        self._reading_timer: asyncio.TimerHandle | None = None
+        self._reading = Reading(self.loop, seconds)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Wait for the first request; every request has ``peer`` in the state of its scope."""
@@ -46,7 +69,7 @@ class Connection(HttpToolsProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Wait for nothing any more."""
         self._stop_waiting()
-        self._stop_watching()
+        self._reading.stop()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
@@ -79,7 +102,7 @@ class Connection(HttpToolsProtocol):
     def handle_websocket_upgrade(self) -> None:
         """Leave the connection to the protocol of WebSockets."""
         self._stop_waiting()
-        self._stop_watching()
+        self._reading.stop()
         super().handle_websocket_upgrade()
 
     def send_400_response(self, msg: str) -> None:
@@ -90,11 +113,11 @@ class Connection(HttpToolsProtocol):
     def pause_writing(self) -> None:
         """Watch whether the client goes on reading."""
         super().pause_writing()
-        self._watch_reading(left=-1)
+        self._reading.watch(self.transport)
 
     def resume_writing(self) -> None:
         """Go on writing."""
-        self._stop_watching()
+        self._reading.stop()
         super().resume_writing()
 
     def _is_answering(self) -> bool:
@@ -119,21 +142,6 @@ class Connection(HttpToolsProtocol):
         if self._head_timer is not None:
             self._head_timer.cancel()
             self._head_timer = None
-
-    def _watch_reading(self, left: int) -> None:
-        """Leave the client if it has read nothing since ``left`` bytes waited for it."""
-        self._stop_watching()
-        waiting = self.transport.get_write_buffer_size()
-        if waiting == left:
-            self.transport.abort()
-            return
-        patience = READING_PATIENCE * self._seconds
-        self._reading_timer = self.loop.call_later(patience, self._watch_reading, waiting)
-
-    def _stop_watching(self) -> None:
-        if self._reading_timer is not None:
-            self._reading_timer.cancel()
-            self._reading_timer = None
 
     def _refuse(self, error: ApiError) -> None:
         """Answer with a problem, unless another answer is on its way, and close the connection."""

@@ -13,7 +13,6 @@ from store import access_keys, access_token
 from store.access_keys import SCOPES, Scope
 from store.authors import Author
 from store.database import Store
-from store.errors import StoreError
 from store.quotas import Quotas
 from store.records import AccessKey
 
@@ -109,10 +108,8 @@ def fixed_callers(settings: Settings) -> dict[str, Caller]:
     if settings.admin_key is not None:
         admin = OWNER._replace(author=Author(key_id="admin"))
         callers[access_keys.digest(settings.admin_key)] = admin
-    try:
+    if (settings.data_dir / access_token.NAME).exists():
         callers[access_keys.digest(access_token.ensure(settings.data_dir))] = OWNER
-    except (StoreError, OSError) as error:
-        logger.warning("There is no token in the data folder: %s", error)
     return callers
 
 

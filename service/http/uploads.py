@@ -8,7 +8,7 @@ import zipfile
 import zlib
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, TypeVar
 
@@ -56,9 +56,12 @@ ZIP_FAULTS = (
 )
 ZIP_ENTRY = b"PK\x01\x02"  # begins every entry of a zip file's directory
 NULL_BYTES = 256  # what a null of JSON counts: it may stand for a keypoint, a view or a frame
-# What JSON takes as lists of numbers: of each list or object, and of each of its items.
-LIST_BYTES, ITEM_BYTES = 88, 32
-DECODED = 16  # times the largest JSON body: what a body may take as lists. Captures take 10 to 15
+# Times the largest JSON body: what a body may take as lists, while it is read in a process of its
+# own. Captures take 10 to 15.
+DECODED = 16
+# What each array of a JSON body may take, for nulls may stand for much: so many
+# times the body, or this.
+AS_ARRAYS, SMALL_ARRAYS = 4, 16 * 1024 * 1024
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,8 @@ class Upload:
         Those that a form calls `files`, if any; `data` are those of the first.
     max_decoded_bytes
         What its JSON may take as lists, about.
+    max_array_bytes
+        What each of its arrays may take.
     """
 
     data: bytes
@@ -92,15 +97,21 @@ class Upload:
     fields: dict[str, str] = field(default_factory=dict)
     files: tuple[File, ...] = ()
     max_decoded_bytes: int = 0
+    max_array_bytes: int = 0
 
     @cached_property
     def decoded_bytes(self) -> int:
-        """About how much there will be to work on: npz may be packed, JSON full of nulls."""
+        """About how much there will be to work on: npz may be packed, JSON full of nulls.
+
+        Of a large body its size: to look through it would take long.
+        """
         size = len(self.data)
+        if size >= LARGE_BYTES:
+            return size
         if self.is_json:
             return size + NULL_BYTES * self.data.count(b"null")
         is_zip = self.data.startswith(b"PK")
-        if size >= LARGE_BYTES or not is_zip or self.data.count(ZIP_ENTRY) > MAX_MEMBERS:
+        if not is_zip or self.data.count(ZIP_ENTRY) > MAX_MEMBERS:
             return size
         try:
             with zipfile.ZipFile(io.BytesIO(self.data)) as archive:
@@ -112,39 +123,6 @@ class Upload:
     def is_large(self) -> bool:
         """Whether to work on it takes so much that large ones take turns."""
         return self.decoded_bytes >= LARGE_BYTES
-
-    def json(self, model: type[Body]) -> Body:
-        """Return the JSON body as ``model``."""
-        if not self.is_json:
-            raise ApiError("unsupported_media_type", "expected Content-Type application/json")
-        self._refuse_costly()
-        try:
-            body = orjson.loads(self.data)
-            check_bounds(body, model)
-            return model.model_validate(body)
-        except orjson.JSONDecodeError as error:
-            raise ApiError(
-                "malformed_body",
-                f"The body is not valid JSON: {error}. JSON knows no NaN or Infinity: write null "
-                "for what was not observed.",
-            ) from error
-        except ValidationError as error:
-            raise from_validation(error, model) from error
-
-    def _refuse_costly(self) -> None:
-        """Refuse JSON that would take many times the memory that a capture of its length takes."""
-        most = self.max_decoded_bytes
-        if (LIST_BYTES + ITEM_BYTES) * len(self.data) <= most:
-            return
-        count = self.data.count
-        cost = LIST_BYTES * (count(b"[") + count(b"{")) + ITEM_BYTES * count(b",")
-        if cost > most:
-            raise ApiError(
-                "body_too_large",
-                f"JSON may take some {most} bytes as lists of numbers at most, this would take "
-                f"{cost}. Send safetensors or npz (application/octet-stream), or the frames in "
-                "parts.",
-            )
 
     def form(
         self, model: type[Body], extra: dict[str, Any], kind: type[BaseModel] | None = None
@@ -158,9 +136,11 @@ class Upload:
         for name, text in self.fields.items():
             known = model.model_fields.get(name)
             try:
-                values[name] = text if known and known.annotation is str else orjson.loads(text)
+                value = text if known and known.annotation is str else orjson.loads(text)
             except orjson.JSONDecodeError as error:
                 raise invalid(f"/{name}", f"expected JSON, got {text[:40]!r}") from error
+            check_bounds({name: value}, model)  # before there is another
+            values[name] = value if known else None
         check_bounds(values, model)
         try:
             return model.model_validate(values)
@@ -217,22 +197,30 @@ async def read_body(request: Request, *, max_files: int = 1) -> Upload:
     if media_type == "multipart/form-data":
         _check_charset(request.headers["content-type"])
         async with request.form(max_files=max_files, max_fields=16) as form:
-            return await _of_form(form, several=max_files > 1)
+            found = await _of_form(form, several=max_files > 1)
+            return replace(found, max_array_bytes=settings.max_body_bytes)
     if media_type in BINARY_TYPES:
-        return Upload(await request.body(), is_json=False)
-    if media_type == "application/json" or media_type.endswith("+json"):
-        pieces, size = [], 0
+        whole = io.BytesIO()  # which is grown in place: to join pieces would take long at the end
         async for piece in request.stream():
-            pieces.append(piece)
-            size += len(piece)
+            whole.write(piece)
+        most = settings.max_body_bytes
+        return Upload(whole.getvalue(), is_json=False, max_array_bytes=most)
+    if media_type == "application/json" or media_type.endswith("+json"):
+        whole, size = io.BytesIO(), 0
+        async for piece in request.stream():
+            size += whole.write(piece)
             if size > settings.max_json_bytes:
                 raise ApiError(
                     "body_too_large",
                     f"JSON bodies may have {settings.max_json_bytes} bytes at most. Send "
                     "safetensors or npz (application/octet-stream), or the frames in parts.",
                 )
-        most = DECODED * settings.max_json_bytes
-        return Upload(b"".join(pieces), is_json=True, max_decoded_bytes=most)
+        return Upload(
+            whole.getvalue(),
+            is_json=True,
+            max_decoded_bytes=DECODED * settings.max_json_bytes,
+            max_array_bytes=min(settings.max_body_bytes, max(AS_ARRAYS * size, SMALL_ARRAYS)),
+        )
     hint = HOW_TO_SEND_FILES if max_files > 1 else "JSON: curl -H 'Content-Type: application/json'"
     raise ApiError(
         "unsupported_media_type",
@@ -271,8 +259,16 @@ async def _of_form(form: FormData, *, several: bool) -> Upload:
             + (", or detectors' files as `files`, one for each camera" if several else ""),
         )
     fields = {name: text for name, text in form.items() if isinstance(text, str)}
-    files = tuple([File(part.filename or "", await part.read()) for part in one or many])
+    files = tuple([File(part.filename or "", await _whole(part)) for part in one or many])
     return Upload(files[0].data, is_json=False, fields=fields, files=files if many else ())
+
+
+async def _whole(part: UploadFile) -> bytes:
+    """Return the bytes of a part, read some at a time: at once, all others would have to wait."""
+    whole = io.BytesIO()
+    while piece := await part.read(LARGE_BYTES):
+        whole.write(piece)
+    return whole.getvalue()
 
 
 # Until it is answered.

@@ -16,8 +16,11 @@ def to_frames(
     *,
     times: object = None,
     field: str = "frames",
+    max_bytes: int | None = None,
 ) -> Capture:
     """Return frames that the prior can lift, from nested lists or arrays; errors name ``field``.
+
+    No array takes more than ``max_bytes``, without it as many as the largest body has.
 
     Raises
     ------
@@ -30,6 +33,7 @@ def to_frames(
         confidence,
         times=times,
         settings=settings,
+        max_bytes=max_bytes,
         keypoints_field=field,
         expected_keypoints=expected,
     )

@@ -1,7 +1,7 @@
 """Lifting: 2D keypoints to 3D structure and cameras, in real time."""
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import nullcontext
 from functools import partial
 from typing import Annotated, Any, NamedTuple, TypeVar, cast
@@ -9,8 +9,8 @@ from typing import Annotated, Any, NamedTuple, TypeVar, cast
 from fastapi import APIRouter, Query, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.routing import APIRoute
-from pydantic import BaseModel, ConfigDict, Field
-from starlette.responses import Response
+from pydantic import BaseModel, ConfigDict
+from starlette.responses import Response, StreamingResponse
 
 from models.capture.clocks import in_step
 from models.lifting import lift as lifts
@@ -33,19 +33,25 @@ from service.realtime.warm_models import WarmModel
 from service.settings import Settings
 from service.wire.captures import read_arrays
 from service.wire.findings import Findings
-from service.wire.representations import Format, FormatQuery, arrays_response, chosen_format
-from service.wire.rooms import FRAME_OF_REFERENCE, UP, FrameQuery, UpQuery, is_room, read_up
+from service.wire.json_bodies import read_json
+from service.wire.representations import (
+    JSON,
+    Format,
+    FormatQuery,
+    arrays_response,
+    chosen_format,
+    json_pieces,
+    parts_of,
+)
+from service.wire.requests import LiftRequest
+from service.wire.rooms import FrameQuery, UpQuery, is_room, read_up
 from service.wire.schemas import (
-    CONFIDENCE,
-    KEYPOINTS,
     LIFTED_FRAME,
     REFINE,
-    TIMES,
     VIEWS,
     LiftedFrame,
 )
 from store.capture import Capture
-from store.labels import Text
 from worker.rooms import Room
 
 TINY_BYTES = 32 * 1024  # worked on in less time than it takes to switch threads, or not much more
@@ -55,37 +61,6 @@ KEYPOINT_BYTES, VIEW_BYTES, SEEN_BYTES, JSON_BYTES = 13, 112, 4, 6
 PATIENCE_SECONDS = 0.1  # before it is looked whether a client still waits
 
 Result = TypeVar("Result")
-
-
-class LiftRequest(BaseModel):
-    """Frames to lift."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "example": {
-                "model": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
-                "frames": [
-                    [
-                        [[512.0, 200.5], [530.0, 260.0], None, [498.0, 402.0]],
-                        [[301.0, 190.0], [322.5, 251.0], [350.0, 330.0], [310.0, 399.0]],
-                    ]
-                ],
-                "times": [12.48],
-                "refine": "auto",
-                "views": [0, 2],
-            }
-        },
-    )
-
-    model: Text = Field(max_length=200, description="The model's identifier.")
-    frames: KEYPOINTS
-    confidence: CONFIDENCE = None
-    times: TIMES = None
-    refine: Refine | None = Field(None, description=REFINE)
-    views: list[Index] | None = Field(None, max_length=MAX_VIEWS, description=VIEWS)
-    frame: FrameOfReference | None = Field(None, description=FRAME_OF_REFERENCE)
-    up: Up | None = Field(None, description=UP)
 
 
 class Lift(BaseModel):
@@ -148,7 +123,7 @@ def _understand(
     None if ``model_of`` has no such model, or ``room_of`` no such room.
     """
     if upload.is_json:
-        asked = upload.json(LiftRequest)
+        asked = read_json(upload, LiftRequest)
     else:
         if query.model is None:
             raise invalid(
@@ -174,7 +149,13 @@ def _understand(
     if model is None:
         return None
     capture = to_frames(
-        asked.frames, asked.confidence, views, model.prior, settings, times=asked.times
+        asked.frames,
+        asked.confidence,
+        views,
+        model.prior,
+        settings,
+        times=asked.times,
+        max_bytes=upload.max_array_bytes,
     )
     _check_answer(capture, query.format, settings)
     room = None
@@ -303,21 +284,31 @@ async def lift(
     lifted = await _unless_gone(request, answer)
     if lifted is None:
         return Response(status_code=499)  # which nobody reads
-    answer_bytes = JSON_BYTES * sum(array.nbytes for array in lifted.arrays.values())
-    return await _run(request, answer_bytes, _answer, request, asked, lifted, format)
+    size = JSON_BYTES * sum(array.nbytes for array in lifted.arrays.values())
+    in_parts = format == "json" and size >= LARGE_BYTES
+    return await _run(request, size, _answer, request, asked, lifted, format, in_parts)
 
 
-def _answer(request: Request, asked: _Asked, lifted: lifts.Lift, format: Format | None) -> Response:
+def _answer(
+    request: Request, asked: _Asked, lifted: lifts.Lift, format: Format, in_parts: bool
+) -> Response:
     if asked.room is not None:
         lifted = asked.room.place(lifted, asked.views)
-    return arrays_response(
-        request,
-        lifted.arrays,
-        {"model": asked.model.id},
-        lift_findings(lifted, asked.model.prior),
-        format=format,
-        filename="lift",
-    )
+    about: dict[str, str | None] = {"model": asked.model.id}
+    findings = lift_findings(lifted, asked.model.prior)
+    if in_parts:  # as a whole it would take many times what was asked
+        pieces = json_pieces(parts_of(lifted.arrays), about, findings)
+        return StreamingResponse(
+            _made_in_thread(request, pieces), headers={"Vary": "Accept"}, media_type=JSON
+        )
+    return arrays_response(request, lifted.arrays, about, findings, format=format, filename="lift")
+
+
+async def _made_in_thread(request: Request, pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
+    """Give pieces that are made one by one, as the client takes them, in threads for bodies."""
+    run = asyncio.get_running_loop().run_in_executor
+    while piece := await run(request.app.state.lift_bodies, partial(next, pieces, b"")):
+        yield piece
 
 
 async def _run(

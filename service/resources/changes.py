@@ -10,6 +10,7 @@ from service.http.dependencies import StoreDep
 from service.http.errors import BODY_PROBLEMS, problems
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
+from service.wire.json_bodies import read_json
 from service.wire.schemas import Name
 from store import lookup
 from store.labels import METADATA, TAGS, Metadata, Tags
@@ -65,4 +66,5 @@ def add_change_route(
         upload: UploadBody,
         store: StoreDep,
     ) -> Any:
-        return to_wire(lookup.change(store, kind, identifier, upload.json(Change).columns()))
+        columns = read_json(upload, Change).columns()
+        return to_wire(lookup.change(store, kind, identifier, columns))

@@ -14,6 +14,7 @@ from service.settings import Settings
 from service.wire.arrays import Arrays
 from service.wire.captures import read_arrays, to_capture
 from service.wire.detector_files import DetectorReading, asked_of, holds_arrays, read_files
+from service.wire.json_bodies import read_json
 from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, TIMES, Name
 from service.wire.skeletons import Skeleton
 from store.capture import Capture
@@ -146,9 +147,9 @@ def read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capt
         If the body cannot be read, or what it says cannot be.
     """
     if upload.is_json:
-        body = upload.json(DatasetCreate)
+        body = read_json(upload, DatasetCreate)
         notes: list[str] = []
-        capture = _capture_of(body, settings, notes)
+        capture = _capture_of(body, upload, settings, notes)
         return capture, replace(body.describe(capture), notes=notes)
     said: dict[str, Any] = {"name": name} if name is not None else {}
     reading, upload = asked_of(upload)
@@ -195,18 +196,21 @@ def read_frames(upload: Upload, settings: Settings) -> Capture:
         If the body cannot be read.
     """
     if upload.is_json:
-        body = upload.json(Frames)
-        return _capture_of(body, settings)
+        body = read_json(upload, Frames)
+        return _capture_of(body, upload, settings)
     return _capture_in(read_arrays(upload, settings, CAPTURE_ARRAYS), settings)
 
 
-def _capture_of(body: Frames, settings: Settings, notes: list[str] | None = None) -> Capture:
+def _capture_of(
+    body: Frames, upload: Upload, settings: Settings, notes: list[str] | None = None
+) -> Capture:
     return to_capture(
         body.keypoints,
         body.confidence,
         body.points3d,
         body.times,
         settings=settings,
+        max_bytes=upload.max_array_bytes,
         notes=notes,
     )
 

@@ -2,15 +2,10 @@
 
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
-from typing import Annotated, Literal
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Request
-from pydantic import BaseModel, ConfigDict, Field
-from typing_extensions import TypeAliasType
 
-from models.settings.calibration import Camera as ToldCamera
-from models.settings.keypoints import MAX_VIEWS
-from models.settings.rooms import FrameOfReference
 from service.http.dependencies import SettingsDep, StoreDep
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.operations import request_body
@@ -20,9 +15,8 @@ from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.engine import Engine
 from service.resources.reconstructions import model_of, stored_arrays
 from service.settings import Settings
-from service.wire import arrays
 from service.wire.cameras import ModelCameras
-from service.wire.captures import TRUTH_AXES
+from service.wire.captures import to_array
 from service.wire.evaluations import (
     CameraFigures,
     Cameras,
@@ -34,59 +28,13 @@ from service.wire.evaluations import (
     found_cameras,
     triangulated,
 )
-from service.wire.rooms import FRAME_OF_REFERENCE
-from service.wire.schemas import POINTS3D
+from service.wire.json_bodies import read_json
+from service.wire.requests import EvaluationCreate
 from store import datasets, lookup, records
 from store.capture import Capture
 from store.database import Store
-from store.labels import Text
 
 router = APIRouter(tags=["evaluations"])
-
-TriangulationCameras = TypeAliasType("TriangulationCameras", Literal["found", "calibration"])
-
-
-class EvaluationCreate(BaseModel):
-    """What to measure, and against what."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"example": {"fit_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c"}},
-    )
-
-    fit_id: Text | None = Field(
-        None, max_length=200, description="A fit whose reconstruction is measured."
-    )
-    points: POINTS3D = None
-    dataset_id: Text | None = Field(
-        None,
-        max_length=200,
-        description="A dataset with a ground truth; without it that of the fit.",
-    )
-    truth: POINTS3D = None
-    frame: FrameOfReference = Field(
-        "canonical",
-        description=f"Of the fit's structures. {FRAME_OF_REFERENCE} `mpjpe` is of use there alone.",
-    )
-    reach: float | None = Field(
-        None,
-        gt=0,
-        allow_inf_nan=False,
-        description="Largest threshold of the PCK curve, in the unit of the truth; without it a "
-        "third of the usual radius of a structure.",
-    )
-    mirrored_too: bool = Field(False, description="Forgive a mirror image of all frames.")
-    calibration: list[ToldCamera | None] | None = Field(
-        None,
-        max_length=MAX_VIEWS,
-        description="True cameras of the fit's views, as in a fit's configuration: whole lenses, "
-        "poses where they rest.",
-    )
-    triangulate: TriangulationCameras | None = Field(
-        None,
-        description="Measure the keypoints of the dataset, triangulated, too: with the cameras "
-        "that the fit `found`, or with the `calibration`.",
-    )
 
 
 async def take_turn(request: Request, upload: UploadBody) -> AsyncIterator[Upload]:
@@ -116,12 +64,13 @@ def evaluate(
     Beside them, on demand, the fit's cameras against a `calibration`, and the baseline of
     triangulated keypoints. Nothing is stored. A mirror image is an error unless it is forgiven.
     """
-    asked = upload.json(EvaluationCreate)
+    asked = read_json(upload, EvaluationCreate)
     fit = _fit(asked, store)
     dataset, capture = _dataset(asked, fit, store, settings)
-    truth = _truth(asked, capture, settings)
+    limit = upload.max_array_bytes
+    truth = _truth(asked, capture, settings, limit)
     if fit is None:
-        points = _nested(asked.points, "/points", settings)
+        points = _nested(asked.points, "points", settings, limit)
     else:
         found = stored_arrays(fit, store)
         if asked.frame == "room":
@@ -173,9 +122,11 @@ def _dataset(
     return dataset, datasets.load(store, identifier, frames=frames)
 
 
-def _truth(asked: EvaluationCreate, capture: Capture | None, settings: Settings) -> Float32:
+def _truth(
+    asked: EvaluationCreate, capture: Capture | None, settings: Settings, limit: int
+) -> Float32:
     if asked.truth is not None:
-        return _nested(asked.truth, "/truth", settings)
+        return _nested(asked.truth, "truth", settings, limit)
     if capture is None:
         raise invalid("/truth", "expected a truth, or a dataset that has one")
     if capture.points3d is None:
@@ -183,13 +134,13 @@ def _truth(asked: EvaluationCreate, capture: Capture | None, settings: Settings)
     return capture.points3d
 
 
-def _nested(value: object, pointer: str, settings: Settings) -> Float32:
+def _nested(value: object, name: str, settings: Settings, limit: int) -> Float32:
     """Return structures (N, P, 3) that came as nested lists."""
-    found = arrays.from_nested(
-        value, pointer, axes=TRUTH_AXES, sizes=(None, None, 3), max_bytes=settings.max_body_bytes
-    )
+    found = to_array(value, name, (None, None, None, 2), limit)
     if len(found) > settings.max_frames:
-        raise invalid(pointer, f"expected {settings.max_frames} frames at most, got {len(found)}")
+        raise invalid(
+            f"/{name}", f"expected {settings.max_frames} frames at most, got {len(found)}"
+        )
     return found
 
 

@@ -31,6 +31,7 @@ from service.resources.jobs import (
 )
 from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.findings import Findings
+from service.wire.json_bodies import read_json
 from service.wire.schemas import Name
 from store import fits, records
 from store.database import Store
@@ -223,7 +224,7 @@ def create_fit(
     The fit is recorded before it is queued: if the queue is away, it is queued as soon as a worker
     and the queue are back.
     """
-    body = upload.json(FitCreate)
+    body = read_json(upload, FitCreate)
     record = fits.create(
         store,
         dataset_id=body.dataset_id,

@@ -9,8 +9,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 from redis import Redis
 
-from models.settings.config import Index, Refine
-from models.settings.keypoints import MAX_VIEWS
+from models.settings.config import Refine
 from models.settings.rooms import FrameOfReference, Up
 from service.http.dependencies import (
     IdempotencyHeader,
@@ -37,12 +36,13 @@ from service.resources.jobs import (
 )
 from service.resources.lists import Columns, Page, add_list_routes, page_of
 from service.wire.findings import Findings
+from service.wire.json_bodies import read_json
+from service.wire.requests import LiftCreate
 from service.wire.rooms import FRAME_OF_REFERENCE, UP, is_room
-from service.wire.schemas import REFINE, VIEWS, Name
 from store import lifts, lookup, records
 from store.database import Store
 from store.errors import ConflictError
-from store.labels import Labels, Text, labels_of
+from store.labels import Labels, labels_of
 from store.lift_files import ResultFormat, result_file
 
 router = APIRouter(prefix="/lifts", tags=["lifts"])
@@ -56,29 +56,6 @@ FORMATS: dict[str, ResultFormat] = {
     **BINARY_FORMATS,
 }
 MEDIA_TYPES: dict[ResultFormat, str] = {"jsonl": JSON_LINES, "npz": NPZ, "safetensors": OCTETS}
-
-
-class LiftCreate(Labels):
-    """A dataset to lift."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "example": {
-                "model_id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
-                "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
-                "name": "macaque, the whole day",
-                "refine": "auto",
-            }
-        },
-    )
-
-    model_id: Text = Field(max_length=200)
-    dataset_id: Text = Field(max_length=200, description="It has the keypoints of the model.")
-    name: Name = "lift"
-    refine: Refine | None = Field(None, description=REFINE)
-    views: list[Index] | None = Field(None, max_length=MAX_VIEWS, description=VIEWS)
-    frame: FrameOfReference = Field("canonical", description=FRAME_OF_REFERENCE)
-    up: Up | None = Field(None, description=UP)
 
 
 class LiftProgress(BaseModel):
@@ -200,7 +177,7 @@ def create_lift(
     whatever happens to them. `POST /lift` answers at once, and is for as many frames as fit into
     a request.
     """
-    body = upload.json(LiftCreate)
+    body = read_json(upload, LiftCreate)
     in_room = is_room(body.frame, body.up)
     if body.views is not None or in_room:
         dataset = lookup.get(store, records.Dataset, body.dataset_id)

@@ -7,7 +7,6 @@ from functools import partial
 import numpy as np
 from fastapi import APIRouter, Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
-from safetensors.numpy import load
 from starlette.responses import Response
 
 from models.capture.clocks import in_step
@@ -35,6 +34,7 @@ from service.wire.representations import (
 from service.wire.rooms import FrameQuery, UpQuery, is_room, read_up
 from service.wire.schemas import LIFTED_FRAME, LiftedFrame
 from store import datasets, fits, lookup, records
+from store.array_files import safetensors_arrays
 from store.errors import ConflictError
 from store.fits import reconstruction_key
 from store.reconstruction_files import reconstruction_file, reconstruction_parts
@@ -172,7 +172,7 @@ def _is_stored(fit: records.FitJob, refine: Refine | None) -> bool:
 
 def stored_arrays(fit: records.FitJob, store: StoreDep) -> Arrays:
     """Return the reconstruction that a fit stored, in canonical frames."""
-    return _completed(load(fits.load_reconstruction(store, fit)))
+    return _completed(safetensors_arrays(fits.load_reconstruction(store, fit)))
 
 
 def _completed(arrays: Arrays) -> Arrays:

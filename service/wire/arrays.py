@@ -6,22 +6,31 @@ Nothing is ever unpickled, and no array is allocated before the bytes that fill 
 import io
 import math
 import zipfile
+from functools import partial
 from itertools import chain
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 import orjson
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load, save
+from safetensors.numpy import save
 
 from service.http.errors import ApiError, invalid
 from service.http.uploads import HOW_TO_SEND_FILES, MAX_MEMBERS, ZIP_ENTRY, ZIP_FAULTS
+from store.array_files import PIECE_BYTES, safetensors_arrays
 
 Arrays = dict[str, NDArray[Any]]
 
 _NPZ_MAGIC = b"PK\x03\x04"
 _MAX_HEADER = 1_000_000  # bytes of a safetensors header; a capture's has a few hundred
+_FEW = 1000  # items
+
+
+class Unlisted(NamedTuple):
+    """Lists that hold nothing but nulls, of which the sizes alone are known."""
+
+    frames: int
+    views: int | None
 
 
 def from_bytes(data: bytes, *, max_bytes: int) -> Arrays:
@@ -37,8 +46,8 @@ def from_bytes(data: bytes, *, max_bytes: int) -> Arrays:
     try:
         if int.from_bytes(data[:8], "little") > _MAX_HEADER:
             raise ValueError("no header at its start")
-        return load(data)
-    except (SafetensorError, TypeError, *ZIP_FAULTS) as error:  # also unknown dtypes
+        return safetensors_arrays(data)
+    except ValueError as error:
         other = _other_kind(data)
         if other is not None:
             detail = f"The body is {other}, neither an .npz file nor safetensors. "
@@ -73,7 +82,9 @@ def _from_npz(data: bytes, max_bytes: int) -> Arrays:
         f"The .npz file unpacks to more than {max_bytes} bytes or {MAX_MEMBERS} arrays. Send it "
         "in parts: POST /datasets/{id}/frames.",
     )
-    if data.count(ZIP_ENTRY) > MAX_MEMBERS:  # millions of them would fill the memory
+    steps = range(0, len(data), PIECE_BYTES - len(ZIP_ENTRY) + 1)
+    # Millions of them would fill the memory; to count them at once keeps other threads waiting.
+    if sum(data.count(ZIP_ENTRY, at, at + PIECE_BYTES) for at in steps) > MAX_MEMBERS:
         raise too_large
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -101,7 +112,9 @@ def _from_npy(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
         )
     if math.prod(shape) * dtype.itemsize > size:
         raise ValueError(f"the array {name!r} is cut short")
-    values = np.frombuffer(stream.read(), dtype, count=math.prod(shape))
+    # Read as a whole, it would keep all other threads waiting.
+    data = b"".join(iter(partial(stream.read, PIECE_BYTES), b""))
+    values = np.frombuffer(data, dtype, count=math.prod(shape))
     return values.reshape(shape, order="F" if fortran_order else "C")
 
 
@@ -166,6 +179,8 @@ def from_nested(
     max_bytes
         Largest array to make: a few nulls can stand for many numbers.
 
+    An ``Unlisted`` stands for lists of nulls.
+
     Raises
     ------
     ApiError
@@ -191,7 +206,9 @@ def _from_regular(value: object, axes: int, max_bytes: int) -> NDArray[np.float3
         kinds = set(map(type, level))
         if kinds == {list, type(None)}:
             found = next(len(item) for item in level if item is not None)
-            if 4 * len(level) * found > max_bytes:
+            listed = sum(len(item) for item in level if item is not None)
+            # Where nearly all is null, lists would take many times what came.
+            if 4 * len(level) * found > max_bytes or len(level) * found > 8 * listed + _FEW:
                 return None
             nulls = [None] * found
             level = [nulls if item is None else item for item in level]
@@ -215,7 +232,10 @@ def _from_gapped(
     max_bytes: int,
 ) -> NDArray[np.float32]:
     found: list[int | None] = [None] * len(axes)
-    _measure(value, found, 0)
+    if isinstance(value, Unlisted):
+        found[:2] = value
+    else:
+        _measure(value, found, 0)
     shape = []
     for axis, measured, known in zip(axes, found, sizes, strict=True):
         size = known if measured is None else measured
@@ -233,7 +253,8 @@ def _from_gapped(
             f"({' x '.join(map(str, shape))}); send the frames in parts",
         )
     values = np.full(shape, np.nan, np.float32)
-    _fill(values, value, pointer, axes)
+    if not isinstance(value, Unlisted):
+        _fill(values, value, pointer, axes)
     return values
 
 
@@ -244,9 +265,10 @@ def _measure(value: object, sizes: list[int | None], axis: int) -> None:
     if sizes[axis] is None:
         sizes[axis] = len(value)
     for item in value:
-        if None not in sizes[axis + 1 :]:
-            return
-        _measure(item, sizes, axis + 1)
+        if isinstance(item, list):
+            if None not in sizes[axis + 1 :]:
+                return
+            _measure(item, sizes, axis + 1)
 
 
 def _fill(target: NDArray[np.float32], value: object, pointer: str, axes: tuple[str, ...]) -> None:

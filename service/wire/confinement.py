@@ -1,4 +1,4 @@
-"""Confining this process to one folder, where the kernel can: Landlock and seccomp (Linux).
+"""Confining this process to one folder or none, where the kernel can: Landlock and seccomp (Linux).
 
 Whatever a library can be brought to do by the file that it reads, it then does without other
 files, without the network, without other processes and their memory, and without programs.
@@ -83,8 +83,8 @@ def available() -> tuple[str, ...]:
     return tuple(name for name, has in means.items() if has)
 
 
-def confine(folder: Path) -> None:
-    """Confine this process, for good, to a folder, and to reading Python's libraries.
+def confine(folder: Path | None) -> None:
+    """Confine this process, for good, to a folder, if any, and to reading Python's libraries.
 
     Where the kernel has neither means, nothing happens: `available` says so.
 
@@ -128,7 +128,7 @@ def _has_seccomp() -> bool:
     return ctypes.get_errno() == errno.EFAULT
 
 
-def _restrict_files(folder: Path) -> None:
+def _restrict_files(folder: Path | None) -> None:
     version = _landlock_version()
     files = _ALL
     for since, right in ((2, _MOVE), (3, _TRUNCATE), (5, _IOCTL)):
@@ -140,7 +140,8 @@ def _restrict_files(folder: Path) -> None:
         rules += struct.pack("=Q", _SCOPED)
     ruleset = _checked(_LIBC.syscall(_CREATE_RULESET, rules, ctypes.c_size_t(len(rules)), 0))
     allowed = dict.fromkeys(_libraries(), _READ | _LIST | 1)
-    allowed[folder.resolve()] = _WORK | (_TRUNCATE if version >= 3 else 0)
+    if folder is not None:
+        allowed[folder.resolve()] = _WORK | (_TRUNCATE if version >= 3 else 0)
     for path, rights in allowed.items():
         place = os.open(path, os.O_PATH | os.O_CLOEXEC)
         rule = struct.pack("=Qi", rights, place)

@@ -13,11 +13,9 @@ import io
 import json
 import logging
 import os
-import resource
 import subprocess
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +25,7 @@ from fewview.capture import Capture
 from fewview.errors import FormatError
 from fewview.reading_options import ReadingOptions
 
+from service.wire.children import child_code, child_environment, limit
 from service.wire.confinement import confine
 from worker.process import die_with_parent, python
 
@@ -35,13 +34,8 @@ logger = logging.getLogger(__name__)
 MEMORY = 3 * 2**30  # bytes of addresses, what Python and its libraries take among them
 SECONDS = 120
 QUICK_SECONDS, SLOW_NICENESS = 5, 10  # whoever takes longer than the former has the latter
-FIRST_TO_END = "1000"  # of what the kernel ends where memory is full
 OUT, CAPTURE, OTHERS = "out", "capture.npz", "others.json"
 LONGEST_LOG = 2000  # characters
-# All that the child gets of the environment, which holds passwords: of records, of objects, ...
-KEPT = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH")
-# OpenBLAS sets addresses aside for each thread; HDF5 loads programs for filters, but for "::".
-OWN = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::"}
 
 
 def read_apart(
@@ -71,14 +65,10 @@ def read_apart(
         "max_bytes": max_bytes,
         "parent": os.getpid(),
     }
-    # The paths are those of this process: a child with -P would not find what tests import. Whole
-    # ones, for in the child's working directory lie the files of strangers.
-    places = [str(Path(place).resolve()) for place in sys.path]
-    code = f"import sys; sys.path[:] = {places!r}; from {__name__} import main; main()"
-    kept = {name: os.environ[name] for name in KEPT if name in os.environ}
+    code = child_code(f"from {__name__} import main", "main()")
     try:
         # What the child unpacks goes with the folder, even if it is killed.
-        environment = kept | OWN | {"TMPDIR": str(folder)}
+        environment = child_environment(TMPDIR=str(folder))
         done = _run(python("-c", code), json.dumps(asked).encode(), folder, environment)
     except subprocess.TimeoutExpired:
         raise FormatError(f"{', '.join(names)}: took more than {SECONDS} s to read") from None
@@ -141,14 +131,7 @@ def main() -> None:
     """
     asked = json.loads(sys.stdin.buffer.read())
     die_with_parent(asked["parent"])
-    with suppress(OSError):  # no Linux
-        Path("/proc/self/oom_score_adj").write_text(FIRST_TO_END)
-    for limit, most in (
-        (resource.RLIMIT_AS, MEMORY),
-        (resource.RLIMIT_CPU, SECONDS),
-        (resource.RLIMIT_CORE, 0),
-    ):
-        resource.setrlimit(limit, (most, most))
+    limit(MEMORY, SECONDS)
     try:
         _read(asked["names"], ReadingOptions(**asked["options"]), asked["max_bytes"])
     except FormatError as error:

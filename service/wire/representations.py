@@ -21,6 +21,7 @@ FormatQuery = Annotated[
 ]
 
 JSON = "application/json"
+PART_BYTES = 512 * 1024  # of arrays that are written as JSON at a time
 _FORMATS: dict[str, Format] = {
     "*/*": "json",
     "application/*": "json",
@@ -50,7 +51,7 @@ def arrays_response(
     """
     chosen = chosen_format(request, format)
     if chosen == "json":
-        body = b"".join(json_pieces([found], about, findings))
+        body = b"".join(json_pieces(parts_of(found), about, findings))
         return bytes_response(request, body, media_type=JSON, filename=None)
     if chosen == "npz":
         return bytes_response(request, to_npz(found), media_type=NPZ, filename=f"{filename}.npz")
@@ -60,6 +61,18 @@ def arrays_response(
         media_type=OCTETS,
         filename=f"{filename}.safetensors",
     )
+
+
+def parts_of(found: Arrays) -> Iterator[Arrays]:
+    """Yield a lift's arrays, some frames at a time.
+
+    To write many keeps all other threads of this process waiting.
+    """
+    frames = len(found["points3d"])
+    each = sum(array.nbytes for array in found.values()) // max(frames, 1)
+    step = max(1, PART_BYTES // max(each, 1))
+    for start in range(0, frames, step):
+        yield {name: array[start : start + step] for name, array in found.items()}
 
 
 def json_pieces(

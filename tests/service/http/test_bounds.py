@@ -1,6 +1,5 @@
 """Bodies of any content are refused in little time, and keep nobody waiting."""
 
-import io
 import threading
 import time
 from collections.abc import Iterator
@@ -12,7 +11,8 @@ import numpy as np
 import orjson
 import pytest
 
-from tests.service.conftest import Live, problem
+from tests.processes import growth
+from tests.service.conftest import Live, problem, to_npz
 
 MANY = 2_000_000
 KEYPOINTS = b"[[[[1,2],[3,4],[5,6],[7,8]],[[1,2],[3,4],[5,6],[7,8]]]]"
@@ -73,11 +73,20 @@ def test_fields_that_hold_too_much_are_refused_at_once(live: Live, pointer: str)
 
 def test_fields_of_forms_are_bounded_too(live: Live) -> None:
     names = orjson.dumps([1] * 400_000).decode()
-    arrays = io.BytesIO()
-    np.savez(arrays, keypoints=np.ones((1, 2, 4, 2), np.float32))
+    arrays = to_npz(keypoints=np.ones((1, 2, 4, 2), np.float32))
     with watched(live) as waits:
         answer = live.http.post(
-            "/datasets", files={"file": ("a.npz", arrays.getvalue())}, data={"view_names": names}
+            "/datasets", files={"file": ("a.npz", arrays)}, data={"view_names": names}
         )
     problem(answer, 422, "invalid_input", "/view_names")
     assert max(waits) < LONGEST
+
+
+def test_fields_of_forms_are_read_one_by_one(live: Live) -> None:
+    """Together, as lists, they would take twenty times their bytes."""
+    fields = {f"field{number}": "[" + "[]," * 340_000 + "0]" for number in range(15)}
+    arrays = {"file": ("a.npz", to_npz(keypoints=np.ones((1, 2, 4, 2), np.float32)))}
+    with growth(live.process.pid, b"service.app") as grew:
+        answer = live.http.post("/datasets", files=arrays, data=fields)
+    problem(answer, 422, "invalid_input", "/field0")
+    assert grew[0] < 10 * sum(map(len, fields.values()))

@@ -15,7 +15,17 @@ from models.capture.synthetic import SyntheticCapture
 from service.app import create_app
 from service.realtime.lift import TINY_BYTES
 from service.settings import Settings
-from tests.service.conftest import BYTES, JSON, MIB, frames_of, problem, to_npz, zip_of
+from tests.processes import growth
+from tests.service.conftest import (
+    BYTES,
+    JSON,
+    MIB,
+    Live,
+    frames_of,
+    problem,
+    to_npz,
+    zip_of,
+)
 
 FRAMES = 18_000
 
@@ -75,3 +85,31 @@ def test_an_answer_is_bounded_as_bodies_are(
     assert roomy.post(f"{url}&format=npz", content=body, headers=BYTES).status_code == 200
     few = orjson.dumps({"model": model, "frames": frames_of(capture.keypoints)})
     assert api.post("/lift", content=few, headers=JSON).status_code == 200
+
+
+def test_a_long_answer_is_written_as_it_is_read(
+    live: Live, weights: bytes, capture: SyntheticCapture
+) -> None:
+    """As a whole, its JSON would be in memory twice."""
+    model = live.http.post("/models", content=weights, headers=BYTES).json()["id"]
+    frames = np.resize(capture.keypoints, (6000, *capture.keypoints.shape[1:]))
+    body, url = to_npz(frames=frames), f"/lift?model={model}&refine=off"
+    arrays = live.http.post(f"{url}&format=npz", content=body, headers=BYTES)
+    expected = np.load(io.BytesIO(arrays.content))
+    with growth(live.process.pid, b"service.app") as grew:
+        answer = live.http.post(url, content=body, headers=BYTES)
+    assert answer.status_code == 200
+    assert grew[0] < len(answer.content)
+
+    found = orjson.loads(answer.content)
+    assert (found["model"], len(found["frames"])) == (model, len(frames))
+    for frame, points, errors in zip(
+        found["frames"], expected["points3d"], expected["reprojection_errors"], strict=True
+    ):
+        known = np.isfinite(points).all()
+        assert frame["status"] == ("ok" if known else "too_few_keypoints")
+        if known:
+            np.testing.assert_array_equal(np.float32(frame["points3d"]), points)
+        assert [v and np.float32(v["reprojection_error"]) for v in frame["views"]] == [
+            None if np.isnan(error) else error for error in errors
+        ]

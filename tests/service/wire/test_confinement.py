@@ -62,6 +62,25 @@ print(json.dumps(done))
 
 
 @pytest.mark.skipif(len(available()) < 2, reason="the kernel cannot confine a process")
+def test_without_a_folder_it_reads_no_file_at_all(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"1")
+    code = """
+import sys
+from pathlib import Path
+from service.wire.confinement import confine
+confine(None)
+try:
+    Path(sys.argv[1]).read_bytes()
+except PermissionError:
+    print("refused")
+import wave
+"""
+    code = f"import sys; sys.path[:] = {sys.path!r}\n{code}"
+    done = run(python("-c", code, str(tmp_path / "file")))
+    assert (done.returncode, done.stdout) == (0, "refused\n"), done.stderr
+
+
+@pytest.mark.skipif(len(available()) < 2, reason="the kernel cannot confine a process")
 def test_it_reads_its_folder_and_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "upload").write_bytes(b"1")

@@ -1,0 +1,221 @@
+"""Processes that work on bodies of strangers, so that this one goes on with what others ask.
+
+Much that is written in C, such as parsing JSON, lets no other thread of its process do anything
+before it has ended. A process of its own does not start in an instant, though: so one is kept that
+has imported all that is needed, and forks another for each body. That one is confined, bounded in
+memory and time, and ends with its answer. None outlives the process that asks.
+"""
+
+import atexit
+import gc
+import json
+import os
+import signal
+import socket
+import subprocess
+import threading
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from service.wire.arrays import Arrays
+from service.wire.children import child_code, child_environment, limit
+from service.wire.confinement import confine
+from worker.process import die_with_parent, python
+
+SECONDS = 60  # of processor time for one body
+PATIENCE_SECONDS = 120.0  # between two signs of life of a process
+OWN_BYTES = 2**30  # addresses that Python and its libraries take
+NICENESS = 5  # so that others go on with what is quick
+HEADER_BYTES = 8  # the length of the JSON that begins each message, little-endian
+DTYPES = ("<f4", "<f8")
+LONGEST_NAME = 200
+
+Work = Callable[[dict[str, Any], bytearray], tuple[dict[str, Any], Arrays]]
+
+
+class EndedError(Exception):
+    """A process ended without an answer."""
+
+
+class Forks:
+    """Forks processes that do one piece of work each.
+
+    Parameters
+    ----------
+    module
+        Where the work is: its function ``work`` is given JSON and bytes, and returns JSON and
+        arrays.
+    """
+
+    def __init__(self, module: str) -> None:
+        self._module, self._lock = module, threading.Lock()
+        self._server: _Server | None = None
+
+    def work(
+        self, needed: str, asked: dict[str, Any], data: bytes, *, max_bytes: int
+    ) -> tuple[dict[str, Any], Arrays]:
+        """Have a new process do the work.
+
+        Parameters
+        ----------
+        needed
+            A module that it imports, once for all.
+        max_bytes
+            Addresses that it may take beside its own.
+
+        Raises
+        ------
+        EndedError
+            If it ends without an answer, or does not answer in time.
+        """
+        header = {"asked": asked, "size": len(data), "max_bytes": max_bytes}
+        server = self._running()
+        try:
+            return server.work(needed, header, data)
+        except EndedError:
+            if not server.has_ended():
+                raise
+        return self._running().work(needed, header, data)  # it was killed, and not by this body
+
+    def _running(self) -> "_Server":
+        with self._lock:
+            if self._server is not None and self._server.has_ended():
+                self._server.stop()
+                self._server = None
+            if self._server is None:
+                self._server = _Server(self._module)
+            return self._server
+
+
+class _Server:
+    """The process that forks; it ends when this process closes its end, however it does."""
+
+    def __init__(self, module: str) -> None:
+        self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        code = child_code(
+            "import socket",
+            f"from {__name__} import serve",
+            f"from {module} import work",
+            f"serve(socket.socket(fileno={theirs.fileno()}), work)",
+        )
+        with theirs:
+            self._process = subprocess.Popen(  # noqa: S603 (our own program)
+                python("-c", code),
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                env=child_environment(),
+                start_new_session=True,  # Ctrl-C is for this process
+            )
+        self._owner = os.getpid()
+        atexit.register(self.stop)
+
+    def work(
+        self, needed: str, header: dict[str, Any], data: bytes
+    ) -> tuple[dict[str, Any], Arrays]:
+        """Have a new process do the work."""
+        ours, theirs = socket.socketpair()
+        with ours:
+            ours.settimeout(PATIENCE_SECONDS)
+            try:
+                with theirs:
+                    socket.send_fds(self._channel, [needed.encode()], [theirs.fileno()])
+                _send(ours, header)
+                ours.sendall(data)
+                return _receive_answer(ours)
+            except OSError as error:
+                raise EndedError from error
+
+    def has_ended(self) -> bool:
+        """Whether it was killed, or belongs to a process that this one was forked from."""
+        if self._owner != os.getpid():
+            return True
+        try:
+            self._channel.recv(1, socket.MSG_DONTWAIT)
+        except BlockingIOError:  # it never says anything
+            return False
+        except OSError:  # another thread has closed this end
+            pass
+        return True
+
+    def stop(self) -> None:
+        """Kill it."""
+        self._channel.close()
+        atexit.unregister(self.stop)
+        if self._owner == os.getpid():
+            self._process.kill()
+            self._process.wait()
+
+
+def serve(channel: socket.socket, work: Work) -> None:
+    """Fork a process for each that is asked for, until nobody can ask any more."""
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for those that have ended
+    parent = os.getpid()
+    while True:
+        data, descriptors, _, _ = socket.recv_fds(channel, LONGEST_NAME, 1)
+        if not data:
+            return
+        __import__(data.decode())
+        gc.disable()  # what a process leaves goes with it, and to search for it takes long
+        with socket.socket(fileno=descriptors[0]) as connection, suppress(OSError):
+            if os.fork() == 0:
+                channel.close()
+                _serve_one(connection, parent, work)
+
+
+def _serve_one(connection: socket.socket, parent: int, work: Work) -> None:
+    """Do one piece of work, and end this process."""
+    try:
+        die_with_parent(parent)
+        os.nice(NICENESS)
+        given = _receive(connection)
+        limit(OWN_BYTES + given["max_bytes"], SECONDS)
+        confine(None)
+        data = bytearray(given["size"])
+        _fill(connection, memoryview(data))
+        said, arrays = work(given["asked"], data)
+        shapes = {n: (a.dtype.str, a.shape) for n, a in arrays.items()}
+        _send(connection, {"said": said, "arrays": shapes})
+        for array in arrays.values():
+            connection.sendall(np.ascontiguousarray(array).data.cast("B"))
+    except BaseException:  # noqa: BLE001 (nobody above it would say what it was)
+        traceback.print_exc()
+    finally:
+        os._exit(0)
+
+
+def _receive_answer(process: socket.socket) -> tuple[dict[str, Any], Arrays]:
+    answer = _receive(process)
+    arrays: Arrays = {}
+    for name, (dtype, shape) in answer["arrays"].items():
+        if dtype not in DTYPES:
+            raise EndedError
+        arrays[name] = np.empty(shape, dtype)
+        _fill(process, arrays[name].reshape(-1).view(np.uint8).data)
+    return answer["said"], arrays
+
+
+def _send(connection: socket.socket, message: dict[str, Any]) -> None:
+    text = json.dumps(message).encode()
+    connection.sendall(len(text).to_bytes(HEADER_BYTES, "little") + text)
+
+
+def _receive(connection: socket.socket) -> dict[str, Any]:
+    size = bytearray(HEADER_BYTES)
+    _fill(connection, memoryview(size))
+    text = bytearray(int.from_bytes(size, "little"))
+    _fill(connection, memoryview(text))
+    found: dict[str, Any] = json.loads(text)
+    return found
+
+
+def _fill(connection: socket.socket, target: memoryview) -> None:
+    """Fill memory with what comes; raise ``EndedError`` if the other side ends before."""
+    while target:
+        count = connection.recv_into(target)
+        if not count:
+            raise EndedError
+        target = target[count:]
