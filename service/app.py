@@ -2,7 +2,6 @@
 
 import asyncio
 import gc
-import logging
 import resource
 import socket
 import sys
@@ -32,6 +31,7 @@ from service.http.hosts import Hosts
 from service.http.leaving import CLOSE_SECONDS, Server
 from service.http.limits import BodyLimit
 from service.http.operations import registered_schemas
+from service.http.request_ids import RequestIds, WebSocketConnection
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
@@ -50,6 +50,7 @@ from service.resources.events import Events
 from service.resources.integrity import Integrity
 from service.settings import Settings
 from store.database import Store
+from worker import logs
 from worker.patience import patiently
 from worker.queue import connect
 
@@ -86,6 +87,7 @@ EXPOSED_HEADERS = (
     "ETag",
     "Location",
     "Retry-After",
+    "X-Request-Id",
 )
 
 DESCRIPTION = """
@@ -156,6 +158,7 @@ def create_app(settings: Settings) -> FastAPI:
             expose_headers=EXPOSED_HEADERS,
         )
     app.add_middleware(Hosts, settings=settings)
+    _wrap(app)
     _describe(app)
     return app
 
@@ -171,6 +174,15 @@ def _set_bounds(app: FastAPI, settings: Settings) -> None:
     app.state.lift_bodies = ThreadPoolExecutor(2 * large, thread_name_prefix="lift-body")
     app.state.streams = asyncio.Semaphore(settings.max_streams)
     app.state.event_places = asyncio.Semaphore(settings.max_event_streams)
+
+
+def _wrap(app: FastAPI) -> None:
+    """Put around the application what sees every answer, of faults too.
+
+    Starlette answers those outside of all that `add_middleware` adds.
+    """
+    build = app.build_middleware_stack
+    app.build_middleware_stack = lambda: RequestIds(build())  # type: ignore[method-assign]
 
 
 def _operation_id(route: APIRoute) -> str:
@@ -233,9 +245,10 @@ def make_server(settings: Settings) -> Server:
         app,
         loop="uvloop",
         http=connection,
-        ws="websockets-sansio",
+        ws=WebSocketConnection,
         ws_max_size=settings.max_stream_bytes,
         ws_per_message_deflate=False,  # numbers hardly shrink, and it takes longer than the lift
+        log_config=None,  # what it logs goes where everything else does
         log_level="warning",
         access_log=False,
         timeout_keep_alive=KEEP_ALIVE_SECONDS,
@@ -260,8 +273,8 @@ def main() -> None:
     listener = int(sys.argv[1])
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # for connections that are kept open
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
     settings = Settings()
+    logs.set_up(settings.log_format)
     patiently(lambda: Store(settings).close(), hurry=lambda: False)  # SIGTERM ends it
     server = make_server(settings)
     server.run(sockets=[socket.socket(fileno=listener)])

@@ -26,10 +26,9 @@ from worker.contract import (
     PlainDataSerializer,
     arguments_of,
 )
-from worker.needs import queue_for
 from worker.outcomes import FAULT
 from worker.patience import is_outage
-from worker.queue import WorkQueue, enqueue, open_queue, open_queues
+from worker.queue import WorkQueue, enqueue_again, open_queues
 from worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
@@ -89,7 +88,7 @@ class Reconciler:
                 logger.warning("%s was on no queue: putting it back", record.id)
                 for queue in self._queues:
                     queue.intermediate_queue.remove(job_id)
-                enqueue(open_queue(self._connection, queue_for(self._store, record)), record)
+                enqueue_again(self._connection, self._store, record)
                 del self._lost_since[job_id]
 
     def adopt(self, queue: WorkQueue, job_id: str) -> bool:

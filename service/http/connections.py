@@ -1,11 +1,15 @@
 """Connections, with bounds on what comes by them outside of bodies, and on silence."""
 
 import asyncio
+from contextvars import copy_context
 from typing import Any
 
+from starlette.responses import Response
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from service.http.errors import ApiError
+from service.http.request_ids import HEADER, given_or_new
+from worker.logs import request_id
 
 MAX_HEAD_BYTES = 64 * 1024
 # Between requests. Proxies keep theirs for 60 s, as a rule, and a request that they
@@ -137,12 +141,22 @@ class Connection(HttpToolsProtocol):
         if self.transport.is_closing():
             return
         if not self._is_answering():
-            response = error.response()
-            headers = [*response.raw_headers, (b"connection", b"close")]
+            identifier = given_or_new(self.headers or ())
+            response = copy_context().run(_problem, error, identifier)
+            headers = [
+                *response.raw_headers,
+                (HEADER, identifier.encode()),
+                (b"connection", b"close"),
+            ]
             lines = [name + b": " + value + b"\r\n" for name, value in headers]
             head = STATUS_LINE[response.status_code] + b"".join(lines) + b"\r\n"
             self.transport.write(head + bytes(response.body))
         self.transport.close()
+
+
+def _problem(error: ApiError, identifier: str) -> Response:
+    request_id.set(identifier)
+    return error.response()
 
 
 def _too_large() -> ApiError:

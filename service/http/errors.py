@@ -31,6 +31,7 @@ from store.errors import (
 from store.integrity import RECORDS_DAMAGED, is_corrupt
 from store.mistakes import Mistake, mistakes, summary
 from store.space import is_full
+from worker.logs import request_id
 
 logger = logging.getLogger(__name__)
 
@@ -94,6 +95,7 @@ class Problem(BaseModel):
                 "status": 422,
                 "code": "invalid_input",
                 "detail": "keypoints: expected 17 keypoints as in the model, got 16",
+                "request_id": "7f9c2ba4e88f827d616045507605853e",
                 "errors": [
                     {
                         "pointer": "/keypoints",
@@ -109,6 +111,9 @@ class Problem(BaseModel):
     status: int
     code: str = Field(description="Stable name of the problem, for programs.")
     detail: str
+    request_id: str | None = Field(
+        None, description="As in `X-Request-Id`, and in the lines of the log."
+    )
     errors: list[FieldError] = []
 
 
@@ -147,6 +152,7 @@ class ApiError(Exception):
             status=status,
             code=self.code,
             detail=_written(self.detail),
+            request_id=request_id.get(),
             errors=[
                 FieldError(pointer=_written(pointer), detail=_written(detail))
                 for pointer, detail in self.errors

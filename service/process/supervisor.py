@@ -32,6 +32,7 @@ from store.database import Store
 from store.errors import StoreError, in_words
 from store.private import keep_private
 from store.settings import shown
+from worker import logs
 from worker.cores import usable_cores
 from worker.process import adopt_orphans, children, end_children, python, tied
 from worker.queue import check_reachable
@@ -180,7 +181,7 @@ def serve(settings: Settings) -> None:
                 child.watch()
             end_children(before | {c.process.pid for c in (*queue, *users) if c.process})
     except _Stop:
-        print("Stopping: a running fit goes on at the next start.", flush=True)
+        logs.say("Stopping: a running fit goes on at the next start.")
     finally:
         for listener in listeners:
             listener.close()  # or connections would still be dealt to a process that has left
@@ -323,7 +324,7 @@ def _check_starting(child: Child, deadline: float, signals: _Signals) -> None:
 def _announce(settings: Settings, address: str, workers: int, *, embedded: bool) -> None:
     kind = "embedded Valkey" if embedded else "yours"
     warning = "" if is_loopback(settings.host) else OPEN_WARNING
-    print(
+    logs.say(
         f"Fewview {version('fewview-server')}\n"
         f"  API      {address}  (documentation: {address}/docs)\n"
         f"  queue    {shown(settings.redis_url)}  ({kind})\n"
@@ -331,6 +332,5 @@ def _announce(settings: Settings, address: str, workers: int, *, embedded: bool)
         f"  objects  {shown(settings.resolved_store_url)}\n"
         f"  workers  {workers}\n"
         f"{warning}"
-        "Ctrl-C stops everything.",
-        flush=True,
+        "Ctrl-C stops everything."
     )
