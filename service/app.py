@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+import logging
 import resource
 import socket
 import sys
@@ -11,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import uvicorn
@@ -21,6 +23,7 @@ from fastapi.staticfiles import StaticFiles
 from pydantic import BaseModel
 from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import Response
+from starlette.types import ASGIApp
 
 from service.http import errors
 from service.http.connections import KEEP_ALIVE_SECONDS, Connection
@@ -30,6 +33,7 @@ from service.http.head import Head
 from service.http.hosts import Hosts
 from service.http.leaving import CLOSE_SECONDS, Server
 from service.http.limits import BodyLimit
+from service.http.metrics import Measured, Metrics, Place, share
 from service.http.operations import registered_schemas
 from service.http.request_ids import RequestIds, WebSocketConnection
 from service.realtime import lift, stream
@@ -42,6 +46,7 @@ from service.resources import (
     fits,
     health,
     lifts,
+    metrics,
     models,
     queues,
     reconstructions,
@@ -53,6 +58,8 @@ from store.database import Store
 from worker import logs
 from worker.patience import patiently
 from worker.queue import connect
+
+logger = logging.getLogger(__name__)
 
 # Lifts come first: routes are tried in this order, and nothing else is in such a hurry.
 RESOURCES = (
@@ -67,6 +74,7 @@ RESOURCES = (
     evaluations,
     queues,
     health,
+    metrics,
 )
 
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
@@ -113,7 +121,11 @@ def create_app(settings: Settings) -> FastAPI:
         _set_bounds(app, settings)
         app.state.events = Events(app.state.store, app.state.leaving)
         app.state.engine = Engine(
-            app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
+            app.state.store,
+            max_bytes=settings.warm_model_bytes,
+            threads=settings.lift_threads,
+            on_batch=app.state.metrics.lift_frames.observe,
+            on_answer=app.state.metrics.lift_seconds.observe,
         )
         app.state.integrity = Integrity(app.state.store)
         app.state.rooms = Rooms(app.state.store)
@@ -137,6 +149,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.settings = settings
     app.state.leaving = asyncio.Event()
+    app.state.metrics = Metrics()
     for module in RESOURCES:
         app.include_router(module.router)
     _show_documentation(app)
@@ -182,7 +195,11 @@ def _wrap(app: FastAPI) -> None:
     Starlette answers those outside of all that `add_middleware` adds.
     """
     build = app.build_middleware_stack
-    app.build_middleware_stack = lambda: RequestIds(build())  # type: ignore[method-assign]
+
+    def wrapped() -> ASGIApp:
+        return RequestIds(Measured(build(), app.state.metrics))
+
+    app.build_middleware_stack = wrapped  # type: ignore[method-assign]
 
 
 def _operation_id(route: APIRoute) -> str:
@@ -266,16 +283,21 @@ def make_server(settings: Settings) -> Server:
 def main() -> None:
     """Serve the API as a child of ``fewview serve``, with the settings in the environment.
 
-    The argument is the socket that it listens on: a restarted API finds the requests that came
-    while it was away. While records or objects are away it waits for them: one that could not start
-    would be started again and again.
+    The arguments are the socket that it listens on, for a restarted API finds the requests that
+    came while it was away; the folder in which all processes count, and the name of this one there.
+    While records or objects are away it waits for them: one that could not start would be started
+    again and again.
     """
-    listener = int(sys.argv[1])
+    listener, folder, process = int(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # for connections that are kept open
     settings = Settings()
     logs.set_up(settings.log_format)
     patiently(lambda: Store(settings).close(), hurry=lambda: False)  # SIGTERM ends it
+    try:
+        share(Place(folder, process))
+    except OSError:
+        logger.exception("Metrics are of this process alone")
     server = make_server(settings)
     server.run(sockets=[socket.socket(fileno=listener)])
 

@@ -17,6 +17,7 @@ from store.errors import InputError, NotFoundError
 from store.labels import Labels, storable
 from store.mistakes import mistakes, summary
 from store.records import FitJob, LiftJob
+from worker import counts
 from worker.contract import (
     HELP_JOB,
     LIFT_JOB,
@@ -74,7 +75,11 @@ class Reconciler:
         self._known.intersection_update(seen)  # bounded by the queues' length
         now = time.monotonic()
         expired = now - self._steady_since > self._settings.lease_seconds
-        queued = fits.recover(self._store, expired=expired)
+        queued = fits.recover(
+            self._store,
+            expired=expired,
+            on_loss=partial(counts.add, self._connection, "fit_lease_losses"),
+        )
         if time.monotonic() - now > clock.PROMPT_SECONDS:
             self.unsettle()
         work: dict[str, FitJob | LiftJob] = {fit.job_id: fit for fit in queued}

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sqlalchemy.exc import DatabaseError, InterfaceError, OperationalError, TimeoutError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
 
 from service.http.methods import allow
 from store.errors import (
@@ -117,6 +118,17 @@ class Problem(BaseModel):
     errors: list[FieldError] = []
 
 
+class _ProblemResponse(Response):
+    """A problem, which leaves its code in the request's state for who counts them."""
+
+    code = ""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer."""
+        scope.setdefault("state", {})["problem"] = self.code
+        await super().__call__(scope, receive, send)
+
+
 class ApiError(Exception):
     """An error with its problem details.
 
@@ -161,7 +173,9 @@ class ApiError(Exception):
         headers = dict(self.headers or {})
         if status in (408, 413):  # or the rest of the body would be read, to be thrown away
             headers["Connection"] = "close"
-        return Response(problem.model_dump_json(), status, headers, PROBLEM_JSON)
+        response = _ProblemResponse(problem.model_dump_json(), status, headers, PROBLEM_JSON)
+        response.code = self.code
+        return response
 
 
 def _written(text: str) -> str:

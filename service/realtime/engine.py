@@ -9,8 +9,9 @@ slice or two of the others' frames.
 import asyncio
 import logging
 import threading
+import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import accumulate
@@ -48,6 +49,10 @@ class Way(NamedTuple):
     observed: bool = False  # whether the frames were observed, and need only be lifted
 
 
+def _ignore(_figure: float) -> None:
+    """Take a figure that nobody wants."""
+
+
 @dataclass(eq=False, slots=True)
 class _Call:
     """One client's frames, on their way through the engine."""
@@ -61,6 +66,7 @@ class _Call:
     answer: "asyncio.Future[Lift]"
     frames: int
     missing: int  # frames without an answer yet
+    asked_at: float = field(default_factory=time.perf_counter)
     taken: int = 0  # frames that a thread has taken
     parts: dict[int, Lift] = field(default_factory=dict)  # answers by their first frame
 
@@ -79,8 +85,24 @@ _Outcome = Lift | Exception
 class Engine:
     """Lifts with warm models in threads of its own."""
 
-    def __init__(self, store: Store, *, max_bytes: int, threads: int = 1) -> None:
-        """Keep up to ``max_bytes`` of weights warm, and lift with that many threads."""
+    def __init__(
+        self,
+        store: Store,
+        *,
+        max_bytes: int,
+        threads: int = 1,
+        on_batch: Callable[[int], object] = _ignore,
+        on_answer: Callable[[float], object] = _ignore,
+    ) -> None:
+        """Keep up to ``max_bytes`` of weights warm, and lift with that many threads.
+
+        Parameters
+        ----------
+        on_batch, on_answer
+            Called, in any of the threads, with the frames of each batch, and with the seconds that
+            each call took that was answered.
+        """
+        self._on_batch, self._on_answer = on_batch, on_answer
         self.models = WarmModels(store, max_bytes=max_bytes)
         # Calls of up to a slice, by their ways, which take turns. Larger ones take turns singly.
         self._small: dict[Way, deque[_Call]] = {}
@@ -189,9 +211,20 @@ class Engine:
                 logger.exception("A batch of lifts failed")
                 fault = RuntimeError("a batch of lifts failed")
                 finished = [(piece.call.answer, fault) for piece in pieces]
+            self._count(pieces, finished)
             if finished:
                 with suppress(RuntimeError):  # the loop is closed: nobody waits any more
                     finished[0][0].get_loop().call_soon_threadsafe(_deliver, finished)
+
+    def _count(
+        self, pieces: list[_Piece], finished: "list[tuple[asyncio.Future[Lift], _Outcome]]"
+    ) -> None:
+        self._on_batch(sum(piece.stop - piece.start for piece in pieces))
+        lifted = {answer for answer, outcome in finished if isinstance(outcome, Lift)}
+        now = time.perf_counter()
+        for piece in pieces:
+            if piece.call.answer in lifted:
+                self._on_answer(now - piece.call.asked_at)
 
     def _outcomes(self, pieces: list[_Piece]) -> "list[tuple[asyncio.Future[Lift], _Outcome]]":
         """Lift, and return the answers to whole calls."""
