@@ -99,8 +99,8 @@ class Engine:
         Parameters
         ----------
         on_batch, on_answer
-            Called, in any of the threads, with the frames of each batch, and with the seconds that
-            each call took that was answered.
+            Called, in any of the threads, with the frames of each batch, and with the seconds from
+            each call to the lift of its last frames.
         """
         self._on_batch, self._on_answer = on_batch, on_answer
         self.models = WarmModels(store, max_bytes=max_bytes)
@@ -211,20 +211,17 @@ class Engine:
                 logger.exception("A batch of lifts failed")
                 fault = RuntimeError("a batch of lifts failed")
                 finished = [(piece.call.answer, fault) for piece in pieces]
-            self._count(pieces, finished)
             if finished:
                 with suppress(RuntimeError):  # the loop is closed: nobody waits any more
                     finished[0][0].get_loop().call_soon_threadsafe(_deliver, finished)
+            self._count(pieces)  # while the loop wakes up
 
-    def _count(
-        self, pieces: list[_Piece], finished: "list[tuple[asyncio.Future[Lift], _Outcome]]"
-    ) -> None:
-        self._on_batch(sum(piece.stop - piece.start for piece in pieces))
-        lifted = {answer for answer, outcome in finished if isinstance(outcome, Lift)}
+    def _count(self, pieces: list[_Piece]) -> None:
         now = time.perf_counter()
-        for piece in pieces:
-            if piece.call.answer in lifted:
-                self._on_answer(now - piece.call.asked_at)
+        self._on_batch(sum(piece.stop - piece.start for piece in pieces))
+        for call, _, stop in pieces:
+            if stop == call.frames:
+                self._on_answer(now - call.asked_at)
 
     def _outcomes(self, pieces: list[_Piece]) -> "list[tuple[asyncio.Future[Lift], _Outcome]]":
         """Lift, and return the answers to whole calls."""
