@@ -33,9 +33,9 @@ from service.http.head import Head
 from service.http.hosts import Hosts
 from service.http.leaving import CLOSE_SECONDS, Server
 from service.http.limits import BodyLimit
-from service.http.metrics import Measured, Metrics, Place, share
+from service.http.metrics import Metrics, Place, share
 from service.http.operations import registered_schemas
-from service.http.request_ids import RequestIds, WebSocketConnection
+from service.http.request_ids import Watched, WebSocketConnection
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
@@ -124,14 +124,15 @@ def create_app(settings: Settings) -> FastAPI:
             app.state.store,
             max_bytes=settings.warm_model_bytes,
             threads=settings.lift_threads,
-            on_batch=app.state.metrics.lift_frames.observe,
-            on_answer=app.state.metrics.lift_seconds.observe,
+            on_batch=app.state.metrics.batch,
+            on_answer=app.state.metrics.lifted,
         )
         app.state.integrity = Integrity(app.state.store)
         app.state.rooms = Rooms(app.state.store)
         threading.Thread(target=app.state.engine.models.warm_newest, daemon=True).start()
         yield
         await asyncio.to_thread(app.state.engine.close)
+        app.state.metrics.flush()
         app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
         app.state.store.close()
         app.state.redis.close()
@@ -197,7 +198,7 @@ def _wrap(app: FastAPI) -> None:
     build = app.build_middleware_stack
 
     def wrapped() -> ASGIApp:
-        return RequestIds(Measured(build(), app.state.metrics))
+        return Watched(build(), app.state.metrics)
 
     app.build_middleware_stack = wrapped  # type: ignore[method-assign]
 

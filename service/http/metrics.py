@@ -1,19 +1,23 @@
 """What a process counts of its requests and lifts, and where the counts of all are added up."""
 
+import asyncio
 import os
-import time
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, values
 from prometheus_client.multiprocess import MultiProcessCollector
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Scope
 
 FILES = ("counter", "histogram", "gauge_sum")  # prometheus_client's kinds, a file each
 # Of a file, in advance: a store to a page of a memory map that the disk has no space for ends the
 # process. All series there can be take less.
 FILE_BYTES = 2 * 1024 * 1024
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
+FLUSH_SECONDS = 0.05  # after which what was noted is counted
+SWITCHED = 101  # the status of a handshake that is accepted
 OTHER = "other"  # a path or a method that the service does not have
 SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60)
 LIFT_SECONDS = (0.0002, 0.0005, *SECONDS[:11])
@@ -70,62 +74,59 @@ class Metrics:
             registry=registry,
         )
         self._request_series: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
+        self._pending: deque[tuple[Callable[..., None], tuple[Any, ...]]] = deque()
+        self._scheduled = False
 
-    def request(self, method: str, route: str, status: int, seconds: float) -> None:
-        """Count a request; called in the event loop."""
+    def batch(self, frames: int) -> None:
+        """Note frames that are lifted together; called in any thread, before `lifted`."""
+        self._pending.append((self.lift_frames.observe, (frames,)))
+
+    def lifted(self, seconds: float) -> None:
+        """Note how long a lift took; called in the event loop, as those below are."""
+        self._note(self.lift_seconds.observe, seconds)
+
+    def opened(self) -> None:
+        """Note that a WebSocket was opened."""
+        self.websockets.inc()
+
+    def answered(self, scope: Scope, status: int, seconds: float) -> None:
+        """Note the end of a request, or of a WebSocket."""
+        if scope["type"] == "http":
+            self._note(self._request, scope["method"], route_of(scope), status, seconds)
+        else:
+            if status == SWITCHED:
+                self.websockets.dec()
+            self._note(self.requests.labels("GET", route_of(scope), str(status)).inc)
+        if "problem" in scope["state"]:
+            self._note(self.problems.labels(str(status), scope["state"]["problem"]).inc)
+
+    def flush(self) -> None:
+        """Count what was noted."""
+        self._scheduled = False
+        while self._pending:
+            count, figures = self._pending.popleft()
+            count(*figures)
+
+    def _note(self, count: Callable[..., None], *figures: Any) -> None:
+        """Have something counted soon, and not now, when somebody waits for an answer."""
+        self._pending.append((count, figures))
+        if not self._scheduled:
+            self._scheduled = True
+            asyncio.get_running_loop().call_later(FLUSH_SECONDS, self.flush)
+
+    def _request(self, method: str, route: str, status: int, seconds: float) -> None:
         key = (method, route, status)
         series = self._request_series.get(key)
         if series is None:
-            method = method if method in METHODS else OTHER
+            known = method if method in METHODS else OTHER
             series = (
-                self.requests.labels(method, route, str(status)),
-                self.seconds.labels(method, route),
+                self.requests.labels(known, route, str(status)),
+                self.seconds.labels(known, route),
             )
-            if method != OTHER:
+            if known != OTHER:
                 self._request_series[key] = series
         series[0].inc()
         series[1].observe(seconds)
-
-
-class Measured:
-    """Counts requests and WebSockets. Routes are those of the service, never paths."""
-
-    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
-        self._app, self._metrics = app, metrics
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one request."""
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-            return
-        began = time.perf_counter()
-        status = 0
-        state = scope.setdefault("state", {})
-
-        async def noting(message: Message) -> None:
-            nonlocal status
-            if "status" in message:
-                status = message["status"]
-            elif message["type"] == "websocket.accept":
-                status = 101
-                self._metrics.websockets.inc()
-            await send(message)
-
-        try:
-            await self._app(scope, receive, noting)
-        finally:
-            metrics, websocket = self._metrics, scope["type"] == "websocket"
-            if websocket and status == 101:
-                metrics.websockets.dec()
-            method = "GET" if websocket else scope["method"]
-            # Without a status, the handshake was refused by closing it, or nobody was answered.
-            known = status or (403 if websocket else 500)
-            if websocket and known == 101:
-                metrics.requests.labels(method, route_of(scope), "101").inc()
-            else:
-                metrics.request(method, route_of(scope), known, time.perf_counter() - began)
-            if "problem" in state:
-                metrics.problems.labels(str(known), state["problem"]).inc()
 
 
 def route_of(scope: Scope) -> str:
@@ -170,6 +171,7 @@ def share(place: Place) -> None:
 
 def all_processes(metrics: Metrics) -> CollectorRegistry:
     """Return a registry, for one answer, of what all API processes of the service count."""
+    metrics.flush()
     folder = os.environ.get("PROMETHEUS_MULTIPROC_DIR")
     if folder is None:
         return metrics.registry

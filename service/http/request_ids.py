@@ -1,6 +1,7 @@
 """Identifiers of requests: taken from ``X-Request-Id`` or made, answered, and in every log line."""
 
-import os
+import random
+import time
 from collections.abc import Iterable
 from typing import Any
 
@@ -8,6 +9,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.http11 import Request, Response
 
+from service.http.metrics import SWITCHED, Metrics
 from worker.logs import REQUEST_ID, request_id
 
 HEADER = b"x-request-id"
@@ -15,31 +17,42 @@ HEADER = b"x-request-id"
 STARTS = ("http.response.start", "websocket.accept", "websocket.http.response.start")
 
 
-class RequestIds:
-    """Gives every request an identifier, and every answer the header that names it.
+class Watched:
+    """Gives every request an identifier, every answer the header that names it, and counts both.
 
     The outermost of all, so that no answer is without it. Nothing is reset afterwards: each request
     has a task, and so a context, of its own, and what the server logs of its end belongs to it.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
+    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
+        self._app, self._metrics = app, metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
+        began, status = time.perf_counter(), 0
         identifier = given_or_new(scope["headers"])
         request_id.set(identifier)
+        scope.setdefault("state", {})
         header = (HEADER, identifier.encode())
 
         async def send_with_header(message: Message) -> None:
+            nonlocal status
             if message["type"] in STARTS:
                 message["headers"] = [*message.get("headers", ()), header]
+                status = message.get("status", SWITCHED)
+                if status == SWITCHED:
+                    self._metrics.opened()
             await send(message)
 
-        await self._app(scope, receive, send_with_header)
+        try:
+            await self._app(scope, receive, send_with_header)
+        finally:
+            # Without a status, nobody was answered, or a handshake was refused by closing it.
+            status = status or (500 if scope["type"] == "http" else 403)
+            self._metrics.answered(scope, status, time.perf_counter() - began)
 
 
 def given_or_new(headers: Iterable[tuple[bytes, bytes]]) -> str:
@@ -50,7 +63,7 @@ def given_or_new(headers: Iterable[tuple[bytes, bytes]]) -> str:
             if REQUEST_ID.fullmatch(given):
                 return given
             break
-    return os.urandom(16).hex()
+    return f"{random.getrandbits(128):032x}"
 
 
 class WebSocketConnection(WebSocketsSansIOProtocol):

@@ -99,8 +99,8 @@ class Engine:
         Parameters
         ----------
         on_batch, on_answer
-            Called, in any of the threads, with the frames of each batch, and with the seconds from
-            each call to the lift of its last frames.
+            Called with the frames of each batch, in any of the threads, and with the seconds that
+            each answer took, in the event loop.
         """
         self._on_batch, self._on_answer = on_batch, on_answer
         self.models = WarmModels(store, max_bytes=max_bytes)
@@ -210,23 +210,16 @@ class Engine:
             except BaseException:  # also what is meant to end a thread: nobody would lift any more
                 logger.exception("A batch of lifts failed")
                 fault = RuntimeError("a batch of lifts failed")
-                finished = [(piece.call.answer, fault) for piece in pieces]
+                finished = [(piece.call, fault) for piece in pieces]
+            self._on_batch(sum(piece.stop - piece.start for piece in pieces))
             if finished:
                 with suppress(RuntimeError):  # the loop is closed: nobody waits any more
-                    finished[0][0].get_loop().call_soon_threadsafe(_deliver, finished)
-            self._count(pieces)  # while the loop wakes up
+                    finished[0][0].answer.get_loop().call_soon_threadsafe(self._deliver, finished)
 
-    def _count(self, pieces: list[_Piece]) -> None:
-        now = time.perf_counter()
-        self._on_batch(sum(piece.stop - piece.start for piece in pieces))
-        for call, _, stop in pieces:
-            if stop == call.frames:
-                self._on_answer(now - call.asked_at)
-
-    def _outcomes(self, pieces: list[_Piece]) -> "list[tuple[asyncio.Future[Lift], _Outcome]]":
+    def _outcomes(self, pieces: list[_Piece]) -> "list[tuple[_Call, _Outcome]]":
         """Lift, and return the answers to whole calls."""
         return [
-            (piece.call.answer, outcome)
+            (piece.call, outcome)
             for piece, part in zip(pieces, self._lift(pieces), strict=True)
             if (outcome := self._finished(piece, part)) is not None
         ]
@@ -296,6 +289,19 @@ class Engine:
                 return None
         return join([call.parts[start] for start in sorted(call.parts)])
 
+    # In the event loop:
+
+    def _deliver(self, finished: "list[tuple[_Call, _Outcome]]") -> None:
+        now = time.perf_counter()
+        for call, outcome in finished:
+            if call.answer.done():  # given up meanwhile
+                continue
+            if isinstance(outcome, Exception):
+                call.answer.set_exception(outcome)
+            else:
+                call.answer.set_result(outcome)
+                self._on_answer(now - call.asked_at)
+
 
 def _slice_size(model: WarmModel, refine: Refine | None) -> int:
     prior = model.prior
@@ -332,13 +338,3 @@ def _observe(pieces: list[_Piece]) -> Observed:
         confidence=np.concatenate(confidence) if confidence else None,
         views=way.views,
     )
-
-
-def _deliver(finished: list[tuple["asyncio.Future[Lift]", _Outcome]]) -> None:
-    for answer, outcome in finished:
-        if answer.done():  # given up meanwhile
-            continue
-        if isinstance(outcome, Exception):
-            answer.set_exception(outcome)
-        else:
-            answer.set_result(outcome)
