@@ -7,7 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, values
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    disable_created_metrics,
+    values,
+)
 from prometheus_client.multiprocess import MultiProcessCollector
 from starlette.types import Scope
 
@@ -22,6 +29,9 @@ OTHER = "other"  # a path or a method that the service does not have
 SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60)
 LIFT_SECONDS = (0.0002, 0.0005, *SECONDS[:11])
 FRAMES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
+
+
+disable_created_metrics()  # type: ignore[no-untyped-call]  # series that nobody asks for
 
 
 class Metrics:
