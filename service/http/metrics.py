@@ -176,7 +176,9 @@ def share(place: Place) -> None:
         finally:
             os.close(file)
     os.environ["PROMETHEUS_MULTIPROC_DIR"] = str(place.folder)
-    values.ValueClass = values.MultiProcessValue(lambda: place.process)
+    values.ValueClass = values.MultiProcessValue(  # type: ignore[no-untyped-call]
+        lambda: place.process
+    )
 
 
 def all_processes(metrics: Metrics) -> CollectorRegistry:
@@ -186,5 +188,5 @@ def all_processes(metrics: Metrics) -> CollectorRegistry:
     if folder is None:
         return metrics.registry
     registry = CollectorRegistry()
-    MultiProcessCollector(registry, folder)
+    MultiProcessCollector(registry, folder)  # type: ignore[no-untyped-call]
     return registry

@@ -3,6 +3,7 @@
 import random
 import time
 from collections.abc import Iterable
+from http import HTTPStatus
 from typing import Any
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -79,8 +80,8 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
             self._identifier = given_or_new((HEADER, each.encode("latin-1")) for each in given)
             return accept(request)
 
-        def reject_named(*why: Any) -> Response:
-            response = reject(*why)
+        def reject_named(status: HTTPStatus | int, text: str) -> Response:
+            response = reject(status, text)
             response.headers[HEADER.decode()] = request_id.get() or self._identifier
             return response
 
