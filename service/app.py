@@ -120,13 +120,7 @@ def create_app(settings: Settings) -> FastAPI:
         )
         _set_bounds(app, settings)
         app.state.events = Events(app.state.store, app.state.leaving)
-        app.state.engine = Engine(
-            app.state.store,
-            max_bytes=settings.warm_model_bytes,
-            threads=settings.lift_threads,
-            on_batch=app.state.metrics.batch,
-            on_answer=app.state.metrics.lifted,
-        )
+        app.state.engine = _make_engine(app, settings)
         app.state.integrity = Integrity(app.state.store)
         app.state.rooms = Rooms(app.state.store)
         threading.Thread(target=app.state.engine.models.warm_newest, daemon=True).start()
@@ -175,6 +169,17 @@ def create_app(settings: Settings) -> FastAPI:
     _wrap(app)
     _describe(app)
     return app
+
+
+def _make_engine(app: FastAPI, settings: Settings) -> Engine:
+    metrics: Metrics = app.state.metrics
+    return Engine(
+        app.state.store,
+        max_bytes=settings.warm_model_bytes,
+        threads=settings.lift_threads,
+        on_batch=metrics.batch,
+        on_answer=metrics.lifted,
+    )
 
 
 def _set_bounds(app: FastAPI, settings: Settings) -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +27,9 @@ class Logged:
     def __init__(self, folder: Path, *options: str) -> None:
         self._file = folder / "log"
 
-        class ToFile(Popen):  # type: ignore[misc]
-            def __init__(popen, *arguments: Any, **more: Any) -> None:  # noqa: N805
-                with self._file.open("w") as log:
-                    super().__init__(*arguments, stderr=log, **more)
-
-        self.live: Live = start_service(folder / "data", *options, popen=ToFile)
+        with self._file.open("w") as log:
+            popen: Any = partial(Popen, stderr=log)
+            self.live: Live = start_service(folder / "data", *options, popen=popen)
 
     def lines(self) -> list[str]:
         return self._file.read_text().splitlines()
