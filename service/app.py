@@ -263,7 +263,9 @@ def _describe(app: FastAPI) -> None:
 def make_server(settings: Settings) -> Server:
     """Return what serves the application."""
     app = create_app(settings)
-    connection: Any = partial(Connection, seconds=settings.request_seconds)
+    connection: Any = partial(
+        Connection, seconds=settings.request_seconds, on_refusal=app.state.metrics.refused
+    )
     config = uvicorn.Config(
         app,
         loop="uvloop",

@@ -1,6 +1,7 @@
 """Connections, with bounds on what comes by them outside of bodies, and on silence."""
 
 import asyncio
+from collections.abc import Callable
 from contextvars import copy_context
 from typing import Any
 
@@ -31,9 +32,19 @@ class Connection(HttpToolsProtocol):
     long is left. Bodies are bounded by :class:`service.http.limits.BodyLimit`.
     """
 
-    def __init__(self, *arguments: Any, seconds: float, **more: Any) -> None:
+    def __init__(
+        self,
+        *arguments: Any,
+        seconds: float,
+        on_refusal: Callable[[int, str], None],
+        **more: Any,
+    ) -> None:
+        """Give each step of a client ``seconds``; ``on_refusal`` takes status and code of problems.
+
+        These are problems of what is no request yet, which the application never sees.
+        """
         super().__init__(*arguments, **more)
-        self._seconds = seconds
+        self._seconds, self._on_refusal = seconds, on_refusal
         self._in_head = self._got_on = False
         self._bytes_apart = 0  # since a body's last bytes, or the begin or end of a head
         self._head_timer: asyncio.TimerHandle | None = None
@@ -151,6 +162,7 @@ class Connection(HttpToolsProtocol):
             lines = [name + b": " + value + b"\r\n" for name, value in headers]
             head = STATUS_LINE[response.status_code] + b"".join(lines) + b"\r\n"
             self.transport.write(head + bytes(response.body))
+            self._on_refusal(response.status_code, error.code)
         self.transport.close()
 
 

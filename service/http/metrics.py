@@ -110,6 +110,11 @@ class Metrics:
         if "problem" in scope["state"]:
             self._note(self.problems.labels(str(status), scope["state"]["problem"]).inc)
 
+    def refused(self, status: int, code: str) -> None:
+        """Note what was refused before it was a request."""
+        self._note(self.requests.labels(OTHER, OTHER, str(status)).inc)
+        self._note(self.problems.labels(str(status), code).inc)
+
     def flush(self) -> None:
         """Count what was noted."""
         self._scheduled = False

@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -26,6 +27,7 @@ from tests.service.conftest import (
     frames_of,
     kill_service,
     make_dataset,
+    served,
     start_service,
     wait_for,
 )
@@ -98,6 +100,18 @@ def test_refusals_are_counted_by_their_code(settings: Settings) -> None:
                 api.post(f"/fits/{answer.json()['id']}/cancel")
     of = {"status": "429", "code": "too_many_fits"}
     assert grown(before, after, "fewview_http_problems_total", **of) == len(refused)
+
+
+def test_what_is_no_request_is_counted_too(settings: Settings) -> None:
+    with served(settings) as http:
+        before = metrics(http)
+        where = (http.base_url.host, http.base_url.port or 0)
+        with socket.create_connection(where, 20) as connection:
+            connection.sendall(b"nonsense\r\n\r\n")
+            assert connection.recv(1000).startswith(b"HTTP/1.1 400 ")
+        after = metrics(http)
+    of = {"status": "400", "code": "malformed_request"}
+    assert grown(before, after, "fewview_http_problems_total", **of) == 1
 
 
 def test_jobs_and_bytes_are_those_of_the_records(api: TestClient, settings: Settings) -> None:
