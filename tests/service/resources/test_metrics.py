@@ -19,6 +19,7 @@ from starlette.testclient import TestClient
 from models.capture.synthetic import SyntheticCapture
 from service.app import create_app
 from service.settings import Settings
+from tests.deployments import on_every_deployment
 from tests.processes import command_of, descendants
 from tests.service.conftest import (
     BYTES,
@@ -114,6 +115,7 @@ def test_what_is_no_request_is_counted_too(settings: Settings) -> None:
     assert grown(before, after, "fewview_http_problems_total", **of) == 1
 
 
+@on_every_deployment
 def test_jobs_and_bytes_are_those_of_the_records(api: TestClient, settings: Settings) -> None:
     before = metrics(api)
     dataset = make_dataset(api, frames=10)
