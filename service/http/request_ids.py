@@ -36,7 +36,7 @@ class Watched:
         began, status = time.perf_counter(), 0
         identifier = given_or_new(scope["headers"])
         request_id.set(identifier)
-        scope.setdefault("state", {})
+        scope.setdefault("state", {})["request_id"] = identifier
         header = (HEADER, identifier.encode())
 
         async def send_with_header(message: Message) -> None:

@@ -14,7 +14,7 @@ from redis import Redis
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.responses import Response
 
-from service.http.dependencies import RedisDep, StoreDep
+from service.http.dependencies import RedisDep
 from service.http.errors import problems
 from service.http.metrics import Metrics, all_processes
 from store import tallies
@@ -35,7 +35,7 @@ class MetricsText(Response):
 
 
 @router.get("/metrics", response_class=MetricsText, responses=problems())
-def get_metrics(request: Request, store: StoreDep, connection: RedisDep) -> Response:
+def get_metrics(request: Request, connection: RedisDep) -> Response:
     """Show metrics of the whole service, in the text format of Prometheus.
 
     Whichever process answers, requests and lifts are those of all processes of this `fewview
@@ -43,6 +43,7 @@ def get_metrics(request: Request, store: StoreDep, connection: RedisDep) -> Resp
     (`fewview_part_reached`).
     """
     metrics: Metrics = request.app.state.metrics
+    store: Store = request.app.state.store  # of the whole deployment, whoever asks
     held = CollectorRegistry()
     held.register(_Held(list(_of_everything(store, connection))))
     counted = generate_latest(all_processes(metrics))
