@@ -296,18 +296,19 @@ def main() -> None:
     While records or objects are away it waits for them: one that could not start would be started
     again and again.
     """
-    listener, folder, process = int(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
+    listener, folder, process = sys.argv[1:]
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # for connections that are kept open
     settings = Settings()
     logs.set_up(settings.log_format)
     patiently(lambda: Store(settings).close(), hurry=lambda: False)  # SIGTERM ends it
-    try:
-        share(Place(folder, process))
-    except OSError:
-        logger.exception("Metrics are of this process alone")
+    if folder:
+        try:
+            share(Place(Path(folder), process))
+        except OSError:
+            logger.exception("Metrics are of this process alone")
     server = make_server(settings)
-    server.run(sockets=[socket.socket(fileno=listener)])
+    server.run(sockets=[socket.socket(fileno=int(listener))])
 
 
 if __name__ == "__main__":

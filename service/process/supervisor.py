@@ -283,7 +283,11 @@ def _workers(count: int, settings: Settings, environment: dict[str, str]) -> lis
 def _apis(listeners: Sequence[socket.socket], settings: Settings) -> list[Child]:
     environment = settings.share().to_environment()
     command = tied(*python("-m", "service.app"))
-    folder = str(make_folder())
+    try:
+        folder = str(make_folder())
+    except OSError:
+        logger.exception("No folder for metrics: each process of the API shows its own")
+        folder = ""
     return [
         Child(
             f"API {number}",
