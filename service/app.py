@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import uvicorn
@@ -22,6 +23,7 @@ from fastapi.staticfiles import StaticFiles
 from pydantic import BaseModel
 from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import Response
+from starlette.types import ASGIApp
 
 from service.http import errors
 from service.http.authentication import Authentication
@@ -33,8 +35,10 @@ from service.http.hosts import Hosts
 from service.http.keyring import Keyring, fixed_callers
 from service.http.leaving import CLOSE_SECONDS, Server
 from service.http.limits import BodyLimit
+from service.http.metrics import Metrics, Place, share
 from service.http.operations import registered_schemas
 from service.http.rates import Rates
+from service.http.request_ids import Watched
 from service.http.websockets import WebSocketConnection
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
@@ -48,6 +52,7 @@ from service.resources import (
     health,
     keys,
     lifts,
+    metrics,
     models,
     queues,
     reconstructions,
@@ -56,8 +61,11 @@ from service.resources.events import Events
 from service.resources.integrity import Integrity
 from service.settings import Settings
 from store.database import Store
+from worker import logs
 from worker.patience import patiently
 from worker.queue import connect
+
+logger = logging.getLogger(__name__)
 
 # Lifts come first: routes are tried in this order, and nothing else is in such a hurry.
 RESOURCES = (
@@ -74,6 +82,7 @@ RESOURCES = (
     keys,
     audit,
     health,
+    metrics,
 )
 
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
@@ -94,6 +103,7 @@ EXPOSED_HEADERS = (
     "ETag",
     "Location",
     "Retry-After",
+    "X-Request-Id",
 )
 
 DESCRIPTION = """
@@ -118,9 +128,7 @@ def create_app(settings: Settings) -> FastAPI:
         )
         _set_bounds(app, settings)
         app.state.events = Events(app.state.store, app.state.leaving)
-        app.state.engine = Engine(
-            app.state.store, max_bytes=settings.warm_model_bytes, threads=settings.lift_threads
-        )
+        app.state.engine = _make_engine(app, settings)
         app.state.keyring = Keyring(app.state.store, fixed_callers(settings))
         app.state.rates = Rates(str(settings.redis_url))
         app.state.integrity = Integrity(app.state.store)
@@ -128,6 +136,7 @@ def create_app(settings: Settings) -> FastAPI:
         threading.Thread(target=app.state.engine.models.warm_newest, daemon=True).start()
         yield
         await asyncio.to_thread(app.state.engine.close)
+        app.state.metrics.flush()
         app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
         app.state.keyring.close()
         app.state.store.close()
@@ -146,6 +155,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.settings = settings
     app.state.leaving = asyncio.Event()
+    app.state.metrics = Metrics()
     for module in RESOURCES:
         app.include_router(module.router)
     _show_documentation(app)
@@ -168,8 +178,20 @@ def create_app(settings: Settings) -> FastAPI:
             expose_headers=EXPOSED_HEADERS,
         )
     app.add_middleware(Hosts, settings=settings)
+    _wrap(app)
     _describe(app)
     return app
+
+
+def _make_engine(app: FastAPI, settings: Settings) -> Engine:
+    metrics: Metrics = app.state.metrics
+    return Engine(
+        app.state.store,
+        max_bytes=settings.warm_model_bytes,
+        threads=settings.lift_threads,
+        on_batch=metrics.batch,
+        on_answer=metrics.lifted,
+    )
 
 
 def _set_bounds(app: FastAPI, settings: Settings) -> None:
@@ -183,6 +205,19 @@ def _set_bounds(app: FastAPI, settings: Settings) -> None:
     app.state.lift_bodies = ThreadPoolExecutor(2 * large, thread_name_prefix="lift-body")
     app.state.streams = asyncio.Semaphore(settings.max_streams)
     app.state.event_places = asyncio.Semaphore(settings.max_event_streams)
+
+
+def _wrap(app: FastAPI) -> None:
+    """Put around the application what sees every answer, of faults too.
+
+    Starlette answers those outside of all that `add_middleware` adds.
+    """
+    build = app.build_middleware_stack
+
+    def wrapped() -> ASGIApp:
+        return Watched(build(), app.state.metrics)
+
+    app.build_middleware_stack = wrapped  # type: ignore[method-assign]
 
 
 def _operation_id(route: APIRoute) -> str:
@@ -240,7 +275,9 @@ def _describe(app: FastAPI) -> None:
 def make_server(settings: Settings) -> Server:
     """Return what serves the application."""
     app = create_app(settings)
-    connection: Any = partial(Connection, seconds=settings.request_seconds)
+    connection: Any = partial(
+        Connection, seconds=settings.request_seconds, on_refusal=app.state.metrics.refused
+    )
     web_socket: Any = partial(WebSocketConnection, seconds=settings.request_seconds)
     config = uvicorn.Config(
         app,
@@ -249,6 +286,7 @@ def make_server(settings: Settings) -> Server:
         ws=web_socket,
         ws_max_size=settings.max_stream_bytes,
         ws_per_message_deflate=False,  # numbers hardly shrink, and it takes longer than the lift
+        log_config=None,  # what it logs goes where everything else does
         log_level="warning",
         access_log=False,
         timeout_keep_alive=KEEP_ALIVE_SECONDS,
@@ -266,18 +304,24 @@ def make_server(settings: Settings) -> Server:
 def main() -> None:
     """Serve the API as a child of ``fewview serve``, with the settings in the environment.
 
-    The argument is the socket that it listens on: a restarted API finds the requests that came
-    while it was away. While records or objects are away it waits for them: one that could not start
-    would be started again and again.
+    The arguments are the socket that it listens on, for a restarted API finds the requests that
+    came while it was away; the folder in which all processes count, and the name of this one there.
+    While records or objects are away it waits for them: one that could not start would be started
+    again and again.
     """
-    listener = int(sys.argv[1])
+    listener, folder, process = sys.argv[1:]
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # for connections that are kept open
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
     settings = Settings()
+    logs.set_up(settings.log_format)
     patiently(lambda: Store(settings).close(), hurry=lambda: False)  # SIGTERM ends it
+    if folder:
+        try:
+            share(Place(Path(folder), process))
+        except OSError:
+            logger.exception("Metrics are of this process alone")
     server = make_server(settings)
-    server.run(sockets=[socket.socket(fileno=listener)])
+    server.run(sockets=[socket.socket(fileno=int(listener))])
 
 
 if __name__ == "__main__":

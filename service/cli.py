@@ -1,6 +1,5 @@
 """The commands of ``fewview`` that are the server's; the others are the client's."""
 
-import logging
 import os
 import sys
 from argparse import ArgumentParser
@@ -11,6 +10,7 @@ from pydantic_settings import CliApp, SettingsConfigDict
 
 from service.settings import Settings
 from store.errors import StoreError
+from worker import logs
 from worker.settings import WorkerSettings
 
 ENVIRONMENT_HELP = """
@@ -48,7 +48,7 @@ objects as the API.
 
 def run(command: str, arguments: list[str]) -> None:
     """Run a command of the server; exit with status 2 and the reason on stderr if it cannot."""
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
+    logs.set_up()
     try:
         COMMANDS[command](arguments)
     except ValidationError as error:
@@ -66,6 +66,7 @@ def serve(arguments: list[str]) -> None:
     from service.process.supervisor import StartError, serve  # noqa: PLC0415 (not needed by a worker)
 
     settings = CliApp.run(Serve, cli_args=arguments)
+    logs.set_up(settings.log_format)
     try:
         serve(settings)
     except StartError as error:
@@ -78,6 +79,7 @@ def work(arguments: list[str]) -> None:
     from worker.runner import run  # noqa: PLC0415 (not needed by the supervisor)
 
     settings = CliApp.run(Work, cli_args=arguments)
+    logs.set_up(settings.log_format)
     os.environ |= settings.to_environment()  # jobs run in processes that read them there
     try:
         run(settings)

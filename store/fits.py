@@ -9,7 +9,7 @@ Only the attempt that holds the lease may write; terminal states are never left.
 work to workers and nothing more: what it says of a job is never asked.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from sqlalchemy import select, update
@@ -186,7 +186,9 @@ def cancel(store: Store, fit_id: str) -> FitJob:
     return fit
 
 
-def recover(store: Store, *, expired: bool = True) -> list[FitJob]:
+def recover(
+    store: Store, *, expired: bool = True, on_loss: Callable[[], None] = lambda: None
+) -> list[FitJob]:
     """Deal with fits whose attempt died; return all queued fits, oldest first.
 
     A fit whose lease ran out is queued again, or cancelled if that was asked, or failed if it has
@@ -197,6 +199,8 @@ def recover(store: Store, *, expired: bool = True) -> list[FitJob]:
     expired
         Whether a lease that ran out tells a death. It does not where the records were away until
         just now: nobody could keep a lease.
+    on_loss
+        Called for each fit that was taken from an attempt that died.
     """
     lost = (FitJob.status == "running") & (FitJob.lease_expires_at < clock.now())
     queued = select(FitJob).where(FitJob.status == "queued").order_by(FitJob.id)
@@ -206,7 +210,8 @@ def recover(store: Store, *, expired: bool = True) -> list[FitJob]:
         with store.writing() as session:
             now, prompt = clock.read_promptly(session)
             dead = select(FitJob).where(lost).with_for_update(skip_locked=True)
-            for fit in session.scalars(dead) if expired and prompt else ():
+            taken = list(session.scalars(dead)) if expired and prompt else []
+            for fit in taken:
                 lose(
                     session,
                     fit,
@@ -215,6 +220,8 @@ def recover(store: Store, *, expired: bool = True) -> list[FitJob]:
                     "the worker died each time; it may have run out of memory. Try fewer frames "
                     "or smaller dictionaries.",
                 )
+        for _ in taken:
+            on_loss()
     with store.reading() as session:
         return list(session.scalars(queued))
 

@@ -1,6 +1,6 @@
 """Chunks of a lift: what a helper may write, for as long as it holds the lease of a chunk."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,13 +41,16 @@ def join(lift_id: str, *, lease_seconds: float) -> Helper:
     return Helper(lift_id, new_id("help"), lease_seconds)
 
 
-def claim(store: Store, helper: Helper) -> LiftChunk | None:
+def claim(
+    store: Store, helper: Helper, *, on_loss: Callable[[], None] = lambda: None
+) -> LiftChunk | None:
     """Take the first chunk that nobody has, or None; chunks whose lease ran out are anyone's.
 
     The first claim starts the lift. A lift fails when one of its chunks has taken down too many
-    workers.
+    workers. `on_loss` is called if the chunk was taken from one that died.
     """
     condemned: list[str] = []
+    lost = False
     with store.writing() as session:
         now, prompt = clock.read_promptly(session)
         lift = _running(session, helper.lift_id)
@@ -60,6 +63,7 @@ def claim(store: Store, helper: Helper) -> LiftChunk | None:
             .limit(1)
         )
         if chunk is not None and chunk.lease_expires_at is not None:  # its worker died
+            lost = True
             condemned = _lose(session, lift, chunk, "worker_lost", "its worker died each time")
         if chunk is not None and lift.status in ("queued", "running"):
             chunk.holder, chunk.lease_expires_at = helper.token, now + helper.lease_seconds
@@ -68,6 +72,8 @@ def claim(store: Store, helper: Helper) -> LiftChunk | None:
                 lift.revision += 1
         else:
             chunk = None
+    if lost:
+        on_loss()
     discard(store, *condemned)
     return chunk
 

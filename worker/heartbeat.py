@@ -1,5 +1,6 @@
 """What a running attempt must keep doing, and what it must listen to."""
 
+import contextvars
 import logging
 import signal
 import threading
@@ -46,7 +47,10 @@ class Heartbeat:
         self.cancel = self.leave = self.lost = False
         self._keep = beat
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
+        of_job = contextvars.copy_context()  # for the log
+        self._thread = threading.Thread(
+            target=of_job.run, args=[self._beat], name="heartbeat", daemon=True
+        )
 
     def __enter__(self) -> Self:
         """Start beating, and take SIGTERM."""

@@ -6,13 +6,15 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+from redis import Redis
 from rq import get_current_job
 
 from store import attempts, jobs, lift_chunks, lookup
 from store.database import Store
 from store.errors import NotFoundError
 from store.jobs import Job
-from store.records import FitJob, LiftJob
+from store.records import FitJob, LiftChunk, LiftJob
+from worker import counts
 from worker.contract import HelpArguments, KnownJob
 from worker.heartbeat import Heartbeat
 from worker.patience import patiently
@@ -68,6 +70,8 @@ def fit(
         )
         if attempt is not None:
             logger.info("Fit %s: attempt %d starts", fit_id, attempt.number)
+            if attempt.number > 1:
+                counts.add(job.connection, "fit_retries")
             with Heartbeat(partial(attempts.beat, store, attempt)) as heartbeat:
                 from worker.fitting import run_attempt  # noqa: PLC0415 (torch takes seconds)
 
@@ -134,20 +138,30 @@ def _help(
     job: KnownJob, store: Store, settings: WorkerSettings, lift_id: str
 ) -> dict[str, str | None]:
     helper = lift_chunks.join(lift_id, lease_seconds=settings.lease_seconds)
-    chunk = _waiting(partial(lift_chunks.claim, store, helper))
+    claim = partial(_claim, store, helper, job.connection)
+    chunk = _waiting(claim)
     if chunk is not None:
         time_slice = TimeSlice(job.connection, settings, lift_id)
         with Heartbeat(partial(lift_chunks.beat, store, helper)) as heartbeat:
             _waiting(partial(time_slice.call_next, store, job.id))
             from worker.lifting import do_chunks  # noqa: PLC0415 (torch takes seconds)
 
-            do_chunks(store, helper, chunk, heartbeat, settings, time_slice)
+            do_chunks(store, helper, chunk, claim, heartbeat, settings, time_slice)
     try:
         record = _waiting(partial(lookup.get, store, LiftJob, lift_id))
     except NotFoundError:  # deleted since the job was queued
         return {"lift_id": lift_id, "status": None}
     _report(record)
     return {"lift_id": lift_id, "status": record.status}
+
+
+def _claim(store: Store, helper: lift_chunks.Helper, connection: Redis) -> LiftChunk | None:
+    """Take a chunk of a lift; count if others have tried it before."""
+    lost = partial(counts.add, connection, "lift_lease_losses")
+    chunk = lift_chunks.claim(store, helper, on_loss=lost)
+    if chunk is not None and chunk.crashes:
+        counts.add(connection, "lift_retries")
+    return chunk
 
 
 def _recorded(store: Store, kind: type[Job], job: KnownJob, settings: WorkerSettings) -> str | None:

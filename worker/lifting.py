@@ -1,6 +1,7 @@
 """Doing chunks of a lift: frames and weights in, arrays and JSON lines out."""
 
 import logging
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple, cast
 
@@ -36,6 +37,7 @@ def do_chunks(
     store: Store,
     helper: Helper,
     first: LiftChunk,
+    claim: Callable[[], LiftChunk | None],
     heartbeat: Heartbeat,
     settings: WorkerSettings,
     time_slice: TimeSlice,
@@ -66,7 +68,7 @@ def do_chunks(
             waiting(partial(_do, store, helper, chunk, heartbeat, prior, room))
             if heartbeat.lost or heartbeat.leave or time_slice.is_over():
                 return
-            chunk = waiting(partial(lift_chunks.claim, store, helper))
+            chunk = waiting(claim)
 
 
 def _load_prior(store: Store, lift_id: str) -> FittedPrior:

@@ -21,6 +21,7 @@ from store.database import Store
 from store.lifts import waiting_job
 from store.records import FitJob, LiftJob
 from store.settings import shown
+from worker import logs
 from worker.contract import (
     FAILURE_SECONDS,
     FIT_JOB,
@@ -170,10 +171,15 @@ def forget_cancelled(queue: Queue) -> None:
             queue.connection.delete(Job.key_for(job_id))  # which need not be read for that
 
 
-def enqueue(queue: Queue, record: FitJob | LiftJob) -> None:
+def enqueue(queue: Queue, record: FitJob | LiftJob, asked_by: str | None = None) -> None:
     """Put a recorded fit on the queue, as any producer would, or a call for help with a lift.
 
     Twice is harmless: only one job can claim the fit, or a chunk of the lift.
+
+    Parameters
+    ----------
+    asked_by
+        The identifier of the request that asked for it, for the worker's log.
     """
     if isinstance(record, FitJob):
         function, job_id = FIT_JOB, record.job_id
@@ -189,8 +195,20 @@ def enqueue(queue: Queue, record: FitJob | LiftJob) -> None:
         job_id=job_id,
         result_ttl=RESULT_SECONDS,
         failure_ttl=FAILURE_SECONDS,
-        meta={f"{record.noun}_id": record.id},
+        meta={f"{record.noun}_id": record.id}
+        | ({} if asked_by is None else {"request_id": asked_by}),
     )
+
+
+def enqueue_again(connection: Redis, store: Store, record: FitJob | LiftJob) -> None:
+    """Put on the queue what was lost there, for the same request, if an earlier job names it."""
+    earlier = [record.job_id]
+    if isinstance(record, LiftJob):
+        earlier.insert(0, waiting_job(record))
+    jobs = KnownJob.fetch_many(earlier, connection, PlainDataSerializer)
+    noted = (job.meta.get("request_id") for job in jobs if job is not None)
+    asked_by = next((name for name in noted if isinstance(name, str)), None)
+    enqueue(open_queue(connection, queue_for(store, record)), record, asked_by)
 
 
 def offer(connection: Redis, store: Store, record: FitJob | LiftJob) -> None:
@@ -199,6 +217,7 @@ def offer(connection: Redis, store: Store, record: FitJob | LiftJob) -> None:
     If they cannot, a reconciler will when they are back.
     """
     try:
-        enqueue(open_queue(connection, queue_for(store, record)), record)
+        queue = open_queue(connection, queue_for(store, record))
+        enqueue(queue, record, logs.request_id.get())
     except (RedisError, SQLAlchemyError):
         logger.warning("Queue or records are away: %s is queued when they are back", record.id)

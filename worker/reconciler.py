@@ -17,6 +17,7 @@ from store.errors import InputError, NotFoundError
 from store.labels import Labels, storable
 from store.mistakes import mistakes, summary
 from store.records import FitJob, LiftJob
+from worker import counts
 from worker.contract import (
     HELP_JOB,
     LIFT_JOB,
@@ -26,10 +27,9 @@ from worker.contract import (
     PlainDataSerializer,
     arguments_of,
 )
-from worker.needs import queue_for
 from worker.outcomes import FAULT
 from worker.patience import is_outage
-from worker.queue import WorkQueue, enqueue, open_queue, open_queues
+from worker.queue import WorkQueue, enqueue_again, open_queues
 from worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
@@ -75,7 +75,11 @@ class Reconciler:
         self._known.intersection_update(seen)  # bounded by the queues' length
         now = time.monotonic()
         expired = now - self._steady_since > self._settings.lease_seconds
-        queued = fits.recover(self._store, expired=expired)
+        queued = fits.recover(
+            self._store,
+            expired=expired,
+            on_loss=partial(counts.add, self._connection, "fit_lease_losses"),
+        )
         if time.monotonic() - now > clock.PROMPT_SECONDS:
             self.unsettle()
         work: dict[str, FitJob | LiftJob] = {fit.job_id: fit for fit in queued}
@@ -89,7 +93,7 @@ class Reconciler:
                 logger.warning("%s was on no queue: putting it back", record.id)
                 for queue in self._queues:
                     queue.intermediate_queue.remove(job_id)
-                enqueue(open_queue(self._connection, queue_for(self._store, record)), record)
+                enqueue_again(self._connection, self._store, record)
                 del self._lost_since[job_id]
 
     def adopt(self, queue: WorkQueue, job_id: str) -> bool:

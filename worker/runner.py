@@ -27,7 +27,7 @@ from store.database import Store
 from store.errors import StoreError
 from store.private import keep_private
 from store.records import FitJob, LiftJob
-from worker import at_work
+from worker import at_work, logs
 from worker.contract import RESULT_SECONDS, KnownJob, PlainDataSerializer, is_of_wrong_type
 from worker.housekeeping import keep_house
 from worker.process import tie_forks
@@ -111,7 +111,8 @@ class JobWorker(Worker):
         """Return whether records and queue are in step, as far as the records can be reached."""
         in_step = True
         try:
-            self._reconciler.step()
+            with logs.of_job(None):  # it looks after those of all jobs
+                self._reconciler.step()
             if job is not None and any(
                 cancelled(self._store, job.id, patience_seconds=CANCEL_PATIENCE_SECONDS)
                 for cancelled in (fits.enforce_cancel, lifts.was_cancelled)
@@ -159,7 +160,8 @@ class JobWorker(Worker):
         job.origin = queue.name  # whatever its producer wrote
         job.timeout = self._settings.max_fit_seconds + TIMEOUT_SLACK_SECONDS
         try:
-            super().execute_job(job, queue)
+            with logs.of_job(job.id, job.meta.get("request_id")):
+                super().execute_job(job, queue)
         except StopRequested:
             raise
         except Exception as error:

@@ -7,6 +7,7 @@ from typing_extensions import TypeAliasType
 
 from store.retention import Retention
 from store.settings import StoreSettings
+from worker.logs import LogFormat
 
 QueueName = TypeAliasType("QueueName", Literal["lifts", "fits", "gpu-fits"])
 QUEUES: tuple[QueueName, ...] = get_args(QueueName.__value__)
@@ -97,6 +98,12 @@ class WorkerSettings(StoreSettings):
         ge=0.1,
         le=3600,
         description="Time a big lift may have a worker for itself while other jobs wait.",
+    )
+
+    log_format: LogFormat = Field(
+        "text",
+        description="How lines of the log are written, on stderr: `text`, or `json`, an object a "
+        "line.",
     )
 
     @field_validator("takes")

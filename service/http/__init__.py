@@ -16,6 +16,8 @@
     Which representation a client gets, and responses of bytes with ranges and entity tags.
 ``idempotency``
     The ``Idempotency-Key`` header.
+``request_ids``, ``metrics``
+    Identifiers of requests, and what is counted of them.
 ``operations``
     What the OpenAPI document says of an operation and FastAPI cannot see.
 """

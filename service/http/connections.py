@@ -1,12 +1,17 @@
 """Connections, with bounds on what comes by them outside of bodies, and on silence."""
 
 import asyncio
+from collections.abc import Callable
+from contextvars import copy_context
 from typing import Any
 
+from starlette.responses import Response
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from service.http.errors import ApiError
 from service.http.peers import Peer
+from service.http.request_ids import HEADER, given_or_new
+from worker.logs import request_id
 
 MAX_HEAD_BYTES = 64 * 1024
 # Between requests. Proxies keep theirs for 60 s, as a rule, and a request that they
@@ -51,9 +56,19 @@ class Connection(HttpToolsProtocol):
     long is left. Bodies are bounded by :class:`service.http.limits.BodyLimit`.
     """
 
-    def __init__(self, *arguments: Any, seconds: float, **more: Any) -> None:
+    def __init__(
+        self,
+        *arguments: Any,
+        seconds: float,
+        on_refusal: Callable[[int, str], None],
+        **more: Any,
+    ) -> None:
+        """Give each step of a client ``seconds``; ``on_refusal`` takes status and code of problems.
+
+        These are problems of what is no request yet, which the application never sees.
+        """
         super().__init__(*arguments, **more)
-        self._seconds = seconds
+        self._seconds, self._on_refusal = seconds, on_refusal
         self._in_head = self._got_on = False
         self._bytes_apart = 0  # since a body's last bytes, or the begin or end of a head
         self._head_timer: asyncio.TimerHandle | None = None
@@ -148,12 +163,23 @@ class Connection(HttpToolsProtocol):
         if self.transport.is_closing():
             return
         if not self._is_answering():
-            response = error.response()
-            headers = [*response.raw_headers, (b"connection", b"close")]
+            identifier = given_or_new(self.headers or ())
+            response = copy_context().run(_problem, error, identifier)
+            headers = [
+                *response.raw_headers,
+                (HEADER, identifier.encode()),
+                (b"connection", b"close"),
+            ]
             lines = [name + b": " + value + b"\r\n" for name, value in headers]
             head = STATUS_LINE[response.status_code] + b"".join(lines) + b"\r\n"
             self.transport.write(head + bytes(response.body))
+            self._on_refusal(response.status_code, error.code)
         self.transport.close()
+
+
+def _problem(error: ApiError, identifier: str) -> Response:
+    request_id.set(identifier)
+    return error.response()
 
 
 def _too_large() -> ApiError:

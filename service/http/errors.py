@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sqlalchemy.exc import DatabaseError, InterfaceError, OperationalError, TimeoutError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
 
 from service.http.methods import allow
 from store.errors import (
@@ -32,6 +33,7 @@ from store.errors import (
 from store.integrity import RECORDS_DAMAGED, is_corrupt
 from store.mistakes import Mistake, mistakes, summary
 from store.space import is_full
+from worker.logs import request_id
 
 logger = logging.getLogger(__name__)
 
@@ -98,6 +100,7 @@ class Problem(BaseModel):
                 "status": 422,
                 "code": "invalid_input",
                 "detail": "keypoints: expected 17 keypoints as in the model, got 16",
+                "request_id": "7f9c2ba4e88f827d616045507605853e",
                 "errors": [
                     {
                         "pointer": "/keypoints",
@@ -113,7 +116,21 @@ class Problem(BaseModel):
     status: int
     code: str = Field(description="Stable name of the problem, for programs.")
     detail: str
+    request_id: str | None = Field(
+        None, description="As in `X-Request-Id`, and in the lines of the log."
+    )
     errors: list[FieldError] = []
+
+
+class _ProblemResponse(Response):
+    """A problem, which leaves its code in the request's state for who counts them."""
+
+    code = ""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer."""
+        scope.setdefault("state", {})["problem"] = self.code
+        await super().__call__(scope, receive, send)
 
 
 class ApiError(Exception):
@@ -151,6 +168,7 @@ class ApiError(Exception):
             status=status,
             code=self.code,
             detail=_written(self.detail),
+            request_id=request_id.get(),
             errors=[
                 FieldError(pointer=_written(pointer), detail=_written(detail))
                 for pointer, detail in self.errors
@@ -159,7 +177,9 @@ class ApiError(Exception):
         headers = dict(self.headers or {})
         if status in (408, 413):  # or the rest of the body would be read, to be thrown away
             headers["Connection"] = "close"
-        return Response(problem.model_dump_json(), status, headers, PROBLEM_JSON)
+        response = _ProblemResponse(problem.model_dump_json(), status, headers, PROBLEM_JSON)
+        response.code = self.code
+        return response
 
 
 def _written(text: str) -> str:

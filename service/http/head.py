@@ -29,7 +29,10 @@ class Head:
             await send({"type": "http.response.body"})
             raise _HeadersAreOut
 
+        get = {**scope, "method": "GET", "headers": headers}
         try:
-            await self._app({**scope, "method": "GET", "headers": headers}, receive, send_headers)
+            await self._app(get, receive, send_headers)
         except* _HeadersAreOut:
             pass
+        finally:
+            scope["route"] = get.get("route")  # for who counts requests

@@ -4,17 +4,17 @@ import asyncio
 import time
 from typing import Any
 
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import CloseCode, Frame
 
 from service.http.connections import Reading
+from service.http.request_ids import NamedWebSocket
 
 PART_BYTES = 1024
 PARTS_SECONDS = 0.005  # of one client, before others have their turn
 MOST_FRAGMENTS = 1024  # of a message
 
 
-class WebSocketConnection(WebSocketsSansIOProtocol):
+class WebSocketConnection(NamedWebSocket):
     """Speaks WebSocket as uvicorn does, within bounds that uvicorn leaves open.
 
     A frame may have as few as six bytes, and much may come at once: so it is worked on for a few

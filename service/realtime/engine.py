@@ -9,8 +9,9 @@ slice or two of the others' frames.
 import asyncio
 import logging
 import threading
+import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import accumulate
@@ -48,6 +49,10 @@ class Way(NamedTuple):
     observed: bool = False  # whether the frames were observed, and need only be lifted
 
 
+def _ignore(_figure: float) -> None:
+    """Take a figure that nobody wants."""
+
+
 @dataclass(eq=False, slots=True)
 class _Call:
     """One client's frames, on their way through the engine."""
@@ -61,6 +66,7 @@ class _Call:
     answer: "asyncio.Future[Lift]"
     frames: int
     missing: int  # frames without an answer yet
+    asked_at: float = field(default_factory=time.perf_counter)
     taken: int = 0  # frames that a thread has taken
     parts: dict[int, Lift] = field(default_factory=dict)  # answers by their first frame
 
@@ -79,8 +85,24 @@ _Outcome = Lift | Exception
 class Engine:
     """Lifts with warm models in threads of its own."""
 
-    def __init__(self, store: Store, *, max_bytes: int, threads: int = 1) -> None:
-        """Keep up to ``max_bytes`` of weights warm, and lift with that many threads."""
+    def __init__(
+        self,
+        store: Store,
+        *,
+        max_bytes: int,
+        threads: int = 1,
+        on_batch: Callable[[int], object] = _ignore,
+        on_answer: Callable[[float], object] = _ignore,
+    ) -> None:
+        """Keep up to ``max_bytes`` of weights warm, and lift with that many threads.
+
+        Parameters
+        ----------
+        on_batch, on_answer
+            Called with the frames of each batch, in any of the threads, and with the seconds that
+            each answer took, in the event loop.
+        """
+        self._on_batch, self._on_answer = on_batch, on_answer
         self.models = WarmModels(store, max_bytes=max_bytes)
         # Calls of up to a slice, by their ways, which take turns. Larger ones take turns singly.
         self._small: dict[Way, deque[_Call]] = {}
@@ -188,15 +210,16 @@ class Engine:
             except BaseException:  # also what is meant to end a thread: nobody would lift any more
                 logger.exception("A batch of lifts failed")
                 fault = RuntimeError("a batch of lifts failed")
-                finished = [(piece.call.answer, fault) for piece in pieces]
+                finished = [(piece.call, fault) for piece in pieces]
+            self._on_batch(sum(piece.stop - piece.start for piece in pieces))
             if finished:
                 with suppress(RuntimeError):  # the loop is closed: nobody waits any more
-                    finished[0][0].get_loop().call_soon_threadsafe(_deliver, finished)
+                    finished[0][0].answer.get_loop().call_soon_threadsafe(self._deliver, finished)
 
-    def _outcomes(self, pieces: list[_Piece]) -> "list[tuple[asyncio.Future[Lift], _Outcome]]":
+    def _outcomes(self, pieces: list[_Piece]) -> "list[tuple[_Call, _Outcome]]":
         """Lift, and return the answers to whole calls."""
         return [
-            (piece.call.answer, outcome)
+            (piece.call, outcome)
             for piece, part in zip(pieces, self._lift(pieces), strict=True)
             if (outcome := self._finished(piece, part)) is not None
         ]
@@ -266,6 +289,19 @@ class Engine:
                 return None
         return join([call.parts[start] for start in sorted(call.parts)])
 
+    # In the event loop:
+
+    def _deliver(self, finished: "list[tuple[_Call, _Outcome]]") -> None:
+        now = time.perf_counter()
+        for call, outcome in finished:
+            if call.answer.done():  # given up meanwhile
+                continue
+            if isinstance(outcome, Exception):
+                call.answer.set_exception(outcome)
+            else:
+                call.answer.set_result(outcome)
+                self._on_answer(now - call.asked_at)
+
 
 def _slice_size(model: WarmModel, refine: Refine | None) -> int:
     prior = model.prior
@@ -302,13 +338,3 @@ def _observe(pieces: list[_Piece]) -> Observed:
         confidence=np.concatenate(confidence) if confidence else None,
         views=way.views,
     )
-
-
-def _deliver(finished: list[tuple["asyncio.Future[Lift]", _Outcome]]) -> None:
-    for answer, outcome in finished:
-        if answer.done():  # given up meanwhile
-            continue
-        if isinstance(outcome, Exception):
-            answer.set_exception(outcome)
-        else:
-            answer.set_result(outcome)

@@ -11,6 +11,7 @@ from service.http.errors import BODY_PROBLEMS, problems
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
 from service.resources.lists import MOST_LISTED
+from service.wire.json_bodies import read_json
 from service.wire.moments import Moment
 from service.wire.schemas import Name
 from store import access_keys
@@ -128,7 +129,7 @@ def create_key(upload: UploadBody, store: StoreDep, request: Request, response: 
 
     All processes of the API know it within a second.
     """
-    asked = upload.json(KeyCreate)
+    asked = read_json(upload, KeyCreate)
     record, token = access_keys.create(
         store,
         name=asked.name,

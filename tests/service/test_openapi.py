@@ -123,6 +123,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "get_fit",
         "get_lift",
         "get_lift_result",
+        "get_metrics",
         "get_model",
         "get_model_cameras",
         "get_reconstruction",

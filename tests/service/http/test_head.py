@@ -9,7 +9,11 @@ from tests.service.conftest import Live, make_dataset
 
 
 def headers_of(response: Any) -> dict[str, str]:
-    return {name: text for name, text in response.headers.items() if name != "date"}
+    return {
+        name: text
+        for name, text in response.headers.items()
+        if name not in ("date", "x-request-id")
+    }
 
 
 def test_headers_are_those_of_get(api: TestClient, model: str) -> None:

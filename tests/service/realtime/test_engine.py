@@ -94,7 +94,9 @@ def test_everyone_gets_his_own_answer(
         return await asyncio.gather(
             *(
                 engine.lift(
-                    engine.models.get(model), pixels(frames, how), **arguments(frames, **how)
+                    engine.models.get("default", model),
+                    pixels(frames, how),
+                    **arguments(frames, **how),
                 )
                 for frames, how in asked
             )
@@ -112,7 +114,7 @@ def test_slices_are_put_together_in_their_order(
     keypoints = np.resize(capture.keypoints, (frames, *capture.keypoints.shape[1:]))
 
     async def client() -> Lift:
-        return await engine.lift(engine.models.get(model), keypoints, refine=refine)
+        return await engine.lift(engine.models.get("default", model), keypoints, refine=refine)
 
     check(run(client), prior.lift(keypoints, refine=refine))
 
@@ -126,7 +128,9 @@ def test_small_calls_overtake_large_ones(
         def ask(name: str, frames: int) -> Any:
             shape = (frames, *capture.keypoints.shape[1:])
             answer = one_thread.lift(
-                one_thread.models.get(model), np.resize(capture.keypoints, shape), refine="off"
+                one_thread.models.get("default", model),
+                np.resize(capture.keypoints, shape),
+                refine="off",
             )
             answer.add_done_callback(lambda _: ended.append(name))
             return answer
@@ -146,7 +150,7 @@ def test_one_bad_call_spoils_no_others(
 
     async def clients() -> list[Any]:
         asked = [
-            one_thread.lift(one_thread.models.get(model), pixels)
+            one_thread.lift(one_thread.models.get("default", model), pixels)
             for pixels in (keypoints, keypoints * 1e9) * 4
         ]
         return await asyncio.gather(*asked, return_exceptions=True)
@@ -162,13 +166,13 @@ def test_a_deleted_model_is_served_no_more(
 ) -> None:
     """However warm it is, who holds it, and whoever deleted it: a second later it is gone."""
     replica = Store(Settings(data_dir=tmp_path))
-    held = engine.models.get(model)
+    held = engine.models.get("default", model)
 
     async def clients() -> None:
         await engine.lift(held, capture.keypoints)
         models.delete(replica, model)
         deadline = time.monotonic() + 2
-        while engine.models.warm(model) is not None:
+        while engine.models.warm("default", model) is not None:
             assert time.monotonic() < deadline
             await asyncio.sleep(0.01)
         with pytest.raises(NotFoundError):
@@ -176,7 +180,7 @@ def test_a_deleted_model_is_served_no_more(
 
     run(clients)
     with pytest.raises(NotFoundError):
-        engine.models.get(model)
+        engine.models.get("default", model)
     replica.close()
 
 
@@ -184,14 +188,14 @@ def test_other_weights_are_read_anew(
     engine: Engine, model: str, store: Store, tmp_path: Path, weights: bytes
 ) -> None:
     replica = Store(Settings(data_dir=tmp_path))
-    first = engine.models.get(model)
-    assert engine.models.get(model) is first
+    first = engine.models.get("default", model)
+    assert engine.models.get("default", model) is first
     other = stored(replica, weights)
     with replica.writing() as session:
         record = session.get(Model, model)
         assert record is not None
         record.weights_key = other.weights_key
-    assert engine.models.get(model) is not first
+    assert engine.models.get("default", model) is not first
     replica.close()
 
 
@@ -199,12 +203,12 @@ def test_a_model_in_use_is_in_memory_once(store: Store, weights: bytes) -> None:
     """Streams hold models for which there would be no room otherwise."""
     engine = Engine(store, max_bytes=0)
     ids = [stored(store, weights).id for _ in range(2)]
-    held = engine.models.get(ids[0])
-    engine.models.get(ids[1])
-    assert engine.models.warm(ids[0]) is held
+    held = engine.models.get("default", ids[0])
+    engine.models.get("default", ids[1])
+    assert engine.models.warm("default", ids[0]) is held
     del held
-    engine.models.get(ids[1])
-    assert engine.models.warm(ids[0]) is None
+    engine.models.get("default", ids[1])
+    assert engine.models.warm("default", ids[0]) is None
     engine.close()
 
 
@@ -218,7 +222,7 @@ class Ending(FittedPrior):
 def test_whatever_happens_in_a_thread_it_answers_and_goes_on(
     one_thread: Engine, model: str, prior: FittedPrior, capture: SyntheticCapture
 ) -> None:
-    sound = one_thread.models.get(model)
+    sound = one_thread.models.get("default", model)
     ending = Ending.__new__(Ending)
     ending.__dict__.update(prior.__dict__)
     broken = replace(sound, prior=ending)
