@@ -43,7 +43,7 @@ MODULES = (
     "worker.rooms",
     "worker.runner",
 )
-STARTS_OTHERS = {"serve", "run"}  # commands of `fewview`
+STARTS_OTHERS = {"serve", "run"}  # commands of `fewview`; scripts do, too
 PR_SET_CHILD_SUBREAPER = 36  # prctl(2)
 LONGEST_REQUEST = 1 << 18  # bytes
 MOST_DESCRIPTORS = 32
@@ -224,6 +224,14 @@ def take_place(request: Request, descriptors: list[int]) -> None:
     show(request.command)
 
 
+def starts_others(command: list[str]) -> bool:
+    return bool(STARTS_OTHERS & set(command)) or any(map(is_script, command))
+
+
+def is_script(word: str) -> bool:
+    return word.endswith(".py")
+
+
 def show(command: list[str]) -> None:
     """Have the system show this command as that of this process (proc_pid_cmdline(5))."""
     begin, end = map(int, Path("/proc/self/stat").read_text().rpartition(")")[2].split()[45:47])
@@ -235,7 +243,13 @@ def execute(command: list[str]) -> None:
     """Run a command of this Python's in this process, or become another program."""
     words = command
     while words[: len(python())] == python():
-        option, name, *arguments = words[len(python()) :]
+        given = words[len(python()) :]
+        if is_script(given[0]):
+            sys.argv[:] = given
+            sys.path.insert(0, str(Path(given[0]).parent))  # where its neighbours lie
+            runpy.run_path(given[0], run_name="__main__")
+            return
+        option, name, *arguments = given
         if (option, name) == ("-m", "worker.process"):  # which becomes what follows
             die_with_parent(int(arguments[0]))
             words = arguments[1:]
@@ -263,7 +277,7 @@ def main() -> None:
     request, descriptors = serve(channel)
     while True:
         take_place(request, descriptors)
-        if not STARTS_OTHERS & set(request.command):
+        if not starts_others(request.command):
             break
         forked = fork_server()
         if isinstance(forked, ForkServer):

@@ -1,27 +1,19 @@
 """A benchmark's command, run as people run it, and its figures on their way into the docs."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests import fork_server
+from worker.process import python
 
 ROOT = Path(__file__).parents[2]
 
 
 def run(*words: str) -> str:
-    done = subprocess.run(
-        [sys.executable, *words],
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=300,  # machine code may have to be made first
-        check=False,
-    )
+    done = fork_server.run(python(*words), cwd=ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

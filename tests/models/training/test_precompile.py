@@ -20,8 +20,8 @@ from tests.sharing import made_once
 from worker.process import python
 
 MODES: tuple[Refine, ...] = ("auto", "full", "off")
-# Run in one process, which is started anew (what is forked from the tests' has everything as machine
-# code) and imports torch and Numba once: it forks one more for each part.
+# Run in one process, which imports torch and Numba once and forks one more for each part. It is
+# started from nothing: what tests fork otherwise has everything as machine code.
 COMPILED = """
 import json
 import tests.models.training.test_precompile as parts

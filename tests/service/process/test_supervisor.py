@@ -150,7 +150,7 @@ def test_everything_is_killed_and_started_again(start: Start) -> None:
     live.process.kill()
     live.process.wait()
     wait_for(lambda: not family & processes().keys(), "all its processes to die", 5)
-    again = start(popen=subprocess.Popen)
+    again = start()
     ended = again.finished(fit["id"])
     assert ended["status"] == "succeeded"
     assert ended["attempt"] > 1
