@@ -7,7 +7,8 @@ own identifier, arguments, descriptors and environment, and is killed, frozen an
 usual. It runs as `__main__` what the command names. So does what a forked `fewview serve` starts.
 
 What differs from a start from nothing: modules were imported in the server, whose environment and
-working directory they saw. Tests of that start commands with `subprocess`.
+working directory they saw, and they are not undone as it ends. Tests of that start commands with
+`subprocess`.
 """
 
 import atexit
@@ -19,6 +20,7 @@ import runpy
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -265,6 +267,31 @@ def execute(command: list[str]) -> None:
     os.execv(words[0], words)  # noqa: S606
 
 
+def status_of(command: list[str]) -> int:
+    """Run a command to its end in this process, and return the status that Python ends with."""
+    try:
+        execute(command)
+    except SystemExit as leaving:
+        if leaving.code is None or isinstance(leaving.code, int):
+            return leaving.code or 0
+        print(leaving.code, file=sys.stderr)
+        return 1
+    except Exception:  # noqa: BLE001 (as Python does)
+        sys.excepthook(*sys.exc_info())  # type: ignore[arg-type]
+        return 1
+    return 0
+
+
+def leave(status: int) -> None:
+    """End this process as Python ends, but leave its modules alone: to undo them takes 0.3 s."""
+    threading._shutdown()  # type: ignore[attr-defined]
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None and not stream.closed:
+            stream.flush()
+    os._exit(status)
+
+
 def main() -> None:
     """Import everything, wait for requests, and in the processes that are forked do as they say."""
     parent, channel = int(sys.argv[1]), socket.socket(fileno=int(sys.argv[2]))
@@ -285,7 +312,7 @@ def main() -> None:
             subprocess.Popen = Popen  # type: ignore[misc]
             break
         request, descriptors = forked
-    execute(request.command)
+    leave(status_of(request.command))
 
 
 if __name__ == "__main__":
