@@ -22,9 +22,9 @@ demo: .venv/compiled
 test: lint
 	$(MAKE) --jobs 2 types tests
 
-# Four tests at a time: many wait for processes, so two cores are busy.
+# Three tests at a time: many wait for processes, so two cores are busy.
 tests: .venv/compiled
-	$(BIN)/pytest --numprocesses 4 --dist worksteal
+	$(BIN)/pytest --numprocesses 3 --dist worksteal
 
 check: lint
 	$(MAKE) --jobs 2 --output-sync types changed

@@ -61,7 +61,7 @@ def arrays_of(capture: SyntheticCapture) -> dict[str, Any]:
 
 def test_shows_figures_and_a_picture_and_leaves_nothing_behind(tmp_path: Path) -> None:
     capture = synthetic_capture(
-        frames=60, views=3, noise=1.0, hidden_views=0.1, hidden_keypoints=0.1
+        frames=40, views=3, noise=1.0, hidden_views=0.1, hidden_keypoints=0.1
     )
     np.savez(tmp_path / "figure.npz", **arrays_of(capture))
 
@@ -77,8 +77,8 @@ def test_shows_figures_and_a_picture_and_leaves_nothing_behind(tmp_path: Path) -
 
     figures = json.loads(done.stdout.splitlines()[-1])
     assert figures["capture"] == "figure.npz"
-    assert (figures["frames"], figures["views"], figures["keypoints"]) == (60, 3, 16)
-    assert figures["frames_unseen"] == 6
+    assert (figures["frames"], figures["views"], figures["keypoints"]) == (40, 3, 16)
+    assert figures["frames_unseen"] == 4
     assert figures["missing_fraction"] == pytest.approx(np.isnan(capture.keypoints).mean())
     assert 0 < figures["pa_mpjpe"] < 0.5
     assert figures["pa_mpjpe"] == pytest.approx(figures["pa_mpjpe_by_service"], rel=1e-4)
