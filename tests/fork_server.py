@@ -277,7 +277,7 @@ def status_of(command: list[str]) -> int:
         print(leaving.code, file=sys.stderr)
         return 1
     except Exception:  # noqa: BLE001 (as Python does)
-        sys.excepthook(*sys.exc_info())  # type: ignore[arg-type]
+        sys.excepthook(*sys.exc_info())
         return 1
     return 0
 
