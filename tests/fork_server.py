@@ -296,11 +296,12 @@ def main() -> None:
     """Import everything, wait for requests, and in the processes that are forked do as they say."""
     parent, channel = int(sys.argv[1]), socket.socket(fileno=int(sys.argv[2]))
     die_with_parent(parent)
+    gc.disable()
     for module in MODULES:
         import_module(module)
     import_module("models.numerics.compiled").load_machine_code()
-    gc.collect()
     gc.freeze()  # or a collection would copy all of it
+    gc.enable()
     request, descriptors = serve(channel)
     while True:
         take_place(request, descriptors)
