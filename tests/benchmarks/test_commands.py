@@ -4,8 +4,10 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from models.capture.synthetic import synthetic_capture
 from tests import fork_server
 from worker.process import python
 
@@ -20,8 +22,22 @@ def run(*words: str) -> str:
 
 @pytest.fixture(scope="module")
 def figures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    file = tmp_path_factory.mktemp("figures") / "lift.json"
-    tiny = ("--views", "2", "--steps", "1", "--batches", "1", "--refine", "off", "--seconds", "0")
+    folder = tmp_path_factory.mktemp("figures")
+    file, capture = folder / "lift.json", folder / "figure.npz"
+    seen = synthetic_capture(frames=20, views=2)
+    np.savez(capture, keypoints=seen.keypoints, image_sizes=np.array(seen.image_sizes))
+    tiny = (
+        "--capture",
+        str(capture),
+        "--steps",
+        "1",
+        "--batches",
+        "1",
+        "--refine",
+        "off",
+        "--seconds",
+        "0",
+    )
     printed = run("benchmarks/lift.py", *tiny, "--json", str(file))
     assert "in process, feed-forward, one frame, p50" in printed
     return file
