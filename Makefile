@@ -11,16 +11,20 @@ BIN := .venv/bin
 CAPTURE ?=
 ARGUMENTS ?=
 IMAGE_SIZE ?=
+# Python may keep what it compiles of each module: dozens of processes import the same ones.
+export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test check changed lint types serve openapi lock benchmark fidelity performance clean
+.PHONY: demo test tests check changed lint types serve openapi lock benchmark fidelity performance clean
 
 demo: .venv/compiled
 	$(BIN)/python examples/demo.py $(if $(CAPTURE),"$(CAPTURE)")
 
-# Four tests at a time: many wait for processes, so two cores are busy.
 test: lint
-	$(MAKE) --jobs 2 types .venv/compiled
-	$(BIN)/pytest --numprocesses 4 --dist worksteal
+	$(MAKE) --jobs 2 types tests
+
+# Three tests at a time: many wait for processes, so two cores are busy.
+tests: .venv/compiled
+	$(BIN)/pytest --numprocesses 3 --dist worksteal
 
 check: lint
 	$(MAKE) --jobs 2 --output-sync types changed
@@ -73,12 +77,13 @@ lock:
 	  --extra postgresql --group build --no-emit-package torch --no-emit-package fewview \
 	  --custom-compile-command 'make lock' pyproject.toml --output-file requirements.lock
 
-# Finished only once everything is installed: an interrupted set-up starts over.
+# Finished only once everything is installed: an interrupted set-up starts over. Of what is installed,
+# most is never imported: Python compiles the others as it imports them.
 .venv/ready: pyproject.toml client/pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Fewview needs Python 3.11 or newer")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable ./client --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --no-compile --editable ./client --editable '.[dev]'
 	touch $@
 
 # The inner loops as machine code, before several processes want it at a time.

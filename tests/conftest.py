@@ -1,3 +1,4 @@
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +20,9 @@ from tests.sharing import forget_older_fits
 
 use_threads(1)
 
+# What is imported stays. To look for garbage in it takes seconds, here and in each test.
+gc.disable()
+
 
 @pytest.fixture(scope="session")
 def s3() -> Iterator[S3]:
@@ -32,6 +36,11 @@ def postgresql() -> Iterator[PostgreSQL]:
     """Run a PostgreSQL for this test process: `StoreSettings(database_url=...new_url())`."""
     with postgresql_served() as served:
         yield served
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -31,12 +31,13 @@ def unlikeness(seen: Seen) -> Float64:
     unlike = np.full((count, count), np.inf)
     if not len(apart):
         return unlike
+    usual = np.nanmedian(apart, (1, 2))  # 0 where most keypoints are in one place
+    apart = apart[usual > 0] / usual[usual > 0, None, None]
     known = np.isfinite(apart).any(0).all(1)  # (P,) seen at all together with every other
     if not known.any():
         return unlike
     several = np.ix_(known, known)
-    apart = apart[:, known][:, :, known] / np.nanmedian(apart, (1, 2), keepdims=True)
-    distances = np.sort(np.nanmedian(apart, 0), 1)  # (P', P') to all others, in order of size
+    distances = np.sort(np.nanmedian(apart[:, known][:, :, known], 0), 1)  # (P', P') in order
     unlike[several] = np.sqrt(np.square(distances[:, None] - distances).mean(-1))
     unlike[unlike > ALIKE] = np.inf
     np.fill_diagonal(unlike, np.inf)

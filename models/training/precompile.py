@@ -8,7 +8,7 @@ import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,9 +128,9 @@ def _mend_limbs() -> None:
 
 # Those that compile most come first; the others find much of it compiled.
 PARTS: tuple[Callable[[], None], ...] = (
-    partial(_fit_and_lift, next(iter(PRIORS)), "auto"),
+    partial(_fit_and_lift, next(iter(PRIORS)), REFINING[0]),
     *(partial(_lift_untrained, prior) for prior in PRIORS),
-    *(partial(_fit_and_lift, prior, refine) for prior in PRIORS for refine in REFINING),
+    *(partial(_fit_and_lift, *ways) for ways in [*product(PRIORS, REFINING)][1:]),
     _fit_film,
     _mend_limbs,
 )

@@ -325,7 +325,8 @@ class Trainer:
 
     def _add_to_curve(self) -> None:
         state = self._state
-        self._curve.append(CurvePoint(state.step, state.loss, state.reprojection_error))
+        if not self._curve or self._curve[-1].step < state.step:
+            self._curve.append(CurvePoint(state.step, state.loss, state.reprojection_error))
 
     def _progress(self, stage: Stage) -> Progress:
         state, steps = self._state, self._state.schedule.steps

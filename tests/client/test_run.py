@@ -23,7 +23,7 @@ QUICK = ("-c", "steps=40", "-c", "dictionary_sizes=[16,8]", "-c", "batch_size=16
 
 @pytest.fixture(scope="module")
 def capture() -> RigCapture:
-    return make_rig_capture([0.0, 80.0, -120.0], frames=60, seed=3)
+    return make_rig_capture([0.0, 80.0, -120.0], frames=40, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_files_become_an_animation_cameras_and_a_model(
     assert first.returncode == 0, first.stderr
     told = json.loads(first.stdout)
     assert told["arrangement"] == "static"
-    assert told["frames"] == told["in_room"] == 60
+    assert told["frames"] == told["in_room"] == 40
     written = {Path(file).name for file in told["files"]}
     assert {"animation.trc", "animation.npz", "animation.csv", "cameras.toml"} <= written
     assert {"cameras.yml", "model.safetensors"} <= written

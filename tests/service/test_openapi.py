@@ -34,7 +34,7 @@ from service.resources import (
     queues,
     reconstructions,
 )
-from tests.service.conftest import SEEKING, Live, frames_of, to_npz
+from tests.service.conftest import CONFIG, Live, frames_of, to_npz
 
 # Where the forms of answers are.
 MODULES = (
@@ -268,7 +268,7 @@ def test_a_generated_client_does_the_whole_job(
         file = types.File(payload=io.BytesIO(to_npz(keypoints=capture.keypoints[30:])))
         assert call("datasets.append_frames", dataset.id, body=file).frames == 60
 
-        config = wire.FitConfig.from_dict(SEEKING)
+        config = wire.FitConfig.from_dict(CONFIG)
         fit = call("fits.create_fit", body=wire.FitCreate(dataset_id=dataset.id, config=config))
         deadline = time.monotonic() + 300
         while fit.status in (wire.JobStatus.QUEUED, wire.JobStatus.RUNNING):
@@ -276,7 +276,7 @@ def test_a_generated_client_does_the_whole_job(
             time.sleep(0.1)
             fit = call("fits.get_fit", fit.id)
         assert fit.status == wire.JobStatus.SUCCEEDED
-        assert fit.progress.step == SEEKING["steps"]
+        assert fit.progress.step == CONFIG["steps"]
         assert len(call("fits.get_reconstruction", fit.id).frames) == 60
 
         model = call("models.get_model", fit.model_id)

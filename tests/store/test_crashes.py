@@ -2,7 +2,6 @@
 
 import random
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -15,6 +14,8 @@ from store.ids import new_id
 from store.records import Dataset
 from store.settings import StoreSettings
 from tests.deployments import embedded_only
+from tests.fork_server import Popen
+from worker.process import python
 
 WRITER = """
 import sys
@@ -41,9 +42,8 @@ def test_killed_writers_leave_whole_datasets_and_orphans_that_are_swept(
 ) -> None:
     rng = random.Random(0)  # noqa: S311
     for _ in range(6):
-        with subprocess.Popen(
-            [sys.executable, "-c", WRITER, settings.model_dump_json()], stdout=subprocess.PIPE
-        ) as writer:
+        command = python("-c", WRITER, settings.model_dump_json())
+        with Popen(command, stdout=subprocess.PIPE) as writer:
             assert writer.stdout is not None
             writer.stdout.readline()
             time.sleep(rng.uniform(0.02, 0.2))
@@ -69,8 +69,8 @@ def test_a_killed_put_leaves_no_object_and_its_part_is_swept(store: Store, tmp_p
         "data = bytes(200_000_000); print('ready', flush=True); objects.put(sys.argv[2], data)"
     )
     key = keys.of_chunk(new_id("ds"), b"")
-    command = [sys.executable, "-c", code, store.objects.url, key]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:
+    command = python("-c", code, store.objects.url, key)
+    with Popen(command, stdout=subprocess.PIPE) as writer:
         assert writer.stdout is not None
         writer.stdout.readline()
         while not list(tmp_path.glob("objects/datasets/*/*")):

@@ -82,7 +82,7 @@ def store(settings: WorkerSettings) -> Iterator[Store]:
 
 @pytest.fixture(scope="session")
 def capture() -> Capture:
-    seen = synthetic_capture(frames=60, views=3, noise=1.0, hidden_keypoints=0.05, seed=1)
+    seen = synthetic_capture(frames=16, views=3, noise=1.0, hidden_keypoints=0.05, seed=1)
     return Capture.checked(seen.keypoints, seen.confidence, seen.points3d)
 
 

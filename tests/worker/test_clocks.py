@@ -53,10 +53,7 @@ def test_neither_takes_the_others_fit(
         progress = lookup.get(store, FitJob, fit.id).progress
         return 0 if progress is None else int(progress["step"])
 
-    right = queued()
     start_worker()
-    wait_for_step(store, right.id, 1)
-    wrong = queued()
     clocks = Clocks(tmp_path / "clocks")
     with clocks.off(off):
         worker = subprocess.Popen(
@@ -69,10 +66,12 @@ def test_neither_takes_the_others_fit(
         assert first is not None
         assert second is not None
         assert abs((first - second).total_seconds()) > 0.9 * HOUR
-        wait_for_step(store, wrong.id, 1)
-        begun = {fit.id: step_of(fit) for fit in (right, wrong)}
+        both = [queued(), queued()]  # one for each: a fit does not end
+        for fit in both:
+            wait_for_step(store, fit.id, 1)
+        begun = {fit.id: step_of(fit) for fit in both}
         time.sleep(SHORT_LEASE)  # in which each has looked after the records a few times
-        for fit in (right, wrong):
+        for fit in both:
             record = lookup.get(store, FitJob, fit.id)
             assert (record.status, record.attempt, record.crashes) == ("running", 1, 0)
             assert step_of(fit) > begun[fit.id]

@@ -35,7 +35,7 @@ def store(tmp_path: Path) -> Any:
 
 
 def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked: Any) -> FitJob:
-    """Fit in slices of 16 frames; after the second slice set what is ``asked`` of the heartbeat."""
+    """Fit in slices of 5 frames; after the second slice set what is ``asked`` of the heartbeat."""
     described = Description("figure", skeleton={"edges": EDGES}, image_sizes=SIZES)
     dataset_id = datasets.create(store, capture, described).id
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 5})
@@ -55,12 +55,12 @@ def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked
         monkeypatch.setattr(FittedPrior, "lift", lift)  # trainers lift, too: that does not count
         return prior
 
-    monkeypatch.setattr(fitting, "LIFT_FRAMES", 16)
+    monkeypatch.setattr(fitting, "LIFT_FRAMES", 5)
     monkeypatch.setattr(Trainer, "result", result)
     # Checkpoints by the clock would depend on how busy the machine is.
     settings = WorkerSettings(data_dir=Path("unused"), checkpoint_seconds=3600)
     fitting.run_attempt(store, attempt, heartbeat, settings)
-    assert lifted == ([16, 16] if asked else [16, 16, 16, 12])
+    assert lifted == ([5, 5] if asked else [5, 5, 5, 1])
     return lookup.get(store, FitJob, fit.id)
 
 

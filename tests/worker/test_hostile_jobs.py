@@ -4,7 +4,7 @@ import os
 import pickle
 import zlib
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -54,8 +54,18 @@ def fields(**values: str | bytes) -> Spoil:
     return lambda redis, job: redis.hset(job.key, mapping=cast(Any, values))
 
 
+@cache
+def a_bomb() -> bytes:
+    """Return a quarter of a megabyte that says it is a quarter of a gigabyte."""
+    return zlib.compress(bytes(2**28), 9)
+
+
+def compressed(redis: Redis, job: Job) -> None:
+    redis.hset(job.key, "data", a_bomb())
+
+
 def compressed_twice(redis: Redis, job: Job) -> None:
-    redis.hset(job.key, "data", zlib.compress(zlib.compress(bytes(2**28), 9), 9))
+    redis.hset(job.key, "data", zlib.compress(a_bomb(), 9))
 
 
 def claims(*call: Any) -> Spoil:
@@ -65,7 +75,7 @@ def claims(*call: Any) -> Spoil:
 SPOILT: dict[str, Spoil] = {
     **{f"data: {name}": fields(data=data) for name, data in BOMBS.items()},
     **{f"meta: {name}": fields(meta=data) for name, data in BOMBS.items()},
-    "data that grows": fields(data=zlib.compress(bytes(2**28), 9)),
+    "data that grows": compressed,
     "data that grows twice": compressed_twice,
     "data that is cut": fields(data=zlib.compress(pickle.dumps(("f", None, (), {})))[:-3]),
     "large data": fields(data=bytes(2**25)),

@@ -23,7 +23,7 @@ from tests.worker.conftest import CONFIG, FitHere, StartWorker, wait_for, wait_f
 from worker import patience
 from worker.queue import enqueue, open_queue
 
-CHUNKS = 100
+CHUNKS = 200
 BRIEF = CONFIG | {"steps": 1, "refine": "off"}
 SLOW = {"steps": 600, "dictionary_sizes": [64, 16], "refine": "off"}
 

@@ -43,6 +43,7 @@ from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
 
 SLOW = CONFIG | {"steps": 500, "refine": "off"}
+BRIEF = CONFIG | {"steps": 2, "refine": "off"}
 
 
 @pytest.fixture
@@ -284,7 +285,7 @@ def test_later_jobs_find_imported_what_takes_seconds(
     worker = subprocess.Popen(tied("-m", "service.cli", "worker"), env=os.environ | environment)
     try:
         for _ in range(2):
-            fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG)
+            fit = fits.create(store, dataset_id=dataset_id, name="f", config=BRIEF)
             enqueue(open_queue(redis), fit)
             assert wait_until(store, fit.id, "succeeded", "failed").error is None
         assert "libtorch" in Path(f"/proc/{worker.pid}/maps").read_text()

@@ -1,6 +1,7 @@
 """After compiling ahead, no fit and no lift compiles anything more."""
 
 import json
+import multiprocessing
 import subprocess
 from collections.abc import Callable
 
@@ -9,26 +10,22 @@ import pytest
 
 from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
+from models.numerics.compiled import signatures
+from models.numerics.threads import use_threads
 from models.settings.calibration import KnownLength
 from models.settings.config import Arrangement, FitConfig, Refine
-from models.training.precompile import noisy_film_at_rest
+from models.training.precompile import PROCESSES, compile_all, noisy_film_at_rest
 from models.training.trainer import Trainer, fit
 from tests.sharing import made_once
 from worker.process import python
 
 MODES: tuple[Refine, ...] = ("auto", "full", "off")
-AHEAD = """
-import json
-from models.training.precompile import compile_all
-print(json.dumps(sorted(compile_all())))
-"""
-# What is machine code in a process that did nothing else: not forked, for that has it all.
-PART = """
+# Run in one process, which imports torch and Numba once and forks one more for each part. It is
+# started from nothing: what tests fork otherwise has everything as machine code.
+COMPILED = """
 import json
 import tests.models.training.test_precompile as parts
-from models.numerics.compiled import signatures
-parts.PARTS["{name}"]()
-print(json.dumps(sorted(signatures())))
+print(json.dumps(parts.compiled()))
 """
 
 
@@ -87,7 +84,6 @@ def fit_odd_captures() -> None:
     fit(few, FitConfig(steps=4))
 
 
-# A few together, for each process imports torch and Numba.
 PARTS: dict[str, Callable[[], None]] = {
     "refined where it helps": lambda: fit_resume_and_lift("auto", "auto"),
     "always refined": lambda: fit_resume_and_lift("full", "moving"),
@@ -98,21 +94,37 @@ PARTS: dict[str, Callable[[], None]] = {
 }
 
 
+def compiled() -> dict[str, list[str]]:
+    """Return the functions that are machine code after each part, and after compiling ahead."""
+    ahead = sorted(compile_all())
+    with multiprocessing.get_context("fork").Pool(PROCESSES, maxtasksperchild=1) as pool:
+        needed = pool.map(needed_by, PARTS, chunksize=1)
+    return {"ahead": ahead, **dict(zip(PARTS, needed, strict=True))}
+
+
+def needed_by(part: str) -> list[str]:
+    """Return the functions that are machine code in a process that did nothing but a part."""
+    use_threads(1)
+    assert not signatures()
+    PARTS[part]()
+    return sorted(signatures())
+
+
 @pytest.fixture(scope="module")
-def ahead(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
-    """Return the functions that compiling ahead leaves as machine code."""
-    return set(json.loads(made_once(tmp_path_factory, "ahead.json", lambda: printed_by(AHEAD))))
+def functions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    def compiled_elsewhere() -> bytes:
+        command = python("-W", "ignore", "-c", COMPILED)
+        return subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout
 
-
-def printed_by(code: str) -> bytes:
-    command = python("-W", "ignore", "-c", code)
-    return subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout
+    found: dict[str, list[str]] = json.loads(
+        made_once(tmp_path_factory, "compiled.json", compiled_elsewhere)
+    )
+    return found
 
 
 @pytest.mark.parametrize("part", PARTS)
 def test_fits_and_lifts_need_nothing_that_was_not_compiled_ahead(
-    part: str, ahead: set[str]
+    part: str, functions: dict[str, list[str]]
 ) -> None:
-    needed = set(json.loads(printed_by(PART.format(name=part))))
-    assert needed
-    assert needed <= ahead
+    assert functions[part]
+    assert set(functions[part]) <= set(functions["ahead"])

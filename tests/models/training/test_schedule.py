@@ -1,11 +1,15 @@
 """Fits that are short of time, learn nothing more, or start from a model."""
 
+import json
+
 import numpy as np
 import pytest
+from safetensors.torch import load
 
 from models.capture.metrics import pa_mpjpe
 from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
+from models.numerics.tensor_files import pack, read_about
 from models.settings.config import WARM_STEPS, FitConfig, warm
 from models.training.budget import Clock, plan_within_budget
 from models.training.holdout import split
@@ -88,7 +92,7 @@ def test_a_budget_ends_a_fit_that_would_not_end_with_a_usable_prior(
 
 def test_a_budget_that_suffices_changes_nothing(capture: SyntheticCapture) -> None:
     def weights(config: FitConfig) -> list[bytes]:
-        found = fit(capture.keypoints, config).weights
+        found = fit(capture.keypoints[:60], config).weights
         return [value.numpy().tobytes() for value in found.values()]
 
     plain = QUICK.model_copy(update={"steps": 60})
@@ -109,6 +113,25 @@ def test_a_resumed_fit_keeps_to_its_budget_and_its_plan(capture: SyntheticCaptur
     one, other = advance(whole, 45), advance(part, 45)
     assert one.steps == other.steps < 1_000_000
     assert whole.result().to_bytes() == part.result().to_bytes()
+
+
+def test_a_fit_whose_time_is_over_when_teachers_are_due_notes_no_step_twice(
+    capture: SyntheticCapture,
+) -> None:
+    config = QUICK.model_copy(update={"steps": 100, "budget_s": 3600.0, "refine": "off"})
+    plan = Schedule.of(config)
+    due = next(step for step in range(plan.steps) if plan.refreshes_due(step))
+    trainer = Trainer(capture.keypoints[:30], config)
+    next(progress for progress in trainer.run() if progress.step == due)
+    data = trainer.checkpoint()
+    about = read_about(data, kind="checkpoint")
+    state = json.loads(about["state"])
+    state["clock"]["seconds"] = config.budget_s
+    late = pack(load(data), kind="checkpoint", about=about | {"state": json.dumps(state)})
+    trainer = Trainer(capture.keypoints[:30], config, checkpoint=late)
+    assert [progress.stopped_by for progress in trainer.run()] == ["budget"]
+    prior = FittedPrior.from_bytes(trainer.result().to_bytes())  # which reads rising steps alone
+    assert [row.step for row in prior.curve[-2:]] == [due - 1, due]
 
 
 def test_a_fit_that_learns_nothing_more_ends_early() -> None:

@@ -239,7 +239,7 @@ def test_a_resumed_fit_ends_bit_for_bit_where_an_uninterrupted_one_does() -> Non
 
 def test_a_fit_resumes_bit_for_bit_while_its_cameras_are_found() -> None:
     """Wherever it is interrupted: in the search, and while teachers are made with its outcome."""
-    capture = synthetic_capture(frames=60, views=3, noise=1, hidden_keypoints=0.05, seed=1)
+    capture = synthetic_capture(frames=15, views=3, noise=1, hidden_keypoints=0.05, seed=1)
     config = QUICK.model_copy(update={"batch_size": 16})
     whole = Trainer(capture.keypoints, config)
     data = [whole.checkpoint() for progress in whole.run() if progress.stage == "refining"]

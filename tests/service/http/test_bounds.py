@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -48,22 +48,30 @@ def body(**others: Any) -> bytes:
     return b'{"keypoints":' + KEYPOINTS + b"," + orjson.dumps(others)[1:]
 
 
-BODIES = {
-    "/view_names": ("/datasets", body(view_names=[1] * MANY)),
-    "/image_sizes": ("/datasets", body(image_sizes=[[0, 0]] * (MANY // 4))),
-    "/skeleton": ("/datasets", body(skeleton={"edges": [[-1, -1]] * (MANY // 4)})),
-    "/tags": ("/datasets", body(tags=[""] * MANY)),
-    "/metadata": ("/datasets", body(metadata={str(n): 0 for n in range(MANY // 4)})),
-    "/0": ("/datasets", body(**{str(n): 0 for n in range(MANY // 4)})),
-    "/views": ("/lift", b'{"model":"mdl_1","frames":[],"views":' + b"[" + b"-1," * MANY + b"0]}"),
-    "/config": ("/fits", orjson.dumps({"dataset_id": "ds_1", "config": {"view": [0] * MANY}})),
-    "/calibration": ("/evaluations", orjson.dumps({"calibration": [{}] * MANY})),
+# Made when they are sent, for they take a second and are 80 MB.
+BODIES: dict[str, tuple[str, Callable[[], bytes]]] = {
+    "/view_names": ("/datasets", lambda: body(view_names=[1] * MANY)),
+    "/image_sizes": ("/datasets", lambda: body(image_sizes=[[0, 0]] * (MANY // 4))),
+    "/skeleton": ("/datasets", lambda: body(skeleton={"edges": [[-1, -1]] * (MANY // 4)})),
+    "/tags": ("/datasets", lambda: body(tags=[""] * MANY)),
+    "/metadata": ("/datasets", lambda: body(metadata={str(n): 0 for n in range(MANY // 4)})),
+    "/0": ("/datasets", lambda: body(**{str(n): 0 for n in range(MANY // 4)})),
+    "/views": (
+        "/lift",
+        lambda: b'{"model":"mdl_1","frames":[],"views":' + b"[" + b"-1," * MANY + b"0]}",
+    ),
+    "/config": (
+        "/fits",
+        lambda: orjson.dumps({"dataset_id": "ds_1", "config": {"view": [0] * MANY}}),
+    ),
+    "/calibration": ("/evaluations", lambda: orjson.dumps({"calibration": [{}] * MANY})),
 }
 
 
 @pytest.mark.parametrize("pointer", BODIES)
 def test_fields_that_hold_too_much_are_refused_at_once(live: Live, pointer: str) -> None:
-    path, data = BODIES[pointer]
+    path, made = BODIES[pointer]
+    data = made()
     with watched(live) as waits:
         answer = live.http.post(path, content=data, headers=JSON, timeout=60)
     problem(answer, 422, "invalid_input", pointer)

@@ -29,6 +29,7 @@ from tests.service.conftest import (
     frames_of,
     make_dataset,
     problem,
+    to_npz,
 )
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
@@ -138,11 +139,12 @@ def test_one_view_tells_nothing_of_cameras(api: TestClient) -> None:
     assert "a single view" in found["reason"]
 
 
-def test_the_cameras_of_a_capture_are_found(
-    live: Live, fitted: dict[str, Any], capture: SyntheticCapture
-) -> None:
+def test_the_cameras_of_a_capture_are_found(live: Live, capture: SyntheticCapture) -> None:
     """By the fit itself; they travel with the weights."""
-    fit = live.finished(live.fit(fitted["dataset_id"], cameras="auto")["id"])
+    few = live.http.post(
+        "/datasets", content=to_npz(keypoints=capture.keypoints[:20]), headers=BYTES
+    )
+    fit = live.finished(live.fit(few.json()["id"], cameras="auto")["id"])
     found = live.get(f"/models/{fit['model_id']}/cameras")
     assert found["arrangement"] in ("static", "moving", "mixed")
     assert found["reason"]
