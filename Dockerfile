@@ -31,8 +31,7 @@ ENV PATH=/opt/fewview/bin:$PATH \
     NUMBA_CPU_NAME=generic \
     NUMBA_CPU_FEATURES= \
     FEWVIEW_DATA_DIR=/data \
-    FEWVIEW_HOST=0.0.0.0 \
-    FEWVIEW_OPEN_TO_NETWORK=true
+    FEWVIEW_HOST=0.0.0.0
 USER fewview
 WORKDIR /data
 VOLUME /data

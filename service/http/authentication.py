@@ -40,7 +40,8 @@ class Authentication:
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self._app, self._settings = app, settings
-        self._probes = () if is_loopback(settings.host) else PROBES
+        closed = is_loopback(settings.host) and settings.trust_local
+        self._probes = () if closed else PROBES
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""

@@ -337,6 +337,8 @@ def _await_api(address: str, children: Sequence[Child], signals: _Signals) -> No
         try:
             with direct.open(f"{address}/health/live", timeout=1):
                 return
+        except urllib.error.HTTPError:  # such as that it wants a key
+            return
         except (urllib.error.URLError, TimeoutError, ConnectionError):
             for child in children:
                 _check_starting(child, deadline, signals)

@@ -33,6 +33,7 @@ from service.settings import Settings
 from tests.deployments import deployed
 from tests.fork_server import Popen
 from tests.processes import descendants, free_port, processes
+from tests.service.owner import OwnersClient
 from tests.sharing import fitted_once
 from worker.process import python, tied
 
@@ -160,7 +161,7 @@ def settings(valkey: ValkeyServer, deployment: dict[str, Any]) -> Settings:
 @pytest.fixture(scope="session")
 def api(settings: Settings) -> Iterator[TestClient]:
     """Serve the app in this process. No worker: what is queued stays queued."""
-    with TestClient(create_app(settings), raise_server_exceptions=False) as client:
+    with OwnersClient(create_app(settings), raise_server_exceptions=False) as client:
         yield client
 
 

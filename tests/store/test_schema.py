@@ -136,11 +136,18 @@ def test_records_of_a_newer_version_are_refused(engine: Engine, own: StoreSettin
             open_them()
 
 
+OF_KEYS = ("project", "key_id", "stored_bytes")
+
+
 def test_a_data_folder_is_migrated_as_it_is_opened(tmp_path: Path) -> None:
     settings = StoreSettings(data_dir=tmp_path)
     Store(settings).close()
     older = open_engine(settings.resolved_database_url, forks=False)
     execute(older, "DROP TABLE alembic_version", "ALTER TABLE datasets DROP COLUMN findings")
+    execute(older, "DROP TABLE keys", "DROP TABLE audit")
+    for kind in ("datasets", "fits", "lifts", "models"):
+        execute(older, f"DROP INDEX ix_{kind}_project", f"DROP INDEX ix_{kind}_key_id")
+        execute(older, *(f"ALTER TABLE {kind} DROP COLUMN {name}" for name in OF_KEYS))
     execute(older, *(f"DROP INDEX ix_{kind}_name" for kind in ("datasets", "fits", "lifts")))
     execute(older, "DROP INDEX ix_models_name", "DROP INDEX ix_models_fit_id")
     execute(older, "DROP INDEX ix_models_dataset_id", "DROP INDEX ix_fits_from_model")

@@ -7,6 +7,7 @@ from starlette.testclient import TestClient
 from service.app import create_app
 from service.settings import Settings
 from tests.service.conftest import problem
+from tests.service.owner import OwnersClient
 
 PAGE = "https://lab.example"
 ALLOW = "access-control-allow-origin"
@@ -39,7 +40,7 @@ def test_a_foreign_page_can_post_nothing(api: TestClient, model: str, unchanged:
     ("told", "open_to_all"), [(f"http://localhost:3000, {PAGE}", False), ("*", True)]
 )
 def test_origins_that_are_told_may_call(settings: Settings, told: str, open_to_all: bool) -> None:
-    with TestClient(create_app(settings.model_copy(update={"cors_origins": told}))) as client:
+    with OwnersClient(create_app(settings.model_copy(update={"cors_origins": told}))) as client:
         asked = client.options("/datasets", headers=ASKING)
         assert asked.status_code == 200
         assert "PATCH" in asked.headers["access-control-allow-methods"]
@@ -71,11 +72,11 @@ def test_what_is_no_origin_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_fault_can_be_read_by_the_page_that_met_it(settings: Settings) -> None:
     app = create_app(settings.model_copy(update={"cors_origins": PAGE}))
     app.add_api_route("/faulty", lambda: 1 // 0)
-    with TestClient(app, raise_server_exceptions=False) as client:
+    with OwnersClient(app, raise_server_exceptions=False) as client:
         for origin, readable in ((PAGE, True), ("https://evil.example", False)):
             answer = client.get("/faulty", headers={"Origin": origin})
             problem(answer, 500, "internal_error")
             assert (ALLOW in answer.headers) == readable
             assert "ZeroDivision" not in answer.text
-    with TestClient(app) as client, pytest.raises(ZeroDivisionError):  # which the server logs
+    with OwnersClient(app) as client, pytest.raises(ZeroDivisionError):  # which the server logs
         client.get("/faulty")

@@ -6,14 +6,13 @@ from typing import Any
 import httpx2
 import orjson
 import pytest
-from pydantic import ValidationError
-from starlette.testclient import TestClient
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from service.app import create_app
 from service.settings import Settings
 from tests.service.conftest import Live, problem
+from tests.service.owner import OwnersClient
 
 FOREIGN = ("evil.example", "evil.example:8000", "localhost.evil.example", "127.0.0.1.evil.example")
 
@@ -74,22 +73,8 @@ def test_further_names_are_told(
     settings: Settings, told: dict[str, str], own: tuple[str, ...], foreign: tuple[str, ...]
 ) -> None:
     other = settings.model_copy(update={"allowed_hosts": "", **told})
-    client = TestClient(create_app(other))  # whose store nobody opens: none of this needs one
+    client = OwnersClient(create_app(other))  # whose store nobody opens: none of this needs one
     for host in (*own, "localhost:8000"):
         assert asked(client, host).status_code == 200, host
     for host in foreign:
         problem(asked(client, host), 421, "host_not_allowed")
-
-
-def test_listening_to_the_network_must_be_meant(monkeypatch: pytest.MonkeyPatch) -> None:
-    for host in ("0.0.0.0", "::", "192.168.1.5", "lab.example", ""):  # noqa: S104
-        with pytest.raises(ValidationError, match=r"no keys yet.*FEWVIEW_OPEN_TO_NETWORK"):
-            Settings(host=host)
-        assert Settings(host=host, open_to_network=True).host == host
-    for host in ("127.0.0.1", "localhost", "::1", "127.0.0.2"):
-        assert Settings(host=host).host == host
-    monkeypatch.setenv("FEWVIEW_HOST", "0.0.0.0")  # noqa: S104
-    with pytest.raises(ValidationError, match="FEWVIEW_OPEN_TO_NETWORK"):
-        Settings()
-    monkeypatch.setenv("FEWVIEW_OPEN_TO_NETWORK", "true")
-    assert Settings().host == "0.0.0.0"  # noqa: S104

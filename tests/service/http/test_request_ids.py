@@ -17,6 +17,7 @@ from service.settings import Settings
 from store import lookup
 from store.records import FitJob
 from tests.service.conftest import JSON, make_dataset, problem, served
+from tests.service.owner import OwnersClient
 from worker.contract import KnownJob, PlainDataSerializer
 from worker.queue import enqueue_again
 
@@ -91,7 +92,7 @@ def test_faults_of_ours_name_the_request(settings: Settings) -> None:
     for origins in ("", "https://lab.example"):
         app = create_app(settings.model_copy(update={"cors_origins": origins}))
         app.add_api_route("/fault", fail)
-        with TestClient(app, raise_server_exceptions=False) as client:
+        with OwnersClient(app, raise_server_exceptions=False) as client:
             answer = client.get("/fault", headers={HEADER: "mine"})
             problem(answer, 500, "internal_error")
             assert answer.headers[HEADER] == answer.json()["request_id"] == "mine"

@@ -101,19 +101,23 @@ def test_a_script_queues_a_fit_on_the_embedded_queue(deep: Live) -> None:
     assert ended["error"]["code"] == "invalid_arguments"
 
 
-def test_open_to_the_network_it_says_what_is_missing(tmp_path: Path) -> None:
+def test_it_listens_to_the_network_with_a_key_alone(tmp_path: Path) -> None:
     """And its start tells no password."""
     with ValkeyServer(port=free_port()) as server:
         with Redis.from_url(server.connection_url) as client:
             client.config_set("requirepass", "secret")
-        live = start_service(
-            tmp_path / "data",
-            "--host=0.0.0.0",
-            "--open-to-network=true",
-            f"--redis-url=redis://:secret@127.0.0.1:{server.port}/0",
-        )
+        arguments = ("--host=0.0.0.0", f"--redis-url=redis://:secret@127.0.0.1:{server.port}/0")
+        settings = [f"--data-dir={tmp_path / 'data'}"]
+        refused = run("serve", *arguments, "--port=0", *settings)
+        assert refused.returncode == 2
+        assert "fewview key create" in refused.stderr
+        token = run("key", "create", "tests", *settings).stdout.strip()
+        live = start_service(tmp_path / "data", *arguments)
         try:
-            assert "no keys yet" in live.said
+            with httpx2.Client(
+                base_url=live.url, headers={"Authorization": f"Bearer {token}"}
+            ) as key:
+                assert key.get("/version").status_code == 200
             assert "secret" not in live.said
             assert f"redis://***@127.0.0.1:{server.port}/0" in live.said
             assert live.get("/health/ready")["queue"]["status"] == "ok"

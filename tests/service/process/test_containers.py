@@ -210,7 +210,7 @@ def test_health_is_asked_for_where_the_service_listens(
     host: str, asked: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        cli.run("health", ["api", f"--host={host}", "--open-to-network=true", "--port=9"])
+        cli.run("health", ["api", f"--host={host}", "--port=9"])
     assert ended.value.code == 1
     assert f"The API at {asked}:9 does not answer" in capsys.readouterr().out
 

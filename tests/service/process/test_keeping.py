@@ -38,6 +38,7 @@ from tests.deployments import PostgreSQL
 from tests.object_stores import S3
 from tests.processes import free_port
 from tests.service.conftest import BYTES, Live, frames_of, to_safetensors
+from tests.service.owner import OwnersClient
 from worker.queue import enqueue, open_queue, open_queues
 
 ARCHIVE = Path(__file__).parents[2] / "fixtures" / "data_folder.tar.xz"
@@ -101,7 +102,7 @@ def app_of(environment: dict[str, str], valkey: ValkeyServer) -> TestClient:
         store_url=environment["FEWVIEW_STORE_URL"],
         redis_url=AnyUrl(f"{valkey.connection_url}/1"),
     )
-    return TestClient(create_app(settings), base_url="http://127.0.0.1")
+    return OwnersClient(create_app(settings), base_url="http://127.0.0.1")
 
 
 def listed(client: Any) -> dict[str, Any]:

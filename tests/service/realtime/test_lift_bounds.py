@@ -26,6 +26,7 @@ from tests.service.conftest import (
     to_npz,
     zip_of,
 )
+from tests.service.owner import OwnersClient
 
 FRAMES = 18_000
 
@@ -34,7 +35,7 @@ FRAMES = 18_000
 def roomy(settings: Settings, model: str) -> Iterator[TestClient]:
     """Serve in this process what takes as many frames as the service does by default."""
     wide = {"max_frames": 100_000, "max_body_bytes": 128 * MIB, "max_pending_bytes": 256 * MIB}
-    with TestClient(create_app(settings.model_copy(update=wide))) as client:
+    with OwnersClient(create_app(settings.model_copy(update=wide))) as client:
         yield client
 
 

