@@ -56,6 +56,8 @@ def ask(folder: Path, **environment: str) -> tuple[float, int]:
     """Return the answer of a new process, and how many functions it did not have to compile."""
     inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     user = {"PYTHONPATH": str(folder), "XDG_CACHE_HOME": str(folder / "user")}
+    # Python would take a file of the same second and size for the one whose bytecode it kept.
+    user["PYTHONDONTWRITEBYTECODE"] = "1"
     done = subprocess.run(
         [*COMMON_USER, sys.executable, "-c", ASK],
         cwd=folder,
