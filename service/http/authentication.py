@@ -8,7 +8,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.http.errors import ApiError
-from service.http.keyring import OWNER, Caller, Keyring
+from service.http.keyring import ANYBODY, OWNER, Caller, Keyring
 from service.http.peers import Peer
 from service.http.rates import Rates
 from service.settings import Settings, is_loopback
@@ -45,18 +45,25 @@ class Authentication:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
-        if scope["type"] in ("http", "websocket") and scope["path"] not in self._probes:
+        if scope["type"] in ("http", "websocket"):
             try:
-                caller = self._identify(scope)
-                _check_scope(caller, needed(scope.get("method", "GET"), scope["path"]))
-                if caller.author.quotas.requests_per_second is not None:
-                    rates: Rates = scope["app"].state.rates
-                    await rates.take_request(caller)
+                caller = await self._let_in(scope)
             except ApiError as error:
                 await error.response()(scope, receive, send)
                 return
-            scope["state"]["caller"] = caller
+            scope.setdefault("state", {})["caller"] = caller
         await self._app(scope, receive, send)
+
+    async def _let_in(self, scope: Scope) -> Caller:
+        """Return who sends a request that is allowed; raise ``ApiError`` for any other."""
+        if scope["path"] in self._probes:
+            return ANYBODY
+        caller = self._identify(scope)
+        _check_scope(caller, needed(scope.get("method", "GET"), scope["path"]))
+        if caller.author.quotas.requests_per_second is not None:
+            rates: Rates = scope["app"].state.rates
+            await rates.take_request(caller)
+        return caller
 
     def _identify(self, scope: Scope) -> Caller:
         """Return who sends a request; raise ``ApiError`` 401 if nobody knows."""

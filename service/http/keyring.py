@@ -39,6 +39,7 @@ class Caller(NamedTuple):
     expires_at: float | None = None
 
 
+ANYBODY = Caller(Author(key_id="anybody"), frozenset())
 OWNER = Caller(Author(), frozenset(SCOPES))  # the user that the service runs as
 
 
