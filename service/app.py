@@ -26,7 +26,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp
 
 from service.http import errors
-from service.http.authentication import Authentication
+from service.http.authentication import Authentication, needed
 from service.http.connections import KEEP_ALIVE_SECONDS, Connection
 from service.http.dependencies import refuse_foreign_changes, refuse_unknown_query
 from service.http.faults import Faults
@@ -106,6 +106,13 @@ EXPOSED_HEADERS = (
     "X-Request-Id",
 )
 
+BEARER = {
+    "type": "http",
+    "scheme": "bearer",
+    "description": "The token of a key, as `fewview key create` or `POST /keys` gives it. Who "
+    "connects from the service's own machine, as its own user or as root, needs none.",
+}
+
 DESCRIPTION = """
 3D structure and camera rotations from the 2D keypoints of a few uncalibrated, possibly moving
 cameras. Store a capture (`POST /datasets`), fit a model to it (`POST /fits`), follow the fit
@@ -130,7 +137,6 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.events = Events(app.state.store, app.state.leaving)
         app.state.engine = _make_engine(app, settings)
         app.state.keyring = Keyring(app.state.store, fixed_callers(settings))
-        app.state.rates = Rates(str(settings.redis_url))
         app.state.integrity = Integrity(app.state.store)
         app.state.rooms = Rooms(app.state.store)
         threading.Thread(target=app.state.engine.models.warm_newest, daemon=True).start()
@@ -203,6 +209,7 @@ def _set_bounds(app: FastAPI, settings: Settings) -> None:
     app.state.large_lifts = asyncio.Semaphore(large)
     # As many again are for small ones, which wait for nothing.
     app.state.lift_bodies = ThreadPoolExecutor(2 * large, thread_name_prefix="lift-body")
+    app.state.rates = Rates(str(settings.redis_url))
     app.state.streams = asyncio.Semaphore(settings.max_streams)
     app.state.event_places = asyncio.Semaphore(settings.max_event_streams)
 
@@ -255,6 +262,10 @@ def _describe(app: FastAPI) -> None:
             schemas = schema["components"]["schemas"]
             schemas.update(errors.problem_schemas())
             schemas.update(registered_schemas())
+            schema["components"]["securitySchemes"] = {"bearer": BEARER}
+            for path, operations in schema["paths"].items():
+                for method, operation in operations.items():
+                    operation["security"] = [{"bearer": [needed(method.upper(), path)]}]
             for unused in ("HTTPValidationError", "ValidationError"):
                 schemas.pop(unused, None)
             for name, kind in ((n, k) for module in RESOURCES for n, k in vars(module).items()):

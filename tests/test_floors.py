@@ -39,6 +39,7 @@ ROOMS = {
         ("app",),
         ("doctor", "health_check", "openapi", "process"),
         ("keeping",),
+        ("access",),
         ("cli",),
     ),
     CLIENT: (

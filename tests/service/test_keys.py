@@ -18,12 +18,12 @@ from store import access_keys
 from store.access_keys import SCOPES
 from store.database import Store
 from store.quotas import Quotas
-from tests.service.conftest import CONFIG, JSON, Live, frames_of, make_dataset, problem
+from tests.service.conftest import CONFIG, JSON, Live, frames_of, problem
 from tests.service.http.test_peers import NOBODY
 from tests.service.owner import OwnersClient
 from worker.process import tied
 
-# What a route needs that does not follow from its method, by the begin of its path.
+# What a route needs, by the begin of its path or else its method.
 NEEDS = {"/keys": "admin", "/audit": "admin", "/lift": "lift", "/evaluations": "read"}
 OF_METHODS = {"get": "read", "post": "write", "put": "write", "patch": "write", "delete": "delete"}
 WITHOUT_DOCUMENT = [("get", "/docs"), ("get", "/openapi.json"), ("get", "/docs/assets/x.js")]
@@ -205,7 +205,7 @@ def test_another_project_uses_nothing(
     assert stranger.post("/lift", json=frames, headers=key("lift")).status_code == 200  # warm
     problem(stranger.post("/lift", json=frames, headers=other), 404, "not_found")
     of_default = {"dataset_id": things.dataset_id}
-    mine = {"dataset_id": make_dataset(_With(stranger, other))["id"]}
+    mine = {"dataset_id": stranger.post("/datasets", json=FRAMES, headers=other).json()["id"]}
     for url, body in (
         ("/fits", of_default),
         ("/fits", mine | {"from_model": things.model_id}),
@@ -217,16 +217,6 @@ def test_another_project_uses_nothing(
     with stranger.websocket_connect("/lift/stream", headers=other) as stream:
         stream.send_text(orjson.dumps({"model": things.model_id}).decode())
         assert stream.receive_json()["code"] == "not_found"
-
-
-class _With:
-    """A client whose requests have a key."""
-
-    def __init__(self, client: TestClient, key: dict[str, str]) -> None:
-        self._client, self._key = client, key
-
-    def post(self, url: str, *, headers: dict[str, str], **more: Any) -> Any:
-        return self._client.post(url, headers=headers | self._key, **more)
 
 
 def test_idempotency_keys_are_of_a_project(stranger: TestClient, key: MakeKey) -> None:

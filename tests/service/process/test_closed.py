@@ -1,6 +1,7 @@
 """``fewview serve`` and the other users of its machine, and what it tells those who look on."""
 
 import stat
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -107,11 +108,15 @@ def test_it_listens_to_the_network_with_a_key_alone(tmp_path: Path) -> None:
         with Redis.from_url(server.connection_url) as client:
             client.config_set("requirepass", "secret")
         arguments = ("--host=0.0.0.0", f"--redis-url=redis://:secret@127.0.0.1:{server.port}/0")
-        settings = [f"--data-dir={tmp_path / 'data'}"]
-        refused = run("serve", *arguments, "--port=0", *settings)
+
+        def fewview(*words: str) -> "subprocess.CompletedProcess[str]":
+            command = python("-m", "service.cli", *words, f"--data-dir={tmp_path / 'data'}")
+            return run(command)
+
+        refused = fewview("serve", *arguments, "--port=0")
         assert refused.returncode == 2
         assert "fewview key create" in refused.stderr
-        token = run("key", "create", "tests", *settings).stdout.strip()
+        token = fewview("key", "create", "tests").stdout.strip()
         live = start_service(tmp_path / "data", *arguments)
         try:
             with httpx2.Client(

@@ -30,7 +30,12 @@ ROOT = Path(__file__).parents[3]
 COMPOSE = (ROOT / "docker-compose.yml").read_text()
 SERVICES: dict[str, dict[str, Any]] = yaml.safe_load(COMPOSE)["services"]
 OURS = {name: service for name, service in SERVICES.items() if service.get("image") == "fewview"}
-SECRETS = {"POSTGRES_PASSWORD": "a1", "REDIS_PASSWORD": "b2", "S3_SECRET_KEY": "c3"}
+SECRETS = {
+    "POSTGRES_PASSWORD": "a1",
+    "REDIS_PASSWORD": "b2",
+    "S3_SECRET_KEY": "c3",
+    "FEWVIEW_ADMIN_KEY": "d4" * 16,
+}
 
 
 def told(name: str) -> dict[str, str]:
