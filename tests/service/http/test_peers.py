@@ -326,7 +326,7 @@ async def telling(scope: Any, receive: Callable[[], Any], send: Callable[[Any], 
 
 @pytest.fixture(scope="module")
 def port() -> Iterator[int]:
-    connection: Any = partial(Connection, seconds=20)
+    connection: Any = partial(Connection, seconds=20, on_refusal=lambda *_: None)
     config = uvicorn.Config(
         telling, loop="uvloop", http=connection, ws="websockets-sansio", lifespan="off"
     )
