@@ -34,8 +34,7 @@ from tests.service.conftest import (
     wait_for,
 )
 from tests.service.owner import OwnersClient
-from tests.service.process.test_api_processes import api_processes, by_process
-from tests.service.realtime.conftest import started
+from tests.service.process.test_api_processes import api_processes, by_process, stream_of_each
 
 Series = dict[tuple[str, frozenset[tuple[str, str]]], float]
 
@@ -147,7 +146,9 @@ def test_names_follow_the_conventions(api: TestClient, model: str) -> None:
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
-    live = start_service(tmp_path_factory.mktemp("two"), "--api-processes=2", "--lease-seconds=2")
+    live = start_service(
+        tmp_path_factory.mktemp("two"), "--api-processes=2", "--lease-seconds=2", "--max-streams=2"
+    )
     yield live
     kill_service(live)
 
@@ -165,7 +166,8 @@ def test_all_processes_are_one_service(
         before = metrics(first.http)
         for live in (first, first, second):
             assert live.http.post("/lift", json=body).status_code == 200
-        with started(first.http, model), started(second.http, model):
+        with ExitStack() as streams:
+            stream_of_each(two, model, streams)
             for live in (first, second):
 
                 def counted(live: Live = live) -> bool:
