@@ -67,13 +67,7 @@ def rig_from_keypoints(
 
     None where the keypoints speak against any two cameras at rest.
     """
-    # Two views hold each other less than noise disturbs them: they do better without it.
-    keypoints = problem.detected if len(among) >= LEAST_VIEWS else problem.keypoints
-    images, sizes = _straight_images(problem, keypoints)
-    asked = np.isin(np.arange(len(sizes)), among)
-    weights = problem.weights * asked[:, None]
-    beliefs = _beliefs(problem)
-    found = yield from find_resting_rig(images, weights, beliefs, sizes)
+    found = yield from geometry_of(problem, among)
     if found is None:
         return None
     members = [int(k) for k in np.flatnonzero(found.resting)]
@@ -88,10 +82,24 @@ def rig_from_keypoints(
         starts.append(start._replace(noise=noise, measured_noise=noise))
         units.append(structures.unit)
     best, mirror = starts
-    groups = _lens_groups(problem, beliefs, found)
+    groups = _lens_groups(problem, lens_beliefs(problem), found)
     noise = found.noise * problem.side
     sds = _deviations(problem, found, units[0])
     return KeypointRig(best, mirror, members, noise, found.log_odds, groups, sds)
+
+
+def geometry_of(problem: Problem, among: list[int]) -> Steps[RestingRig | None]:
+    """Find cameras at rest `among` some views from keypoints alone; None where none explain them.
+
+    The rig is in sides of the longest image.
+    """
+    # Two views hold each other less than noise disturbs them: they do better without it.
+    keypoints = problem.detected if len(among) >= LEAST_VIEWS else problem.keypoints
+    images, sizes = _straight_images(problem, keypoints)
+    asked = np.isin(np.arange(len(sizes)), among)
+    weights = problem.weights * asked[:, None]
+    found = yield from find_resting_rig(images, weights, lens_beliefs(problem), sizes)
+    return found
 
 
 def _deviations(problem: Problem, found: RestingRig, unit: float) -> Float64:
@@ -141,7 +149,7 @@ def _lenses(problem: Problem, moving: Solution, rig: Rigid, resting: NDArray[np.
     )
 
 
-def _beliefs(problem: Problem) -> Beliefs:
+def lens_beliefs(problem: Problem) -> Beliefs:
     """Say what is believed of the lenses, in sides of the longest image."""
     images, sds = problem.images, problem.lens_sds
     focals = problem.reference.lenses.focals.mean(1)

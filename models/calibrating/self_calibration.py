@@ -22,16 +22,14 @@ from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.handedness import DECIDED
-from models.calibrating.image_sizes import ImageSizes, images_of
+from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
     CLEAR,
     Problem,
     Solution,
+    problem_of,
     reprojection_distances,
-    told_lenses,
-    told_poses,
-    usual_rig,
 )
 from models.calibrating.result import SelfCalibration
 from models.calibrating.search import Arranged, search
@@ -90,29 +88,7 @@ def self_calibrate(
     numpy.linalg.LinAlgError
         When what is sought is not determined.
     """
-    calibration = config.calibration or (None,) * keypoints.shape[1]
-    images = images_of(keypoints, weights, image_sizes)
-    usual = usual_rig(images)
-    reference, lens_sds = told_lenses(usual, calibration)
-    there = weights.sum(-1) > 0
-    size = float(answers.scales[there].mean())
-    poses = told_poses(calibration)
-    alike = config.cameras_alike
-    groups = np.arange(len(lens_sds)) if alike is False else np.zeros(len(lens_sds), np.int64)
-    problem = Problem(
-        keypoints,
-        keypoints if detected is None else detected,
-        weights,
-        images,
-        size,
-        usual,
-        reference,
-        lens_sds,
-        poses,
-        alike,
-        groups,
-        kept=np.zeros(len(lens_sds), bool),
-    )
+    problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
     arranged = yield from search(problem, answers, config)
     told = 1.0  # of what keypoints say, the share that is not said by others, too
     if noisy is not None:
@@ -130,7 +106,7 @@ def self_calibrate(
         if adjusted is not None:
             best, kept = adjusted
             reason = f"{reason}; cameras are adjusted to keypoints as they were detected"
-    clear = kept is None and best.noise < CLEAR * size
+    clear = kept is None and best.noise < CLEAR * problem.size
     if clear and find_bone_lengths(best.scene.points, problem.told).steady:
         # The lens under which shapes look most alike need not be the true one, and with two views
         # it is not; with a wrong one, bones grow and shrink as they turn.

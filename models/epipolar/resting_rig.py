@@ -33,6 +33,7 @@ from models.epipolar.rig_certainty import (
     focal_likelihood,
     repetition,
 )
+from models.epipolar.robust_points import robust_points
 from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
@@ -355,7 +356,7 @@ def _result(
     noise = chosen.adjusted.noise
     explanations, costs = [], []
     for rig in (chosen.adjusted.rig, chosen.mirror.rig):
-        found = triangulate_points(rig, some)
+        found = robust_points(rig, some, noise)
         points = np.full((frames * keypoints, 3), np.nan)
         points[known] = found.T
         whole = _of_all_views(rig, beliefs, members)

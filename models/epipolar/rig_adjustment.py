@@ -63,7 +63,7 @@ class Adjusted(NamedTuple):
 
 def triangulate_points(rig: Rigid, seen: Seen, *, rounds: int = 4) -> Float64:
     """Return the points (3, M) next to their rays, those far off having less and less of a say."""
-    rays = _rays(rig, seen.images)  # (K, 3, M) in the rig's frame
+    rays = rays_of(rig, seen.images)  # (K, 3, M) in the rig's frame
     across = np.eye(3)[None, :, :, None] - rays[:, :, None] * rays[:, None]  # (K, 3, 3, M)
     centres = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
     anchors = np.einsum("kijm,kj->kim", across, centres)
@@ -171,7 +171,7 @@ def noise_of(rig: Rigid, points: Float64, seen: Seen) -> Float64:
     return np.asarray(common**POOLED * noise ** (1 - POOLED))
 
 
-def _rays(rig: Rigid, images: Float64) -> Float64:
+def rays_of(rig: Rigid, images: Float64) -> Float64:
     """Return unit directions (K, 3, M) in the rig's frame; the lens is undone by iteration."""
     flat = (images - rig.centres[..., None]) / np.exp(rig.log_focals)[:, None, None]
     straight = flat
@@ -350,17 +350,7 @@ def _linearised(
     by_camera[:, :, 0] = focals[..., None] * gain[:, None] * flat
     by_camera[:, 0, 1] = by_camera[:, 1, 2] = 1
     by_camera[:, :, 3] = focals[..., None] * squared[:, None] * flat
-    # By the direction (a, b), then by the point in the camera's frame.
-    slope = 2 * rig.radial[:, None]
-    by_flat = np.empty((views, 2, 2, count))
-    a, b = flat[:, 0], flat[:, 1]
-    by_flat[:, 0, 0] = focals * (gain + slope * a * a)
-    by_flat[:, 0, 1] = by_flat[:, 1, 0] = focals * slope * a * b
-    by_flat[:, 1, 1] = focals * (gain + slope * b * b)
-    by_flat /= depths[:, None, None]
-    by_held = np.concatenate(
-        (by_flat, -(by_flat * flat[:, None]).sum(2, keepdims=True)), 2
-    )  # (K, 2, 3, M)
+    by_held = _by_held(rig, flat, gain, depths)
     by_camera[:, :, 7:] = by_held
     by_camera[:, :, 4:7] = np.cross(turned[:, None], by_held, axis=2)
     by_point = np.einsum("kiam,kab->kibm", by_held, rig.rotations, optimize=True)
@@ -369,3 +359,31 @@ def _linearised(
         by_camera * root[:, None, None],
         by_point * root[:, None, None],
     )
+
+
+def residuals_by_points(rig: Rigid, points: Float64, seen: Seen) -> tuple[Float64, Float64]:
+    """Residuals (K, 2, M) of points (3, M) in sides, and their derivatives (K, 2, 3, M) by these.
+
+    Both are 0 where a camera cannot see the point.
+    """
+    camera = rig.rotations @ points + rig.translations[..., None]
+    flat, visible = _flat(camera, seen)
+    images, gain, _ = _images(rig, flat)
+    by_held = _by_held(rig, flat, gain, np.where(visible, camera[:, 2], 1.0))
+    by_point = np.einsum("kiam,kab->kibm", by_held, rig.rotations, optimize=True)
+    there = (visible & (seen.weights > 0))[:, None]
+    return np.where(there, images - seen.images, 0.0), by_point * there[:, None]
+
+
+def _by_held(rig: Rigid, flat: Float64, gain: Float64, depths: Float64) -> Float64:
+    """Return derivatives (K, 2, 3, M) of images by points in their camera's frame."""
+    views, _, count = flat.shape
+    focals = np.exp(rig.log_focals)[:, None]
+    slope = 2 * rig.radial[:, None]
+    by_flat = np.empty((views, 2, 2, count))
+    a, b = flat[:, 0], flat[:, 1]
+    by_flat[:, 0, 0] = focals * (gain + slope * a * a)
+    by_flat[:, 0, 1] = by_flat[:, 1, 0] = focals * slope * a * b
+    by_flat[:, 1, 1] = focals * (gain + slope * b * b)
+    by_flat /= depths[:, None, None]
+    return np.concatenate((by_flat, -(by_flat * flat[:, None]).sum(2, keepdims=True)), 2)
