@@ -31,7 +31,7 @@ from models.calibrating.problem import (
     Solution,
     grouped,
 )
-from models.epipolar.rig_adjustment import LEAST_NOISE
+from models.epipolar.resting_rig import LENS_NOISE as LEAST_NOISE
 from models.numerics.medians import lower_median
 from models.numerics.rotations import nearest_rotations
 from models.numerics.steps import Steps

@@ -76,7 +76,7 @@ def _grow(
                 continue
             for candidate in _candidates(graph, rig, placed, view):
                 camera = _place(candidate, points, of_view)
-                distances = distances_of(camera, points, of_view, np.array([noise]))
+                distances = distances_of(camera, points, of_view)
                 cost = robust_costs(distances, of_view.weights, np.array([noise])).sum()
                 cost /= of_view.weights.sum()
                 if best is None or cost < best[0]:
@@ -89,7 +89,7 @@ def _grow(
         placed.append(view)
     points = triangulate_points(rig, seen)
     level = np.full(views, noise)
-    costs = robust_costs(distances_of(rig, points, seen, level), seen.weights, level)
+    costs = robust_costs(distances_of(rig, points, seen), seen.weights, level)
     return Assembled(rig, float(costs.sum() / seen.weights.sum()))
 
 

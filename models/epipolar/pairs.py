@@ -51,6 +51,7 @@ class Beliefs:
     focal_covariance: Float64  # (K, K) of the log
     centre_covariance: Float64  # (K, K) of a coordinate of the principal points
     radial_covariance: Float64  # (K, K) of the first radial coefficients
+    alike: bool = True  # whether focal lengths are often nearly the same
 
     @property
     def focal_sds(self) -> Float64:
@@ -72,6 +73,7 @@ class Beliefs:
             self.focal_covariance[some],
             self.centre_covariance[some],
             self.radial_covariance[some],
+            self.alike,
         )
 
 

@@ -7,6 +7,7 @@ image (Necker's reversal) of the best, are compared under one common noise.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -17,7 +18,6 @@ from models.epipolar.assembly import ViewGraph, assemble
 from models.epipolar.pairs import Beliefs, relate
 from models.epipolar.rig_adjustment import (
     CAMERA,
-    LEAST_NOISE,
     Adjusted,
     Rigid,
     Seen,
@@ -28,10 +28,9 @@ from models.epipolar.rig_adjustment import (
     triangulate_points,
 )
 from models.epipolar.rig_certainty import (
+    Certainty,
     FocalLikelihood,
-    camera_deviations,
-    focal_likelihood,
-    repetition,
+    certainty_of,
 )
 from models.epipolar.robust_points import robust_points
 from models.numerics.steps import Steps
@@ -39,22 +38,22 @@ from models.numerics.steps import Steps
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-MOST_POINTS, FEW_POINTS = 3000, 600  # that are adjusted at the end, and to choose among starts
-# With noise, which more points average out, so many of them, or so many observations of them.
-NOISY_POINTS, NOISY_OBSERVATIONS = 9000, 36000
+MOST_POINTS, FEW_POINTS = 3000, 900  # that are adjusted at the end, and to choose among starts
+NOISY_POINTS, NOISY_OBSERVATIONS = 9000, 24000
 MOST_PAIRS = 18  # of views that are related
 STARTS, FINALISTS = 6, 3
+OTHER_FOCALS, SWEEPS, SWEEP_ITERATIONS = (0.4, 0.65, 1.5, 2.5), 2, 8
 FIRST_ITERATIONS, MORE_ITERATIONS, LAST_ITERATIONS = 15, 20, 25
-NEAR_ITERATIONS = 10  # until errors can be told to repeat or not
 SAME = 0.03  # radians and share of focal lengths within which rigs count as one
 LEAST_POINTS = 60  # seen by a view together with others, for it to take part
-# Errors of detectors and of lens models repeat from frame to frame: before it is known how much,
-# all observations together say no more than so many independent ones would.
-EFFECTIVE = 1000.0
-# Nor do they ever say more than so many would, over the square of the noise as a share of the
-# subject's size: adjusting points with noisy rays biases cameras (Neyman & Scott, 1948), and the
-# bias, unlike the scatter, does not fall with their number.
+# Observations never say more than so many, over the square of the noise as a share of the subject's
+# size, would: adjusting points with noisy rays biases cameras (Neyman & Scott, 1948), and the bias,
+# unlike the scatter, does not fall with their number.
 UNBIASED = 40.0
+# A first adjustment believes no noise below this share of the subject's size, nor needs it less
+# than lens models leave, in sides.
+FIRST_NOISE, LENS_NOISE = 0.02, 1e-3
+COOLING = (1.0, 0.1, 0.01)  # of it, one after another
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it does not rest with them
 UNLIKE_PAIRS = 5.0  # times the noise of the best pair: a pair beyond it does not rest
 NO_RIG = 0.3  # noise, as a share of a view's size, that says that nothing rests
@@ -76,7 +75,7 @@ class RestingRig(NamedTuple):
     noise: float  # sides
     log_odds: Float64  # (N,) what each frame says for the best and against its mirror image
     focals: FocalLikelihood  # what keypoints say of the focal lengths of the views that rest
-    deviations: Float64  # (K, 10) of `Rigid`'s numbers, see `camera_deviations`; of the best
+    deviations: Float64  # (K, 10) of `Rigid`'s numbers, infinite of views that do not rest
 
 
 def find_resting_rig(
@@ -147,22 +146,10 @@ class _Scene(NamedTuple):
             order[:NOISY_POINTS],
         )
 
-    def seen(
-        self,
-        members: list[int],
-        most: int,
-        *,
-        repeated: float = 1.0,
-        most_effective: float = EFFECTIVE,
-    ) -> Seen:
-        """Return what some views see of at most so many points of the sample.
-
-        So many `repeated` observations count as one, and all together as `most_effective`.
-        """
+    def seen(self, members: list[int], most: int) -> Seen:
+        """Return what some views see of at most so many points of the sample."""
         points = self.chosen(members, most)
-        weights = self.weights[members][:, points]
-        share = min(1 / repeated, most_effective / weights.sum())
-        return Seen(self.images[members][..., points], share * weights)
+        return Seen(self.images[members][..., points], self.weights[members][:, points])
 
     def chosen(self, members: list[int], most: int) -> NDArray[np.int64]:
         """Return the places of these points."""
@@ -174,8 +161,7 @@ class _Chosen(NamedTuple):
     adjusted: Adjusted
     mirror: Adjusted
     noise_alone: Float64  # (K,) sides, of each view by itself
-    focals: FocalLikelihood
-    deviations: Float64  # (K, 10)
+    certainty: Certainty
 
 
 def _relate_pairs(scene: _Scene, beliefs: Beliefs, rng: np.random.Generator) -> Steps[ViewGraph]:
@@ -219,7 +205,7 @@ def _chosen_pairs(pairs: list[tuple[int, int]], views: int) -> Iterator[tuple[in
 def _members(graph: ViewGraph, sizes: Float64) -> list[int]:
     """Return the views that pairs tie together whose noise does not rule out that they rest."""
     least = min((poses.noise for poses in graph.values()), default=0.0)
-    most = UNLIKE_PAIRS * max(least, LEAST_NOISE)
+    most = UNLIKE_PAIRS * max(least, LENS_NOISE)
     likely = [
         pair
         for pair, poses in graph.items()
@@ -242,19 +228,30 @@ def _adjusted(
         (place[a], place[b]): poses for (a, b), poses in graph.items() if {a, b} <= set(members)
     }
     of_members = beliefs.of(members)
-    few, many = scene.seen(members, FEW_POINTS), scene.seen(members, MOST_POINTS)
+    few = scene.seen(members, FEW_POINTS)
     noise = float(np.median([poses.noise for poses in graph.values()]))
     rigs = assemble(graph, few, max(noise, 1e-3))
     if not rigs:
         return None
+    least = min(LENS_NOISE, FIRST_NOISE * float(np.median(sizes[members])))
+    free = replace(of_members, alike=False)
     first = []
     for rig in _distinct([rig.rig for rig in rigs], STARTS):
         yield
         points = triangulate_points(rig, few)
         first.append(
-            adjust_rig(rig, points, few, of_members, iterations=FIRST_ITERATIONS, lenses=False)
+            adjust_rig(
+                rig,
+                points,
+                few,
+                free,
+                iterations=FIRST_ITERATIONS,
+                lenses=False,
+                least_noise=least,
+            )
         )
-    first = _ordered(first, few, of_members)
+    first = _ordered(first, few, free)
+    first[0] = yield from _with_other_lenses(first[0], few, free, least)
     second = []
     for adjusted in first[:FINALISTS]:
         rig = adjusted.rig
@@ -263,55 +260,111 @@ def _adjusted(
         )
         for start in (rig, alike):
             yield
-            second.append(
-                adjust_rig(start, adjusted.points, few, of_members, iterations=MORE_ITERATIONS)
-            )
-    mirror = adjust_rig(
-        *necker(second[0].rig, second[0].points), few, of_members, iterations=MORE_ITERATIONS
-    )
+            second.append(_nearer(start, adjusted.points, few, of_members, least))
+    mirror = _nearer(*necker(second[0].rig, second[0].points), few, of_members, least)
     finalists = _ordered([*second, mirror], few, of_members)
     yield
-    best = _finished(finalists[0].rig, many, of_members, iterations=NEAR_ITERATIONS)
-    yield
-    chosen = scene.chosen(members, MOST_POINTS)
-    # Errors repeat within frames and within keypoints.
-    within = (scene.frames[chosen], scene.keypoints[chosen])
-    repeated = sum(repetition(best, many, clusters) for clusters in within) - 1
-    noise = float(np.median(best.noise))
-    most = UNBIASED / (noise / float(sizes[members].mean())) ** 2
-    many_points = max(MOST_POINTS, min(NOISY_POINTS, NOISY_OBSERVATIONS // len(members)))
-    count = many_points if noise > LEAST_NOISE else MOST_POINTS
-    many = scene.seen(members, count, repeated=repeated, most_effective=most)
-    best = _finished(best.rig, many, of_members, iterations=LAST_ITERATIONS)
+    count = min(NOISY_POINTS, NOISY_OBSERVATIONS // len(members))
+    many = scene.seen(members, count)
+    likely = [finalists[0]]
+    likely += [each for each in finalists[1:] if not _same(each.rig, likely[0].rig)][:1]
+    rivals = []
+    for each in likely:
+        yield
+        rivals.append(_finished(each, many, of_members, iterations=LAST_ITERATIONS))
+    best = _ordered(rivals, many, of_members)[0]
+    noise = float(np.median(best.noise)) / float(sizes[members].mean())
+    share = min(1.0, UNBIASED / noise**2 / many.weights.sum())
+    if share < 1:
+        yield
+        many = many._replace(weights=share * many.weights)
+        best = _finished(best, many, of_members, iterations=LAST_ITERATIONS)
     yield
     twin_start = necker(best.rig, best.points)
     twin = adjust_rig(*twin_start, many, of_members, iterations=LAST_ITERATIONS)
     best, twin = _ordered([best, twin], many, of_members)
-    distances = distances_of(best.rig, best.points, many, np.ones(len(members)))
+    distances = distances_of(best.rig, best.points, many)
     alone = np.array(
         [np.median(row[w > 0]) for row, w in zip(distances, many.weights, strict=True)]
     )
-    focals = focal_likelihood(best, many, of_members)
-    return _Chosen(best, twin, alone, focals, camera_deviations(best, many, of_members))
+    chosen = scene.chosen(members, count)
+    clusters = (scene.frames[chosen], scene.keypoints[chosen])
+    return _Chosen(best, twin, alone, certainty_of(best, many, of_members, clusters))
 
 
-def _finished(rig: Rigid, seen: Seen, beliefs: Beliefs, *, iterations: int) -> Adjusted:
-    points = triangulate_points(rig, seen)
-    return adjust_rig(rig, points, seen, beliefs, iterations=iterations)
+def _with_other_lenses(
+    adjusted: Adjusted, seen: Seen, beliefs: Beliefs, least_noise: float
+) -> Steps[Adjusted]:
+    """Try other focal lengths of one camera after another, each from where it sees things as large.
+
+    A camera that is nearer, with a shorter lens, sees nearly the same: adjusting alone hardly goes
+    from one to the other.
+    """
+    views = np.flatnonzero(beliefs.focal_sds > 0)
+    for view in np.tile(views, SWEEPS):
+        yield
+        tried = [adjusted]
+        for factor in OTHER_FOCALS:
+            rig = Rigid(*(array.copy() for array in adjusted.rig))
+            rig.log_focals[view] += np.log(factor)
+            rig.translations[view, 2] *= factor
+            tried.append(
+                adjust_rig(
+                    rig,
+                    adjusted.points,
+                    seen,
+                    beliefs,
+                    iterations=SWEEP_ITERATIONS,
+                    lenses=False,
+                    least_noise=least_noise,
+                )
+            )
+        adjusted = _ordered(tried, seen, beliefs)[0]
+    return adjusted
+
+
+def _nearer(
+    rig: Rigid, points: Float64, seen: Seen, beliefs: Beliefs, least_noise: float
+) -> Adjusted:
+    """Adjust a start, believing less and less noise: what is far off pulls it in at first."""
+    adjusted = Adjusted(rig, points, np.full(len(rig.log_focals), least_noise))
+    for share in COOLING:
+        adjusted = adjust_rig(
+            adjusted.rig,
+            adjusted.points,
+            seen,
+            beliefs,
+            iterations=MORE_ITERATIONS,
+            least_noise=share * least_noise,
+        )
+    return adjusted
+
+
+def _finished(adjusted: Adjusted, seen: Seen, beliefs: Beliefs, *, iterations: int) -> Adjusted:
+    points = robust_points(adjusted.rig, seen, adjusted.noise)
+    return adjust_rig(adjusted.rig, points, seen, beliefs, iterations=iterations)
 
 
 def _cost(adjusted: Adjusted, seen: Seen, beliefs: Beliefs, noise: Float64) -> float:
     """Minus log posterior under a noise (K,)."""
-    distances = distances_of(adjusted.rig, adjusted.points, seen, noise)
+    distances = distances_of(adjusted.rig, adjusted.points, seen)
     return float(robust_costs(distances, seen.weights, noise).sum()) + prior_cost(
         adjusted.rig, beliefs
     )
 
 
 def _ordered(rigs: list[Adjusted], seen: Seen, beliefs: Beliefs) -> list[Adjusted]:
-    """Sort by cost under one common noise: with each its own, what fits worse could win."""
+    """Sort by cost under one common noise: with each its own, what fits worse could win.
+
+    Points are located anew, since one that an outlier caught says nothing of the cameras.
+    """
     common = np.min([rig.noise for rig in rigs], 0)
-    return sorted(rigs, key=lambda rig: _cost(rig, seen, beliefs, common))
+    located = [
+        each._replace(points=robust_points(each.rig, seen, common, start=each.points))
+        for each in rigs
+    ]
+    costs = [_cost(each, seen, beliefs, common) for each in located]
+    return [located[place] for place in np.argsort(costs, kind="stable")]
 
 
 def _distinct(rigs: list[Rigid], most: int) -> list[Rigid]:
@@ -361,14 +414,16 @@ def _result(
         points[known] = found.T
         whole = _of_all_views(rig, beliefs, members)
         explanations.append(Explanation(whole, points.reshape(frames, keypoints, 3)))
-        robust = robust_costs(distances_of(rig, found, some, noise), some.weights, noise)
+        robust = robust_costs(distances_of(rig, found, some), some.weights, noise)
         costs.append(np.bincount(known // keypoints, robust.sum(0), frames))
     best, mirror = explanations
     odds = np.asarray(costs[1] - costs[0], np.float64)
     deviations = np.full((views, CAMERA), np.inf)
-    deviations[members] = chosen.deviations
+    deviations[members] = chosen.certainty.deviations
     noise_of_all = float(np.median(noise))
-    return RestingRig(best, mirror, resting, noise_of_all, odds, chosen.focals, deviations)
+    return RestingRig(
+        best, mirror, resting, noise_of_all, odds, chosen.certainty.focals, deviations
+    )
 
 
 def _of_all_views(rig: Rigid, beliefs: Beliefs, members: list[int]) -> Rigid:

@@ -21,15 +21,24 @@ CAMERA = 10  # numbers: log focal, principal point, radial coefficient, rotation
 LENS = 4
 FREEDOM = 3.0  # of Student's t
 RAYLEIGH = 1.1774  # median length of a pair of unit normal numbers
-LEAST_NOISE = 1e-3  # sides: what lens models leave, and a start need not tell
+LEAST_NOISE = 1e-5  # sides: less cannot be told from none
+LEAST_ANGLE = 1e-4  # radians between a ray and a point, below which all rays count alike
+LEAST_LEFT = 0.1  # share of a view's numbers that points do not take up
 POOLED = 2 / 3  # share of the common noise in the log of each view's
 NEAR, FAR = 0.2, 5.0  # median depths between which a point has a say
-BLIND = 30.0  # standard deviations that stand for a point that a camera cannot see there
+BLIND = 1.0  # sides that stand for a point that a camera cannot see there: none is further off
 ALIKE = 0.02  # scale of Cauchy's distribution of the log ratio of focal lengths
 LOG_WALLS = np.log((0.3, 4.5))  # factors of the expected focal length that no lens goes beyond
 WALL_SD = 0.05
-FIRST_DAMPING, MOST_DAMPING = 1e-3, 1e8
-CONVERGED = 1e-5
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e8
+LESS_DAMPING, MORE_DAMPING = 10.0, 8.0  # after a step that gained, and one that did not
+DAMPED_NO_MORE = 1e-8
+LEAST_HELD = 1e-12  # share of its curvature that holds each number
+CONVERGED, STILL = 0.02, 2  # nats, in so many steps
+POINT_DAMPING = 1e-4
+TINY = 1e-12  # of a point's curvature: what keeps parallel rays solvable
+LEARN_NOISE = 4  # steps, after which the noise is measured anew
+POINT_STEPS = 1  # of each point by itself, after a step of all
 
 
 class Rigid(NamedTuple):
@@ -81,7 +90,7 @@ def triangulate_points(rig: Rigid, seen: Seen, *, rounds: int = 4) -> Float64:
         there = seen.weights > 0
         if not (there & several).any():
             break
-        scale = max(float(np.median(angles[there & several])), LEAST_NOISE)
+        scale = max(float(np.median(angles[there & several])), LEAST_ANGLE)
         weights = seen.weights / (1 + np.square(angles / scale) / FREEDOM)
     return points
 
@@ -92,13 +101,11 @@ def images_of(rig: Rigid, points: Float64, seen: Seen) -> tuple[Float64, Bool]:
     return _images(rig, flat)[0], visible
 
 
-def distances_of(rig: Rigid, points: Float64, seen: Seen, noise: Float64) -> Float64:
-    """Sides (K, M) from what is seen to the points' images; `BLIND` noises where none can be."""
+def distances_of(rig: Rigid, points: Float64, seen: Seen) -> Float64:
+    """Sides (K, M) from what is seen to the points' images; `BLIND` where a camera cannot see."""
     images, visible = images_of(rig, points, seen)
     lengths = np.linalg.norm(images - seen.images, axis=1)
-    most = BLIND * noise[:, None]
-    # What is far off is an outlier anyway; so a start that cannot see it does not gain by that.
-    distances: Float64 = np.where(visible, np.minimum(lengths, most), most)
+    distances: Float64 = np.where(visible, np.minimum(lengths, BLIND), BLIND)
     return distances
 
 
@@ -122,50 +129,57 @@ def adjust_rig(
     *,
     iterations: int,
     lenses: bool = True,
+    least_noise: float = LEAST_NOISE,
 ) -> Adjusted:
     """Adjust cameras and points (3, M); without `lenses`, only focal lengths are free of these.
 
-    The noise of each view is learnt from its median distance on the way.
+    The noise of each view is learnt from its median distance on the way; a start is less easily
+    caught by a wrong minimum if no noise below `least_noise` in sides is believed.
     """
     free = free_numbers(rig, beliefs, lenses=lenses)
-    noise = noise_of(rig, points, seen)
-    damping, learn_noise = FIRST_DAMPING, 3
+    noise = noise_of(rig, points, seen, least_noise)
+    damping, still = FIRST_DAMPING, 0
     cost = _cost(rig, points, seen, noise, beliefs)
     for iteration in range(iterations):
-        if iteration % learn_noise == 0:
-            noise = noise_of(rig, points, seen)
+        if iteration and iteration % LEARN_NOISE == 0:
+            noise = noise_of(rig, points, seen, least_noise)
             cost = _cost(rig, points, seen, noise, beliefs)
         tried_rig, tried = _step(rig, points, seen, noise, beliefs, free, damping)
+        tried = settle_points(tried_rig, tried, seen, noise)
         tried_cost = _cost(tried_rig, tried, seen, noise, beliefs)
         if tried_cost <= cost:
             gained = cost - tried_cost
             rig, points, cost = tried_rig, tried, tried_cost
-            damping = max(damping / 5, 1e-9)
-            if gained < CONVERGED * seen.weights.sum() and iteration % learn_noise:
+            damping = max(damping / LESS_DAMPING, LEAST_DAMPING)
+            # Along a narrow valley a damped step gains little, however far the end is.
+            still = still + 1 if gained < CONVERGED and damping <= DAMPED_NO_MORE else 0
+            if still >= STILL:
                 break
         else:
-            damping *= 8
+            damping *= MORE_DAMPING
             if damping > MOST_DAMPING:
                 break
-    return Adjusted(rig, points, noise_of(rig, points, seen))
+    return Adjusted(rig, points, noise_of(rig, points, seen, least_noise))
 
 
-def noise_of(rig: Rigid, points: Float64, seen: Seen) -> Float64:
-    """Noise (K,) of a coordinate in each view, by medians, for the most part what views share."""
-    count = (seen.weights > 0).sum()
-    points_seen = (seen.weights > 0).any(0).sum()
-    # Points take three of the two numbers of each observation.
-    freedom = np.sqrt(max(1 - 1.5 * points_seen / max(count, 1), 0.15))
-    distances = distances_of(rig, points, seen, np.ones(len(seen.images)))
-    medians = np.array(
-        [
-            np.median(row[w > 0]) if (w > 0).any() else np.nan
-            for row, w in zip(distances, seen.weights, strict=True)
-        ]
-    )
-    noise = (medians / RAYLEIGH / freedom).clip(LEAST_NOISE)
-    common = float(np.nanmedian(noise))
-    noise = np.where(np.isfinite(noise), noise, common)
+def noise_of(rig: Rigid, points: Float64, seen: Seen, least: float) -> Float64:
+    """Noise (K,) of a coordinate in each view, for the most part what views share.
+
+    By medians, as a share of residuals that points leave: of what they were made of they take up
+    the more, the more a view has a say in where they are.
+    """
+    there = seen.weights > 0
+    residuals, by_point = residuals_by_points(rig, points, seen)
+    of_views = np.einsum("kiam,kibm->kmab", by_point, by_point, optimize=True)
+    normal = of_views.sum(0)
+    normal[:, range(3), range(3)] += TINY * (np.trace(normal, axis1=1, axis2=2) + 1)[:, None]
+    leverages = (np.linalg.inv(normal) * of_views).sum((2, 3))  # (K, M) of 2 numbers each
+    left = np.array([1 - row[w].mean() / 2 for row, w in zip(leverages, there, strict=True)])
+    left = left.clip(LEAST_LEFT)
+    lengths = np.linalg.norm(residuals, axis=1)
+    medians = np.array([np.median(row[w]) for row, w in zip(lengths, there, strict=True)])
+    noise = (medians / RAYLEIGH / np.sqrt(left)).clip(least)
+    common = np.exp(float((left * np.log(noise)).sum() / left.sum()))
     if len(noise) == 2:
         return np.full(2, common)
     return np.asarray(common**POOLED * noise ** (1 - POOLED))
@@ -225,10 +239,12 @@ def lens_prior(rig: Rigid, beliefs: Beliefs) -> _Prior:
     precision = np.zeros((views, LENS, views, LENS))
     for number in range(LENS):
         precision[:, number, :, number] = blocks[number]
-    together = _alike(rig.log_focals)
-    precision[:, 0, :, 0] += together.precision[:, 0, :, 0]
-    gradient[:, 0] += together.gradient[:, 0]
-    return _Prior(cost + together.cost, gradient, precision)
+    if beliefs.alike:
+        together = _alike(rig.log_focals)
+        precision[:, 0, :, 0] += together.precision[:, 0, :, 0]
+        gradient[:, 0] += together.gradient[:, 0]
+        cost += together.cost
+    return _Prior(cost, gradient, precision)
 
 
 def _alike(log_focals: Float64) -> _Prior:
@@ -246,7 +262,7 @@ def _alike(log_focals: Float64) -> _Prior:
 
 
 def _cost(rig: Rigid, points: Float64, seen: Seen, noise: Float64, beliefs: Beliefs) -> float:
-    costs = robust_costs(distances_of(rig, points, seen, noise), seen.weights, noise)
+    costs = robust_costs(distances_of(rig, points, seen), seen.weights, noise)
     return float(costs.sum()) + prior_cost(rig, beliefs)
 
 
@@ -262,6 +278,8 @@ def free_numbers(rig: Rigid, beliefs: Beliefs, *, lenses: bool) -> Bool:
 
 class Reduced(NamedTuple):
     """The normal equations of the cameras, the points eliminated."""
+
+    scores: Float64  # (10 K, M) what each point adds to the vector, besides the prior
 
     information: Float64  # (10 K, 10 K) of cameras and points
     matrix: Float64  # (10 K, 10 K) of the cameras alone
@@ -281,7 +299,8 @@ def reduced_equations(
     rows = by_camera.transpose(0, 2, 1, 3).reshape(views, CAMERA, -1)
     information = np.zeros((views, CAMERA, views, CAMERA))
     information[range(views), :, range(views), :] = rows @ rows.mT
-    right = -np.einsum("kan,kn->ka", rows, residuals.reshape(views, -1))
+    pulls = -np.einsum("kiam,kim->kam", by_camera, residuals)
+    right = pulls.sum(-1)
     prior = lens_prior(rig, beliefs)
     information[:, :LENS, :, :LENS] += prior.precision
     right[:, :LENS] -= prior.gradient
@@ -296,7 +315,9 @@ def reduced_equations(
     flat, spread = flat.reshape(len(flat), -1), spread.reshape(len(flat), -1)
     whole = information.reshape(len(flat), len(flat))
     vector = right.ravel() - flat @ solved.ravel()
-    return Reduced(whole, whole - spread @ flat.T, vector, spread, solved)
+    through = np.einsum("cam,am->cm", cross.reshape(-1, 3, count), solved)
+    scores = pulls.reshape(-1, count) - through
+    return Reduced(scores, whole, whole - spread @ flat.T, vector, spread, solved)
 
 
 def _step(
@@ -312,13 +333,43 @@ def _step(
     equations = reduced_equations(rig, points, seen, noise, beliefs, damping)
     places = np.flatnonzero(free)
     matrix = equations.matrix[np.ix_(places, places)]
-    scale = equations.information.diagonal()[places]
+    root = np.sqrt(equations.information.diagonal()[places])
+    root = np.where(root > 0, root, 1.0)
+    held = matrix / root / root[:, None] + (damping + LEAST_HELD) * np.eye(len(places))
     step = np.zeros(free.size)
-    step[places] = np.linalg.solve(
-        matrix + np.diag(damping * scale + 1e-9), equations.vector[places]
-    )
+    step[places] = np.linalg.solve(held, equations.vector[places] / root) / root
     moved = equations.solved - (step @ equations.spread).reshape(equations.solved.shape)
     return _moved(rig, step.reshape(free.shape)), points + moved
+
+
+def settle_points(
+    rig: Rigid, points: Float64, seen: Seen, noise: Float64, *, steps: int = POINT_STEPS
+) -> Float64:
+    """Improve points (3, M) while cameras stay, by steps of Gauss and Newton that gain."""
+
+    def costs_of(points: Float64) -> Float64:
+        distances = distances_of(rig, points, seen)
+        costs: Float64 = robust_costs(distances, seen.weights, noise).sum(0)
+        return costs
+
+    costs = costs_of(points)
+    damping = np.full(points.shape[1], POINT_DAMPING)
+    for _ in range(steps):
+        residuals, by_point = residuals_by_points(rig, points, seen)
+        squared = np.square(residuals).sum(1) / np.square(noise)[:, None]
+        weights = seen.weights * (FREEDOM + 2) / (FREEDOM + squared) / np.square(noise)[:, None]
+        weighted = by_point * weights[:, None, None]
+        normal = np.einsum("kiam,kibm->mab", weighted, by_point, optimize=True)
+        right = -np.einsum("kiam,kim->ma", weighted, residuals, optimize=True)
+        diagonal = normal[:, range(3), range(3)]
+        least = TINY * (diagonal.max(1, keepdims=True) + 1)
+        normal[:, range(3), range(3)] += damping[:, None] * diagonal + least
+        tried_points = points + np.linalg.solve(normal, right[..., None])[..., 0].T
+        tried = costs_of(tried_points)
+        better = tried <= costs
+        points, costs = np.where(better, tried_points, points), np.where(better, tried, costs)
+        damping = np.where(better, damping / 10, damping * 10)
+    return points
 
 
 def _moved(rig: Rigid, step: Float64) -> Rigid:
@@ -341,7 +392,7 @@ def _linearised(
     images, gain, squared = _images(rig, flat)
     residuals = images - seen.images
     lengths = np.square(residuals).sum(1) / np.square(noise)[:, None]
-    weights = seen.weights * visible * (lengths < BLIND**2) * (FREEDOM + 2) / (FREEDOM + lengths)
+    weights = seen.weights * visible * (FREEDOM + 2) / (FREEDOM + lengths)
     root = np.sqrt(weights) / noise[:, None]  # (K, M)
     focals = np.exp(rig.log_focals)[:, None]
     views, count = root.shape

@@ -11,58 +11,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.rig_adjustment import (
-    FREEDOM,
     Rigid,
     Seen,
     distances_of,
     rays_of,
-    residuals_by_points,
     robust_costs,
+    settle_points,
     triangulate_points,
 )
 
 Float64 = NDArray[np.float64]
 
 ITERATIONS = 8
-FIRST_DAMPING = 1e-4
 PARALLEL = 1e-8  # squared sine of the angle between two rays that meet nowhere
-TINY = 1e-12  # of the curvature: what keeps points of parallel rays solvable
 
 
-def robust_points(rig: Rigid, seen: Seen, noise: Float64) -> Float64:
+def robust_points(
+    rig: Rigid, seen: Seen, noise: Float64, *, start: Float64 | None = None
+) -> Float64:
     """Return the most likely points (3, M) of what K cameras see; two rays or more of each.
 
-    `noise` (K,) is the scale of Student's t in sides of the image.
+    `noise` (K,) is the scale of Student's t in sides of the image, `start` (3, M) another guess.
     """
 
     def costs_of(points: Float64) -> Float64:
-        distances = distances_of(rig, points, seen, noise)
+        distances = distances_of(rig, points, seen)
         costs: Float64 = robust_costs(distances, seen.weights, noise).sum(0)
         return costs
 
     points = triangulate_points(rig, seen)
     costs = costs_of(points)
-    for start in _of_pairs(rig, seen):
-        tried = costs_of(start)
-        better = np.isfinite(start).all(0) & (tried < costs)
-        points, costs = np.where(better, start, points), np.where(better, tried, costs)
-    damping = np.full(points.shape[1], FIRST_DAMPING)
-    for _ in range(ITERATIONS):
-        residuals, by_point = residuals_by_points(rig, points, seen)
-        squared = np.square(residuals).sum(1) / np.square(noise)[:, None]
-        weights = seen.weights * (FREEDOM + 2) / (FREEDOM + squared) / np.square(noise)[:, None]
-        normal = np.einsum("km,kiam,kibm->mab", weights, by_point, by_point, optimize=True)
-        right = -np.einsum("km,kiam,kim->ma", weights, by_point, residuals, optimize=True)
-        diagonal = normal[:, range(3), range(3)]
-        most = diagonal.max(1, keepdims=True)
-        normal[:, range(3), range(3)] += damping[:, None] * diagonal + TINY * (most + 1)
-        tried_points = points + np.linalg.solve(normal, right[..., None])[..., 0].T
-        tried = costs_of(tried_points)
-        better = tried <= costs
-        points = np.where(better, tried_points, points)
-        costs = np.where(better, tried, costs)
-        damping = np.where(better, damping / 10, damping * 10)
-    return points
+    for guess in [*([] if start is None else [start]), *_of_pairs(rig, seen)]:
+        tried = costs_of(guess)
+        better = np.isfinite(guess).all(0) & (tried < costs)
+        points, costs = np.where(better, guess, points), np.where(better, tried, costs)
+    return settle_points(rig, points, seen, noise, steps=ITERATIONS)
 
 
 def _of_pairs(rig: Rigid, seen: Seen) -> list[Float64]:
