@@ -62,7 +62,7 @@ class Row(NamedTuple):
     certainty: float  # of the handedness
     moving: bool  # as drawn
     called_moving: bool
-    focal_z: float  # largest error of a log focal length over its standard deviation
+    focal_scores: list[float]  # errors of log focal lengths over their standard deviations
     focal_error: float  # largest error of a log focal length
     turn: float  # degrees, largest error of a rotation between two cameras
     findings: tuple[str, ...]
@@ -197,7 +197,7 @@ def measure(draw: Draw, found: Callable[[Draw], Answer], oracle: Path | None) ->
         answer.certainty,
         draw.moving,
         not answer.static,
-        float(np.nanmax(logs / answer.focal_sds, initial=0)),
+        [float(score) for score in logs / answer.focal_sds if np.isfinite(score)],
         float(np.nanmax(logs, initial=0)),
         _turn(draw, answer.rotations),
         answer.findings,
@@ -278,13 +278,14 @@ def summary(rows: list[Row]) -> list[dict[str, Any]]:
             _share(f"{name}: not beyond {far} x unsaid", unsaid, lambda row, f=far: row.ratio <= f),
             _share(f"{name}: called static", some, lambda row: not row.called_moving),
         ]
-        scores = np.array([row.focal_z for row in some if np.isfinite(row.focal_z)])
+        scores = np.array([score for row in some for score in row.focal_scores])
         if len(scores):
+            worst = max(some, key=lambda row: max(row.focal_scores, default=0))
             table.append(
                 {
-                    "what": f"{name}: focal lengths, RMS of the largest z",
+                    "what": f"{name}: focal lengths, RMS of z",
                     "share": f"{np.sqrt(np.mean(scores**2)):.2f}",
-                    "worst": f"largest {scores.max():.1f}",
+                    "worst": f"largest {scores.max():.1f} ({worst.number})",
                 }
             )
     moving = [row for row in rows if row.moving]
@@ -313,7 +314,7 @@ def _line(row: Row) -> str:
         yield f"error {100 * row.error:.3g} % (true cameras {100 * row.bound:.3g})"
         if np.isfinite(row.oracle):
             yield f"oracle x{max(row.oracle - SLACK, 0) / max(row.bound, 1e-9):.2f}"
-        yield f"focal {100 * row.focal_error:.2g} % z {row.focal_z:.1f}, turn {row.turn:.2g} deg"
+        yield f"focal {100 * row.focal_error:.2g} % z {max(row.focal_scores, default=0):.1f}, turn {row.turn:.2g} deg"
         yield f"{'MIRRORED ' if row.mirrored else ''}sure {row.certainty:.3f}"
         if row.moving != row.called_moving:
             yield "CALLED MOVING" if row.called_moving else "CALLED STATIC"

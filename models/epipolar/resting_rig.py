@@ -6,6 +6,7 @@ adjusted (`rig_adjustment`). No network and no shapes take part. All starts, amo
 image (Necker's reversal) of the best, are compared under one common noise.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.assembly import ViewGraph, assemble
+from models.epipolar.camera_motion import CameraMotion, camera_motion
 from models.epipolar.pairs import Beliefs, relate
 from models.epipolar.rig_adjustment import (
     CAMERA,
@@ -40,9 +42,10 @@ Bool = NDArray[np.bool_]
 
 MOST_POINTS, FEW_POINTS = 3000, 900  # that are adjusted at the end, and to choose among starts
 NOISY_POINTS, NOISY_OBSERVATIONS = 9000, 24000
+MOST_FRAMES = 300  # that are asked whether cameras move
 MOST_PAIRS = 18  # of views that are related
-STARTS, FINALISTS = 6, 3
-OTHER_FOCALS, SWEEPS, SWEEP_ITERATIONS = (0.4, 0.65, 1.5, 2.5), 2, 8
+STARTS, FINALISTS = 6, 2
+OTHER_FOCALS, SWEEPS, SWEEP_ITERATIONS = (0.5, 2.0), 2, 6
 FIRST_ITERATIONS, MORE_ITERATIONS, LAST_ITERATIONS = 15, 20, 25
 SAME = 0.03  # radians and share of focal lengths within which rigs count as one
 LEAST_POINTS = 60  # seen by a view together with others, for it to take part
@@ -53,7 +56,7 @@ UNBIASED = 40.0
 # A first adjustment believes no noise below this share of the subject's size, nor needs it less
 # than lens models leave, in sides.
 FIRST_NOISE, LENS_NOISE = 0.02, 1e-3
-COOLING = (1.0, 0.1, 0.01)  # of it, one after another
+COOLING = (1.0, 0.03)  # of it, one after another
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it does not rest with them
 UNLIKE_PAIRS = 5.0  # times the noise of the best pair: a pair beyond it does not rest
 NO_RIG = 0.3  # noise, as a share of a view's size, that says that nothing rests
@@ -76,6 +79,7 @@ class RestingRig(NamedTuple):
     log_odds: Float64  # (N,) what each frame says for the best and against its mirror image
     focals: FocalLikelihood  # what keypoints say of the focal lengths of the views that rest
     deviations: Float64  # (K, 10) of `Rigid`'s numbers, infinite of views that do not rest
+    motion: CameraMotion  # of the views that rest, as far as they do
 
 
 def find_resting_rig(
@@ -301,25 +305,29 @@ def _with_other_lenses(
     from one to the other.
     """
     views = np.flatnonzero(beliefs.focal_sds > 0)
-    for view in np.tile(views, SWEEPS):
-        yield
-        tried = [adjusted]
-        for factor in OTHER_FOCALS:
-            rig = Rigid(*(array.copy() for array in adjusted.rig))
-            rig.log_focals[view] += np.log(factor)
-            rig.translations[view, 2] *= factor
-            tried.append(
-                adjust_rig(
+    for _ in range(SWEEPS):
+        before = adjusted
+        for view in views:
+            yield
+            tried = [adjusted]
+            for factor in OTHER_FOCALS:
+                rig = Rigid(*(array.copy() for array in adjusted.rig))
+                rig.log_focals[view] += np.log(factor)
+                rig.translations[view, 2] *= factor
+                points = adjusted.points
+                near = adjust_rig(
                     rig,
-                    adjusted.points,
+                    points,
                     seen,
                     beliefs,
                     iterations=SWEEP_ITERATIONS,
                     lenses=False,
                     least_noise=least_noise,
                 )
-            )
-        adjusted = _ordered(tried, seen, beliefs)[0]
+                tried.append(near)
+            adjusted = _ordered(tried, seen, beliefs)[0]
+        if _same(adjusted.rig, before.rig):
+            break
     return adjusted
 
 
@@ -407,22 +415,38 @@ def _result(
     known = np.flatnonzero((every.weights > 0).sum(0) >= 2)
     some = Seen(every.images[..., known], every.weights[:, known])
     noise = chosen.adjusted.noise
-    explanations, costs = [], []
+    explanations, costs, located = [], [], []
     for rig in (chosen.adjusted.rig, chosen.mirror.rig):
         found = robust_points(rig, some, noise)
         points = np.full((frames * keypoints, 3), np.nan)
         points[known] = found.T
         whole = _of_all_views(rig, beliefs, members)
         explanations.append(Explanation(whole, points.reshape(frames, keypoints, 3)))
+        located.append(found)
         robust = robust_costs(distances_of(rig, found, some), some.weights, noise)
         costs.append(np.bincount(known // keypoints, robust.sum(0), frames))
     best, mirror = explanations
     odds = np.asarray(costs[1] - costs[0], np.float64)
     deviations = np.full((views, CAMERA), np.inf)
     deviations[members] = chosen.certainty.deviations
-    noise_of_all = float(np.median(noise))
+    of_frames = known // keypoints
+    asked = np.flatnonzero(of_frames % math.ceil(frames / MOST_FRAMES) == 0)
+    motion = camera_motion(
+        chosen.adjusted.rig,
+        located[0][:, asked],
+        Seen(some.images[..., asked], some.weights[:, asked]),
+        noise,
+        of_frames[asked],
+    )
     return RestingRig(
-        best, mirror, resting, noise_of_all, odds, chosen.certainty.focals, deviations
+        best,
+        mirror,
+        resting,
+        float(np.median(noise)),
+        odds,
+        chosen.certainty.focals,
+        deviations,
+        motion,
     )
 
 

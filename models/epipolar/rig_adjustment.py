@@ -280,7 +280,6 @@ class Reduced(NamedTuple):
     """The normal equations of the cameras, the points eliminated."""
 
     scores: Float64  # (10 K, M) what each point adds to the vector, besides the prior
-
     information: Float64  # (10 K, 10 K) of cameras and points
     matrix: Float64  # (10 K, 10 K) of the cameras alone
     vector: Float64  # (10 K,)
@@ -293,7 +292,7 @@ def reduced_equations(
 ) -> Reduced:
     """Return the normal equations of the cameras about a rig and its points (3, M)."""
     views, count = seen.weights.shape
-    residuals, by_camera, by_point = _linearised(rig, points, seen, noise)
+    residuals, by_camera, by_point = linearised(rig, points, seen, noise)
     # Sums over what a view sees of products of its two rows.
     cross = np.einsum("kiam,kibm->kabm", by_camera, by_point, optimize=True)  # (K, 10, 3, M)
     rows = by_camera.transpose(0, 2, 1, 3).reshape(views, CAMERA, -1)
@@ -382,10 +381,13 @@ def _moved(rig: Rigid, step: Float64) -> Rigid:
     )
 
 
-def _linearised(
+def linearised(
     rig: Rigid, points: Float64, seen: Seen, noise: Float64
 ) -> tuple[Float64, Float64, Float64]:
-    """Weighted residuals (K, 2, M), by the cameras (K, 2, 10, M), by the points (K, 2, 3, M)."""
+    """Return weighted residuals (K, 2, M), and derivatives by cameras and points.
+
+    These are (K, 2, 10, M) and (K, 2, 3, M).
+    """
     turned = rig.rotations @ points
     camera = turned + rig.translations[..., None]
     flat, visible = _flat(camera, seen)
