@@ -13,11 +13,13 @@ from models.bundle.problem import (
     LENS,
     RADIAL,
     VIEW,
+    Rig,
     Scene,
+    ShapePrior,
     make_rig,
     make_shape_prior,
 )
-from models.bundle.shape_model import align, learn_shapes
+from models.bundle.shape_model import ShapeModel, align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, regauge
 from models.calibrating.handedness import mirrored, same_hand
 from models.calibrating.lens_groups import find_lens_groups
@@ -77,13 +79,39 @@ def rig_from_keypoints(
         structures = _structures(explanation.points)
         if structures is None:
             return None
-        lenses = _lenses(problem, moving, explanation.rig, found.resting)
+        lenses = _lenses(problem, moving.rig, explanation.rig, found.resting)
         start = _start(moving, explanation.rig, members, lenses, structures)
         starts.append(start._replace(noise=noise, measured_noise=noise))
         units.append(structures.unit)
     best, mirror = starts
     groups = _lens_groups(problem, lens_beliefs(problem), found)
     noise = found.noise * problem.side
+    sds = _deviations(problem, found, units[0])
+    return KeypointRig(best, mirror, members, noise, found.log_odds, groups, sds)
+
+
+def static_rig(problem: Problem, found: RestingRig) -> KeypointRig | None:
+    """Return the start that cameras make of which all rest; None where structures make no sense."""
+    members = list(range(len(found.resting)))
+    noise = found.noise * problem.side
+    starts, units = [], []
+    for explanation in (found.best, found.mirror):
+        structures = _structures(explanation.points)
+        if structures is None:
+            return None
+        lenses = _lenses(problem, problem.reference, explanation.rig, found.resting)
+        rig, held, placed = _in_first_camera(explanation.rig, members, lenses, structures)
+        scene = Scene(
+            structures.points,
+            np.ascontiguousarray(held[:, None]),
+            np.ascontiguousarray(placed[:, None]),
+            np.log(structures.scales / structures.unit)[:, None],
+        )
+        shapes, prior = _shapes(structures.points)
+        starts.append(Solution(rig, scene, prior, shapes, noise, noise))
+        units.append(structures.unit)
+    best, mirror = starts
+    groups = _lens_groups(problem, lens_beliefs(problem), found)
     sds = _deviations(problem, found, units[0])
     return KeypointRig(best, mirror, members, noise, found.log_odds, groups, sds)
 
@@ -135,7 +163,7 @@ def _lens_groups(problem: Problem, beliefs: Beliefs, found: RestingRig) -> NDArr
     return groups
 
 
-def _lenses(problem: Problem, moving: Solution, rig: Rigid, resting: NDArray[np.bool_]) -> Lenses:
+def _lenses(problem: Problem, moving: Rig, rig: Rigid, resting: NDArray[np.bool_]) -> Lenses:
     """Return lenses as found of the views that rest; what was told stays."""
     side, lenses = problem.side, problem.reference.lenses
     free = resting[:, None] & (problem.lens_sds > 0)  # (K, LENS)
@@ -143,7 +171,7 @@ def _lenses(problem: Problem, moving: Solution, rig: Rigid, resting: NDArray[np.
     distortion[free[:, RADIAL], 0] = rig.radial[free[:, RADIAL]]
     focals = side * np.exp(rig.log_focals)[:, None]
     return lenses._replace(
-        focals=np.where(free[:, [FOCAL]], focals, moving.rig.lenses.focals),
+        focals=np.where(free[:, [FOCAL]], focals, moving.lenses.focals),
         centres=lenses.centres + np.where(free[:, [CENTRE_X]], side * rig.centres, 0.0),
         distortion=distortion,
     )
@@ -260,18 +288,8 @@ def _start(
     moving: Solution, found: Rigid, members: list[int], lenses: Lenses, structures: _Structures
 ) -> Solution:
     """Put cameras, structures and the views that do not rest together."""
-    views = len(moving.rig.groups)
-    unit = structures.unit
-    rotations = np.tile(np.eye(3), (views, 1, 1))
-    translations = np.zeros((views, 3))
-    first = found.rotations[members[0]], found.translations[members[0]]
-    for k in members:  # in the frame of the first camera
-        rotations[k] = found.rotations[k] @ first[0].T
-        translations[k] = (found.translations[k] - rotations[k] @ first[1]) / unit
-    groups = grouped(members, views)
-    rig = make_rig(lenses, groups, rotations, translations)
-    held = first[0] @ structures.rotations  # (N, 3, 3)
-    placed = (structures.translations @ first[0].T + first[1]) / unit
+    rig, held, placed = _in_first_camera(found, members, lenses, structures)
+    views = len(rig.groups)
     scene = moving.scene
     if not same_hand(scene.points, structures.points):
         scene = mirrored(scene)
@@ -285,10 +303,33 @@ def _start(
         np.zeros((len(placed), len(firsts))),
     )
     joined.rotations[:, 0], joined.translations[:, 0] = held, placed
-    joined.sizes[:, 0] = np.log(structures.scales / unit)
-    count = structures.points[0].size
-    shapes = learn_shapes(
-        structures.points, np.zeros((len(placed), count, count)), floor=LEAST_SPREAD
-    )
-    prior = make_shape_prior(np.tile(shapes.mean, (len(placed), 1, 1)), shapes.basis, shapes.spread)
+    joined.sizes[:, 0] = np.log(structures.scales / structures.unit)
+    shapes, prior = _shapes(structures.points)
     return moving._replace(rig=rig, scene=joined, prior=prior, shapes=shapes)
+
+
+def _in_first_camera(
+    found: Rigid, members: list[int], lenses: Lenses, structures: _Structures
+) -> tuple[Rig, Float64, Float64]:
+    """Return the rig in the frame of its first camera, and where (N, 3, 3), (N, 3) structures are.
+
+    The unit is that of the structures.
+    """
+    views, unit = len(found.log_focals), structures.unit
+    rotations, translations = np.tile(np.eye(3), (views, 1, 1)), np.zeros((views, 3))
+    first = found.rotations[members[0]], found.translations[members[0]]
+    for k in members:
+        rotations[k] = found.rotations[k] @ first[0].T
+        translations[k] = (found.translations[k] - rotations[k] @ first[1]) / unit
+    rig = make_rig(lenses, grouped(members, views), rotations, translations)
+    held = first[0] @ structures.rotations
+    placed = (structures.translations @ first[0].T + first[1]) / unit
+    return rig, held, placed
+
+
+def _shapes(points: Float64) -> tuple[ShapeModel, ShapePrior]:
+    """Return the shape model of structures (N, P, 3), and the prior that frames are like it."""
+    count = points[0].size
+    shapes = learn_shapes(points, np.zeros((len(points), count, count)), floor=LEAST_SPREAD)
+    means = np.tile(shapes.mean, (len(points), 1, 1))
+    return shapes, make_shape_prior(means, shapes.basis, shapes.spread)

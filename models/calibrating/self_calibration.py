@@ -21,6 +21,7 @@ from models.calibrating.camera_findings import camera_findings
 from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import learn
+from models.calibrating.geometry_first import settle_by_geometry
 from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.lens_prior import other_lenses, rig_prior
@@ -111,20 +112,43 @@ def self_calibrate(
         # The lens under which shapes look most alike need not be the true one, and with two views
         # it is not; with a wrong one, bones grow and shrink as they turn.
         best = yield from learn(problem, best, with_bones=True)
-    unit, findings = arranged.unit, arranged.findings
-    if config.known_length is not None:
-        unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
-        findings += contradiction
-    if arranged.hand < DECIDED:
-        findings += (Finding.of("handedness_not_observable", certainty=arranged.hand),)
     surely = deviations(problem, best)
     if kept is not None:
         surely = np.where(np.isfinite(kept), kept, surely)
-    found = replace(
-        _result(problem, best, surely, reason, unit, findings), handedness_certainty=arranged.hand
+    found = _result(
+        problem, best, surely, reason, arranged.hand, arranged.unit, arranged.findings, config
     )
-    of_cameras = noticed(camera_findings, found, problem.images, problem.size)
-    return replace(found, findings=(*found.findings, *of_cameras)), best.scene
+    return found, best.scene
+
+
+def calibrate_by_geometry(
+    keypoints: Float64,
+    weights: Float64,
+    config: FitConfig,
+    image_sizes: ImageSizes | None,
+    *,
+    detected: Float64,
+) -> Steps[tuple[SelfCalibration, Scene] | None]:
+    """Find static cameras from keypoints alone; None where geometry does not decide.
+
+    Parameters are those of `self_calibrate`, which finds everything else.
+    """
+    problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
+    most = most_frames(*keypoints.shape[1:3])
+    settled = yield from settle_by_geometry(problem, config, most=most)
+    if settled is None:
+        return None
+    found = _result(
+        settled.problem,
+        settled.solution,
+        settled.deviations,
+        settled.reason,
+        settled.hand,
+        None,
+        (),
+        config,
+    )
+    return found, settled.solution.scene
 
 
 def _leaves_lenses_to_shapes(problem: Problem, best: Solution) -> bool:
@@ -208,12 +232,19 @@ def _result(
     best: Solution,
     surely: Float64,
     reason: str,
+    hand: float,
     unit: float | None,
     findings: tuple[Finding, ...],
+    config: FitConfig,
 ) -> SelfCalibration:
+    if config.known_length is not None:
+        unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
+        findings += contradiction
+    if hand < DECIDED:
+        findings += (Finding.of("handedness_not_observable", certainty=hand),)
     observed = problem.weights > 0  # (N, K, P)
     distances = reprojection_distances(problem, best.rig, best.scene)
-    return SelfCalibration(
+    found = SelfCalibration(
         rig=best.rig,
         deviations=surely,
         shapes=best.shapes,
@@ -224,4 +255,7 @@ def _result(
         reprojection_errors=(distances * observed).sum((0, 2)) / observed.sum((0, 2)).clip(1),
         reason=reason,
         findings=findings,
+        handedness_certainty=hand,
     )
+    of_cameras = noticed(camera_findings, found, problem.images, problem.size)
+    return replace(found, findings=(*findings, *of_cameras))

@@ -14,6 +14,7 @@ from models.epipolar.rig_adjustment import LENS, Rigid, Seen, linearised
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
+Bool = NDArray[np.bool_]
 
 FEWEST = 6  # points of a frame that a view shows, to say anything of its pose
 WEAKEST = 1e-3  # of the strongest direction of a pose: weaker ones are left alone
@@ -52,11 +53,12 @@ def camera_motion(
         images = np.einsum("iam,ibm->mab", by_pose, by_pose)
         matrices = images - through @ np.einsum("iam,ibm->mba", by_pose, by_point[view][..., order])
         weights = np.square(by_camera[view, 0, CENTRE_X, order])
-        of_frames = [
-            np.add.reduceat(each, starts, axis=0)[enough]
-            for each in (pulls, matrices, images, weights)
-        ]
-        beyond = _beyond_noise(*of_frames[:3], left) / of_frames[3].clip(1e-300)
+
+        def of_frames(each: Float64, starts: Int64 = starts, enough: Bool = enough) -> Float64:
+            return np.asarray(np.add.reduceat(each, starts, axis=0)[enough])
+
+        beyond = _beyond_noise(of_frames(pulls), of_frames(matrices), of_frames(images), left)
+        beyond /= of_frames(weights).clip(1e-300)
         if len(beyond) > 1:
             squares[view] = beyond.mean()
             errors[view] = beyond.std(ddof=1) / np.sqrt(len(beyond))
@@ -64,7 +66,7 @@ def camera_motion(
 
 
 def _beyond_noise(pulls: Float64, matrices: Float64, images: Float64, noise: float) -> Float64:
-    """Return squared shifts (F,) of the steps of frames less those of independent noise, weighted."""
+    """Return weighted squared shifts (F,) of frames less what independent noise makes of them."""
     values, vectors = np.linalg.eigh((matrices + matrices.mT) / 2)
     known = values > WEAKEST * values[:, -1:].clip(1e-300)
     inverse = np.where(known, 1 / np.where(known, values, 1.0), 0.0)

@@ -16,11 +16,15 @@ from torch import Tensor
 from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.known_structures import KnownStructures
-from models.bundle.problem import Views
+from models.bundle.problem import Scene, Views
 from models.calibrating.handedness import NothingFoundError, same_hand
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
-from models.calibrating.self_calibration import most_frames, self_calibrate
+from models.calibrating.self_calibration import (
+    calibrate_by_geometry,
+    most_frames,
+    self_calibrate,
+)
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
@@ -28,6 +32,7 @@ from models.lifting.skeleton_lengths import SkeletonLengths, learn_skeleton_leng
 from models.network.answers import Usual
 from models.network.priors.prior import Prior
 from models.network.settling import estimate_foreshortening
+from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 from models.training.batches import Data
 from models.training.known_structures import believe_where_better, known_structures
@@ -71,6 +76,41 @@ class Teaching:
         self._removed_noise = removed_noise  # and what is left of it, pixels
         self._detected = detected  # the data with the noise that was removed, weighed by it
         self._edges = edges  # (E, 2) of the skeleton
+
+    def settle_by_geometry(self) -> Iterator[None]:
+        """Find static cameras from keypoints alone, and teach what they see, if they decide that.
+
+        Yields now and then, to be stopped there: then nothing was found.
+        """
+        frames = self._frames_of_several_views(0).sort().values
+        if not len(frames):
+            return
+        weights = self._data.weights[frames]
+        found = yield from self._found_by(
+            calibrate_by_geometry(
+                self._data.pixels(frames).double().numpy(),
+                weights.double().numpy(),
+                self._config,
+                self._image_sizes,
+                detected=self._detected.pixels(frames).double().numpy(),
+            )
+        )
+        if found is None:
+            return
+        self.self_calibration, scene = found
+        self.state.cameras, self.state.found_at_step = "found", 0
+        if not self._config.distillation:
+            return
+        rig, sizes = self.self_calibration.rig, np.exp(scene.sizes)
+        translations = np.einsum("kij,ngj->nki", rig.rotations, scene.translations)
+        translations += rig.translations
+        self._teach(
+            torch.from_numpy(scene.points),
+            torch.from_numpy(rig.rotations @ scene.rotations),
+            torch.from_numpy(translations / sizes[..., None]),
+            (weights > 0).any(-1),
+            frames,
+        )
 
     def make_teachers(self, step: int, *, most: int) -> Iterator[None]:
         """Make teachers anew, and find the cameras first if they are sought.
@@ -170,8 +210,8 @@ class Teaching:
         pixels, weights = self._data.pixels(frames), self._data.weights[frames]
         prior = self._as_prior(None)
         answers = _weak_perspective(prior.lift(pixels, confidence=weights))
-        try:
-            found, scene = yield from self_calibrate(
+        result = yield from self._found_by(
+            self_calibrate(
                 pixels.double().numpy(),
                 weights.double().numpy(),
                 answers,
@@ -181,16 +221,29 @@ class Teaching:
                 noisy=self._noisy_frames(),
                 edges=self._edges,
             )
-        except (LinAlgError, NothingFoundError):
-            logger.warning("The keypoints do not say what the cameras are", exc_info=True)
+        )
+        if result is None:
             return
-        if self._removed_noise is not None:
-            noise, left = self._removed_noise
-            reason = f"{found.reason}; {noise:.3g} px of noise were removed"
-            found = replace(found, reason=reason, noise=max(found.noise, left))
+        found, scene = result
         self.self_calibration = found
         scene_is_mirrored = not same_hand(scene.points, answers.points)
         self.state.mirrored = (prior.foreshortening < 0) != scene_is_mirrored
+
+    def _found_by(
+        self, steps: Steps[tuple[SelfCalibration, Scene] | None]
+    ) -> Steps[tuple[SelfCalibration, Scene] | None]:
+        """Return what a search comes to, with the noise that was removed before it."""
+        try:
+            result = yield from steps
+        except (LinAlgError, NothingFoundError):
+            logger.warning("The keypoints do not determine the cameras", exc_info=True)
+            return None
+        if result is None or self._removed_noise is None:
+            return result
+        found, scene = result
+        noise, left = self._removed_noise
+        reason = f"{found.reason}; {noise:.3g} px of noise were removed"
+        return replace(found, reason=reason, noise=max(found.noise, left)), scene
 
     def _noisy_frames(self) -> NoisyFrames | None:
         """Return all frames before and after noise was removed from them; None if none was."""
@@ -302,17 +355,36 @@ class Teaching:
         refined = observed.any(1)
         if not refined.any():
             return
-        sizes = self._data.sizes[frames][refined][observed[refined]]
         rotations = torch.from_numpy(lift.rotations)
         translations = torch.from_numpy(lift.translations)
-        self.teachers = perspective_teachers(
+        self._teach(
             torch.from_numpy(lift.points3d)[refined],
             torch.where(observed[..., None, None], rotations, torch.eye(3))[refined],
             torch.where(observed[..., None], translations, 1.0)[refined],
             observed[refined],
             frames[refined],
+        )
+
+    def _teach(
+        self,
+        points: Tensor,
+        rotations: Tensor,
+        translations: Tensor,
+        observed: Tensor,
+        frames: Tensor,
+    ) -> None:
+        """Take structures (T, P, 3) for teachers; the rest is as in `perspective_teachers`."""
+        found = self.self_calibration
+        assert found is not None  # noqa: S101
+        sizes = self._data.sizes[frames][observed]
+        self.teachers = perspective_teachers(
+            points,
+            rotations,
+            translations,
+            observed,
+            frames,
             len(self._data.keypoints),
-            noise=self_calibration.noise / float(sizes.mean()),
+            noise=found.noise / float(sizes.mean()),
             reflected=self.state.mirrored,
         )
 

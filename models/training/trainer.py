@@ -172,12 +172,14 @@ class Trainer:
             return None
         if state.ends_early:
             return "early"
-        return "steps" if state.step >= self.config.steps else "budget"
+        return "steps" if state.step >= state.schedule.full_steps else "budget"
 
     def run(self) -> Iterator[Progress]:
         """Take the remaining steps, yielding after each; stop iterating to pause."""
         state = self._state
         state.clock.start()
+        if not state.step and state.teaching.cameras == "sought":
+            yield from self._settle_by_geometry()
         while state.step < state.schedule.steps:
             yield from self._make_due_teachers()
             if self.stopped_by is not None:
@@ -240,6 +242,22 @@ class Trainer:
         batch = self._batches.draw(step, teaching.teachers, perspective=calibrated)
         rate = self._state.schedule.rate_at(step, calibrated=calibrated)
         return self._learner.step(batch, count=step + 1, rate=rate)
+
+    def _settle_by_geometry(self) -> Iterator[Progress]:
+        """Find static cameras from keypoints alone; then training begins with what they see."""
+        state = self._state
+        limit = CALIBRATION_LIMIT * self._budget
+        for _ in self._teaching.settle_by_geometry():
+            state.clock.count()
+            if state.clock.seconds > limit:
+                break
+            yield self._progress("refining")
+            state.clock.start()
+        state.clock.count()
+        if state.teaching.cameras == "found":
+            state.schedule = Schedule.of_settled(self.config, len(self._data.keypoints))
+            state.refreshes_done = 1
+            self._plan_within_budget()
 
     def _make_due_teachers(self) -> Iterator[Progress]:
         """Find the cameras and make the teachers that are due."""

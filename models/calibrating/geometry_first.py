@@ -1,0 +1,96 @@
+"""Static cameras that keypoints alone settle: no network, and no shapes but those learnt with them.
+
+Where three views or more are one rigid scene (`models.epipolar.resting_rig`), geometry gives the
+cameras in seconds, as surely as anything later could. Shapes are learnt with these cameras.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.problem import Scene
+from models.bundle.scene_adjustment import adjust_frames
+from models.bundle.shape_model import align
+from models.calibrating.expectation_maximisation import about_model, learn, regauge
+from models.calibrating.handedness import DECIDED, certainty
+from models.calibrating.keypoint_rig import LEAST_VIEWS, KeypointRig, geometry_of, static_rig
+from models.calibrating.lens_prior import other_lenses
+from models.calibrating.problem import Problem, Solution
+from models.epipolar.resting_rig import RestingRig
+from models.numerics.steps import Steps
+from models.settings.config import FitConfig
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+
+MOVES = 0.03  # of the subject's size in the image: a camera that moves it by less is static
+SURE = 3.0  # standard errors by which it must move
+EXPLAINED = 0.15  # of that size: more noise than this is left to the search with shapes
+ITERATIONS = 15  # of adjusting the structures of all frames
+
+
+class Settled(NamedTuple):
+    """Static cameras that keypoints alone give, and the structures of all frames."""
+
+    solution: Solution
+    problem: Problem  # with lens groups as found
+    deviations: Float64  # (K, VIEW)
+    hand: float  # how sure the handedness is, 0 to 1
+    reason: str
+
+
+def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Steps[Settled | None]:
+    """Find static cameras from all frames, and shapes from `most` of them.
+
+    None where geometry does not decide: two views, cameras that move, poses or a hand that were
+    given, lenses that look like another camera model, a handedness that keypoints leave open.
+    """
+    views = len(problem.poses)
+    given = problem.posed or config.hand is not None or np.isfinite(problem.lens_sds).any()
+    if views < LEAST_VIEWS or given or config.cameras == "moving":
+        return None
+    found = yield from geometry_of(problem, list(range(views)))
+    if found is None or not found.resting.all() or not _is_static(problem, found):
+        return None
+    hand = certainty([found.log_odds])
+    rig = static_rig(problem, found)
+    if hand < DECIDED or rig is None:
+        return None
+    grouped = problem._replace(lens_groups=rig.lens_groups)
+    if other_lenses(grouped, rig.start):
+        return None
+    kept = grouped._replace(kept=np.ones(views, bool))
+    frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, most).astype(np.int64))
+    solution = yield from learn(kept.of(frames), rig.start.of(frames))
+    scene = _all_frames(kept, solution, rig)
+    noise = found.noise * problem.side
+    reason = (
+        f"keypoints of all frames are one rigid scene of {views} static cameras,"
+        f" to {noise:.3g} px (from keypoints)"
+    )
+    whole = solution._replace(
+        scene=scene, prior=about_model(solution.shapes, len(problem.keypoints))
+    )
+    return Settled(whole, kept, rig.deviations, hand, reason)
+
+
+def _is_static(problem: Problem, found: RestingRig) -> bool:
+    """Whether no camera moves by more than noise and `MOVES` explain."""
+    sizes = problem.size / problem.side
+    if found.noise > EXPLAINED * sizes:
+        return False
+    squares, errors = found.motion
+    moves = (squares > (MOVES * sizes) ** 2) & (squares > SURE * errors)
+    return not moves.any()
+
+
+def _all_frames(problem: Problem, learnt: Solution, rig: KeypointRig) -> Scene:
+    """Adjust the structures of all frames to the cameras and shapes as they were learnt."""
+    start = rig.start.scene
+    points, similarity = align(start.points, learnt.shapes.mean)
+    start = regauge(start, points, similarity, learnt.rig)
+    prior = about_model(learnt.shapes, len(points))
+    views = problem.views(learnt.noise)
+    scene, _ = adjust_frames(views, learnt.rig, prior, start, iterations=ITERATIONS)
+    return scene
