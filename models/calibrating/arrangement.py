@@ -21,6 +21,7 @@ from models.calibrating.prediction import (
     Split,
     common_noise,
     predicted_distances,
+    predicts_better,
     split_frames,
     surprise,
     typical_distance,
@@ -43,7 +44,6 @@ Corners = tuple[int, int, int, int]
 
 MEDIAN_ROUNDS = 10  # of reweighting for a median of rotations
 LEAST_ANGLE = 1e-4  # radians, below which rotations weigh alike there
-LIKELY = 2.0  # standard errors by which one rig must predict better than another to replace it
 MORE_ROUNDS = 2  # of learning, for what has been learnt from nearly the same frames
 SURE = 3.0  # standard errors by which hidden keypoints must speak against rest
 MORE_NOISE = 1.4  # times the noise of moving cameras: no rig at rest has more
@@ -255,13 +255,7 @@ def _better(asked: Problem, first: Judged | None, other: Judged) -> Judged:
     """Return the other if it has greater merits, or predicts better beyond chance."""
     if first is None or other.merits != first.merits:
         return other if first is None or other.merits > first.merits else first
-    noise = common_noise([first.distances, other.distances], asked.side)
-    gain = surprise(first.distances, asked.weights, noise) - surprise(
-        other.distances, asked.weights, noise
-    )
-    known = gain[np.isfinite(gain)]
-    chance = float(known.std()) / math.sqrt(max(len(known), 1))
-    return other if len(known) and known.mean() > LIKELY * chance else first
+    return other if predicts_better(asked, first.distances, other.distances) else first
 
 
 def _evidence(solution: Solution, handed: Handed, found: KeypointRig | None) -> list[Float64]:

@@ -15,8 +15,8 @@ from models.bundle.shape_model import align
 from models.calibrating.expectation_maximisation import about_model, learn, regauge
 from models.calibrating.handedness import DECIDED, certainty
 from models.calibrating.keypoint_rig import LEAST_VIEWS, KeypointRig, geometry_of, static_rig
-from models.calibrating.lens_prior import other_lenses
-from models.calibrating.problem import Problem, Solution
+from models.calibrating.prediction import predicted_distances, predicts_better, split_frames
+from models.calibrating.problem import CLEAR, Problem, Solution
 from models.epipolar.resting_rig import RestingRig
 from models.numerics.steps import Steps
 from models.settings.config import FitConfig
@@ -27,15 +27,17 @@ Int64 = NDArray[np.int64]
 MOVES = 0.03  # of the subject's size in the image: a camera that moves it by less is static
 SURE = 3.0  # standard errors by which it must move
 EXPLAINED = 0.15  # of that size: more noise than this is left to the search with shapes
+POLISHING = 2  # rounds of learning before hidden keypoints are predicted
 ITERATIONS = 15  # of adjusting the structures of all frames
 
 
 class Settled(NamedTuple):
     """Static cameras that keypoints alone give, and the structures of all frames."""
 
-    solution: Solution
-    problem: Problem  # with lens groups as found
-    deviations: Float64  # (K, VIEW)
+    problem: Problem  # of the frames that shapes were learnt from; lens groups as found
+    solution: Solution  # of these
+    scene: Scene  # of all frames
+    deviations: Float64 | None  # (K, VIEW); None: those of the solution
     hand: float  # how sure the handedness is, 0 to 1
     reason: str
 
@@ -58,21 +60,44 @@ def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Ste
     if hand < DECIDED or rig is None:
         return None
     grouped = problem._replace(lens_groups=rig.lens_groups)
-    if other_lenses(grouped, rig.start):
-        return None
-    kept = grouped._replace(kept=np.ones(views, bool))
     frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, most).astype(np.int64))
-    solution = yield from learn(kept.of(frames), rig.start.of(frames))
-    scene = _all_frames(kept, solution, rig)
+    kept = grouped.of(frames)._replace(kept=np.ones(views, bool))
+    start = rig.start.of(frames)
+    solution = yield from learn(kept, start)
+    deviations: Float64 | None = rig.deviations
+    free = kept._replace(kept=np.zeros(views, bool))
+    if solution.measured_noise < CLEAR * problem.size:
+        polished = yield from _polished(free, solution)
+        if polished is not None:
+            solution, deviations = polished, None
+    scene = _all_frames(problem, solution, rig)
     noise = found.noise * problem.side
     reason = (
         f"keypoints of all frames are one rigid scene of {views} static cameras,"
         f" to {noise:.3g} px (from keypoints)"
     )
-    whole = solution._replace(
-        scene=scene, prior=about_model(solution.shapes, len(problem.keypoints))
-    )
-    return Settled(whole, kept, rig.deviations, hand, reason)
+    return Settled(free, solution, scene, deviations, hand, reason)
+
+
+def _polished(problem: Problem, solution: Solution) -> Steps[Solution | None]:
+    """Adjust cameras and shapes together; None if that predicts hidden keypoints no better.
+
+    Clear keypoints give more of a lens than one radial coefficient, with shapes that repeat.
+    """
+    split = split_frames(len(problem.keypoints))
+    start = solution.of(split.learning)
+    judges, scene = problem.of(split.judging), solution.scene.of(split.judging)
+    distances = []
+    for kept in (True, False):
+        held = np.full(len(problem.kept), kept)
+        part = problem.of(split.learning)._replace(kept=held)
+        learnt = yield from learn(part, start, rounds=POLISHING)
+        distances.append(predicted_distances(judges, learnt, scene))
+        yield
+    if not predicts_better(judges, *distances):
+        return None
+    polished = yield from learn(problem, solution)
+    return polished
 
 
 def _is_static(problem: Problem, found: RestingRig) -> bool:

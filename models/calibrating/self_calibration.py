@@ -20,6 +20,7 @@ from models.calibrating.arrangement import MORE_ROUNDS
 from models.calibrating.camera_findings import camera_findings
 from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
+from models.calibrating.doubts import Checked
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.geometry_first import settle_by_geometry
 from models.calibrating.handedness import DECIDED
@@ -138,17 +139,16 @@ def calibrate_by_geometry(
     settled = yield from settle_by_geometry(problem, config, most=most)
     if settled is None:
         return None
-    found = _result(
-        settled.problem,
-        settled.solution,
-        settled.deviations,
-        settled.reason,
-        settled.hand,
-        None,
-        (),
-        config,
-    )
-    return found, settled.solution.scene
+    problem, best, surely = settled.problem, settled.solution, settled.deviations
+    if other_lenses(problem, best):
+        arranged = Arranged(best, Checked(problem, best, ()), "", settled.hand, (), kept=surely)
+        likely, _, _, _ = yield from _with_likely_lenses(arranged, 1.0)
+        if likely is not problem:
+            return None
+    if surely is None:
+        surely = deviations(problem, best)
+    found = _result(problem, best, surely, settled.reason, settled.hand, None, (), config)
+    return found, settled.scene
 
 
 def _leaves_lenses_to_shapes(problem: Problem, best: Solution) -> bool:
