@@ -214,7 +214,7 @@ def triangulated(draw: Draw) -> Float64:
         rig = Rigid(
             np.log(draw.focals / side),
             draw.centres / side,
-            draw.radial,
+            np.stack((draw.radial, np.zeros(len(draw.radial))), 1),
             draw.rotations[first],
             draw.translations[first],
         )

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from models.bundle.problem import Scene
 from models.bundle.scene_adjustment import adjust_frames
 from models.bundle.shape_model import align
+from models.calibrating.doubts import Checked
 from models.calibrating.expectation_maximisation import about_model, learn, regauge
 from models.calibrating.handedness import DECIDED, certainty
-from models.calibrating.keypoint_rig import LEAST_VIEWS, KeypointRig, geometry_of, static_rig
-from models.calibrating.prediction import predicted_distances, predicts_better, split_frames
-from models.calibrating.problem import CLEAR, Problem, Solution
+from models.calibrating.keypoint_rig import LEAST_VIEWS, geometry_of, static_rig
+from models.calibrating.problem import Problem, Solution
+from models.calibrating.search import Arranged
 from models.epipolar.resting_rig import RestingRig
 from models.numerics.steps import Steps
 from models.settings.config import FitConfig
@@ -27,19 +28,14 @@ Int64 = NDArray[np.int64]
 MOVES = 0.03  # of the subject's size in the image: a camera that moves it by less is static
 SURE = 3.0  # standard errors by which it must move
 EXPLAINED = 0.15  # of that size: more noise than this is left to the search with shapes
-POLISHING = 2  # rounds of learning before hidden keypoints are predicted
 ITERATIONS = 15  # of adjusting the structures of all frames
 
 
 class Settled(NamedTuple):
-    """Static cameras that keypoints alone give, and the structures of all frames."""
+    """Static cameras that keypoints alone give."""
 
-    problem: Problem  # of the frames that shapes were learnt from; lens groups as found
-    solution: Solution  # of these
-    scene: Scene  # of all frames
-    deviations: Float64 | None  # (K, VIEW); None: those of the solution
-    hand: float  # how sure the handedness is, 0 to 1
-    reason: str
+    arranged: Arranged  # with the frames that shapes were learnt from
+    start: Solution  # of all frames, before shapes were learnt
 
 
 def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Steps[Settled | None]:
@@ -64,40 +60,14 @@ def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Ste
     kept = grouped.of(frames)._replace(kept=np.ones(views, bool))
     start = rig.start.of(frames)
     solution = yield from learn(kept, start)
-    deviations: Float64 | None = rig.deviations
     free = kept._replace(kept=np.zeros(views, bool))
-    if solution.measured_noise < CLEAR * problem.size:
-        polished = yield from _polished(free, solution)
-        if polished is not None:
-            solution, deviations = polished, None
-    scene = _all_frames(problem, solution, rig)
-    noise = found.noise * problem.side
     reason = (
         f"keypoints of all frames are one rigid scene of {views} static cameras,"
-        f" to {noise:.3g} px (from keypoints)"
+        f" to {found.noise * problem.side:.3g} px (from keypoints)"
     )
-    return Settled(free, solution, scene, deviations, hand, reason)
-
-
-def _polished(problem: Problem, solution: Solution) -> Steps[Solution | None]:
-    """Adjust cameras and shapes together; None if that predicts hidden keypoints no better.
-
-    Clear keypoints give more of a lens than one radial coefficient, with shapes that repeat.
-    """
-    split = split_frames(len(problem.keypoints))
-    start = solution.of(split.learning)
-    judges, scene = problem.of(split.judging), solution.scene.of(split.judging)
-    distances = []
-    for kept in (True, False):
-        held = np.full(len(problem.kept), kept)
-        part = problem.of(split.learning)._replace(kept=held)
-        learnt = yield from learn(part, start, rounds=POLISHING)
-        distances.append(predicted_distances(judges, learnt, scene))
-        yield
-    if not predicts_better(judges, *distances):
-        return None
-    polished = yield from learn(problem, solution)
-    return polished
+    checked = Checked(free, solution, ())
+    arranged = Arranged(solution, checked, reason, hand, (), kept=rig.deviations)
+    return Settled(arranged, rig.start)
 
 
 def _is_static(problem: Problem, found: RestingRig) -> bool:
@@ -110,12 +80,11 @@ def _is_static(problem: Problem, found: RestingRig) -> bool:
     return not moves.any()
 
 
-def _all_frames(problem: Problem, learnt: Solution, rig: KeypointRig) -> Scene:
-    """Adjust the structures of all frames to the cameras and shapes as they were learnt."""
-    start = rig.start.scene
-    points, similarity = align(start.points, learnt.shapes.mean)
-    start = regauge(start, points, similarity, learnt.rig)
+def structures_of_all(problem: Problem, learnt: Solution, start: Solution) -> Scene:
+    """Adjust the structures of all frames to cameras and shapes as they were learnt of some."""
+    points, similarity = align(start.scene.points, learnt.shapes.mean)
+    scene = regauge(start.scene, points, similarity, learnt.rig)
     prior = about_model(learnt.shapes, len(points))
     views = problem.views(learnt.noise)
-    scene, _ = adjust_frames(views, learnt.rig, prior, start, iterations=ITERATIONS)
+    scene, _ = adjust_frames(views, learnt.rig, prior, scene, iterations=ITERATIONS)
     return scene

@@ -1,6 +1,5 @@
 """A rig at rest that keypoints alone say, as a start of the search: cameras, structures, poses."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +32,6 @@ from models.calibrating.lens_prior import (
 from models.calibrating.problem import Problem, Solution, grouped
 from models.epipolar.pairs import Beliefs
 from models.epipolar.resting_rig import RestingRig, find_resting_rig
-from models.epipolar.rig_adjustment import LENS as CAMERA_LENS
 from models.epipolar.rig_adjustment import Rigid
 from models.epipolar.rig_certainty import FocalLikelihood
 from models.numerics.rotations import nearest_rotations
@@ -133,9 +131,7 @@ def geometry_of(problem: Problem, among: list[int]) -> Steps[RestingRig | None]:
 def _deviations(problem: Problem, found: RestingRig, unit: float) -> Float64:
     """Return standard deviations (K, VIEW), `unit` units of the rig in one of the structure."""
     sds = np.full((len(found.resting), VIEW), np.inf)
-    lens, pose = np.split(found.deviations[found.resting], [CAMERA_LENS], axis=1)
-    bends = np.where(lens[:, RADIAL:] > 0, math.hypot(*RADIAL_2_SDS), 0)
-    sds[found.resting] = np.concatenate((lens, bends, pose), 1)
+    sds[found.resting] = found.deviations[found.resting]
     sds[:, [CENTRE_X, CENTRE_Y]] *= problem.side
     sds[:, LENS + 3 :] /= unit
     return sds
@@ -168,7 +164,7 @@ def _lenses(problem: Problem, moving: Rig, rig: Rigid, resting: NDArray[np.bool_
     side, lenses = problem.side, problem.reference.lenses
     free = resting[:, None] & (problem.lens_sds > 0)  # (K, LENS)
     distortion = lenses.distortion.copy()
-    distortion[free[:, RADIAL], 0] = rig.radial[free[:, RADIAL]]
+    distortion[free[:, RADIAL], :2] = rig.radial[free[:, RADIAL]]
     focals = side * np.exp(rig.log_focals)[:, None]
     return lenses._replace(
         focals=np.where(free[:, [FOCAL]], focals, moving.lenses.focals),
@@ -184,7 +180,10 @@ def lens_beliefs(problem: Problem) -> Beliefs:
     sides = np.where(np.isinf(sds[:, CENTRE_X]), images.sizes.max(1) / problem.side, 0)
     together = np.where(images.told, 0, UNTOLD_CENTRE_SD) * sides
     bends = np.isinf(sds[:, RADIAL])
-    radial = RADIAL_SDS[0] ** 2 + RADIAL_SDS[1] ** 2 * np.eye(len(sides))
+    radial = [
+        together**2 + alone**2 * np.eye(len(sides))
+        for together, alone in (RADIAL_SDS, RADIAL_2_SDS)
+    ]
     unknown = np.where(images.told, FOCAL_SD, UNTOLD_FOCAL_SD)
     own = np.where(np.isinf(sds[:, FOCAL]), unknown, sds[:, FOCAL])
     focal_covariance = np.diag(np.square(own))
@@ -196,7 +195,7 @@ def lens_beliefs(problem: Problem) -> Beliefs:
         focals / problem.side,
         focal_covariance,
         np.outer(together, together) + np.diag(np.square(CENTRE_SD * sides)),
-        radial * np.outer(bends, bends),
+        np.array(radial) * np.outer(bends, bends),
     )
 
 

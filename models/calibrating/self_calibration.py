@@ -7,6 +7,7 @@ maximisation learns the noise of the keypoints and the Gaussian shape model besi
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,8 @@ from models.calibrating.arrangement import MORE_ROUNDS
 from models.calibrating.camera_findings import camera_findings
 from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
-from models.calibrating.doubts import Checked
 from models.calibrating.expectation_maximisation import learn
-from models.calibrating.geometry_first import settle_by_geometry
+from models.calibrating.geometry_first import settle_by_geometry, structures_of_all
 from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.lens_prior import other_lenses, rig_prior
@@ -92,27 +92,19 @@ def self_calibrate(
     """
     problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
     arranged = yield from search(problem, answers, config)
-    told = 1.0  # of what keypoints say, the share that is not said by others, too
+    share = 1.0  # of the information of keypoints, what noise removal did not use twice
     if noisy is not None:
-        told = min(1.0, arranged.checked.solution.noise / noisy.noise) ** 2
-    problem, best, kept, reason = yield from _with_likely_lenses(arranged, told)
-    if noisy is not None:
-        adjusted = yield from _by_detected(problem, best, noisy, edges)
-        if adjusted is None and kept is None and _leaves_lenses_to_shapes(problem, best):
-            # Shapes say of two views what suits them. Another start, and the outcome without
-            # any word of detected keypoints, is with lenses that are not far from the usual ones.
-            firm = yield from search(problem._replace(said_once=told), answers, config)
-            if firm.checked.solution.rig.resting.all():
-                best = firm.checked.solution
-                adjusted = yield from _by_detected(problem, best, noisy, edges)
-        if adjusted is not None:
-            best, kept = adjusted
-            reason = f"{reason}; cameras are adjusted to keypoints as they were detected"
-    clear = kept is None and best.noise < CLEAR * problem.size
-    if clear and find_bone_lengths(best.scene.points, problem.told).steady:
-        # The lens under which shapes look most alike need not be the true one, and with two views
-        # it is not; with a wrong one, bones grow and shrink as they turn.
-        best = yield from learn(problem, best, with_bones=True)
+        share = min(1.0, arranged.checked.solution.noise / noisy.noise) ** 2
+    refined = yield from _refined(arranged, share, noisy, edges)
+    if noisy is not None and refined.kept is None and _leaves_lenses_to_shapes(refined):
+        # Of two views shapes suit many lenses. Another start, and the outcome where detected
+        # keypoints decide nothing, is with lenses that are not far from the usual ones.
+        firm = yield from search(problem._replace(said_once=share), answers, config)
+        if firm.checked.solution.rig.resting.all():
+            refined = refined._replace(best=firm.checked.solution)
+            adjusted = yield from _by_detected(refined, noisy, edges)
+            refined = adjusted or refined
+    problem, best, kept, reason = refined
     surely = deviations(problem, best)
     if kept is not None:
         surely = np.where(np.isfinite(kept), kept, surely)
@@ -129,6 +121,8 @@ def calibrate_by_geometry(
     image_sizes: ImageSizes | None,
     *,
     detected: Float64,
+    noisy: NoisyFrames | None = None,
+    edges: Int64 | None = None,
 ) -> Steps[tuple[SelfCalibration, Scene] | None]:
     """Find static cameras from keypoints alone; None where geometry does not decide.
 
@@ -139,20 +133,47 @@ def calibrate_by_geometry(
     settled = yield from settle_by_geometry(problem, config, most=most)
     if settled is None:
         return None
-    problem, best, surely = settled.problem, settled.solution, settled.deviations
-    if other_lenses(problem, best):
-        arranged = Arranged(best, Checked(problem, best, ()), "", settled.hand, (), kept=surely)
-        likely, _, _, _ = yield from _with_likely_lenses(arranged, 1.0)
-        if likely is not problem:
-            return None
-    if surely is None:
-        surely = deviations(problem, best)
-    found = _result(problem, best, surely, settled.reason, settled.hand, None, (), config)
-    return found, settled.scene
+    arranged = settled.arranged
+    refined = yield from _refined(arranged, 1.0, noisy, edges)
+    part, best, kept, reason = refined
+    if part is not arranged.checked.problem:  # other lenses are better, and may move the cameras
+        return None
+    surely = deviations(part, best) if kept is None else kept
+    found = _result(part, best, surely, reason, arranged.hand, None, (), config)
+    return found, structures_of_all(problem, best, settled.start)
 
 
-def _leaves_lenses_to_shapes(problem: Problem, best: Solution) -> bool:
-    """Whether two views that rest have focal lengths that nobody told."""
+class _Refined(NamedTuple):
+    """Cameras after everything that was tried on them."""
+
+    problem: Problem
+    best: Solution
+    kept: Float64 | None  # as in `Arranged`
+    reason: str
+
+
+def _refined(
+    arranged: Arranged, share: float, noisy: NoisyFrames | None, edges: Int64 | None
+) -> Steps[_Refined]:
+    """Try other camera models, keypoints as they were detected, and bones, one after another."""
+    refined = _Refined(*(yield from _with_likely_lenses(arranged, share)))
+    if noisy is not None:
+        refined = (yield from _by_detected(refined, noisy, edges)) or refined
+    problem, best = refined.problem, refined.best
+    clear = best.noise < CLEAR * problem.size and (refined.kept is None or noisy is None)
+    if clear and find_bone_lengths(best.scene.points, problem.told).steady:
+        # The lens under which shapes look most alike need not be the true one, and with two views
+        # it is not; with a wrong one, bones grow and shrink as they turn.
+        if refined.kept is not None:
+            best = yield from learn(problem, best)
+        best = yield from learn(problem, best, with_bones=True)
+        return refined._replace(best=best, kept=None)
+    return refined
+
+
+def _leaves_lenses_to_shapes(refined: _Refined) -> bool:
+    """Whether two static views have focal lengths that nobody gave."""
+    problem, best = refined.problem, refined.best
     untold = np.isinf(problem.lens_sds[:, FOCAL]).all()
     return bool(untold and len(best.rig.groups) == 2 and best.rig.resting.all())
 
@@ -175,13 +196,14 @@ def _with_likely_lenses(
 
 
 def _by_detected(
-    problem: Problem, best: Solution, noisy: NoisyFrames, edges: Int64 | None
-) -> Steps[tuple[Solution, Float64] | None]:
-    """Adjust cameras that rest to keypoints as they were detected, and all else to these cameras.
+    refined: _Refined, noisy: NoisyFrames, edges: Int64 | None
+) -> Steps[_Refined | None]:
+    """Adjust static cameras to keypoints as they were detected, and all else to these cameras.
 
-    Returns also the deviations (K, VIEW) of the cameras; None if keypoints do not tell more than
-    shapes do, or if the cameras do not explain the clear ones as well as before.
+    None if keypoints do not give more than shapes do, or if the cameras do not explain the clear
+    ones as well as before.
     """
+    problem, best = refined.problem, refined.best
     resting = best.rig.resting
     if not resting.any() or best.given_poses is not None:
         return None
@@ -207,7 +229,10 @@ def _by_detected(
         )
     except np.linalg.LinAlgError:
         return None
-    return None if adjusted.noise > WORSE * best.noise else (adjusted, surely)
+    if adjusted.noise > WORSE * best.noise:
+        return None
+    reason = f"{refined.reason}; cameras are adjusted to keypoints as they were detected"
+    return refined._replace(best=adjusted, kept=surely, reason=reason)
 
 
 def _log_posterior(problem: Problem, solution: Solution, told: float) -> float:

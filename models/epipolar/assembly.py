@@ -62,7 +62,7 @@ def _grow(
         poses.rotations[solution],
         poses.translations[solution],
     )
-    rig = Rigid(log_focals, np.zeros((views, 2)), np.zeros(views), rotations, translations)
+    rig = Rigid(log_focals, np.zeros((views, 2)), np.zeros((views, 2)), rotations, translations)
     while len(placed) < views:
         some = Seen(seen.images[placed], seen.weights[placed])
         known = (some.weights > 0).sum(0) >= 2
@@ -108,7 +108,7 @@ def _candidates(graph: ViewGraph, rig: Rigid, placed: list[int], view: int) -> l
                 Rigid(
                     np.log(focal)[None],
                     np.zeros((1, 2)),
-                    np.zeros(1),
+                    np.zeros((1, 2)),
                     (turn @ rig.rotations[other])[None],
                     np.zeros((1, 3)),
                 )

@@ -78,7 +78,7 @@ class RestingRig(NamedTuple):
     noise: float  # sides
     log_odds: Float64  # (N,) what each frame says for the best and against its mirror image
     focals: FocalLikelihood  # what keypoints say of the focal lengths of the views that rest
-    deviations: Float64  # (K, 10) of `Rigid`'s numbers, infinite of views that do not rest
+    deviations: Float64  # (K, 11) of `Rigid`'s numbers, infinite of views that do not rest
     motion: CameraMotion  # of the views that rest, as far as they do
 
 
@@ -456,7 +456,7 @@ def _of_all_views(rig: Rigid, beliefs: Beliefs, members: list[int]) -> Rigid:
     whole = Rigid(
         np.log(beliefs.focals),
         np.zeros((views, 2)),
-        np.zeros(views),
+        np.zeros((views, 2)),
         np.full((views, 3, 3), np.nan),
         np.full((views, 3), np.nan),
     )

@@ -17,8 +17,8 @@ from models.numerics.rotations import rotations_from_vectors
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-CAMERA = 10  # numbers: log focal, principal point, radial coefficient, rotation vector, translation
-LENS = 4
+CAMERA = 11  # numbers: log focal, principal point, radial coefficients, rotation, translation
+LENS = 5
 FREEDOM = 3.0  # of Student's t
 RAYLEIGH = 1.1774  # median length of a pair of unit normal numbers
 LEAST_NOISE = 1e-5  # sides: less cannot be told from none
@@ -46,7 +46,7 @@ class Rigid(NamedTuple):
 
     log_focals: Float64  # (K,)
     centres: Float64  # (K, 2) from the expected principal points
-    radial: Float64  # (K,) first radial coefficients
+    radial: Float64  # (K, 2) first two radial coefficients
     rotations: Float64  # (K, 3, 3)
     translations: Float64  # (K, 3)
 
@@ -191,7 +191,8 @@ def rays_of(rig: Rigid, images: Float64) -> Float64:
     straight = flat
     for _ in range(4):
         squared = np.square(straight).sum(1, keepdims=True)
-        straight = flat / (1 + rig.radial[:, None, None] * squared).clip(0.3, 3)
+        bent = 1 + squared * (rig.radial[:, :1, None] + squared * rig.radial[:, 1:, None])
+        straight = flat / bent.clip(0.3, 3)
     rays = np.concatenate((straight, np.ones_like(straight[:, :1])), 1)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     turned: Float64 = rig.rotations.mT @ rays
@@ -213,21 +214,21 @@ def _flat(camera: Float64, seen: Seen) -> tuple[Float64, Bool]:
 def _images(rig: Rigid, flat: Float64) -> tuple[Float64, Float64, Float64]:
     """Images (K, 2, M) of directions (K, 2, M), the lens's gain and the squared radius (K, M)."""
     squared = np.square(flat).sum(1)
-    gain = 1 + rig.radial[:, None] * squared
+    gain = 1 + squared * (rig.radial[:, :1] + squared * rig.radial[:, 1:])
     images = np.exp(rig.log_focals)[:, None, None] * gain[:, None] * flat
     return images + rig.centres[..., None], gain, squared
 
 
 class _Prior(NamedTuple):
     cost: float  # minus twice the log density
-    gradient: Float64  # (K, 4) half that of the cost
-    precision: Float64  # (K, 4, K, 4)
+    gradient: Float64  # (K, 5) half that of the cost
+    precision: Float64  # (K, 5, K, 5)
 
 
 def lens_prior(rig: Rigid, beliefs: Beliefs) -> _Prior:
     """Say what is believed of the lenses, as a quadratic about where they are."""
     views = len(rig.log_focals)
-    offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, rig.radial))
+    offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, *rig.radial.T))
     blocks = beliefs.precisions.copy()
     gradient = (blocks @ offsets[..., None])[..., 0].T
     cost = float((gradient.T * offsets).sum())
@@ -267,11 +268,12 @@ def _cost(rig: Rigid, points: Float64, seen: Seen, noise: Float64, beliefs: Beli
 
 
 def free_numbers(rig: Rigid, beliefs: Beliefs, *, lenses: bool) -> Bool:
-    """Which of the cameras' numbers (K, 10) may change; the first camera's pose is the frame."""
+    """Which of the cameras' numbers (K, 11) may change; the first camera's pose is the frame."""
     free = np.ones((len(rig.log_focals), CAMERA), bool)
     free[:, 0] = beliefs.focal_sds > 0
     free[:, 1:3] = (beliefs.centre_covariance.diagonal()[:, None] > 0) & lenses
-    free[:, 3] = (beliefs.radial_covariance.diagonal() > 0) & lenses
+    bends = beliefs.radial_covariance.diagonal(axis1=1, axis2=2).T > 0  # (K, 2)
+    free[:, 3:LENS] = bends & lenses
     free[0, LENS:] = False
     return free
 
@@ -279,11 +281,11 @@ def free_numbers(rig: Rigid, beliefs: Beliefs, *, lenses: bool) -> Bool:
 class Reduced(NamedTuple):
     """The normal equations of the cameras, the points eliminated."""
 
-    scores: Float64  # (10 K, M) what each point adds to the vector, besides the prior
-    information: Float64  # (10 K, 10 K) of cameras and points
-    matrix: Float64  # (10 K, 10 K) of the cameras alone
-    vector: Float64  # (10 K,)
-    spread: Float64  # (10 K, 3 M) by how much a camera's number moves the points
+    scores: Float64  # (11 K, M) what each point adds to the vector, besides the prior
+    information: Float64  # (11 K, 11 K) of cameras and points
+    matrix: Float64  # (11 K, 11 K) of the cameras alone
+    vector: Float64  # (11 K,)
+    spread: Float64  # (11 K, 3 M) by how much a camera's number moves the points
     solved: Float64  # (3, M) the points' own step
 
 
@@ -294,7 +296,7 @@ def reduced_equations(
     views, count = seen.weights.shape
     residuals, by_camera, by_point = linearised(rig, points, seen, noise)
     # Sums over what a view sees of products of its two rows.
-    cross = np.einsum("kiam,kibm->kabm", by_camera, by_point, optimize=True)  # (K, 10, 3, M)
+    cross = np.einsum("kiam,kibm->kabm", by_camera, by_point, optimize=True)  # (K, 11, 3, M)
     rows = by_camera.transpose(0, 2, 1, 3).reshape(views, CAMERA, -1)
     information = np.zeros((views, CAMERA, views, CAMERA))
     information[range(views), :, range(views), :] = rows @ rows.mT
@@ -375,9 +377,9 @@ def _moved(rig: Rigid, step: Float64) -> Rigid:
     return Rigid(
         rig.log_focals + step[:, 0].clip(-0.3, 0.3),
         rig.centres + step[:, 1:3],
-        (rig.radial + step[:, 3]).clip(-2, 2),
-        rotations_from_vectors(step[:, 4:7]) @ rig.rotations,
-        rig.translations + step[:, 7:],
+        (rig.radial + step[:, 3:LENS]).clip(-2, 2),
+        rotations_from_vectors(step[:, LENS : LENS + 3]) @ rig.rotations,
+        rig.translations + step[:, LENS + 3 :],
     )
 
 
@@ -386,7 +388,7 @@ def linearised(
 ) -> tuple[Float64, Float64, Float64]:
     """Return weighted residuals (K, 2, M), and derivatives by cameras and points.
 
-    These are (K, 2, 10, M) and (K, 2, 3, M).
+    These are (K, 2, 11, M) and (K, 2, 3, M).
     """
     turned = rig.rotations @ points
     camera = turned + rig.translations[..., None]
@@ -403,9 +405,10 @@ def linearised(
     by_camera[:, :, 0] = focals[..., None] * gain[:, None] * flat
     by_camera[:, 0, 1] = by_camera[:, 1, 2] = 1
     by_camera[:, :, 3] = focals[..., None] * squared[:, None] * flat
-    by_held = _by_held(rig, flat, gain, depths)
-    by_camera[:, :, 7:] = by_held
-    by_camera[:, :, 4:7] = np.cross(turned[:, None], by_held, axis=2)
+    by_camera[:, :, 4] = squared[:, None] * by_camera[:, :, 3]
+    by_held = _by_held(rig, flat, depths)
+    by_camera[:, :, LENS + 3 :] = by_held
+    by_camera[:, :, LENS : LENS + 3] = np.cross(turned[:, None], by_held, axis=2)
     by_point = np.einsum("kiam,kab->kibm", by_held, rig.rotations, optimize=True)
     return (
         residuals * root[:, None],
@@ -421,18 +424,20 @@ def residuals_by_points(rig: Rigid, points: Float64, seen: Seen) -> tuple[Float6
     """
     camera = rig.rotations @ points + rig.translations[..., None]
     flat, visible = _flat(camera, seen)
-    images, gain, _ = _images(rig, flat)
-    by_held = _by_held(rig, flat, gain, np.where(visible, camera[:, 2], 1.0))
+    images, _, _ = _images(rig, flat)
+    by_held = _by_held(rig, flat, np.where(visible, camera[:, 2], 1.0))
     by_point = np.einsum("kiam,kab->kibm", by_held, rig.rotations, optimize=True)
     there = (visible & (seen.weights > 0))[:, None]
     return np.where(there, images - seen.images, 0.0), by_point * there[:, None]
 
 
-def _by_held(rig: Rigid, flat: Float64, gain: Float64, depths: Float64) -> Float64:
+def _by_held(rig: Rigid, flat: Float64, depths: Float64) -> Float64:
     """Return derivatives (K, 2, 3, M) of images by points in their camera's frame."""
     views, _, count = flat.shape
     focals = np.exp(rig.log_focals)[:, None]
-    slope = 2 * rig.radial[:, None]
+    squared = np.square(flat).sum(1)
+    gain = 1 + squared * (rig.radial[:, :1] + squared * rig.radial[:, 1:])
+    slope = 2 * rig.radial[:, :1] + 4 * rig.radial[:, 1:] * squared
     by_flat = np.empty((views, 2, 2, count))
     a, b = flat[:, 0], flat[:, 1]
     by_flat[:, 0, 0] = focals * (gain + slope * a * a)

@@ -42,7 +42,7 @@ class Certainty(NamedTuple):
     """How surely K cameras are known."""
 
     deviations: (
-        Float64  # (K, 10) standard deviations of `Rigid`'s numbers, 0 of those that are held
+        Float64  # (K, 11) standard deviations of `Rigid`'s numbers, 0 of those that are held
     )
     focals: FocalLikelihood
 

@@ -93,6 +93,8 @@ class Teaching:
                 self._config,
                 self._image_sizes,
                 detected=self._detected.pixels(frames).double().numpy(),
+                noisy=self._noisy_frames(),
+                edges=self._edges,
             )
         )
         if found is None:
