@@ -145,6 +145,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.metrics.flush()
         app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
         app.state.keyring.close()
+        await app.state.rates.close()
         app.state.store.close()
         app.state.redis.close()
 

@@ -27,7 +27,7 @@ from service.http.errors import (
     problems,
     translated,
 )
-from service.http.keyring import caller_of
+from service.http.keyring import caller_of, while_let_in
 from service.http.operations import register
 from service.http.origins import refuse_foreign
 from service.http.rates import Rates
@@ -119,7 +119,7 @@ async def stream(websocket: WebSocket) -> None:
     async with places:
         await websocket.accept(subprotocol_of(websocket))
         try:
-            await _converse(websocket)
+            await while_let_in(websocket, _converse(websocket))
         except WebSocketDisconnect:
             return
         except Exception as error:
