@@ -8,6 +8,7 @@ from typing import Any, Self, Unpack
 import httpx2
 from numpy.typing import ArrayLike
 
+from fewview.api.access import Audit, Keys
 from fewview.api.datasets import Datasets
 from fewview.api.drivers import Awaiting, Blocking
 from fewview.api.evaluations import Evaluations
@@ -34,7 +35,7 @@ class Api(Resource[Driver]):
     ----------
     url
         Where the service is.
-    datasets, fits, models, lifts, evaluations, health
+    datasets, fits, models, lifts, evaluations, health, keys, audit
         What it has.
     """
 
@@ -47,6 +48,8 @@ class Api(Resource[Driver]):
         self.lifts = Lifts(driver)
         self.evaluations = Evaluations(driver)
         self.health = HealthChecks(driver)
+        self.keys = Keys(driver)
+        self.audit = Audit(driver)
 
     @operation
     def lift(

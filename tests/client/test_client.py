@@ -4,6 +4,7 @@ import asyncio
 import subprocess
 import sys
 from collections.abc import Coroutine
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -252,6 +253,28 @@ def test_answers_come_in_the_room(served: Served, tmp_path: Path) -> None:
     assert ran.returncode == 0, ran.stderr
     with np.load(file) as arrays:
         np.testing.assert_allclose(arrays["points3d"], mine.points3d, atol=1e-5)
+
+
+def test_keys_are_made_and_revoked_and_the_audit_is_read(served: Served) -> None:
+    client, tomorrow = served.client, datetime.now(UTC) + timedelta(days=1)
+    key = client.keys.create(
+        "laptop", ["read", "write"], project="gait", expires_at=tomorrow, queued_jobs=2
+    )
+    assert key.token not in repr(key)
+    assert (key.scopes, key.quotas["queued_jobs"]) == (("read", "write"), 2)
+    assert key.expires_at == tomorrow
+    with Client(served.live.url, key.token) as other:
+        dataset = other.datasets.create(a_capture(4))
+        with pytest.raises(fewview.Forbidden):
+            next(other.keys.list())
+    assert [entry.action for entry in client.audit.list(key=key)] == ["dataset.create"]
+    (entry,) = client.audit.list(target=dataset.id)
+    assert (entry.key_id, entry.project) == (key.id, "gait")
+    client.keys.revoke(key)
+    assert client.keys.get(key.id).revoked_at is not None
+    assert key.id in [found.id for found in client.keys.list()]
+    with Client(served.live.url, key.token) as other, pytest.raises(fewview.Unauthorized):
+        next(other.datasets.list())
 
 
 def test_the_same_can_be_awaited(served: Served, tmp_path: Path) -> None:
