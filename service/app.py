@@ -44,6 +44,7 @@ from service.realtime import lift, stream
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
 from service.resources import (
+    aliases,
     audit,
     captures,
     datasets,
@@ -76,6 +77,7 @@ RESOURCES = (
     fits,
     reconstructions,
     models,
+    aliases,
     lifts,
     evaluations,
     queues,

@@ -68,8 +68,10 @@ def create(
         # Locked against deletion, so that no fit is queued of a dataset that is gone.
         dataset = lock(session, Dataset, dataset_id)
         complete = _by_index(FitConfig.model_validate(config), dataset)
+        source = None
         if from_model is not None:
-            complete = _suited(complete, session, from_model, dataset)
+            source = lock(session, Model, from_model, dataset.project)  # against deletion, too
+            complete = _suited(complete, source, dataset)
         filled_in = complete.model_dump(mode="json")
         _check(filled_in, dataset)
         return FitJob(
@@ -78,7 +80,7 @@ def create(
             dataset_id=dataset_id,
             frames=dataset.frames,
             config=filled_in,
-            from_model=from_model,
+            from_model=source and source.id,
             job_id=job_id or fit_id,
             **owned_by(author_of(session)) | {"project": dataset.project},
             **labels.columns(),
@@ -89,11 +91,10 @@ def create(
     )
 
 
-def _suited(config: FitConfig, session: Session, from_model: str, dataset: Dataset) -> FitConfig:
+def _suited(config: FitConfig, model: Model, dataset: Dataset) -> FitConfig:
     """Fill in a configuration for a start from a model; raise for one that does not suit it."""
-    model = lock(session, Model, from_model)  # against deletion, as the dataset is
     if model.project != dataset.project:  # whoever queues jobs sees all projects
-        raise NotFoundError("model", from_model)
+        raise NotFoundError(Model.noun, model.id)
     if model.keypoints != dataset.keypoints:
         raise SourceError(
             "from_model",

@@ -69,7 +69,7 @@ def create(
     def make(session: Session, lift_id: str) -> LiftJob:
         # Locked against deletion, so that no lift is queued of what is gone.
         dataset = lock(session, Dataset, dataset_id)
-        model = lock(session, Model, model_id)
+        model = lock(session, Model, model_id, dataset.project)
         if model.project != dataset.project:  # whoever queues jobs sees all projects
             raise NotFoundError("model", model_id)
         _check(views, dataset, model)
@@ -80,7 +80,7 @@ def create(
             id=lift_id,
             name=name,
             dataset_id=dataset_id,
-            model_id=model_id,
+            model_id=model.id,
             frames=dataset.frames,
             refine=refine,
             views=views,

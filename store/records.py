@@ -198,6 +198,20 @@ class Model(Labelled, Owned, Record):
     findings: Mapped[list[Any] | None]
 
 
+class ModelAlias(Owned, Record):
+    """A name of a model that can be moved to another; see ``store.aliases``."""
+
+    noun: ClassVar = "alias"
+    __tablename__ = "aliases"
+
+    project: Mapped[str] = mapped_column(
+        String(64), primary_key=True, server_default=DEFAULT_PROJECT
+    )
+    name: Mapped[str] = mapped_column(primary_key=True)
+    model_id: Mapped[str] = mapped_column(ForeignKey("models.id"), index=True)
+    moved_at: Mapped[float]
+
+
 class Deployment(Record):
     """The one row that says whose records these are: see ``store.deployment``."""
 

@@ -225,7 +225,7 @@ class _Conversation:
     def ready(self) -> str:
         """Return what the server says first."""
         said = StreamReady(
-            model=self._start.model,
+            model=self._model.id,
             keypoints=self._prior.keypoints_per_frame,
             views=self._start.views,
             refine=self._refine,

@@ -179,6 +179,13 @@ def test_models_have_cameras_and_frames_are_lifted(served: Served) -> None:
     for view in cameras.views:
         assert view.focal is None or view.focal.shape == (2,)
 
+    alias = client.models.set_alias("walk@production", model)
+    assert list(client.models.aliases(model)) == [alias]
+    assert client.models.get("walk@production") == model
+    assert client.lift("walk@production", capture.keypoints[:1]).model_id == model.id
+    client.models.delete("walk@production")
+    assert list(client.models.aliases()) == []
+
     lift = client.lift(model, capture, refine="off")
     assert lift.points3d.shape == (60, capture.keypoints.shape[2], 3)
     two = client.lift(model, capture.keypoints[:4, [2, 0]], views=[2, 0], refine="off")
