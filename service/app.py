@@ -143,13 +143,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.rooms = Rooms(app.state.store)
         threading.Thread(target=app.state.engine.models.warm_newest, daemon=True).start()
         yield
-        await asyncio.to_thread(app.state.engine.close)
-        app.state.metrics.flush()
-        app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
-        app.state.keyring.close()
-        await app.state.rates.close()
-        app.state.store.close()
-        app.state.redis.close()
+        await _close(app)
 
     app = FastAPI(
         title="Fewview",
@@ -190,6 +184,16 @@ def create_app(settings: Settings) -> FastAPI:
     _wrap(app)
     _describe(app)
     return app
+
+
+async def _close(app: FastAPI) -> None:
+    await asyncio.to_thread(app.state.engine.close)
+    app.state.metrics.flush()
+    app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
+    app.state.keyring.close()
+    await app.state.rates.close()
+    app.state.store.close()
+    app.state.redis.close()
 
 
 def _make_engine(app: FastAPI, settings: Settings) -> Engine:

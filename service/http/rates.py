@@ -27,16 +27,17 @@ class Rates:
     """
 
     def __init__(self, redis_url: str) -> None:
-        self._connections: Any = ConnectionPool.from_url(
+        self._connections = ConnectionPool.from_url(
             redis_url,
             socket_timeout=PATIENCE_SECONDS,
             socket_connect_timeout=PATIENCE_SECONDS,
         )
+        options: dict[str, Any] = {"connection_pool": self._connections}
         shared = RedisStorage(
             "async+redis://",  # which the connections know better
             implementation="redispy",
             key_prefix="fewview:rates",
-            connection_pool=self._connections,
+            **options,
         )
         self._shared = SlidingWindowCounterRateLimiter(shared)
         self._own = SlidingWindowCounterRateLimiter(MemoryStorage())

@@ -24,6 +24,7 @@ from service.http import errors
 from service.openapi import document
 from service.realtime import lift
 from service.resources import (
+    aliases,
     audit,
     datasets,
     evaluations,
@@ -50,6 +51,7 @@ MODULES = (
     lists,
     queues,
     keys,
+    aliases,
     audit,
     health,
     errors,
@@ -136,6 +138,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "get_version",
         "import_model",
         "lift",
+        "list_aliases",
         "list_audit",
         "list_datasets",
         "list_fits",
@@ -144,6 +147,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "list_models",
         "list_queues",
         "revoke_key",
+        "set_alias",
         "stream_fit_events",
         "stream_lift_events",
         "stream_lifts",

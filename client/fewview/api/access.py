@@ -59,6 +59,7 @@ class Keys(Resource[Driver]):
     @operation
     def create(
         self,
+        /,
         name: str,
         scopes: Iterable[str],
         *,

@@ -26,13 +26,12 @@ from models.capture.synthetic import SyntheticCapture
 from service import cli
 from service.app import create_app
 from service.settings import Settings
-from store import access_keys, audit, backup, datasets, fits, lookup, models
-from store.authors import Author
+from store import backup, datasets, fits, lookup
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
 from store.errors import NotFoundError
-from store.records import Dataset, FitJob, Model
+from store.records import Dataset, FitJob
 from store.settings import StoreSettings
 from tests.damage import flip, spoil_records
 from tests.deployments import PostgreSQL
@@ -202,33 +201,6 @@ def store(tmp_path: Path) -> Any:
 @pytest.fixture
 def here(store: Store, tmp_path: Path) -> tuple[str, ...]:
     return (str(tmp_path / "backup"), f"--data-dir={tmp_path / 'data'}")
-
-
-def test_a_backup_of_one_project_has_nothing_of_the_others(
-    store: Store, here: tuple[str, ...], weights: bytes, tmp_path: Path
-) -> None:
-    gait = store.on_behalf_of(Author("gait"))
-    dataset = datasets.create(gait, CAPTURE, Description("mine"))
-    models.create(gait, weights, name="mine", keypoints=5, config={}, training_curve=[], metrics={})
-    fits.create(gait, dataset_id=dataset.id, name="mine", config={})
-    key, _ = access_keys.create(gait, name="mine", scopes=["read"], project="gait")
-    access_keys.create(store, name="others", scopes=["read"])
-    assert "2 objects: 2 copied" in done("backup", *here, "--project=gait")
-    assert "project 'gait'" in refused("backup", *here)
-    assert "project 'gait'" in refused("backup", *here, "--project=default")
-    assert "no project 'none'" in refused("backup", tmp_path / "none", here[1], "--project=none")
-    done("restore", here[0], f"--data-dir={tmp_path / 'back'}")
-    restored = Store(StoreSettings(data_dir=tmp_path / "back"))
-    for kind in (Dataset, Model, FitJob):
-        assert [found.name for found in lookup.page(restored, kind, limit=9, after=None)] == [
-            "mine"
-        ]
-    assert [found.id for found in access_keys.page(restored, limit=9)] == [key.id]
-    assert {entry.project for entry in audit.page(restored, limit=99)} == {"gait"}
-    assert datasets.load(restored, dataset.id).frames == len(CAPTURE.keypoints)
-    (model,) = lookup.page(restored, Model, limit=9, after=None)
-    assert models.load_weights(restored, model) == weights
-    restored.close()
 
 
 def test_the_next_backup_copies_what_is_new_and_mends_what_it_copied(
