@@ -57,6 +57,7 @@ from service.resources import (
     models,
     queues,
     reconstructions,
+    webhooks,
 )
 from service.resources.events import Events
 from service.resources.integrity import Integrity
@@ -81,6 +82,7 @@ RESOURCES = (
     lifts,
     evaluations,
     queues,
+    webhooks,
     keys,
     audit,
     health,

@@ -42,6 +42,7 @@ KINDS = {
     "mdl": "model",
     "lift": "lift",
     "key": "key",
+    "wh": "webhook",
 }  # by their identifiers
 
 

@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 from models.settings.calibration import Keypoint
 from models.settings.config import FitConfig, warm
 from models.settings.priors import ARCHITECTURE
-from store import clock, jobs
+from store import clock, jobs, webhooks
 from store.authors import author_of, owned_by
 from store.database import Store
 from store.disposal import condemn
@@ -242,8 +242,8 @@ def lose(session: Session, fit: FitJob, now: float, code: str, why: str) -> None
     if fit.cancel_requested_at is not None:
         _end(session, fit, "cancelled", now)
     elif fit.crashes >= jobs.MAX_CRASHES:
-        _end(session, fit, "failed", now)
         fit.error = {"code": code, "message": f"Tried {fit.crashes} times: {why}"}
+        _end(session, fit, "failed", now)
     else:
         fit.status = "queued"
 
@@ -264,9 +264,11 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
     with store.writing() as session:
         locked = select(FitJob.checkpoint_key).where(mine).with_for_update()
         condemn(session, session.scalars(locked))
-        taken = session.execute(
-            update(FitJob).where(mine).values(**ended("cancelled")).returning(FitJob.id)
-        ).first()
+        taken = session.scalar(
+            update(FitJob).where(mine).values(**ended("cancelled")).returning(FitJob)
+        )
+        if taken is not None:
+            webhooks.announce(session, taken)
     return taken is not None
 
 
@@ -301,6 +303,7 @@ def _end(session: Session, fit: FitJob, status: str, now: float) -> None:
     condemn(session, [fit.checkpoint_key])
     fit.status, fit.finished_at = status, now
     fit.lease_expires_at = fit.checkpoint_key = None
+    webhooks.announce(session, fit)
 
 
 def reconstruction_key(fit: FitJob) -> str:

@@ -15,7 +15,7 @@ from sqlalchemy import delete as sql_delete
 from sqlalchemy.orm import Session
 
 from models.settings.keypoints import MAX_VIEWS
-from store import clock, jobs
+from store import clock, jobs, webhooks
 from store.authors import author_of, owned_by
 from store.database import Store
 from store.disposal import condemn, discard
@@ -225,6 +225,7 @@ def end(
     lift.status, lift.error, lift.finished_at = status, error, clock.read(session)
     lift.seconds_left = None
     lift.revision += 1
+    webhooks.announce(session, lift)
     if status == "succeeded":
         return []
     lift.stored_bytes = 0

@@ -21,6 +21,7 @@ from fewview.api.models import Models
 from fewview.api.operations import Driver, Resource, operation
 from fewview.api.steps import Steps
 from fewview.api.stream import AsyncStream, Line, Start, Stream
+from fewview.api.webhooks import Webhooks
 from fewview.capture import Capture
 from fewview.keys import is_loopback, key_for
 
@@ -35,7 +36,7 @@ class Api(Resource[Driver]):
     ----------
     url
         Where the service is.
-    datasets, fits, models, lifts, evaluations, health, keys, audit
+    datasets, fits, models, lifts, evaluations, health, keys, audit, webhooks
         What it has.
     """
 
@@ -50,6 +51,7 @@ class Api(Resource[Driver]):
         self.health = HealthChecks(driver)
         self.keys = Keys(driver)
         self.audit = Audit(driver)
+        self.webhooks = Webhooks(driver)
 
     @operation
     def lift(

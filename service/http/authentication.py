@@ -26,6 +26,7 @@ HOW = (
 OF_PATH: dict[str, access_keys.Scope] = {
     "keys": "admin",
     "audit": "admin",
+    "webhooks": "webhook",
     "lift": "lift",
     "evaluations": "read",  # which are calculated and not stored
 }

@@ -284,6 +284,18 @@ def test_keys_are_made_and_revoked_and_the_audit_is_read(served: Served) -> None
         next(other.datasets.list())
 
 
+def test_webhooks_are_made_and_deleted(served: Served) -> None:
+    webhooks = served.client.webhooks
+    made = webhooks.create("https://lab.example/", ["fit.cancelled"])
+    assert made.secret not in repr(made)
+    assert webhooks.get(made) == next(webhooks.list())
+    assert list(webhooks.deliveries(made)) == []
+    with pytest.raises(fewview.InvalidRequest):
+        webhooks.create("https://127.0.0.1/")
+    webhooks.delete(made)
+    assert list(webhooks.list()) == []
+
+
 def test_the_same_can_be_awaited(served: Served, tmp_path: Path) -> None:
     async def job() -> None:
         async with AsyncClient(served.live.url) as client:

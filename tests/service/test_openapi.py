@@ -36,6 +36,7 @@ from service.resources import (
     models,
     queues,
     reconstructions,
+    webhooks,
 )
 from tests.service.conftest import CONFIG, Live, frames_of, to_npz
 
@@ -52,6 +53,7 @@ MODULES = (
     queues,
     keys,
     aliases,
+    webhooks,
     audit,
     health,
     errors,
@@ -114,6 +116,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "create_fit",
         "create_key",
         "create_lift",
+        "create_webhook",
         "delete_dataset",
         "delete_datasets",
         "delete_fit",
@@ -122,6 +125,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "delete_lifts",
         "delete_model",
         "delete_models",
+        "delete_webhook",
         "download_capture",
         "download_network",
         "download_weights",
@@ -136,6 +140,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "get_model_cameras",
         "get_reconstruction",
         "get_version",
+        "get_webhook",
         "import_model",
         "lift",
         "list_aliases",
@@ -146,6 +151,8 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "list_lifts",
         "list_models",
         "list_queues",
+        "list_webhook_deliveries",
+        "list_webhooks",
         "revoke_key",
         "set_alias",
         "stream_fit_events",

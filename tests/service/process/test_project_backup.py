@@ -1,6 +1,7 @@
 """Backups of one project."""
 
 from pathlib import Path
+from typing import Any
 
 from store import access_keys, audit, datasets, fits, lookup, models
 from store.authors import Author
@@ -11,6 +12,10 @@ from store.settings import StoreSettings
 from tests.service.process.test_keeping import CAPTURE, done, here, refused, store
 
 __all__ = ["here", "store"]  # fixtures
+
+
+def names_of(store: Store, kind: type[Any]) -> list[str]:
+    return [found.name for found in lookup.page(store, kind, limit=9, after=None)]
 
 
 def test_a_backup_of_one_project_has_nothing_of_the_others(
@@ -28,10 +33,8 @@ def test_a_backup_of_one_project_has_nothing_of_the_others(
     assert "no project 'none'" in refused("backup", tmp_path / "none", here[1], "--project=none")
     done("restore", here[0], f"--data-dir={tmp_path / 'back'}")
     restored = Store(StoreSettings(data_dir=tmp_path / "back"))
-    for kind in (Dataset, Model, FitJob):
-        assert [found.name for found in lookup.page(restored, kind, limit=9, after=None)] == [
-            "mine"
-        ]
+    kinds: list[Any] = [Dataset, Model, FitJob]
+    assert [names_of(restored, kind) for kind in kinds] == [["mine"]] * 3
     assert [found.id for found in access_keys.page(restored, limit=9)] == [key.id]
     assert {entry.project for entry in audit.page(restored, limit=99)} == {"gait"}
     assert datasets.load(restored, dataset.id).frames == len(CAPTURE.keypoints)
