@@ -12,8 +12,6 @@ import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
 
 from models.capture.synthetic import SyntheticCapture
-from service.app import create_app
-from service.settings import Settings
 from store import access_keys
 from store.access_keys import SCOPES
 from store.database import Store
@@ -26,7 +24,6 @@ from tests.service.conftest import (
     problem,
 )
 from tests.service.http.test_peers import NOBODY
-from tests.service.owner import OwnersClient
 from worker.process import tied
 
 # What a route needs, by the begin of its path or else its method.
@@ -373,16 +370,6 @@ def test_what_comes_through_a_proxy_is_not_the_owners(api: TestClient) -> None:
     for header in ("X-Forwarded-For", "Forwarded"):
         problem(api.get("/datasets", headers={header: "for=192.0.2.1"}), 401, "unauthorized")
     assert api.get("/datasets").status_code == 200
-
-
-def test_the_key_of_the_settings_and_no_trust_in_who_is_local(settings: Settings) -> None:
-    token = "a" * 40
-    closed = settings.model_copy(update={"admin_key": token, "trust_local": False})
-    with OwnersClient(create_app(closed)) as client:
-        problem(client.get("/datasets"), 401, "unauthorized")
-        assert client.get("/keys", headers=bearer(token)).status_code == 200
-        assert client.get("/health/ready").status_code == 200  # for balancers
-    assert token not in repr(closed)
 
 
 def test_another_user_of_the_machine_gets_nothing(live: Live) -> None:

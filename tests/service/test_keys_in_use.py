@@ -32,6 +32,7 @@ from tests.service.conftest import (
     wait_for,
 )
 from tests.service.http.test_limits import Chunks
+from tests.service.owner import OwnersClient
 from tests.service.test_keys import bearer
 
 
@@ -133,3 +134,13 @@ def test_a_large_body_without_a_key_is_not_read(closed: httpx2.Client) -> None:
     problem(answer, 401, "unauthorized")
     assert answer.headers["connection"] == "close"
     assert body.taken < 120 * MIB
+
+
+def test_the_key_of_the_settings_and_no_trust_in_who_is_local(settings: Settings) -> None:
+    token = "a" * 40
+    closed = settings.model_copy(update={"admin_key": token, "trust_local": False})
+    with OwnersClient(create_app(closed)) as client:
+        problem(client.get("/datasets"), 401, "unauthorized")
+        assert client.get("/keys", headers=bearer(token)).status_code == 200
+        assert client.get("/health/ready").status_code == 200  # for balancers
+    assert token not in repr(closed)

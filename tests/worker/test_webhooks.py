@@ -1,4 +1,4 @@
-"""Webhooks: signed messages at the end of jobs, attempted until they arrive, to the public alone."""
+"""Webhooks: signed messages at the end of jobs, attempted until they arrive, in public alone."""
 
 import hashlib
 import hmac
@@ -236,7 +236,15 @@ def test_nothing_is_sent_once_the_key_is_not_in_force(
 
 
 @pytest.mark.parametrize(
-    "host", ["127.0.0.1", "localhost", "127.1", "0x7f000001", "[::ffff:127.0.0.1]", "0.0.0.0"]
+    "host",
+    [
+        "127.0.0.1",
+        "localhost",
+        "127.1",
+        "0x7f000001",
+        "[::ffff:127.0.0.1]",
+        "0.0.0.0",  # noqa: S104 (nothing listens on it)
+    ],
 )
 def test_nothing_is_sent_to_private_addresses(
     receiver: Receiver, store: Store, settings: WorkerSettings, dataset_id: str, host: str
@@ -279,7 +287,7 @@ def test_one_receiver_keeps_no_other_waiting(
         ("192.168.1.1", False),
         ("100.64.0.1", False),
         ("169.254.169.254", False),
-        ("0.0.0.0", False),
+        ("0.0.0.0", False),  # noqa: S104
         ("224.0.0.1", False),
         ("255.255.255.255", False),
         ("::", False),
