@@ -26,7 +26,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp
 
 from service.http import errors
-from service.http.authentication import Authentication, needed
+from service.http.authentication import PROBES, Authentication, needed
 from service.http.connections import KEEP_ALIVE_SECONDS, Connection
 from service.http.dependencies import refuse_foreign_changes, refuse_unknown_query
 from service.http.faults import Faults
@@ -275,6 +275,8 @@ def _describe(app: FastAPI) -> None:
             for path, operations in schema["paths"].items():
                 for method, operation in operations.items():
                     operation["security"] = [{"bearer": [needed(method.upper(), path)]}]
+                    if path in PROBES:  # which need a key on loopback alone
+                        operation["security"].append({})
             for unused in ("HTTPValidationError", "ValidationError"):
                 schemas.pop(unused, None)
             for name, kind in ((n, k) for module in RESOURCES for n, k in vars(module).items()):

@@ -45,6 +45,7 @@ from service.realtime.stream_frames import (
 )
 from service.realtime.warm_models import WarmModel
 from service.settings import Settings
+from service.wire.json_kinds import refuse_converted
 from service.wire.rooms import is_room
 from service.wire.stream_messages import (
     StreamAnswer,
@@ -383,7 +384,9 @@ def _read_start(message: str | bytes) -> StreamStart:
     try:
         found = json_object(message)
         check_bounds(found, StreamStart)
-        return StreamStart.model_validate(found)
+        start = StreamStart.model_validate(found)
+        refuse_converted(found, start)
+        return start
     except ValidationError as error:
         raise from_validation(error, StreamStart) from error
 

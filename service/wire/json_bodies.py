@@ -17,6 +17,7 @@ from service.http.uploads import Upload
 from service.wire.arrays import Arrays, Unlisted
 from service.wire.captures import Converted, convert
 from service.wire.forks import EndedError, Forks
+from service.wire.json_kinds import refuse_converted
 from service.wire.slices import read_in_slices
 
 Body = TypeVar("Body", bound=BaseModel)
@@ -66,9 +67,11 @@ def _understood(
 def _checked(body: Any, kind: type[Body]) -> Body:
     check_bounds(body, kind)
     try:
-        return kind.model_validate(body)
+        made = kind.model_validate(body)
     except ValidationError as error:
         raise from_validation(error, kind) from error
+    refuse_converted(body, made)
+    return made
 
 
 def _refuse_costly(data: bytes | bytearray, most: int) -> None:

@@ -269,6 +269,7 @@ def test_keys_are_made_and_revoked_over_http(stranger: TestClient, key: MakeKey)
         ("project", "Not a word"),
         ("expires_at", "2020-01-01"),
         ("quotas", {"requests_per_second": 0}),
+        ("quotas", {"queued_jobs": False}),
         ("name", ""),
     ],
 )
