@@ -146,6 +146,7 @@ def test_a_moved_alias_is_followed_within_a_second_and_by_every_lift(
         ended.set()
         moving.join()
     assert seen <= {model, other_model}
+    wait_for(lambda: lifted_by(http, capture) == model, "the last move", 10)
     with started(http, alias, model_id=model) as socket:
         assert api.put(f"/models/{alias}", json={"model_id": other_model}).status_code == 200
         assert lifted_by(api, capture) == other_model  # at once where it was moved
