@@ -28,12 +28,19 @@ from store.errors import DamagedError, StoreError
 from store.housekeeping import KEYS, known_keys
 from store.ids import new_id
 from store.objects import Objects
-from store.records import CondemnedObject, Deployment, FitJob, IdempotencyKey, Record
+from store.records import (
+    CondemnedObject,
+    Delivery,
+    Deployment,
+    FitJob,
+    IdempotencyKey,
+    Record,
+)
 
 FORMAT = 1  # of a backup; grows when older versions could not restore it
 SUMMARY = "backup.json"
 # What is of this deployment alone, or of the next minutes.
-LEFT_OUT = {Deployment.__tablename__, CondemnedObject.__tablename__, IdempotencyKey.__tablename__}
+LEFT_OUT = {kind.__tablename__ for kind in (Deployment, CondemnedObject, IdempotencyKey, Delivery)}
 CHECKPOINT = FitJob.checkpoint_key  # gone in seconds: a fit that runs starts anew when restored
 AT_A_TIME = 4  # objects in hand
 ROWS_AT_A_TIME = 500

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from store import access_keys, audit, datasets, fits, lookup, models
+from store import access_keys, aliases, audit, datasets, fits, lookup, models, webhooks
 from store.authors import Author
 from store.database import Store
 from store.datasets import Description
@@ -23,8 +23,15 @@ def test_a_backup_of_one_project_has_nothing_of_the_others(
 ) -> None:
     gait = store.on_behalf_of(Author("gait"))
     dataset = datasets.create(gait, CAPTURE, Description("mine"))
-    models.create(gait, weights, name="mine", keypoints=5, config={}, training_curve=[], metrics={})
-    fits.create(gait, dataset_id=dataset.id, name="mine", config={})
+    model = models.create(
+        gait, weights, name="mine", keypoints=5, config={}, training_curve=[], metrics={}
+    )
+    fit = fits.create(gait, dataset_id=dataset.id, name="mine", config={})
+    aliases.put(gait, "walk@production", model.id)
+    webhook = webhooks.create(gait, "https://lab.example/", ["fit.cancelled"])
+    webhooks.create(store, "https://lab.example/", webhooks.EVENTS)
+    fits.cancel(gait, fit.id)
+    assert webhooks.any_due(store)
     key, _ = access_keys.create(gait, name="mine", scopes=["read"], project="gait")
     access_keys.create(store, name="others", scopes=["read"])
     assert "2 objects: 2 copied" in done("backup", *here, "--project=gait")
@@ -36,8 +43,11 @@ def test_a_backup_of_one_project_has_nothing_of_the_others(
     kinds: list[Any] = [Dataset, Model, FitJob]
     assert [names_of(restored, kind) for kind in kinds] == [["mine"]] * 3
     assert [found.id for found in access_keys.page(restored, limit=9)] == [key.id]
+    assert list(aliases.targets(restored)) == [("gait", "walk@production")]
+    assert [found.id for found in webhooks.page(restored, limit=9)] == [webhook.id]
+    assert not webhooks.any_due(restored)  # which the other deployment sends
     assert {entry.project for entry in audit.page(restored, limit=99)} == {"gait"}
     assert datasets.load(restored, dataset.id).frames == len(CAPTURE.keypoints)
-    (model,) = lookup.page(restored, Model, limit=9, after=None)
-    assert models.load_weights(restored, model) == weights
+    (copy,) = lookup.page(restored, Model, limit=9, after=None)
+    assert models.load_weights(restored, copy) == weights
     restored.close()
