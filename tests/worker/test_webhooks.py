@@ -16,7 +16,7 @@ from redis import Redis
 from sqlalchemy import text
 from standardwebhooks import Webhook
 
-from store import access_keys, fits, jobs, lookup, webhooks
+from store import access_keys, fits, jobs, lifts, lookup, webhooks
 from store.authors import Author
 from store.database import Store
 from store.errors import InputError
@@ -95,7 +95,7 @@ def delivery(store: Store, webhook_id: str) -> Delivery:
 
 
 @on_every_deployment
-def test_the_end_of_a_fit_is_delivered_and_signed(
+def test_the_ends_of_a_fit_and_of_a_lift_are_delivered_and_signed(
     receiver: Receiver,
     store: Store,
     redis: Redis,
@@ -130,6 +130,16 @@ def test_the_end_of_a_fit_is_delivered_and_signed(
     noted = wait_for(lambda: delivery(store, webhook.id).delivered_at, "the note", 20)
     assert noted >= (ended.finished_at or 0)
     assert delivery(store, webhook.id).next_at is None
+
+    assert ended.model_id is not None
+    lift = lifts.create(
+        store, model_id=ended.model_id, dataset_id=dataset_id, name="l", chunk_frames=8
+    )
+    enqueue(open_queue(redis), lift)
+    wait_for(lambda: len(receiver.got) > 1, "the second message", 120)
+    sent = json.loads(receiver.got[1].body)
+    assert sent["type"] == "lift.succeeded"
+    assert (sent["data"]["id"], sent["data"]["model_id"]) == (lift.id, ended.model_id)
 
 
 def test_every_end_is_announced_once_to_those_that_ask_for_it(
