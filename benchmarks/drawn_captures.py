@@ -146,7 +146,7 @@ class _Lenses(NamedTuple):
 def _motion(truth: Float64, up: int, rng: np.random.Generator) -> tuple[Float64, list[str]]:
     """Return frames (N, P, 3) of a motion about the origin with z up, and what was drawn."""
     complete = np.flatnonzero(np.isfinite(truth).all(-1).mean(1) > 0.8)
-    count = int(np.exp(rng.uniform(*np.log(FRAMES))))
+    count = int(_log_uniform(FRAMES, rng))
     clip = bool(rng.random() < 0.6)
     if clip:
         stride = int(rng.integers(1, max(2, len(complete) // count)))
@@ -176,7 +176,7 @@ def _lenses(views: int, rng: np.random.Generator) -> _Lenses:
     portrait = bool(rng.random() < 0.2)
     size = np.array([side, round(side * 9 / 16)])
     sizes = np.tile(size[::-1] if portrait else size, (views, 1))
-    focals = np.exp(rng.uniform(*np.log(FOCALS), views))
+    focals = np.array([_log_uniform(FOCALS, rng) for _ in range(views)])
     radial = rng.uniform(*RADIAL, views)
     if like:
         focals[:], radial[:] = focals[0], radial[0]
@@ -253,7 +253,7 @@ def _detected(
     frames, views, points = exact.shape[:3]
     pixels, harms, noise = exact.copy(), [], 0.0
     if rng.random() >= CLEAN:
-        share = float(np.exp(rng.uniform(*np.log(NOISE))))
+        share = _log_uniform(NOISE, rng)
         noise = share * HEIGHT * float(np.nanmedian(_radii(exact)))
         levels = noise * np.exp(0.3 * rng.standard_normal(points))
         tails = bool(rng.random() < 0.4)
@@ -283,6 +283,10 @@ def _detected(
         pixels = np.rint(pixels)
         harms.append("whole pixels")
     return pixels, noise, harms
+
+
+def _log_uniform(ends: tuple[float, float], rng: np.random.Generator) -> float:
+    return float(np.exp(rng.uniform(np.log(ends[0]), np.log(ends[1]))))
 
 
 def _radii(points: Float64) -> Float64:

@@ -30,8 +30,8 @@ from models.calibrating.handedness import certainty
 from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.problem import problem_of
 from models.capture.metrics import pa_mpjpe
-from models.epipolar.rig_adjustment import Rigid, Seen
 from models.epipolar.robust_points import robust_points
+from models.epipolar.static_cameras import Rigid, Seen
 from models.numerics.steps import finished
 from models.numerics.threads import use_threads
 from models.settings.config import FitConfig
@@ -135,13 +135,12 @@ class Answer(NamedTuple):
 
 def by_geometry(draw: Draw) -> Answer:
     """Find cameras from keypoints alone and triangulate with them."""
-    weights = np.isfinite(draw.keypoints).all(-1).astype(np.float64)
-    problem = problem_of(np.nan_to_num(draw.keypoints), weights, draw.sizes, FitConfig())
-    views = draw.keypoints.shape[1]
-    found = finished(geometry_of(problem, list(range(views))))
+    weights: Float64 = np.all(np.isfinite(draw.keypoints), -1).astype(np.float64)
+    pixels: Float64 = np.nan_to_num(draw.keypoints)
+    problem = problem_of(pixels, weights, draw.sizes, FitConfig())
+    found = finished(geometry_of(problem, list(range(draw.keypoints.shape[1]))))
     if found is None:
-        nothing = np.full((views, 3, 3), np.nan), *np.full((2, views), np.nan)
-        return Answer(np.full(draw.points3d.shape, np.nan), False, 0.0, *nothing, ("nothing",))
+        return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ("nothing",))
     rig = found.best.rig
     return Answer(
         found.best.points,
@@ -159,11 +158,9 @@ def by_fit(draw: Draw) -> Answer:
     prior = fit(draw.keypoints, FitConfig(), image_sizes=draw.sizes)
     lift = prior.lift(draw.keypoints)
     codes = tuple(sorted({finding.code for finding in prior.findings}))
-    views = draw.keypoints.shape[1]
-    if prior.cameras is None:
-        nothing = np.full((views, 3, 3), np.nan), *np.full((2, views), np.nan)
-        return Answer(lift.points3d.astype(np.float64), False, 0.0, *nothing, codes)
     cameras = prior.cameras
+    if cameras is None:
+        return _without_cameras(draw, lift.points3d.astype(np.float64), codes)
     sds = cameras.focal_sds / cameras.focals.mean(1)
     return Answer(
         lift.points3d.astype(np.float64),
@@ -173,6 +170,14 @@ def by_fit(draw: Draw) -> Answer:
         cameras.focals.mean(1),
         sds,
         codes,
+    )
+
+
+def _without_cameras(draw: Draw, points: Float64, findings: tuple[str, ...]) -> Answer:
+    views = draw.keypoints.shape[1]
+    unknown = np.full(views, np.nan)
+    return Answer(
+        points, False, 0.0, np.full((views, 3, 3), np.nan), unknown, unknown.copy(), findings
     )
 
 
@@ -269,14 +274,15 @@ def summary(rows: list[Row]) -> list[dict[str, Any]]:
         "three views or more": [row for row in static if " 2 views" not in row.words],
         "pairs": [row for row in static if " 2 views" in row.words],
     }
-    table = []
-    for (name, some), limit in zip(kinds.items(), (1.1, 1.5), strict=True):
+    table: list[dict[str, Any]] = []
+    for (name, some), (limit, far) in zip(kinds.items(), ((1.1, 2.0), (1.5, 3.0)), strict=True):
         unsaid = [row for row in some if not set(row.findings) & set(ABOUT_CAMERAS)]
-        far = 2.0 if limit < 1.5 else 3.0
+        near = [row for row in some if row.ratio <= limit]
+        not_far = [row for row in unsaid if row.ratio <= far]
         table += [
-            _share(f"{name}: within {limit} x", some, lambda row, most=limit: row.ratio <= most),
-            _share(f"{name}: not beyond {far} x unsaid", unsaid, lambda row, f=far: row.ratio <= f),
-            _share(f"{name}: called static", some, lambda row: not row.called_moving),
+            _share(f"{name}: within {limit} x", some, near),
+            _share(f"{name}: not beyond {far} x unsaid", unsaid, not_far),
+            _share(f"{name}: called static", some, [row for row in some if not row.called_moving]),
         ]
         scores = np.array([score for row in some for score in row.focal_scores])
         if len(scores):
@@ -291,8 +297,10 @@ def summary(rows: list[Row]) -> list[dict[str, Any]]:
     moving = [row for row in rows if row.moving]
     sure = [row for row in rows if row.certainty > 0.99]
     table += [
-        _share("moving: called moving", moving, lambda row: row.called_moving),
-        _share("certain of the hand: not mirrored", sure, lambda row: not row.mirrored),
+        _share("moving: called moving", moving, [row for row in moving if row.called_moving]),
+        _share(
+            "certain of the hand: not mirrored", sure, [row for row in sure if not row.mirrored]
+        ),
     ]
     seconds = [row.seconds for row in rows]
     if seconds:
@@ -301,10 +309,11 @@ def summary(rows: list[Row]) -> list[dict[str, Any]]:
     return table
 
 
-def _share(what: str, rows: list[Row], good: Callable[[Row], bool]) -> dict[str, Any]:
-    bad = sorted((row for row in rows if not good(row)), key=lambda row: -row.ratio)
+def _share(what: str, rows: list[Row], good: list[Row]) -> dict[str, Any]:
+    """Return the share of rows that are good, and the worst of the others."""
+    bad = sorted((row for row in rows if row not in good), key=lambda row: -row.ratio)
     worst = ", ".join(f"{row.number} ({row.ratio:.2g})" for row in bad[:12])
-    return {"what": what, "share": f"{len(rows) - len(bad)} of {len(rows)}", "worst": worst}
+    return {"what": what, "share": f"{len(good)} of {len(rows)}", "worst": worst}
 
 
 def _line(row: Row) -> str:
@@ -314,7 +323,8 @@ def _line(row: Row) -> str:
         yield f"error {100 * row.error:.3g} % (true cameras {100 * row.bound:.3g})"
         if np.isfinite(row.oracle):
             yield f"oracle x{max(row.oracle - SLACK, 0) / max(row.bound, 1e-9):.2f}"
-        yield f"focal {100 * row.focal_error:.2g} % z {max(row.focal_scores, default=0):.1f}, turn {row.turn:.2g} deg"
+        yield f"focal {100 * row.focal_error:.2g} % z {max(row.focal_scores, default=0):.1f}"
+        yield f"turn {row.turn:.2g} deg"
         yield f"{'MIRRORED ' if row.mirrored else ''}sure {row.certainty:.3f}"
         if row.moving != row.called_moving:
             yield "CALLED MOVING" if row.called_moving else "CALLED STATIC"

@@ -32,8 +32,8 @@ from models.calibrating.lens_prior import (
 from models.calibrating.problem import Problem, Solution, grouped
 from models.epipolar.pairs import Beliefs
 from models.epipolar.resting_rig import RestingRig, find_resting_rig
-from models.epipolar.rig_adjustment import Rigid
 from models.epipolar.rig_certainty import FocalLikelihood
+from models.epipolar.static_cameras import Rigid
 from models.numerics.rotations import nearest_rotations
 from models.numerics.steps import Steps
 from models.optics.lenses.projection import Lenses, project

@@ -6,13 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import RelativePoses
-from models.epipolar.rig_adjustment import (
-    Rigid,
-    Seen,
-    distances_of,
-    robust_costs,
-    triangulate_points,
-)
+from models.epipolar.robust_points import triangulate_points
+from models.epipolar.static_cameras import Rigid, Seen, distances_of, robust_costs
 
 Float64 = NDArray[np.float64]
 ViewGraph = dict[tuple[int, int], RelativePoses]  # by views j < k

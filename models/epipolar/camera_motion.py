@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.epipolar.rig_adjustment import LENS, Rigid, Seen, linearised
+from models.epipolar.static_cameras import LENS, Rigid, Seen, linearised
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]

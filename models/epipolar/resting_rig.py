@@ -18,23 +18,14 @@ from numpy.typing import NDArray
 from models.epipolar.assembly import ViewGraph, assemble
 from models.epipolar.camera_motion import CameraMotion, camera_motion
 from models.epipolar.pairs import Beliefs, relate
-from models.epipolar.rig_adjustment import (
-    CAMERA,
-    Adjusted,
-    Rigid,
-    Seen,
-    adjust_rig,
-    distances_of,
-    prior_cost,
-    robust_costs,
-    triangulate_points,
-)
+from models.epipolar.rig_adjustment import Adjusted, adjust_rig, prior_cost
 from models.epipolar.rig_certainty import (
     Certainty,
     FocalLikelihood,
     certainty_of,
 )
-from models.epipolar.robust_points import robust_points
+from models.epipolar.robust_points import robust_points, triangulate_points
+from models.epipolar.static_cameras import CAMERA, Rigid, Seen, distances_of, robust_costs
 from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]

@@ -12,18 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
-from models.epipolar.rig_adjustment import (
-    CAMERA,
-    FREEDOM,
-    LENS,
-    Adjusted,
-    Rigid,
-    Seen,
-    distances_of,
-    free_numbers,
-    lens_prior,
-    reduced_equations,
-)
+from models.epipolar.rig_adjustment import Adjusted, free_numbers, lens_prior, reduced_equations
+from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, Rigid, Seen, distances_of
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
