@@ -32,7 +32,6 @@ from models.calibrating.problem import (
     Solution,
     grouped,
 )
-from models.epipolar.resting_rig import LENS_NOISE as LEAST_NOISE
 from models.numerics.medians import lower_median
 from models.numerics.rotations import nearest_rotations
 from models.numerics.steps import Steps
@@ -47,7 +46,6 @@ LEAST_ANGLE = 1e-4  # radians, below which rotations weigh alike there
 MORE_ROUNDS = 2  # of learning, for what has been learnt from nearly the same frames
 SURE = 3.0  # standard errors by which hidden keypoints must speak against rest
 MORE_NOISE = 1.4  # times the noise of moving cameras: no rig at rest has more
-ABOVE_LEAST = 1.5  # times the least noise that is reckoned with: less may be none
 NEARLY = 3.0  # times the errors of lens models: what predicts so well may not be learnt to the end
 LAST_ROUNDS = 8  # of learning, before it counts as moving
 NEGLIGIBLE = 0.05  # nats of a keypoint, of what lens models leave
@@ -163,8 +161,7 @@ def _by_keypoints(
     problem: Problem, moving: Solution, found: KeypointRig, hint: Corners | None
 ) -> list[Candidate]:
     """Return the rig that keypoints alone say, and its mirror image if they hardly tell which."""
-    floor = LEAST_NOISE * problem.side  # of the rig, whose noise is no less
-    noise = max(found.noise if found.noise > ABOVE_LEAST * floor else 0.0, moving.measured_noise)
+    noise = max(found.noise, moving.measured_noise)
     kept = found.deviations if len(found.members) > 2 and noise > CLEAR * problem.size else None
     members, groups = found.members, found.lens_groups
     ours = Candidate("from keypoints", found.start, members, groups, kept)

@@ -18,16 +18,13 @@ from models.calibrating.handedness import DECIDED, certainty
 from models.calibrating.keypoint_rig import LEAST_VIEWS, geometry_of, static_rig
 from models.calibrating.problem import Problem, Solution
 from models.calibrating.search import Arranged
-from models.epipolar.resting_rig import RestingRig
 from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
-MOVES = 0.03  # of the subject's size in the image: a camera that moves it by less is static
-SURE = 3.0  # standard errors by which it must move
-EXPLAINED = 0.15  # of that size: more noise than this is left to the search with shapes
+EXPLAINED = 0.15  # of the subject's size: geometry leaves more noise than this to shapes
 ITERATIONS = 15  # of adjusting the structures of all frames
 
 
@@ -49,7 +46,9 @@ def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Ste
     if views < LEAST_VIEWS or given or config.cameras == "moving":
         return None
     found = yield from geometry_of(problem, list(range(views)))
-    if found is None or not found.resting.all() or not _is_static(problem, found):
+    if found is None or not found.resting.all():
+        return None
+    if found.noise * problem.side > EXPLAINED * problem.size:
         return None
     hand = certainty([found.log_odds])
     rig = static_rig(problem, found)
@@ -68,16 +67,6 @@ def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Ste
     checked = Checked(free, solution, ())
     arranged = Arranged(solution, checked, reason, hand, (), kept=rig.deviations)
     return Settled(arranged, rig.start)
-
-
-def _is_static(problem: Problem, found: RestingRig) -> bool:
-    """Whether no camera moves by more than noise and `MOVES` explain."""
-    sizes = problem.size / problem.side
-    if found.noise > EXPLAINED * sizes:
-        return False
-    squares, errors = found.motion
-    moves = (squares > (MOVES * sizes) ** 2) & (squares > SURE * errors)
-    return not moves.any()
 
 
 def structures_of_all(problem: Problem, learnt: Solution, start: Solution) -> Scene:

@@ -65,14 +65,22 @@ def certainty_of(
     sds[places] = np.sqrt(np.maximum(covariance.diagonal(), robust.diagonal()).clip(0))
     focals = numbers[:, 0]
     believed[np.ix_(focals, focals)] = 0.0
+    vector = equations.vector.copy()
+    vector[focals] += prior.gradient[:, 0]
     others = np.setdiff1d(places, focals)
     return Certainty(
-        sds.reshape(free.shape), _focal_likelihood(data + believed, scatter, focals, others, rig)
+        sds.reshape(free.shape),
+        _focal_likelihood(data + believed, scatter, vector, focals, others, rig),
     )
 
 
 def _focal_likelihood(
-    matrix: Float64, scatter: Float64, focals: Int64, others: Int64, rig: Rigid
+    matrix: Float64,
+    scatter: Float64,
+    vector: Float64,
+    focals: Int64,
+    others: Int64,
+    rig: Rigid,
 ) -> FocalLikelihood:
     """Say what keypoints alone give of the focal lengths; poses and points follow them.
 
@@ -90,8 +98,9 @@ def _focal_likelihood(
     turn[:, others] = -carried
     scattered = vectors.T @ turn @ scatter @ turn.T @ vectors
     effect = np.maximum(1.0, scattered.diagonal() / values)
+    step = (vectors / values) @ vectors.T @ (vector[focals] - carried @ vector[others])
     information = (vectors * (values / effect)) @ vectors.T
-    return FocalLikelihood(information, information @ rig.log_focals)
+    return FocalLikelihood(information, information @ (rig.log_focals + step))
 
 
 def _curvature(adjusted: Adjusted, seen: Seen) -> float:

@@ -19,7 +19,7 @@ PERSPECTIVE_REFRESHES = (1 / 3, 1 / 2, 2 / 3, 5 / 6)
 SETTLED_REFRESHES = (0.0, 2 / 3)
 # What reprojection alone would have taught first is left out, and a capture of few frames is learnt
 # in fewer steps: a share of the whole, by frames.
-MOST_SETTLED, LEAST_SETTLED, SETTLED_FRAMES = 2 / 3, 1 / 4, 2000
+MOST_SETTLED, LEAST_SETTLED, SETTLED_FRAMES = 2 / 3, 1 / 3, 2000
 NEARLY_DONE = 1 - 1e-9  # share: what is left of a fit must not be nothing, as it is divided by
 
 
