@@ -3,9 +3,8 @@
 import logging
 import math
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TypeVar, cast
 
 import numpy as np
 import torch
@@ -32,7 +31,7 @@ from models.lifting.skeleton_lengths import SkeletonLengths, learn_skeleton_leng
 from models.network.answers import Usual
 from models.network.priors.prior import Prior
 from models.network.settling import estimate_foreshortening
-from models.numerics.steps import Steps
+from models.numerics.steps import Steps, finished
 from models.settings.config import FitConfig
 from models.training.batches import Data
 from models.training.known_structures import believe_where_better, known_structures
@@ -42,7 +41,6 @@ from models.training.teachers import Teachers, draw_frames, find_teachers, persp
 from models.training.usual import learn_usual
 
 logger = logging.getLogger(__name__)
-Outcome = TypeVar("Outcome")
 
 LIFTED_FRAMES = 256  # between two chances to stop
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
@@ -99,19 +97,23 @@ class Teaching:
         )
         if found is None:
             return
-        self.self_calibration, scene = found
+        calibration, scene = found
+        self.self_calibration = calibration
         self.state.cameras, self.state.found_at_step = "found", 0
         if not self._config.distillation:
             return
-        rig, sizes = self.self_calibration.rig, np.exp(scene.sizes)
+        rig, sizes = calibration.rig, np.exp(scene.sizes)
         translations = np.einsum("kij,ngj->nki", rig.rotations, scene.translations)
         translations += rig.translations
         self._teach(
-            torch.from_numpy(scene.points),
-            torch.from_numpy(rig.rotations @ scene.rotations),
-            torch.from_numpy(translations / sizes[..., None]),
-            (weights > 0).any(-1),
+            calibration,
             frames,
+            (weights > 0).any(-1),
+            (
+                torch.from_numpy(scene.points),
+                torch.from_numpy(rig.rotations @ scene.rotations),
+                torch.from_numpy(translations / sizes[..., None]),
+            ),
         )
 
     def make_teachers(self, step: int, *, most: int) -> Iterator[None]:
@@ -154,7 +156,7 @@ class Teaching:
             return self._as_prior(None, curve)
         found = self._with_network_errors(found, step)
         frames = self._frames_of_several_views(step)
-        structures, _ = run_to_end(
+        structures, _ = finished(
             self._learn_structures(found, frames, seed=[self._config.seed, step, 5])
         )
         prior = self._as_prior(found, curve, structures=structures)
@@ -165,7 +167,7 @@ class Teaching:
         if structures is None:
             return prior
         # Lengths make structures truer, and so what they tell of noisy frames.
-        lift = run_to_end(self._lifted(prior, frames))
+        lift = finished(self._lifted(prior, frames))
         truer = known_structures(lift, self._data.weights[frames].numpy(), found.shapes.mean)
         if truer is None:
             return prior
@@ -303,7 +305,7 @@ class Teaching:
 
     def _learn_structures(
         self, found: SelfCalibration, frames: Tensor, *, seed: list[int]
-    ) -> Generator[None, None, tuple[KnownStructures | None, Lift | None]]:
+    ) -> Steps[tuple[KnownStructures | None, Lift | None]]:
         """Lift frames (T,), and again with what was learnt of them if views hide much of them.
 
         Yields now and then, to be stopped there; returns what is known, and the last lift.
@@ -332,7 +334,7 @@ class Teaching:
                 break
         return structures, lift
 
-    def _lifted(self, prior: FittedPrior, frames: Tensor) -> Generator[None, None, Lift]:
+    def _lifted(self, prior: FittedPrior, frames: Tensor) -> Steps[Lift]:
         """Return the refined lift of frames (T,); yields now and then, to be stopped there."""
         lifts = []
         for some in torch.split(frames, LIFTED_FRAMES):
@@ -358,46 +360,25 @@ class Teaching:
         if not refined.any():
             return
         rotations = torch.from_numpy(lift.rotations)
+        rotations = torch.where(observed[..., None, None], rotations, torch.eye(3))
         translations = torch.from_numpy(lift.translations)
-        self._teach(
-            torch.from_numpy(lift.points3d)[refined],
-            torch.where(observed[..., None, None], rotations, torch.eye(3))[refined],
-            torch.where(observed[..., None], translations, 1.0)[refined],
-            observed[refined],
-            frames[refined],
-        )
+        translations = torch.where(observed[..., None], translations, 1.0)
+        seen = torch.from_numpy(lift.points3d)[refined], rotations[refined], translations[refined]
+        self._teach(self_calibration, frames[refined], observed[refined], seen)
 
     def _teach(
         self,
-        points: Tensor,
-        rotations: Tensor,
-        translations: Tensor,
-        observed: Tensor,
+        found: SelfCalibration,
         frames: Tensor,
+        observed: Tensor,
+        seen: tuple[Tensor, Tensor, Tensor],
     ) -> None:
-        """Take structures (T, P, 3) for teachers; the rest is as in `perspective_teachers`."""
-        found = self.self_calibration
-        assert found is not None  # noqa: S101
-        sizes = self._data.sizes[frames][observed]
+        """Teach structures, rotations and translations `seen` in frames (T,) by views (T, K)."""
+        noise = found.noise / float(self._data.sizes[frames][observed].mean())
+        count, mirrored = len(self._data.keypoints), self.state.mirrored
         self.teachers = perspective_teachers(
-            points,
-            rotations,
-            translations,
-            observed,
-            frames,
-            len(self._data.keypoints),
-            noise=found.noise / float(sizes.mean()),
-            reflected=self.state.mirrored,
+            *seen, observed, frames, count, noise=noise, reflected=mirrored
         )
-
-
-def run_to_end(steps: Generator[None, None, Outcome]) -> Outcome:
-    """Return what a generator returns, having taken all its steps."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as ended:
-            return cast("Outcome", ended.value)
 
 
 def _weak_perspective(lift: Lift) -> WeakPerspectiveScene:
