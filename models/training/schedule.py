@@ -20,6 +20,7 @@ SETTLED_REFRESHES = (0.0, 2 / 3)
 # What reprojection alone would have taught first is left out, and a capture of few frames is learnt
 # in fewer steps: a share of the whole, by frames.
 MOST_SETTLED, LEAST_SETTLED, SETTLED_FRAMES = 2 / 3, 1 / 3, 2000
+LEAST_STEPS = 1000  # that are taken in any case, where the configuration has as many
 NEARLY_DONE = 1 - 1e-9  # share: what is left of a fit must not be nothing, as it is divided by
 
 
@@ -47,7 +48,7 @@ class Schedule:
     def of_settled(cls, config: FitConfig, frames: int) -> "Schedule":
         """Plan a fit to so many frames whose cameras are settled before its first step."""
         share = min(max(frames / SETTLED_FRAMES, LEAST_SETTLED), MOST_SETTLED)
-        steps = max(1, round(share * config.steps))
+        steps = max(round(share * config.steps), min(config.steps, LEAST_STEPS))
         rate = cast("float", config.learning_rate)
         return cls(rate, SETTLED_REFRESHES, steps, steps)
 
