@@ -161,14 +161,16 @@ def _refined(
         refined = (yield from _by_detected(refined, noisy, edges)) or refined
     problem, best = refined.problem, refined.best
     clear = best.noise < CLEAR * problem.size and (refined.kept is None or noisy is None)
-    if clear and find_bone_lengths(best.scene.points, problem.told).steady:
+    if not clear:
+        return refined
+    if refined.kept is not None:
+        # Of clear keypoints shapes that repeat give more of a lens than two radial coefficients.
+        best = yield from learn(problem, best)
+    if find_bone_lengths(best.scene.points, problem.told).steady:
         # The lens under which shapes look most alike need not be the true one, and with two views
         # it is not; with a wrong one, bones grow and shrink as they turn.
-        if refined.kept is not None:
-            best = yield from learn(problem, best)
         best = yield from learn(problem, best, with_bones=True)
-        return refined._replace(best=best, kept=None)
-    return refined
+    return refined._replace(best=best, kept=None)
 
 
 def _leaves_lenses_to_shapes(refined: _Refined) -> bool:
