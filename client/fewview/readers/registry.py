@@ -45,6 +45,7 @@ FORMATS = (
     Format("deeplabcut-h5", "DeepLabCut or Anipose H5", deeplabcut.fits_h5, deeplabcut.read_h5),
     Format("lightning-pose", "Lightning Pose CSV", lightning_pose.fits, lightning_pose.read),
     Format("deeplabcut-csv", "DeepLabCut CSV", deeplabcut.fits_csv, deeplabcut.read_csv),
+    Format("jarvis", "JARVIS CSV", deeplabcut.fits_jarvis, deeplabcut.read_csv),
     Format("openpose", "OpenPose JSON", openpose.fits, openpose.read),
     Format("sleap", "SLEAP .slp", sleap.fits_slp, sleap.read_slp),
     Format("sleap-analysis", "SLEAP analysis H5", sleap.fits_analysis, sleap.read_analysis),
