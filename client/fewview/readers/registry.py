@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,15 +12,16 @@ from fewview.readers.formats import (
     c3d,
     coco,
     deeplabcut,
+    frames_json,
     lightning_pose,
     mediapipe,
-    mmpose,
     mvnrsfm,
     npy,
     npz,
     openpose,
     sleap,
     table,
+    yolo,
 )
 from fewview.readers.hints import looks_like
 from fewview.readers.sources import Source
@@ -50,8 +52,17 @@ FORMATS = (
     Format("sleap", "SLEAP .slp", sleap.fits_slp, sleap.read_slp),
     Format("sleap-analysis", "SLEAP analysis H5", sleap.fits_analysis, sleap.read_analysis),
     Format("coco", "COCO keypoints JSON", coco.fits, coco.read),
-    Format("mmpose", "MMPose JSON", mmpose.fits, mmpose.read),
     Format("mediapipe", "MediaPipe JSON", mediapipe.fits, mediapipe.read),
+    *(
+        Format(
+            each.name,
+            each.title,
+            partial(frames_json.fits, layout=each),
+            partial(frames_json.read, layout=each),
+        )
+        for each in frames_json.LAYOUTS
+    ),
+    Format("yolo", "YOLO pose labels", yolo.fits, yolo.read),
     Format("npy", "FreeMoCap npy", npy.fits, npy.read),
     Format("mvnrsfm", "CAM_*.pkl of MV-NRSfM", mvnrsfm.fits, mvnrsfm.read, "pickles are programs"),
     Format("c3d", "C3D", c3d.fits, c3d.read, "a broken file can end the process that reads it"),

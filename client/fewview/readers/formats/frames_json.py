@@ -1,0 +1,154 @@
+"""People frame by frame as JSON: of MMPose, AlphaPose, YOLO, EasyMocap, ViTPose and others.
+
+One file of a video, or a folder with a file for each image. One table says what tells the layouts
+apart; they are read alike (`json_frames.py`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fewview.errors import FormatError
+from fewview.readers.json_frames import (
+    BARE,
+    SCORES,
+    Frame,
+    frames_of,
+    names_of,
+    people_of,
+    points_of,
+    size_of,
+)
+from fewview.readers.names import frame_number
+from fewview.readers.sources import Source
+from fewview.readers.views import Edges, View, packed
+
+SKELETONS = ("coco-17", "coco-133", "halpe-26", "hands-21")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A layout: its name, its title, and whether one frame's or one file's JSON is of it."""
+
+    name: str
+    title: str
+    says: Callable[[Any, Any], bool]  # the content, and somebody in it
+    y_first: bool = False
+
+
+LAYOUTS = (
+    Layout("easymocap", "EasyMocap annotations", lambda content, _: _has(content, "annots")),
+    Layout("alphapose", "AlphaPose JSON", lambda content, _: _is_alphapose(content)),
+    Layout("vitpose", "ViTPose JSON", lambda content, _: _is_vitpose(content), y_first=True),
+    Layout("superanimal", "SuperAnimal JSON", lambda content, _: _has(content, BARE)),
+    Layout("yolo-json", "YOLO pose JSON", lambda _, one: _is_yolo(one)),
+    Layout("mmpose", "MMPose JSON", lambda content, one: _is_mmpose(content, one)),
+    Layout("json", "JSON of people in frames", lambda _, __: True),
+)
+
+
+def fits(source: Source, layout: Layout) -> bool:
+    """Whether this is of a layout, and of none before it in the table."""
+    content = source.json
+    frames = frames_of(content)
+    one = next((person for _, people in frames for person in people), None)
+    if one is None:
+        return False
+    return next(each for each in LAYOUTS if each.says(content, one)) is layout
+
+
+def read(source: Source, layout: Layout) -> list[View]:
+    """Return the view of a file, or of a folder with a file for each image.
+
+    Raises
+    ------
+    FormatError
+        If it does not fit together, or holds 3D keypoints.
+    """
+    content, what = source.json, str(source)
+    try:
+        frames = _frames(source)
+        everybody = [person for _, people in frames for person in people]
+        detections = [
+            [points_of(one, what, y_first=layout.y_first) for one in people] for _, people in frames
+        ]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(f"{what}: {layout.title} that is broken ({error!r})") from error
+    keypoints, confidence = packed(detections, what)
+    told = [number for number, _ in frames if number is not None]
+    numbers = np.arange(len(frames))
+    if len(set(told)) == len(frames):
+        numbers = np.array(told, np.int64)
+    order = np.argsort(numbers)
+    names = names_of(content, everybody, keypoints.shape[2])
+    fps = content.get("fps") if isinstance(content, dict) else None
+    return [
+        View(
+            source.name.removeprefix("results_"),
+            keypoints[order],
+            numbers[order],
+            None if np.isnan(confidence).all() else confidence[order],
+            keypoint_names=names,
+            edges=_edges(content, keypoints.shape[2]) if names else None,
+            image_size=size_of(content),
+            fps=float(fps) if isinstance(fps, int | float) and fps > 0 else None,
+            skeletons=SKELETONS,
+        )
+    ]
+
+
+def _frames(source: Source) -> list[Frame]:
+    if not source.frames:
+        return frames_of(source.json)
+    frames: list[Frame] = []
+    for path, content in zip(source.frames, source.frames_json(), strict=True):
+        number, people = frame_number(path.name), people_of(content)
+        if people is None:
+            raise FormatError(f"{path}: no people of one image")
+        frames.append((None if number is None else number[1], people))
+    return frames
+
+
+def _has(content: Any, key: str) -> bool:
+    """Whether a file, or its first frame, has this key."""
+    first = content[0] if isinstance(content, list) and content else content
+    return isinstance(first, dict) and key in first
+
+
+def _is_alphapose(content: Any) -> bool:
+    return isinstance(content, dict) and any(
+        isinstance(frame, dict) and "AlphaPose" in str(frame.get("version"))
+        for frame in list(content.values())[:1]
+    )
+
+
+def _is_vitpose(content: Any) -> bool:
+    return (
+        isinstance(content, dict)
+        and {"keypoints", "skeleton"} <= content.keys()
+        and isinstance(content["keypoints"], list)
+    )
+
+
+def _is_yolo(person: Any) -> bool:
+    points = person.get("keypoints") if isinstance(person, dict) else None
+    return isinstance(points, dict) and {"x", "y"} <= points.keys()
+
+
+def _is_mmpose(content: Any, person: Any) -> bool:
+    scored = isinstance(person, dict) and any(key in person for key in SCORES)
+    return scored or any(_has(content, key) for key in ("instance_info", "instances"))
+
+
+def _edges(content: Any, count: int) -> Edges | None:
+    """Return the edges, where predictions came with the description of their data."""
+    meta = content.get("meta_info") if isinstance(content, dict) else None
+    links = meta.get("skeleton_links") if isinstance(meta, dict) else None
+    links = links.get("__ndarray__", ()) if isinstance(links, dict) else links or ()
+    edges = tuple((int(a), int(b)) for a, b in links)
+    inside = all(0 <= k < count for edge in edges for k in edge)
+    return edges if edges and inside else None
