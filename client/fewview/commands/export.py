@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fewview.commands.reading import Fps
 from fewview.commands.talking import AsJson, Url, say, talking
 
 USUAL = "trc,csv,glb,npz"
@@ -27,7 +26,7 @@ def export(
     *,
     output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write into.")],
     formats: Formats = USUAL,
-    fps: Fps = None,
+    fps: Annotated[float | None, typer.Option(help="Frames per second, if they are even.")] = None,
     unit: LengthUnit = None,
     height: Height = None,
     url: Url = None,

@@ -10,6 +10,7 @@ from fewview.readers.archives import is_archive, unpacked
 from fewview.readers.names import natural
 from fewview.readers.registry import FORMATS, Format, detect, find
 from fewview.readers.sources import Source, frames_in
+from fewview.readers.trials import names_of_paths, of_one_trial
 
 Found = tuple[Source, Format]
 AnyPath = str | PathLike[str]
@@ -18,7 +19,11 @@ FILTERED = re.compile(r"[_-]filtered(?=[./\\]|$)")
 
 
 def sources_at(
-    paths: AnyPath | Iterable[AnyPath], name: str | None, notes: list[str], folder: Path
+    paths: AnyPath | Iterable[AnyPath],
+    name: str | None,
+    notes: list[str],
+    folder: Path,
+    trial: str | None = None,
 ) -> list[Found]:
     """Return what there is to read at the paths, a format each.
 
@@ -30,11 +35,13 @@ def sources_at(
         Gets what was left out.
     folder
         An empty one, where zip files are unpacked.
+    trial
+        Whose files are meant, where they are of several.
 
     Raises
     ------
     FormatError
-        If there is nothing of a known format.
+        If there is nothing of a known format, or the files are of several trials.
     """
     listed = [paths] if isinstance(paths, str | PathLike) else list(paths)
     if not listed:
@@ -46,13 +53,18 @@ def sources_at(
             inside = _in_folder(path, name, notes, DEPTH)
             if not inside:
                 raise FormatError(f"{path}: a folder with no file of a known format")
-            found += _told_apart(_newest(inside, path, notes), path)
+            found += _newest(inside, path, notes)
         elif path.exists():
             source = Source(path)
             found.append((source, find(source, name)))
         else:
             raise FormatError(f"{path}: there is no such file or folder")
-    return found
+    names = names_of_paths([each.path for each, _ in found], [each.name for each, _ in found])
+    mine, called, note = of_one_trial(names, trial)
+    notes += filter(None, [note])
+    for index, camera in zip(mine, called, strict=True):
+        found[index][0].name = camera
+    return [found[index] for index in mine]
 
 
 def _in_folder(folder: Path, name: str | None, notes: list[str], depth: int) -> list[Found]:
@@ -97,17 +109,6 @@ def _newest(found: list[Found], folder: Path, notes: list[str]) -> list[Found]:
         else:
             notes.append(f"{path} was left out for {other}")
     return kept
-
-
-def _told_apart(found: list[Found], folder: Path) -> list[Found]:
-    """Name files of one name by the folders that they lie in."""
-    if len({source.name for source, _ in found}) == len(found):
-        return found
-    for source, _ in found:
-        inside = source.path.parent.relative_to(folder)
-        if not source.frames and inside.parts:
-            source.name = "_".join((*inside.parts, source.name))
-    return found
 
 
 def _quietly(source: Source) -> Format | None:

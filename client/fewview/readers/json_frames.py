@@ -18,8 +18,10 @@ FRAMES = ("instance_info", "frames", "results", "predictions", "pose_results", "
 PEOPLE = ("instances", "predictions", "people", "annots", "bodies", "persons", "pose_results")
 POINTS = ("keypoints", "pose_keypoints_2d", "joints", "pose", "keypoint", "kpts")
 SCORES = ("keypoint_scores", "keypoints_scores", "kp_score", "scores", "keypoint_confidences")
-NUMBERS = ("frame_id", "frame", "frame_index", "frame_idx", "frame_number", "frame_num", "filename")
-NUMBERS += ("image_name", "image", "file_name", "image_id")
+NUMBERS = (
+    *("frame_id", "frame", "frame_index", "frame_idx", "frame_number", "frame_num"),
+    *("filename", "image_name", "image", "file_name", "image_id"),
+)
 BARE = "bodyparts"  # of SuperAnimal: a list of people, each a list of points
 LOOKED_INTO = 1000  # frames
 Frame = tuple[int | None, list[Any]]  # its number, if it says one, and its people

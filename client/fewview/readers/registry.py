@@ -83,8 +83,15 @@ def detect(source: Source) -> Format | None:
         return next((each for each in FORMATS if each.fits(source)), None)
 
 
-def views_of(source: Source, known: Format, *, untrusted: bool = False) -> list[View]:
+def views_of(
+    source: Source, known: Format, *, untrusted: bool = False, columns: str | None = None
+) -> list[View]:
     """Read a source's views.
+
+    Parameters
+    ----------
+    columns
+        What the columns of a plain table hold, as `ReadingOptions.columns`.
 
     Raises
     ------
@@ -97,7 +104,7 @@ def views_of(source: Source, known: Format, *, untrusted: bool = False) -> list[
             f"`fewview convert {source.path.name} -o capture.npz`, and send that"
         )
     with _broken(source, lambda: f"not as {known.title} should be{_instead(source, known)}"):
-        views = known.read(source)
+        views = known.read(source) if columns is None else table.read(source, columns)
     if not all(len(view.numbers) for view in views):
         raise FormatError(f"{source}: {known.title} without a single frame")
     return views
