@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 import numpy as np
@@ -13,7 +14,7 @@ from fewview.animation import Unit
 from fewview.api.forms import Fit
 from fewview.api.lifting import Lift
 from fewview.calibration import write_cameras
-from fewview.capture import Capture
+from fewview.capture import Capture, Float64
 from fewview.client import Client
 from fewview.errors import FewviewError, JobFailed, NotFound
 from fewview.height import scaled_to
@@ -108,6 +109,7 @@ def described_by(client: Client, fit: Fit) -> Capture:
         edges=tuple((first, second) for first, second in skeleton.get("edges") or ()),
         view_names=tuple(cameras or (f"view{view}" for view in range(views))),
         image_sizes=sizes and tuple(size and (size[0], size[1]) for size in sizes),
+        times=_times(client, fit) if said.get("has_times") else None,
         fps=said.get("fps"),
     )
 
@@ -118,6 +120,14 @@ def _dataset(client: Client, fit: Fit) -> dict[str, Any]:
         return client.datasets.get(fit.dataset_id).raw
     except NotFound:
         return {}
+
+
+def _times(client: Client, fit: Fit) -> Float64:
+    """Return the times (N,) or (N, K) of the frames of a fit's dataset."""
+    with TemporaryDirectory() as folder:
+        file = client.datasets.download(fit.dataset_id, Path(folder, "capture.npz"))
+        with np.load(file, allow_pickle=False) as arrays:
+            return np.asarray(arrays["times"], np.float64)
 
 
 def export(

@@ -56,13 +56,14 @@ def views_of_columns(
     for camera in cameras:
         mine = [place for place, label in enumerate(labels) if label.camera == camera]
         part = values if len(cameras) == 1 else values[:, mine]
-        views.append(_view(camera or name, [labels[i] for i in mine], part, numbers, what))
+        views.append(view_of_labels(camera or name, [labels[i] for i in mine], part, numbers, what))
     return views
 
 
-def _view(
+def view_of_labels(
     name: str, labels: Sequence[Label], values: NDArray[np.float64], numbers: Int64, what: str
 ) -> View:
+    """Return the view of one camera's columns, as `views_of_columns` does of all."""
     people = tuple(dict.fromkeys(label.person for label in labels))
     with_x, with_y = ({each.keypoint for each in labels if each.axis == axis} for axis in "xy")
     whole = with_x & with_y

@@ -21,6 +21,7 @@ from fewview.readers.formats import (
     openpose,
     sleap,
     table,
+    trc,
     yolo,
 )
 from fewview.readers.hints import looks_like
@@ -66,6 +67,7 @@ FORMATS = (
     Format("npy", "FreeMoCap npy", npy.fits, npy.read),
     Format("mvnrsfm", "CAM_*.pkl of MV-NRSfM", mvnrsfm.fits, mvnrsfm.read, "pickles are programs"),
     Format("c3d", "C3D", c3d.fits, c3d.read, "a broken file can end the process that reads it"),
+    Format("trc", "TRC", trc.fits, trc.read),
     Format("csv", "plain CSV", table.fits, table.read),
 )
 NAMES = tuple(each.name for each in FORMATS)

@@ -17,6 +17,8 @@ def write(path: Path, animation: Animation) -> None:
     arrays = {"points": animation.points}
     if animation.times is not None:
         arrays["times"] = animation.times
+    if animation.numbers is not None:
+        arrays["frame_numbers"] = animation.numbers
     if animation.edges:
         arrays["edges"] = np.array(animation.edges)
     about = {} if animation.unit is None else {"unit": str(animation.unit)}
