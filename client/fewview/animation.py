@@ -120,8 +120,8 @@ class Animation:
         """The time (N,) of each frame, seconds: as told, or from 0 by `rate`."""
         if self.times is not None:
             return self.times
-        frames = np.array(self.frames)
-        return (frames - frames[:1]) / self.rate
+        frames = np.array(self.frames, np.float64)
+        return np.asarray((frames - frames[:1]) / self.rate)
 
     @property
     def even(self) -> bool:

@@ -14,7 +14,7 @@ _CLOCK = re.compile(r"(?:(\d+):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)")
 
 
 def seconds_in(words: Words, column: str) -> Float64 | None:
-    """Return the seconds (N,) that a column of times holds, NaN in empty cells; None if it does not.
+    """Return the seconds (N,) in a column of times, NaN in empty cells; None if it has others.
 
     Parameters
     ----------

@@ -7,42 +7,53 @@ from typing import NamedTuple
 
 from fewview.errors import FormatError
 
+
+def _said(words: str) -> tuple[str, ...]:
+    return tuple(words.split())
+
+
 AXES = {
-    "x": ("x", "u", "xpx", "px", "imgx", "imagex", "imglocx", "xcoord"),
-    "y": ("y", "ypx", "py", "imgy", "imagey", "imglocy", "ycoord"),
-    "z": ("z", "objz"),
-    "confidence": (
-        *("likelihood", "confidence", "conf", "score", "scores", "probability", "prob", "p", "c"),
-        *("certainty", "keypointscore"),
+    "x": _said("x u xpx px imgx imagex imglocx xcoord"),
+    "y": _said("y ypx py imgy imagey imglocy ycoord"),
+    "z": _said("z objz"),
+    "confidence": _said(
+        "likelihood confidence conf score scores probability prob p c certainty keypointscore"
     ),
     # What MediaPipe calls so, which gives a depth beside pixels, too.
-    "visibility": ("visibility", "vis", "visible", "v"),
+    "visibility": _said("visibility vis visible v"),
 }
 ROLES = {
     "frame": (
-        *("frame", "syncindex", "frameidx", "frameid", "framenumber", "framenum", "frameno"),
-        *("frameindex", "fnum", "index", "image", "imagename", "imageid", "filename", "file"),
-        *("img", "imagepath", "unnamed0", ""),
+        *_said(
+            "frame syncindex frameidx frameid framenumber framenum frameno frameindex fnum index "
+            "image imagename imageid filename file img imagepath unnamed0"
+        ),
+        "",
     ),
-    "time": (
-        *("time", "times", "timestamp", "timestamps", "timesec", "seconds", "sec", "t"),
-        *("timeseconds", "frametime", "timems", "timestampms", "milliseconds", "ms", "msec"),
-        *("timestampns", "timestampus", "timens", "timeus"),
+    "time": _said(
+        "time times timestamp timestamps timesec timeseconds seconds sec t frametime timems ms "
+        "timestampms milliseconds msec timens timestampns timeus timestampus"
     ),
-    "camera": ("camera", "cam", "view", "video", "videopath", "port", "camid", "cameraid")
-    + ("camname", "cameraname", "viewid", "viewname", "videoname"),
-    "person": ("person", "track", "individual", "animal", "id", "personid", "trackid", "instance")
-    + ("personidx", "subject", "objectid", "individuals", "animalid", "trackname"),
-    "keypoint": ("keypoint", "bodypart", "joint", "landmark", "marker", "node", "landmarkid")
-    + ("landmarkname", "landmarkindex", "landmarkidx", "pointid", "keypointid", "keypointname")
-    + ("keypointindex", "kp", "kpt", "jointname", "jointid", "part", "bodyparts", "markername")
-    + ("label", "name", "feature", "point", "nodename"),
+    "camera": _said(
+        "camera cam view video videopath videoname port camid cameraid camname cameraname viewid "
+        "viewname"
+    ),
+    "person": _said(
+        "person track individual animal id personid personidx trackid trackname instance subject "
+        "objectid individuals animalid"
+    ),
+    "keypoint": _said(
+        "keypoint bodypart joint landmark marker node landmarkid landmarkname landmarkindex "
+        "landmarkidx pointid keypointid keypointname keypointindex kp kpt jointname jointid part "
+        "bodyparts markername label name feature point nodename"
+    ),
 }
+FIELDS = {r"\{\}": "keypoint", r"\{camera\}": "camera", r"\{person\}": "person"}
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 _AXIS_OF = {word: axis for axis, words in AXES.items() for word in words}
-_WORDS = "|".join(
-    ("x", "y", "z", "u", "v", "c", "p", "likelihood", "confidence", "conf", "scores?", "vis")
-    + ("visibility", "visible", "probability", "prob", "certainty")
+_WORDS = (
+    "x|y|z|u|v|c|p|likelihood|confidence|conf|scores?|vis|visibility|visible|probability|prob|"
+    "certainty"
 )
 _SPELLINGS = tuple(
     re.compile(pattern, flags)
@@ -153,7 +164,9 @@ def _wide(cell: str) -> Label | None:
     cell = _UNIT.sub("", cell)
     for spelling in _SPELLINGS:
         found = spelling.fullmatch(cell)
-        axis = found and _AXIS_OF.get("confidence" if found["axis"] == "s" else plain(found["axis"]))
+        axis = found and _AXIS_OF.get(
+            "confidence" if found["axis"] == "s" else plain(found["axis"])
+        )
         if found and axis and plain(found["name"]) not in ("instance", "tracking"):
             return Label("", "", found["name"].strip("._ -:/"), axis)
     return None
@@ -208,9 +221,7 @@ def mapped_columns(header: Sequence[str], mapping: str) -> Columns:
             roles[role] = header.index(name)
             continue
         pattern = re.escape(name)
-        for field, group in ((r"\{\}", "keypoint"), (r"\{camera\}", "camera")) + (
-            (r"\{person\}", "person"),
-        ):
+        for field, group in FIELDS.items():
             pattern = pattern.replace(field, f"(?P<{group}>.+?)", 1)
         found = {i: each for i, cell in enumerate(header) if (each := re.fullmatch(pattern, cell))}
         if not found:

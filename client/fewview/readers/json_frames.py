@@ -32,54 +32,52 @@ def frames_of(content: Any) -> list[Frame]:
     if isinstance(content, dict):
         content = next((content[key] for key in FRAMES if _holds_frames(content.get(key))), content)
     if isinstance(content, dict):
-        if people_of(content) is not None:
-            return [(_number(content), people_of(content) or [])]
-        numbers = [frame_number(f"{key}" if "." in key else f"{key}.") for key in content]
-        if not content or None in numbers:
-            return []
-        listed = [people_of(frame) for frame in content.values()]
-        if None in listed or not any(map(has_points, filter(None, listed))):
-            return []
-        return [
-            (number and number[1], people or [])
-            for number, people in zip(numbers, listed, strict=True)
-        ]
-    if not isinstance(content, list):
+        people = people_of(content)
+        listed = [(_number(content), people)] if people is not None else _by_names(content)
+    else:
+        listed = [(_number(one), people_of(one)) for one in content or ()]
+    frames = [(number, people) for number, people in listed if people is not None]
+    if len(frames) < len(listed) or not any(
+        has_points(people) for _, people in frames[:LOOKED_INTO]
+    ):
         return []
-    frames: list[Frame] = []
-    for one in content:
-        people = people_of(one)
-        if people is None:
-            return []
-        frames.append((_number(one), people))
-    return _by_number(frames) if any(has_points(p) for _, p in frames[:LOOKED_INTO]) else []
+    return _by_number(frames)
 
 
 def people_of(frame: Any) -> list[Any] | None:
     """Return the people of a frame; None if it is no frame."""
+    found: Any = None
     if isinstance(frame, list):
-        if all(isinstance(one, list) for one in frame) and not _is_points(frame):
-            frame = [one for each in frame for one in each]
-        return frame if all(isinstance(one, dict) or _is_points(one) for one in frame) else None
-    if not isinstance(frame, dict):
-        return None
-    if isinstance(frame.get(BARE), list):
-        return [one for one in frame[BARE] if _is_points(one)]
-    for key in PEOPLE:
-        if isinstance(frame.get(key), list):
+        found = frame
+        if all(isinstance(one, list) and not _is_points(one) for one in frame):
+            found = [one for each in frame for one in each]
+    elif isinstance(frame, dict):
+        key = next((key for key in (BARE, *PEOPLE) if isinstance(frame.get(key), list)), None)
+        if key is not None:
             return people_of(frame[key])
-    if any(key in frame for key in POINTS):
-        return [frame]
-    if all(str(key).isdecimal() and _is_points(one) for key, one in frame.items()):
-        return list(frame.values())  # by the numbers of their tracks
-    return None
+        if any(key in frame for key in POINTS):
+            found = [frame]
+        elif all(str(key).isdecimal() for key in frame):  # by the numbers of their tracks
+            found = list(frame.values())
+    right = found is not None and all(isinstance(one, dict) or _is_points(one) for one in found)
+    return found if right else None
+
+
+def _by_names(content: dict[str, Any]) -> list[tuple[int | None, list[Any] | None]]:
+    """Return the frames that a file has under the names of images; none if it has others."""
+    numbers = [frame_number(key if "." in key else f"{key}.") for key in map(str, content)]
+    if None in numbers:
+        return []
+    frames = zip(numbers, content.values(), strict=True)
+    return [(number and number[1], people_of(frame)) for number, frame in frames]
 
 
 def is_one_frame(content: Any) -> bool:
     """Whether this is what a detector says of one image, and not of a whole video."""
     if isinstance(content, dict):
-        listed = [content[key] for key in (*PEOPLE, BARE) if isinstance(content.get(key), list)]
-        return bool(listed) and len(frames_of(content)) == 1
+        key = next((key for key in (*PEOPLE, BARE) if isinstance(content.get(key), list)), None)
+        many = key in FRAMES and _holds_frames(content[key]) and len(content[key]) > 1
+        return key is not None and not many
     if not isinstance(content, list) or not content or not isinstance(content[0], dict):
         return False
     people = people_of(content)
@@ -213,9 +211,11 @@ def _point(point: dict[str, Any]) -> list[float]:
 
 def _number(frame: Any) -> int | None:
     """Return the number that a frame says, or that is in the name of its image."""
-    said = next((frame[key] for key in NUMBERS if key in frame), None) if isinstance(
-        frame, dict
-    ) else None
+    said = (
+        next((frame[key] for key in NUMBERS if key in frame), None)
+        if isinstance(frame, dict)
+        else None
+    )
     if isinstance(said, str):
         found = frame_number(said if "." in said else f"{said}.")
         return found and found[1]

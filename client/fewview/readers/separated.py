@@ -16,11 +16,13 @@ from fewview.readers.views import Int64
 
 SEPARATORS = ",;\t|"
 CHUNK = 4096  # rows
-COORDINATE_ROW = re.compile(r"coords|x|y|z|likelihood|confidence|conf|score|prob(ability)?|visibility")
-NOTHING = frozenset(
-    ("", "na", "n/a", "#n/a", "#na", "nan", "-nan", "#nan", "none", "null", "<na>", "nil", ".", "?")
-    + ("-", "--", "#value!", "#div/0!", "#num!", "-1.#ind", "1.#qnan", "-nan(ind)", "missing")
+COORDINATE_ROW = re.compile(
+    r"coords|x|y|z|likelihood|confidence|conf|score|prob(ability)?|visibility"
 )
+NOTHING = {
+    *("", "na", "n/a", "#n/a", "#na", "nan", "-nan", "#nan", "none", "null", "<na>", "nil", "."),
+    *("?", "-", "--", "#value!", "#div/0!", "#num!", "-1.#ind", "1.#qnan", "-nan(ind)", "missing"),
+}
 
 
 @dataclass(frozen=True)
@@ -170,14 +172,15 @@ def _rows(table: Table, *, ragged: bool, skip: bool) -> Iterator[list[str]]:
     """
     lines = islice(table.source.text_lines(), table.start, None)
     width, blank = table.width, 0
-    for row in csv.reader(lines, delimiter=table.separator):
+    for cells_read in csv.reader(lines, delimiter=table.separator):
+        row = cells_read
         if not any(row):
             blank += not skip
             continue
         if len(row) > width and not any(map(str.strip, row[width:])):
-            del row[width:]
+            row = row[:width]
         elif len(row) < width and ragged:
-            row += [""] * (width - len(row))
+            row = row + [""] * (width - len(row))
         if len(row) != width:
             raise FormatError(
                 f"{table.source}: has rows of another length than the header, which has {width} "

@@ -34,7 +34,7 @@ def put_right(
 
 
 def _last(view: View, axis: int) -> float:
-    """Return the last pixel of an axis: of the image, or, where its size is unknown, that is seen."""
+    """Return the last pixel of an axis: of the image, or that is seen if its size is unknown."""
     if view.image_size is not None:
         return view.image_size[axis] - 1.0
     return float(np.ceil(np.nanmax(view.keypoints[..., axis], initial=0)))

@@ -73,7 +73,9 @@ class Source:
         FormatError
             If it looks like JSON, and is too large or broken.
         """
-        start = self.head.decode(self.encoding or "ascii", errors="ignore").lstrip("\ufeff \t\r\n")[:1]
+        start = self.head.decode(self.encoding or "ascii", errors="ignore").lstrip("\ufeff \t\r\n")[
+            :1
+        ]
         if not self.encoding or start not in ("{", "[") or self.is_toml:
             return None
         if self.frames:

@@ -212,7 +212,7 @@ def _by_time(views: list[View], rates: list[float | None], notes: list[str]) -> 
 
 
 def with_rates(views: Sequence[View], rates: Sequence[float | None]) -> list[View]:
-    """Return the views with the frames per second that were given: they stand for those of files."""
+    """Return the views with the frames per second that were given, instead of those of files."""
     return [
         view if rate is None else replace(view, fps=rate)
         for view, rate in zip(views, rates, strict=True)

@@ -1,7 +1,7 @@
 """The tree of joints of a body whose keypoints have the usual names, for formats that need one.
 
-Detectors' edges leave the head apart, and join shoulders and hips in a circle. In a body, limbs hang
-on the middle of the shoulders and of the hips, which are added where they are no keypoints.
+Detectors' edges leave the head apart, and join shoulders and hips in a circle. In a body, limbs
+hang on the middle of the shoulders and of the hips, which are added where they are no keypoints.
 """
 
 import re
@@ -35,13 +35,18 @@ PARENTS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("*_pinky", "*_index", "*_thumb"), ("*_wrist",)),
     **dict.fromkeys(("*_eye", "*_ear", "*_eye_inner", "*_eye_outer", "mouth_*"), ("nose", "head")),
     **{
-        f"*_hand_{finger}{joint}": (f"*_hand_{finger}{joint - 1}",) if joint > 1 else ("*_hand_wrist",)
+        f"*_hand_{finger}{joint}": (f"*_hand_{finger}{joint - 1}",)
+        if joint > 1
+        else ("*_hand_wrist",)
         for finger in ("thumb", "index", "middle", "ring", "pinky")
         for joint in (1, 2, 3, 4)
     },
     **dict.fromkeys((f"face_{place}" for place in range(68)), ("nose",)),
 }
-CENTRES = {"hips": HIPS, "neck": NECK}  # of hips and shoulders, and what they are called as keypoints
+CENTRES = {
+    "hips": HIPS,
+    "neck": NECK,
+}  # of hips and shoulders, and what they are called as keypoints
 OF_CENTRES = {"hips": "*_hip", "neck": "*_shoulder"}
 
 

@@ -1,7 +1,7 @@
 """CSV with a row for each point of each frame: frame, time, keypoint, x, y, z.
 
-Frames have the numbers of the files, or count from 0; time (seconds) is left out where it is unknown. A missing point has its row,
-with x, y and z empty. Comma and CRLF as in RFC 4180.
+Frames have the numbers of the files, or count from 0; time (seconds) is left out where it is
+unknown. A missing point has its row, with x, y and z empty. Comma and CRLF as in RFC 4180.
 """
 
 import csv

@@ -1,7 +1,7 @@
 """CSV with a row for each frame: frame, time, then x, y, z of every keypoint.
 
-Frames have the numbers of the files, or count from 0; time (seconds) is left out where it is unknown. A missing point is empty.
-Comma and CRLF as in RFC 4180.
+Frames have the numbers of the files, or count from 0; time (seconds) is left out where it is
+unknown. A missing point is empty. Comma and CRLF as in RFC 4180.
 """
 
 import csv

@@ -1,7 +1,8 @@
 """JSON lines: first what holds for all frames, then a line for each.
 
 The first line has `unit`, `fps`, `keypoint_names` and `edges`, null where unknown; the others have
-`frame` (its number in the files, or from 0), `time` (seconds, null where unknown) and `points`, each [x, y, z] or null.
+`frame` (its number in the files, or from 0), `time` (seconds, null where unknown) and `points`,
+each [x, y, z] or null.
 """
 
 import json

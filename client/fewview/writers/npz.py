@@ -1,6 +1,7 @@
 """npz: `points` (N, P, 3), NaN where missing, and what else is known under its own name.
 
-`unit`, `fps`, `times` (N,), `keypoint_names` (P,), `edges` (E, 2), `frame_numbers` (N,); no pickled objects.
+`unit`, `fps`, `times` (N,), `keypoint_names` (P,), `edges` (E, 2), `frame_numbers` (N,); no pickled
+objects.
 """
 
 from pathlib import Path

@@ -205,9 +205,7 @@ def body(name: str, frames: int = 20) -> Animation:
             points[:, child] = points[:, place] + turns[place].apply(rest[child])
             order.append(child)
     count = len(skeleton.names)
-    return Animation(
-        points[:, :count], fps=30, keypoint_names=skeleton.names, edges=skeleton.edges
-    )
+    return Animation(points[:, :count], fps=30, keypoint_names=skeleton.names, edges=skeleton.edges)
 
 
 @pytest.mark.parametrize("name", [name for name in SKELETONS if name != "hands-21"])

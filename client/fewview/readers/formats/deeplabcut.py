@@ -1,4 +1,4 @@
-"""DeepLabCut: tables and H5, of one or several animals, detected or labelled; Anipose's are the same.
+"""DeepLabCut: tables and H5, of one or several animals, detected or labelled; so are Anipose's.
 
 A column has a scorer, an individual (where there are several animals), a body part and a
 coordinate: x, y, likelihood. JARVIS writes such rows without names of their own, down to that of

@@ -30,22 +30,59 @@ SKELETONS = ("coco-17", "coco-133", "halpe-26", "hands-21")
 
 @dataclass(frozen=True)
 class Layout:
-    """A layout: its name, its title, and whether one frame's or one file's JSON is of it."""
+    """A layout: its name, its title, whether JSON is of it, and words that are in it."""
 
     name: str
     title: str
     says: Callable[[Any, Any], bool]  # the content, and somebody in it
+    words: str = ""
     y_first: bool = False
 
 
 LAYOUTS = (
-    Layout("easymocap", "EasyMocap annotations", lambda content, _: _has(content, "annots")),
-    Layout("alphapose", "AlphaPose JSON", lambda content, _: _is_alphapose(content)),
-    Layout("vitpose", "ViTPose JSON", lambda content, _: _is_vitpose(content), y_first=True),
-    Layout("superanimal", "SuperAnimal JSON", lambda content, _: _has(content, BARE)),
-    Layout("yolo-json", "YOLO pose JSON", lambda _, one: _is_yolo(one)),
-    Layout("mmpose", "MMPose JSON", lambda content, one: _is_mmpose(content, one)),
-    Layout("json", "JSON of people in frames", lambda _, __: True),
+    Layout(
+        "easymocap",
+        "EasyMocap annotations",
+        lambda content, _: _has(content, "annots"),
+        "annots personid bbox keypoints iskeyframe filename",
+    ),
+    Layout(
+        "alphapose",
+        "AlphaPose JSON",
+        lambda content, _: _is_alphapose(content),
+        "version bodies joints",
+    ),
+    Layout(
+        "vitpose",
+        "ViTPose JSON",
+        lambda content, _: _is_vitpose(content),
+        "keypoints skeleton",
+        y_first=True,
+    ),
+    Layout(
+        "superanimal",
+        "SuperAnimal JSON",
+        lambda content, _: _has(content, BARE),
+        "bodyparts bboxes bboxscores",
+    ),
+    Layout(
+        "yolo-json",
+        "YOLO pose JSON",
+        lambda _, one: _is_yolo(one),
+        "name class confidence box keypoints x y visible",
+    ),
+    Layout(
+        "mmpose",
+        "MMPose JSON",
+        lambda content, one: _scored(one) or _is_mmpose(content),
+        "metainfo instanceinfo instances predictions keypointscores bboxscore",
+    ),
+    Layout(
+        "json",
+        "JSON of people in frames",
+        lambda _, __: True,
+        "frames frame frameid people persons keypoints score pose",
+    ),
 )
 
 
@@ -139,9 +176,12 @@ def _is_yolo(person: Any) -> bool:
     return isinstance(points, dict) and {"x", "y"} <= points.keys()
 
 
-def _is_mmpose(content: Any, person: Any) -> bool:
-    scored = isinstance(person, dict) and any(key in person for key in SCORES)
-    return scored or any(_has(content, key) for key in ("instance_info", "instances"))
+def _scored(person: Any) -> bool:
+    return isinstance(person, dict) and any(key in person for key in SCORES)
+
+
+def _is_mmpose(content: Any) -> bool:
+    return any(_has(content, key) for key in ("instance_info", "instances"))
 
 
 def _edges(content: Any, count: int) -> Edges | None:

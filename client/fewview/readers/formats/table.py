@@ -130,9 +130,7 @@ def _views(
                 )
                 labels.append(column._replace(person=who, keypoint=point or what))
     views = views_of_columns("", labels, table.reshape(len(table), -1), numbers, str(source))
-    return [
-        replace(view, people=None if listed else view.people, times=times) for view in views
-    ]
+    return [replace(view, people=None if listed else view.people, times=times) for view in views]
 
 
 def _turns(cell: Int64) -> Int64:

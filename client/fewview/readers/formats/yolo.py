@@ -63,7 +63,7 @@ def _people(path: Path) -> list[Float32]:
 
 
 def _points(numbers: list[float]) -> Float32:
-    """Return (P, 3); of what the count of numbers may mean, a skeleton that is known comes first."""
+    """Return (P, 3): of what the count of numbers may mean, a skeleton that is known first."""
     count = len(numbers) - BOX
     meant = [
         (dimensions, (count - added) // dimensions)
