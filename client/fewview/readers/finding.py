@@ -14,7 +14,7 @@ from fewview.readers.trials import names_of_paths, of_one_trial
 
 Found = tuple[Source, Format]
 AnyPath = str | PathLike[str]
-DEPTH = 3  # of folders in folders
+DEPTH = 4  # of folders in folders
 FILTERED = re.compile(r"[_-]filtered(?=[./\\]|$)")
 
 

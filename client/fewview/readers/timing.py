@@ -167,13 +167,17 @@ def _own_times(views: list[View], rows: Int64, notes: list[str]) -> Float64 | No
     if len(told) < len(views):
         notes.append(f"times are those of {', '.join(views[v].name for v, _ in told)}")
     times = times[:, [v for v, _ in told]]
-    common = np.nanmedian(times, axis=1) if np.isfinite(times).any(1).all() else None
-    if common is None or np.any(np.diff(common) <= 0):
+    whole = np.isfinite(times).all(1)
+    late = np.zeros(len(told))
+    if whole.any():
+        late = np.median(times[whole] - times[whole].mean(1, keepdims=True), axis=0)
+    some = np.isfinite(times).any(1).all()
+    common = np.nanmedian(times - late, axis=1) if some else np.zeros(len(times))
+    if np.any(np.diff(common) <= 0):
         notes.append("times were left out: some frames have none, or they do not rise")
         return None
     if len(told) < len(views) or (np.nan_to_num(times - common[:, None]) == 0).all():
         return np.asarray(common)
-    late = np.nanmedian(times - common[:, None], axis=0)
     filled = np.where(np.isfinite(times), times, common[:, None] + late)
     return filled if (np.diff(filled, axis=0) > 0).all() else np.asarray(common)
 
