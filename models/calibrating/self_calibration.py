@@ -36,6 +36,7 @@ from models.calibrating.problem import (
 from models.calibrating.result import SelfCalibration
 from models.calibrating.search import Arranged, search
 from models.calibrating.told_cameras import unit_by_length
+from models.calibrating.told_order import as_meant
 from models.findings.advice import noticed
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
@@ -93,6 +94,7 @@ def self_calibrate(
     calibration = config.calibration or (None,) * keypoints.shape[1]
     images = images_of(keypoints, weights, image_sizes)
     usual = usual_rig(images)
+    calibration, misread = as_meant(keypoints, weights, usual, calibration)
     reference, lens_sds = told_lenses(usual, calibration)
     there = weights.sum(-1) > 0
     size = float(answers.scales[there].mean())
@@ -135,7 +137,7 @@ def self_calibrate(
         # The lens under which shapes look most alike need not be the true one, and with two views
         # it is not; with a wrong one, bones grow and shrink as they turn.
         best = yield from learn(problem, best, with_bones=True)
-    unit, findings = arranged.unit, arranged.findings
+    unit, findings = arranged.unit, misread + arranged.findings
     if config.known_length is not None:
         unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
         findings += contradiction

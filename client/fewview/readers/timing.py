@@ -100,8 +100,9 @@ def _by_number(views: list[View], notes: list[str]) -> Together:
         rows[np.searchsorted(every, own), v] = np.arange(len(own))
     for view, own in zip(views, numbers, strict=True):
         if len(own) < len(every):
+            ended = f"; it ends at frame {own[-1]}" if own[-1] < every[-1] - 1 else ""
             notes.append(
-                f"{view.name}: has {len(own)} of the {len(every)} frames; the others are gaps"
+                f"{view.name}: has {len(own)} of the {len(every)} frames; the others are gaps{ended}"
             )
     _unlike_lengths(views, numbers, notes)
     rates = {view.fps for view in views}
@@ -148,7 +149,7 @@ def _unlike_lengths(views: list[View], numbers: list[Int64], notes: list[str]) -
         notes.append(
             f"{most} has {round(ratio)} times the frames of {least}: if it films faster, say the "
             f"frames per second of each, as in fps='{most}=60,{least}={60 / round(ratio):g}' "
-            f"(--fps {most}=60,{least}={60 / round(ratio):g})"
+            f"(--fps {most}=60,{least}={60 / round(ratio):g}); else {least} ends early"
         )
 
 
