@@ -95,7 +95,16 @@ def in_words(told: dict[str, Any]) -> str:
         f"error      {told['reprojection_error']:.2f} px from the keypoints, mean",
     ]
     for finding in told["findings"]:
-        lines.append(f"{finding['severity']:<10} {finding['code']}: {finding['effect']}")
+        lines.append(
+            f"{finding['severity']:<10} {finding['code']}{_where(finding)}: {finding['effect']}"
+        )
         lines.append(f"           {finding['remedy']}")
     lines += [f"- {note}" for note in told["notes"]]
     return "\n".join([*lines, *(f"wrote      {file}" for file in told["files"])])
+
+
+def _where(finding: Mapping[str, Any]) -> str:
+    """Return the cameras and frames that a finding is about, in brackets; "" for all."""
+    frames = ", ".join(f"{first} to {last}" for first, last in finding["frames"][:3])
+    parts = [", ".join(finding["cameras"]), f"frames {frames}" if frames else ""]
+    return f" ({', '.join(filter(None, parts))})" if any(parts) else ""

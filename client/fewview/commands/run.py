@@ -58,13 +58,16 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Read, upload, fit, and write animation, cameras and model; again, it goes on where it was."""
-    from fewview.calibration import as_config, read_for_views  # noqa: PLC0415
+    from fewview.calibration import as_config, read_for_views, sizes_in  # noqa: PLC0415
     from fewview.commands.convert import in_words, summary  # noqa: PLC0415 (what it needs)
     from fewview.errors import FewviewError, InvalidRequest  # noqa: PLC0415
     from fewview.readers import read_with  # noqa: PLC0415
 
     try:
-        capture = read_with(files, options())
+        asked = options()
+        if calibration is not None and asked.image_size is None:
+            asked = replace(asked, image_size=sizes_in(calibration))
+        capture = read_with(files, asked)
         told = _config(config or [], known_length)
         if known_length is not None:
             _check_keypoints(told["known_length"]["keypoints"], capture)

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from fewview.animation import Unit
-from fewview.api.forms import Fit
+from fewview.api.forms import Finding, Fit
 from fewview.api.lifting import Lift
 from fewview.calibration import write_cameras
 from fewview.capture import Capture, Float64
@@ -152,6 +152,8 @@ def export(
     lift = client.fits.reconstruction(fit)
     found = client.models.cameras(fit.model_id)
     room, said = room_of(lift, found, capture)
+    unit, doubted = _unit_used(fit, unit, height)
+    said += doubted
     if height is not None:
         if room is None:
             raise ValueError(f"--height: {'; '.join(said)}")
@@ -175,9 +177,42 @@ def export(
         "frames": len(lift),
         "in_room": 0 if room is None else len(lift) - room.missing,
         "reprojection_error": float(np.nanmean(lift.reprojection_errors)),
-        "findings": [asdict(finding) for finding in fit.findings],
+        "findings": [
+            asdict(finding) | {"cameras": _called(finding.views, capture)}
+            for finding in fit.findings
+        ],
         "notes": said,
     }
+
+
+def _called(views: Sequence[int], capture: Capture) -> list[str]:
+    names = capture.view_names or tuple(f"view{view}" for view in range(capture.views))
+    return [names[view] for view in views if view < len(names)]
+
+
+def _unit_used(fit: Fit, unit: Unit | None, height: float | None) -> tuple[Unit | None, list[str]]:
+    """Return the unit if something that was used gives it, and what is to be said of it."""
+    config = fit.config or {}
+    if unit is None or height is not None or config.get("known_length"):
+        return unit, []
+    cameras = config.get("calibration") or ()
+    posed = {v for v, camera in enumerate(cameras) if camera and camera.get("translation")}
+    refused = {view for each in fit.findings if _refuses_poses(each) for view in each.views}
+    if len(posed - refused) > 1:
+        return unit, []
+    why = (
+        "the keypoints contradict the poses of the calibration, which were not used"
+        if posed
+        else "the fit was given neither a length nor poses"
+    )
+    return None, [f"no unit: {why}"]
+
+
+def _refuses_poses(finding: Finding) -> bool:
+    """Whether told poses were not used, and not lenses alone."""
+    told = finding.evidence
+    of_lens_alone = "focal_ratio" in told and "degrees" not in told
+    return finding.code == "calibration_disagrees" and bool(told["refused"]) and not of_lens_alone
 
 
 def _calibrations(

@@ -57,10 +57,8 @@ def cleaned(view: View, min_confidence: float) -> tuple[View, list[str]]:
     return replace(view, keypoints=keypoints, confidence=confidence), notes
 
 
-def combined(
-    views: Sequence[View], *, align: Align, skeleton: str | None, one_file: bool = False
-) -> Capture:
-    """Return the capture of views of one person (M = 1), that were cleaned.
+def combined(views: Sequence[View], *, align: Align, one_file: bool = False) -> Capture:
+    """Return the capture of views of one person (M = 1), that were cleaned and named.
 
     Parameters
     ----------
@@ -74,8 +72,7 @@ def combined(
     """
     notes: list[str] = []
     notes += [f"{view.name}: {note}" for view in views for note in view.notes]
-    views = [_named(view, skeleton, notes) for view in views]
-    views = _common_keypoints(views, notes)
+    views = _common_keypoints(list(views), notes)
     for view in views:
         if view.fps is not None and not 0 < view.fps < inf:
             raise FormatError(f"{view.name}: `fps` is {view.fps}, not above 0")
@@ -106,6 +103,11 @@ def combined(
         tuple(notes),
         None if (numbers == np.arange(len(numbers))).all() else numbers,
     )
+
+
+def named(views: Sequence[View], skeleton: str | None, notes: list[str]) -> list[View]:
+    """Return the views with the names and edges of their skeletons, as far as they can be known."""
+    return [_named(view, skeleton, notes) for view in views]
 
 
 def _named(view: View, skeleton: str | None, notes: list[str]) -> View:

@@ -10,7 +10,7 @@ import numpy as np
 from fewview.capture import Capture
 from fewview.errors import FormatError
 from fewview.readers.archives import workplace
-from fewview.readers.combining import cleaned, combined
+from fewview.readers.combining import cleaned, combined, named
 from fewview.readers.finding import AnyPath, sources_at
 from fewview.readers.names import told_apart
 from fewview.readers.people import pick
@@ -135,11 +135,10 @@ def read_with(paths: AnyPath | Iterable[AnyPath], options: ReadingOptions) -> Ca
         one, said = cleaned(view, options.min_confidence)
         clean.append(one)
         notes += said
-    clean = put_right(clean, options.y, options.named("mirror", names) or [], notes)
     picked, said = pick(clean, options.person)
-    capture = combined(
-        picked, align=options.align, skeleton=options.skeleton, one_file=len(sources) == 1
-    )
+    picked = named(picked, options.skeleton, said)
+    picked = put_right(picked, options.y, options.named("mirror", names) or [], said)
+    capture = combined(picked, align=options.align, one_file=len(sources) == 1)
     return replace(capture, notes=(*notes, *said, *capture.notes, *doubts_of_sides(capture)))
 
 
