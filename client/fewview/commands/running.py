@@ -24,6 +24,7 @@ from fewview.writers import write
 from fewview.writers.registry import FORMATS
 
 NOTES = "run.json"
+NOTES_AGAIN = "run-again.json"  # of a fit with cameras that were parted
 CALIBRATIONS = ("cameras.toml", "cameras.yml")  # of Anipose, of OpenCV
 WEIGHTS = "model.safetensors"
 
@@ -32,25 +33,27 @@ WEIGHTS = "model.safetensors"
 class Notes:
     """What of a run is done, by the identifiers of the service."""
 
+    file: Path
     digest: str  # of the keypoints and of what the fit was told
     dataset_id: str | None = None
     fit_id: str | None = None
 
     @classmethod
-    def of(cls, folder: Path, digest: str) -> Self:
+    def of(cls, file: Path, digest: str) -> Self:
         """Read the notes of an earlier run of the very same; else begin new ones."""
         try:
-            said = json.loads((folder / NOTES).read_text())
-            notes = cls(str(said["digest"]), said["dataset_id"], said["fit_id"])
+            said = json.loads(file.read_text())
+            notes = cls(file, str(said["digest"]), said["dataset_id"], said["fit_id"])
         except (OSError, ValueError, KeyError, TypeError):
-            return cls(digest)
-        return notes if notes.digest == digest else cls(digest)
+            return cls(file, digest)
+        return notes if notes.digest == digest else cls(file, digest)
 
-    def keep(self, folder: Path) -> None:
+    def keep(self) -> None:
         """Write the notes; the file is whole or the one before."""
-        part = folder / f".{NOTES}.part"
-        part.write_text(json.dumps(asdict(self)))
-        part.replace(folder / NOTES)
+        said = {"digest": self.digest, "dataset_id": self.dataset_id, "fit_id": self.fit_id}
+        part = self.file.with_name(f".{self.file.name}.part")
+        part.write_text(json.dumps(said))
+        part.replace(self.file)
 
 
 def digest_of(capture: Capture, *told: object) -> str:
@@ -65,7 +68,6 @@ def digest_of(capture: Capture, *told: object) -> str:
 def fitted(
     client: Client,
     capture: Capture,
-    folder: Path,
     notes: Notes,
     *,
     name: str,
@@ -86,14 +88,14 @@ def fitted(
             lambda: client.datasets.get(str(notes.dataset_id))
         ):
             notes.dataset_id = client.datasets.create(capture, name=name).id
-            notes.keep(folder)
+            notes.keep()
         notes.fit_id = client.fits.create(notes.dataset_id, name=name, **config).id
-        notes.keep(folder)
+        notes.keep()
     try:
         return client.fits.wait(notes.fit_id, on_progress=on_progress)
     except JobFailed:
         notes.fit_id = None  # the same command tries anew
-        notes.keep(folder)
+        notes.keep()
         raise
 
 

@@ -102,7 +102,8 @@ def _by_number(views: list[View], notes: list[str]) -> Together:
         if len(own) < len(every):
             ended = f"; it ends at frame {own[-1]}" if own[-1] < every[-1] - 1 else ""
             notes.append(
-                f"{view.name}: has {len(own)} of the {len(every)} frames; the others are gaps{ended}"
+                f"{view.name}: has {len(own)} of the {len(every)} frames; the others are gaps"
+                + ended
             )
     _unlike_lengths(views, numbers, notes)
     rates = {view.fps for view in views}

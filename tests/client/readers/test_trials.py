@@ -103,26 +103,3 @@ def test_sizes_are_given_by_name(tmp_path: Path) -> None:
         fewview.read(tmp_path, image_size="640x480,cam7=480x640")
     with pytest.raises(FormatError, match="WIDTHxHEIGHT, such as"):
         fewview.read(tmp_path, image_size="cam1=480")
-
-
-def test_y_that_counts_upwards_is_noticed_and_turned(tmp_path: Path) -> None:
-    names = ("nose", "LShoulder", "leftHip", "right_ankle")
-    body = files.walk(6)
-    body[..., 1] = 100 + np.arange(4) * 100 + np.arange(6)[:, None]
-    upwards = body.copy()
-    upwards[..., 1] = 1079 - body[..., 1]
-    labels = files.columns(names)
-    for name, values in (("up", upwards), ("down", body)):
-        for view in range(2):
-            file = tmp_path / name / f"cam{view}.csv"
-            file.parent.mkdir(exist_ok=True)
-            files.dlc_csv(file, labels, values.reshape(6, -1))
-    assert "--y up" in "\n".join(fewview.read(tmp_path / "up").notes)
-    assert "--y" not in "\n".join(fewview.read(tmp_path / "down").notes)
-    turned = fewview.read(tmp_path / "up", y="up", image_size="1920x1080")
-    np.testing.assert_allclose(turned.keypoints[:, 0], body[..., :2], rtol=1e-5)
-    mixed = fewview.read([tmp_path / "up/cam0.csv", tmp_path / "down/cam1.csv"])
-    assert "cam0: heads are below the feet" in "\n".join(mixed.notes)
-    mirrored = fewview.read(tmp_path / "down", mirror="cam1", image_size="1920x1080")
-    np.testing.assert_allclose(mirrored.keypoints[:, 0], body[..., :2], rtol=1e-5)
-    np.testing.assert_allclose(mirrored.keypoints[..., 1, :, 0], 1919 - body[..., 0], rtol=1e-4)
