@@ -148,7 +148,8 @@ def _judge(seen: Seen, matrices: Matrices, first: int) -> MovedCamera | None:
 
 def _show(seen: Seen, pair: tuple[int, int], sides: tuple[slice, slice], least: int) -> bool:
     """Whether both views of a pair show enough frames on either side, and neither has ended."""
-    shown = (seen.there[:, pair[0]] & seen.there[:, pair[1]]).any(-1)
+    both = seen.there[:, pair[0]] & seen.there[:, pair[1]]
+    shown: NDArray[np.bool_] = np.any(both, axis=-1)
     return all(shown[side].sum() >= least for side in sides)
 
 

@@ -13,8 +13,8 @@ def _said(words: str) -> tuple[str, ...]:
 
 
 AXES = {
-    "x": _said("x u xpx px imgx imagex imglocx xcoord"),
-    "y": _said("y ypx py imgy imagey imglocy ycoord"),
+    "x": _said("x u xpx imgx imagex imglocx xcoord"),
+    "y": _said("y ypx imgy imagey imglocy ycoord"),
     "z": _said("z objz"),
     "confidence": _said(
         "likelihood confidence conf score scores probability prob p c certainty keypointscore"
@@ -121,8 +121,8 @@ def stacked_columns(header: Sequence[Sequence[str]]) -> Columns:
     if "coords" not in names:
         kinds = LEVELS if len(rows) == len(LEVELS) else (LEVELS[0], *LEVELS[2:])
         names = list(kinds[-len(rows) :])
-    level = dict(zip(names, rows, strict=True))
-    axes = [axis_of(cell) for cell in level["coords"]]
+    level = {name: _filled(row) for name, row in zip(names, rows, strict=True)}
+    axes = [axis_of(cell) for cell in rows[names.index("coords")]]
     first = next((place for place, axis in enumerate(axes) if axis), 0)
     counted = [str(axes[first : place + 1].count(axes[first])) for place in range(len(axes))]
     parts, people = level.get("bodyparts", counted), level.get("individuals", [""] * len(axes))
@@ -132,6 +132,14 @@ def stacked_columns(header: Sequence[Sequence[str]]) -> Columns:
         if axis and place >= first
     }
     return Columns({"frame": first - 1} if first else {}, parted(labels))
+
+
+def _filled(row: Sequence[str]) -> list[str]:
+    """Return a row in which a name stands for the empty cells after it, too, as merged cells do."""
+    filled = list(row)
+    for place in range(2, len(row)):
+        filled[place] = row[place] or filled[place - 1]
+    return filled
 
 
 def columns_of(header: Sequence[str]) -> Columns:

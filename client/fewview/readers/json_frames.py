@@ -5,6 +5,7 @@ a dictionary with keypoints, or a bare list of ``[x, y, confidence]``.
 """
 
 from collections.abc import Sequence
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ NUMBERS = (
 )
 BARE = "bodyparts"  # of SuperAnimal: a list of people, each a list of points
 LOOKED_INTO = 1000  # frames
+MOST_SURE = 2.0  # of a confidence; flags of visibility go up to 2
 Frame = tuple[int | None, list[Any]]  # its number, if it says one, and its people
 
 
@@ -32,7 +34,7 @@ def frames_of(content: Any) -> list[Frame]:
     if isinstance(content, dict):
         content = next((content[key] for key in FRAMES if _holds_frames(content.get(key))), content)
     if isinstance(content, dict):
-        people = people_of(content)
+        people = None if _are_numbered(content) else people_of(content)
         listed = [(_number(content), people)] if people is not None else _by_names(content)
     else:
         listed = [(_number(one), people_of(one)) for one in content or ()]
@@ -48,8 +50,8 @@ def people_of(frame: Any) -> list[Any] | None:
     """Return the people of a frame; None if it is no frame."""
     found: Any = None
     if isinstance(frame, list):
-        found = frame
-        if all(isinstance(one, list) and not _is_points(one) for one in frame):
+        found = [frame] if _is_points(frame) else frame
+        if found is frame and all(isinstance(one, list) and not _is_points(one) for one in frame):
             found = [one for each in frame for one in each]
     elif isinstance(frame, dict):
         key = next((key for key in (BARE, *PEOPLE) if isinstance(frame.get(key), list)), None)
@@ -57,10 +59,28 @@ def people_of(frame: Any) -> list[Any] | None:
             return people_of(frame[key])
         if any(key in frame for key in POINTS):
             found = [frame]
-        elif all(str(key).isdecimal() for key in frame):  # by the numbers of their tracks
+        elif _are_numbered(frame):  # by their tracks
             found = list(frame.values())
     right = found is not None and all(isinstance(one, dict) or _is_points(one) for one in found)
     return found if right else None
+
+
+def cameras_of(content: Any) -> dict[str, Any]:
+    """Return what a file holds of each camera, by its name; "" of one that it does not name."""
+    if isinstance(content, dict) and len(content) > 1:
+        names = list(map(str, content))
+        images = _are_numbered(content) or all(PurePath(name).suffix for name in names)
+        if not images and not {*FRAMES, *PEOPLE, *POINTS} & set(names):
+            several = (
+                isinstance(one, list) and len(frames_of(one)) > 1 for one in content.values()
+            )
+            if all(several):
+                return dict(zip(names, content.values(), strict=True))
+    return {"": content}
+
+
+def _are_numbered(content: dict[str, Any]) -> bool:
+    return all(str(key).isdecimal() for key in content)
 
 
 def _by_names(content: dict[str, Any]) -> list[tuple[int | None, list[Any] | None]]:
@@ -164,10 +184,8 @@ def _holds_frames(value: Any) -> bool:
     if not isinstance(value, list) or not value or _is_points(value):
         return False
     if all(isinstance(one, dict) for one in value):  # not the people of one frame
-        return any(one.keys() & {*NUMBERS, *PEOPLE} for one in value) or any(
-            all(str(key).isdecimal() for key in one) for one in value
-        )
-    return all(people_of(one) is not None for one in value) and not all(map(_is_points, value))
+        return any(one.keys() & {*NUMBERS, *PEOPLE} or _are_numbered(one) for one in value)
+    return all(people_of(one) is not None for one in value)
 
 
 def _is_points(value: Any) -> bool:
@@ -198,9 +216,17 @@ def _array(points: Any, scores: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
         return np.array([_point(one) for one in points], np.float64)
     values = np.array(points, np.float64)
     if values.ndim == 1:
-        pairs = scores is not None and len(values) == 2 * len(scores)
-        values = values.reshape(-1, 2 if pairs else 3)
+        values = values.reshape(-1, 2 if _are_pairs(values, scores) else 3)
     return values
+
+
+def _are_pairs(values: np.ndarray[Any, np.dtype[np.float64]], scores: Any) -> bool:
+    """Whether numbers are x, y, x, y, ..., and not x, y, confidence, ..."""
+    if scores is not None:
+        return len(values) == 2 * len(scores)
+    if len(values) % 3:
+        return True
+    return len(values) % 2 == 0 and bool(np.nanmax(values[2::3]) > MOST_SURE)
 
 
 def _point(point: dict[str, Any]) -> list[float]:

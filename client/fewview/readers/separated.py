@@ -3,7 +3,7 @@
 import csv
 import re
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -15,6 +15,9 @@ from fewview.readers.sources import Source
 from fewview.readers.views import Int64
 
 SEPARATORS = ",;\t|"
+NOTES = ("#", "%", "//")
+FEWEST_CELLS = 3  # of a line of keypoints
+UNITS = {"px", "pixel", "pixels", "s", "ms", "frames", "frame", "-", "1", "%"}
 CHUNK = 4096  # rows
 COORDINATE_ROW = re.compile(
     r"coords|x|y|z|likelihood|confidence|conf|score|prob(ability)?|visibility"
@@ -68,36 +71,56 @@ def table_of(source: Source) -> Table | None:
     A header is the rows down to one of coordinates (x, y, ...), or else the first row. A row below
     it that only names the columns of the index belongs to it.
     """
-    if source.frames or len(source.lines) < 1:
+    if source.frames:
         return None
-    separator = _separator(source.lines)
-    rows = [cells(line, separator) for line in source.lines]
+    lines = source.lines
+    separator = _separator(lines)
+    notes = next((i for i, line in enumerate(lines) if not _is_note(line, separator)), len(lines))
+    rows = [cells(line, separator) for line in lines[notes:]]
+    if not rows or all(_is_number(cell) for cell in rows[0]):
+        return None
     end = 1 + max((i for i, row in enumerate(rows[:6]) if _names_coordinates(row)), default=0)
-    if all(_is_number(cell) for cell in rows[0]):
-        return None
-    if end < len(rows) and end > 1 and _names_index(rows[end]):
+    if end < len(rows) and (_names_units(rows[end]) or (end > 1 and _names_index(rows[end]))):
         end += 1
     header, width = rows[:end], max(map(len, rows[:end]))
     if end < len(rows) and len(rows[end]) == width + 1 and rows[end][-1]:
         header = [["", *row] for row in header]  # R leaves out the name of the rows' names
         width += 1
     filled = tuple(tuple(row + [""] * (width - len(row))) for row in header)
-    return Table(source, separator, filled, end)
+    return Table(source, separator, filled, notes + end)
 
 
 def cells(line: str, separator: str) -> list[str]:
     """Return the cells of a line."""
     try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+        return [cell.strip() for cell in next(_reader([line], separator), [])]
     except csv.Error:
         return [line]
 
 
+def _reader(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
+    """Yield the cells of lines; blanks that separate may be many."""
+    return csv.reader(lines, delimiter=separator, skipinitialspace=separator == " ")
+
+
 def _separator(lines: Sequence[str]) -> str:
     """Return what stands between cells: what parts all lines into as many, most of all."""
-    counts = {each: [len(cells(line, each)) for line in lines] for each in SEPARATORS}
+    kept = [line for line in lines if not line.startswith(NOTES)] or lines
+    counts = {each: [len(cells(line, each)) for line in kept] for each in SEPARATORS}
     even = [each for each, found in counts.items() if len(set(found)) == 1 and found[0] > 1]
-    return max(even or SEPARATORS, key=lambda each: counts[each][0])
+    found = max(even or SEPARATORS, key=lambda each: counts[each][0] if kept else 0)
+    # Blanks are in names, too: they separate where nothing else does.
+    return " " if kept and counts[found][0] < FEWEST_CELLS else found
+
+
+def _is_note(line: str, separator: str) -> bool:
+    """Whether this is a remark above the table."""
+    return line.startswith(NOTES) and len(cells(line, separator)) < FEWEST_CELLS
+
+
+def _names_units(row: Sequence[str]) -> bool:
+    said = {cell.lower().strip("()[]") for cell in row if cell}
+    return bool(said & {"px", "pixel", "pixels"}) and said <= UNITS
 
 
 def _names_coordinates(row: Sequence[str]) -> bool:
@@ -172,7 +195,7 @@ def _rows(table: Table, *, ragged: bool, skip: bool) -> Iterator[list[str]]:
     """
     lines = islice(table.source.text_lines(), table.start, None)
     width, blank = table.width, 0
-    for cells_read in csv.reader(lines, delimiter=table.separator):
+    for cells_read in _reader(lines, table.separator):
         row = cells_read
         if not any(row):
             blank += not skip

@@ -108,6 +108,17 @@ def test_index_columns_that_were_named_or_lost(tmp_path: Path) -> None:
     assert_read(written(tmp_path / "r.csv", r, "\t"))
 
 
+def test_what_stands_above_the_numbers(tmp_path: Path) -> None:
+    rows = wide(".", "")
+    remarks = [["# walk 3"], ["# by somebody; 50 fps"]]
+    assert_read(written(tmp_path / "remarks.csv", [*remarks, *rows], ","))
+    units = ["frames", *["px", "px", "-"] * 4]
+    assert_read(written(tmp_path / "units.csv", [rows[0], units, *rows[1:]], ","))
+    merged = [["", *(c for n in NAMES for c in (n, "", ""))], ["frame", *["X", "Y", "score"] * 4]]
+    assert_read(written(tmp_path / "merged.csv", [*merged, *rows[1:]], ";"))
+    assert_read(written(tmp_path / "blanks.txt", wide(".", "nan"), "  "))
+
+
 def test_rows_without_an_entry_are_frames_where_nothing_counts_them(tmp_path: Path) -> None:
     rows = [row[1:] for row in wide(".", "")]
     rows[4] = [""] * 12
@@ -246,6 +257,13 @@ def test_a_trc_of_pixels_is_2d(tmp_path: Path) -> None:
     assert capture.keypoint_names == NAMES
     assert capture.times is not None
     assert capture.fps == 500
+    metres = [
+        *lines[:6],
+        *([*line[:2], *(f and f"{float(f) / 1000}" for f in line[2:])] for line in lines[6:]),
+    ]
+    metres[1], metres[2] = ["DataRate", "Units"], ["500", "m"]
+    with pytest.raises(FormatError, match="metres"):
+        fewview.read(written(tmp_path / "cam1_m.trc", metres, "\t"))
     solid = [*lines[:-1], [*lines[-2][:-1], "9"]]
     solid[-1][0] = str(len(XYZ))
     with pytest.raises(FormatError, match="3D points"):

@@ -132,6 +132,16 @@ FILES: dict[str, tuple[str, Callable[[], Any]]] = {  # title, what is in the fil
     ),
 }
 
+FILES |= {
+    "frames by number": (
+        "JSON of people",
+        lambda: {"frames": {str(n): {"keypoints": points(n)} for n in FRAMES}},
+    ),
+    "arrays": ("JSON of people", lambda: [points(n) for n in FRAMES]),
+    "arrays of people": ("JSON of people", lambda: [[points(n)] for n in FRAMES]),
+    "arrays under a name": ("JSON of people", lambda: {"keypoints": [points(n) for n in FRAMES]}),
+}
+
 
 def assert_read(path: Path, title: str) -> None:
     capture = fewview.read(path)
@@ -153,6 +163,25 @@ def test_a_file_of_a_video(tmp_path: Path, layout: str, lines: bool) -> None:
     else:
         path.write_text(json.dumps(said))
     assert_read(path, title)
+
+
+def test_a_file_of_several_cameras(tmp_path: Path) -> None:
+    said = [{"frame": n, "keypoints": points(n)} for n in FRAMES]
+    path = tmp_path / "all.json"
+    path.write_text(json.dumps({"left": said, "right": said[3:]}))
+    capture = fewview.read(path)
+    assert capture.view_names == ("left", "right")
+    np.testing.assert_allclose(capture.keypoints[3:, 1], BODY[3:, :, :2], rtol=1e-5)
+    assert np.isnan(capture.keypoints[:3, 1]).all()
+
+
+def test_flat_pairs_have_no_confidence(tmp_path: Path) -> None:
+    for count in (17, 12):
+        said = [{"keypoints": [v for p in points(n)[:count] for v in p[:2]]} for n in FRAMES]
+        (tmp_path / "a.json").write_text(json.dumps(said))
+        capture = fewview.read(tmp_path / "a.json")
+        np.testing.assert_allclose(capture.keypoints[:, 0], BODY[:, :count, :2], rtol=1e-5)
+        assert capture.confidence is None
 
 
 def easymocap(path: Path, n: int) -> None:

@@ -10,8 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from . import files
 
-NAMES = ("nose", "left_shoulder", "right_shoulder", "left_hip", "right_hip", "left_ankle")
-NAMES += ("right_ankle", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
+NAMES = (
+    *("nose", "left_shoulder", "right_shoulder", "left_hip", "right_hip", "left_ankle"),
+    *("right_ankle", "left_heel", "right_heel", "left_big_toe", "right_big_toe"),
+)
 SWAPPED = [0, 2, 1, 4, 3, 6, 5, 8, 7, 10, 9]
 # A body that faces +z, y down as in images: left is at -x.
 BODY = np.array(
@@ -31,7 +33,8 @@ def seen() -> NDArray[np.float64]:
     out = np.empty((60, 3, len(NAMES), 2))
     for n in range(60):
         body = BODY + rng.normal(0, 0.03, BODY.shape)
-        body = Rotation.from_euler("y", 0.15 * n).apply(body) + [0.5 * np.sin(0.2 * n), 0, 0]
+        body = Rotation.from_euler("y", 0.15 * n).apply(body)
+        body = body + np.array([0.5 * np.sin(0.2 * n), 0, 0])
         for view in range(3):
             turned = Rotation.from_euler("y", 1.3 * view).apply(body)
             there = Rotation.from_euler("x", -15, degrees=True).apply(turned - [0, -0.9, 0])

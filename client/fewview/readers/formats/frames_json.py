@@ -15,6 +15,7 @@ from fewview.readers.json_frames import (
     BARE,
     SCORES,
     Frame,
+    cameras_of,
     frames_of,
     names_of,
     people_of,
@@ -88,7 +89,7 @@ LAYOUTS = (
 
 def fits(source: Source, layout: Layout) -> bool:
     """Whether this is of a layout, and of none before it in the table."""
-    content = source.json
+    content = next(iter(cameras_of(source.json).values()))
     frames = frames_of(content)
     one = next((person for _, people in frames for person in people), None)
     if one is None:
@@ -97,16 +98,23 @@ def fits(source: Source, layout: Layout) -> bool:
 
 
 def read(source: Source, layout: Layout) -> list[View]:
-    """Return the view of a file, or of a folder with a file for each image.
+    """Return the views of a file, or the view of a folder with a file for each image.
 
     Raises
     ------
     FormatError
         If it does not fit together, or holds 3D keypoints.
     """
-    content, what = source.json, str(source)
+    return [
+        _view(source, name or source.name.removeprefix("results_"), content, layout)
+        for name, content in cameras_of(source.json).items()
+    ]
+
+
+def _view(source: Source, name: str, content: Any, layout: Layout) -> View:
+    what = str(source)
     try:
-        frames = _frames(source)
+        frames = _frames(source, content)
         everybody = [person for _, people in frames for person in people]
         detections = [
             [points_of(one, what, y_first=layout.y_first) for one in people] for _, people in frames
@@ -123,27 +131,25 @@ def read(source: Source, layout: Layout) -> list[View]:
     order = np.argsort(numbers)
     names = names_of(content, everybody, keypoints.shape[2])
     fps = content.get("fps") if isinstance(content, dict) else None
-    return [
-        View(
-            source.name.removeprefix("results_"),
-            keypoints[order],
-            numbers[order],
-            None if np.isnan(confidence).all() else confidence[order],
-            keypoint_names=names,
-            edges=_edges(content, keypoints.shape[2]) if names else None,
-            image_size=size_of(content),
-            fps=float(fps) if isinstance(fps, int | float) and fps > 0 else None,
-            skeletons=SKELETONS,
-        )
-    ]
+    return View(
+        name,
+        keypoints[order],
+        numbers[order],
+        None if np.isnan(confidence).all() else confidence[order],
+        keypoint_names=names,
+        edges=_edges(content, keypoints.shape[2]) if names else None,
+        image_size=size_of(content),
+        fps=float(fps) if isinstance(fps, int | float) and fps > 0 else None,
+        skeletons=SKELETONS,
+    )
 
 
-def _frames(source: Source) -> list[Frame]:
+def _frames(source: Source, content: Any) -> list[Frame]:
     if not source.frames:
-        return frames_of(source.json)
+        return frames_of(content)
     frames: list[Frame] = []
-    for path, content in zip(source.frames, source.frames_json(), strict=True):
-        number, people = frame_number(path.name), people_of(content)
+    for path, image in zip(source.frames, source.frames_json(), strict=True):
+        number, people = frame_number(path.name), people_of(image)
         if people is None:
             raise FormatError(f"{path}: no people of one image")
         frames.append((None if number is None else number[1], people))

@@ -52,7 +52,6 @@ def read(source: Source, mapping: str | None = None) -> list[View]:
         raise FormatError(f"{source}: no table with a header")
     header = table.header[0]
     bounded_columns(len(header), str(source))
-    table = replace(table, header=(header,), start=1)
     columns = columns_of(header) if mapping is None else mapped_columns(header, mapping)
     if columns.roles.keys() & {"person", "keypoint"} and not (
         columns.roles.keys() & {"frame", "time"}

@@ -16,6 +16,8 @@ from fewview.readers.views import View
 
 HEADER = 5  # lines that are not empty
 FRAME, TIME, FIRST = 0, 1, 2  # columns
+METRIC = ("m", "cm", "mm")  # which Sports2D says of pixels, too
+METRES = 20.0  # so far nobody goes before one camera; pixels go further
 
 
 def fits(source: Source) -> bool:
@@ -52,6 +54,10 @@ def read(source: Source) -> list[View]:
     view = view_of_labels(source.name, kept, table_values[:, flat], numbers, str(source))
     depths = [place for place, label in enumerate(labels.values()) if label.axis == "z"]
     view = without_depth(view, table_values[:, depths], str(source))
+    if header.get("Units") in METRIC and not np.nanmax(np.abs(view.keypoints), initial=0) > METRES:
+        raise FormatError(
+            f"{source}: a TRC file of metres in a plane; give the one of pixels (Sports2D's *_px_*)"
+        )
     rate = _rate(header.get("DataRate", ""))
     clock = np.array([_rate(word) if word else np.nan for word in times.rows()], float)
     known = np.isfinite(clock).all() and bool(np.all(np.diff(clock) > 0))
