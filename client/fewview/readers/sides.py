@@ -24,7 +24,7 @@ SIDES = {"left": "right", "l": "r", "right": "left", "r": "l"}
 UPSIDE_DOWN = 0.9  # of the frames: so often a head is below the feet only where y counts upwards
 CONTRADICTED = -0.2  # correlation; unmirrored it is hardly ever below 0
 TURNING = 0.06  # of the height that is seen: somebody who never turns says nothing of sides
-FEWEST = 20  # frames that must show left, right, toes and heels
+FEWEST = 20  # frames that must show what an image is judged by
 
 
 def put_right(
@@ -161,11 +161,11 @@ def _upside_down(capture: Capture) -> list[str]:
     below = [
         np.mean(heads[both[:, v], v] > feet[both[:, v], v]) > UPSIDE_DOWN
         for v in range(capture.views)
-        if both[:, v].any()
+        if both[:, v].sum() >= FEWEST
     ]
     if not below or not any(below):
         return []
-    names = capture.view_names or ()
+    names = capture.view_names or tuple(map(str, range(capture.views)))
     if all(below):
         return [
             "heads are below the feet in all cameras, as where y counts upwards from the lower "

@@ -93,7 +93,16 @@ def test_how_they_are_read_is_said_in_the_form(api: TestClient, tables: Parts) -
     made = send(api, tables, min_confidence="0.8", format="deeplabcut-csv")
     np.testing.assert_allclose(made["missing_fraction"], 1 - seen, atol=1e-6)
     assert any("below 0.8 are gaps" in note for note in made["notes"])
+    one = send(api, tables, cameras="right", y="up", image_sizes="[[640, 480]]")
+    assert one["view_names"] == ["right"]
+    assert any("y is" in note for note in one["notes"])
+    german = b"Nr;x von nase;y von nase;x von ohr;y von ohr\n" + b"".join(
+        b"%d;1,5;%d;3;4\n" % (n, 20 + n) for n in range(4)
+    )
+    mapped = send(api, parts(a_csv=german), table_columns="x=x von {},y=y von {},frame=Nr")
+    assert mapped["skeleton"]["keypoint_names"] == ["nase", "ohr"]
     for field, wrong in (
+        ("y", "left"),
         ("format", "dlc"),
         ("min_confidence", "2"),
         ("align", "name"),
