@@ -96,11 +96,12 @@ def test_how_they_are_read_is_said_in_the_form(api: TestClient, tables: Parts) -
     one = send(api, tables, cameras="right", y="up", image_sizes="[[640, 480]]")
     assert one["view_names"] == ["right"]
     assert any("y is" in note for note in one["notes"])
-    german = b"Nr;x von nase;y von nase;x von ohr;y von ohr\n" + b"".join(
-        b"%d;1,5;%d;3;4\n" % (n, 20 + n) for n in range(4)
-    )
-    mapped = send(api, parts(a_csv=german), table_columns="x=x von {},y=y von {},frame=Nr")
-    assert mapped["skeleton"]["keypoint_names"] == ["nase", "ohr"]
+    names = ("nase", "ohr", "pfote", "hand")
+    german = ";".join(["Nr", *(f"{axis} von {name}" for name in names for axis in "xy")]) + "\n"
+    german += "".join(f"{n};" + ";".join(["1,5", str(20 + n)] * 4) + "\n" for n in range(4))
+    sent = parts(a_csv=german.encode())
+    mapped = send(api, sent, table_columns="x=x von {},y=y von {},frame=Nr")
+    assert mapped["skeleton"]["keypoint_names"] == list(names)
     for field, wrong in (
         ("y", "left"),
         ("format", "dlc"),
