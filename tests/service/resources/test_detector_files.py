@@ -96,12 +96,13 @@ def test_how_they_are_read_is_said_in_the_form(api: TestClient, tables: Parts) -
     one = send(api, tables, cameras="right", y="up", image_sizes="[[640, 480]]")
     assert one["view_names"] == ["right"]
     assert any("y is" in note for note in one["notes"])
-    names = ("nase", "ohr", "pfote", "hand")
+    names = ("nase", "ohr", "füße", "hand")
     german = ";".join(["Nr", *(f"{axis} von {name}" for name in names for axis in "xy")]) + "\n"
     german += "".join(f"{n};" + ";".join(["1,5", str(20 + n)] * 4) + "\n" for n in range(4))
-    sent = parts(a_csv=german.encode())
-    mapped = send(api, sent, table_columns="x=x von {},y=y von {},frame=Nr")
-    assert mapped["skeleton"]["keypoint_names"] == list(names)
+    for encoding in ("utf-8-sig", "utf-16", "utf-16-le", "utf-32", "cp1252"):
+        sent = parts(a_csv=german.encode(encoding))
+        mapped = send(api, sent, table_columns="x=x von {},y=y von {},frame=Nr")
+        assert mapped["skeleton"]["keypoint_names"] == list(names)
     for field, wrong in (
         ("y", "left"),
         ("format", "dlc"),
