@@ -77,22 +77,27 @@ def _in_folder(folder: Path, name: str | None, notes: list[str], depth: int) -> 
         key=lambda path: natural(path.name),
     )
     found: list[Found] = []
-    unknown = []
+    unknown: list[Source] = []
     for path in inside:
         if path.is_file():
             source = Source(path)
-            kind = find(source, name) if name else _quietly(source)
+            kind = _quietly(source)
             if kind is None:
-                unknown.append(path.name)
-            else:
+                unknown.append(source)
+            elif name in (None, kind.name):
                 found.append((source, kind))
+    if name and not found:  # none looks like it, so those may be that look like nothing
+        found = [(source, find(source, name)) for source in unknown]
+        unknown = []
     if not found and depth > 1:
         for path in inside:
             if path.is_dir():
                 found += _in_folder(path, name, notes, depth - 1)
         return found
     if found and unknown:
-        shown = ", ".join(unknown[:5]) + (", ..." if len(unknown) > 5 else "")
+        shown = ", ".join(source.path.name for source in unknown[:5]) + (
+            ", ..." if len(unknown) > 5 else ""
+        )
         notes.append(f"{folder.name}: not read, of no known format: {shown}")
     return _one_of_each(found, folder, notes)
 

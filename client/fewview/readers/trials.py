@@ -11,13 +11,16 @@ from pathlib import Path
 from fewview.errors import FormatError
 from fewview.readers.names import natural, told_apart
 
-CAMERA = re.compile(
-    r"(cam|camera|kamera|view|vue|port|gopro|kinect|phone|iphone|device|dev|sensor|c|v)"
-    r"([a-z]?\d+|[a-h])[a-z]?",
-    re.IGNORECASE,
+CAMERAS = (  # the surest words first
+    re.compile(
+        r"(cam|camera|kamera|view|vue|port|gopro|kinect|phone|iphone|device|dev|sensor)"
+        r"([a-z]?\d+|[a-h])[a-z]?",
+        re.IGNORECASE,
+    ),
+    re.compile(r"left|right|front|back|rear|top|bottom|side\d?", re.IGNORECASE),
+    re.compile(r"[cv]\d+", re.IGNORECASE),
 )
 ALONE = ("cam", "camera", "kamera", "view", "port", "gopro")  # before a number of its own
-SIDES = ("left", "right", "front", "back", "rear", "top", "bottom", "side", "side1", "side2")
 NETWORK = re.compile(r"(?<=[^_\W])(?=DLC_)")  # where DeepLabCut's name of the network begins
 _WORDS = re.compile(r"[^_.\- /\\]+")
 
@@ -98,20 +101,30 @@ def _words(name: str) -> list[str]:
 
 def _by_camera(names: Sequence[str]) -> tuple[list[str], list[str]] | None:
     """Return the camera and the trial of each, if all name a camera and some name the same."""
-    for is_camera in (CAMERA.fullmatch, lambda word: word.lower() in SIDES):
-        cameras, trials = [], []
-        for name in names:
-            words = _words(name)
-            found = [word for word in words if is_camera(word)]
-            if len(found) != 1:
-                break
-            cameras.append(found[0])
-            trials.append("_".join(word for word in words if word != found[0]))
-        if len(cameras) == len(names):
-            pairs = set(zip(cameras, trials, strict=True))
-            several = len(set(cameras)) < len(names) and len(pairs) == len(names)
-            return (cameras, trials) if several else None
+    ways = [[_split_by(camera, name) for name in names] for camera in CAMERAS]
+    ways.append([_split_by_network(name) for name in names])
+    for way in ways:
+        known = [each for each in way if each is not None]
+        if len(known) == len(names):
+            cameras, trials = zip(*known, strict=True)
+            several = len(set(cameras)) < len(names) and len(set(known)) == len(names)
+            return (list(cameras), list(trials)) if several else None
     return None
+
+
+def _split_by(camera: re.Pattern[str], name: str) -> tuple[str, str] | None:
+    """Return the one word of a name that is a camera's, and the others; None without."""
+    words = _words(name)
+    found = [word for word in words if camera.fullmatch(word)]
+    if len(found) != 1:
+        return None
+    return found[0], "_".join(word for word in words if word != found[0])
+
+
+def _split_by_network(name: str) -> tuple[str, str] | None:
+    """Return the name of a video, and that of DeepLabCut's network; None without."""
+    video, *network = NETWORK.split(name, maxsplit=1)
+    return (video, network[0]) if network else None
 
 
 def _by_grid(names: Sequence[str]) -> tuple[list[str], list[str]] | None:

@@ -62,6 +62,28 @@ def test_two_networks_of_one_video_are_no_cameras(tmp_path: Path) -> None:
     assert starts(fewview.read(tmp_path, trial="hrnet")) == [2, 3]
 
 
+def test_two_networks_of_one_video_alone(tmp_path: Path) -> None:
+    lay_out(tmp_path, "walkDLC_resnet50_a.csv", "walkDLC_hrnet_a.csv")
+    with pytest.raises(FormatError, match="2 trials or detectors"):
+        fewview.read(tmp_path)
+    assert starts(fewview.read(tmp_path, trial="hrnet")) == [1]
+
+
+def test_versions_are_no_cameras(tmp_path: Path) -> None:
+    lay_out(tmp_path, "cam1_v2.csv", "cam2_v2.csv")
+    assert fewview.read(tmp_path).view_names == ("cam1", "cam2")
+
+
+def test_a_format_chooses_among_the_files_of_a_folder(tmp_path: Path) -> None:
+    lay_out(tmp_path, "cam1.csv", "cam2.csv")
+    for camera in ("cam1", "cam2"):
+        (tmp_path / f"{camera}_wide.csv").write_text("nose_x,nose_y,ear_x,ear_y\n1,2,3,4\n")
+    with pytest.raises(FormatError, match="several formats"):
+        fewview.read(tmp_path)
+    assert fewview.read(tmp_path, format="deeplabcut-csv").frames == 6
+    assert fewview.read(tmp_path, format="csv").frames == 1
+
+
 def test_a_grid_that_names_no_cameras_is_ambiguous(tmp_path: Path) -> None:
     lay_out(tmp_path, "anna/x.csv", "anna/y.csv", "berta/x.csv", "berta/y.csv")
     with pytest.raises(FormatError, match="2 x 2: anna, berta and x, y,"):
