@@ -52,7 +52,9 @@ def sources_at(
         if path.is_dir():
             inside = _in_folder(path, name, notes, DEPTH)
             if not inside:
-                raise FormatError(f"{path}: a folder with no file of a known format")
+                raise FormatError(
+                    f"{path}: a folder with no file of a known format{_first_looks_like(path)}"
+                )
             found += _newest(inside, path, notes)
         elif path.exists():
             source = Source(path)
@@ -100,6 +102,19 @@ def _in_folder(folder: Path, name: str | None, notes: list[str], depth: int) -> 
         )
         notes.append(f"{folder.name}: not read, of no known format: {shown}")
     return _one_of_each(found, folder, notes)
+
+
+def _first_looks_like(folder: Path) -> str:
+    """Return what the first file of a folder looks like, to go on an error; "" without files."""
+    files = sorted((path for path in folder.iterdir() if path.is_file()), key=natural)
+    files = [path for path in files if not path.name.startswith(".")]
+    if not files:
+        return ""
+    try:
+        found = find(Source(files[0]), None)
+    except FormatError as error:
+        return f"; {error}"
+    return f"; {files[0].name} looks like {found.title}"
 
 
 def _newest(found: list[Found], folder: Path, notes: list[str]) -> list[Found]:

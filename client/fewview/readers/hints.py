@@ -52,6 +52,11 @@ def looks_like(source: Source, known: Mapping[str, str]) -> str:
 def _of_text(source: Source, known: Mapping[str, str]) -> str:
     if source.is_toml:
         return f"a TOML file, such as of a calibration, without keypoints. {_DO}"
+    if re.fullmatch(r"[\d.eE+\-\s,;|]*\d[\d.eE+\-\s,;|]*", source.lines[0]):
+        return (
+            "a table of numbers without a header; write the names of its columns above it, such as "
+            "nose_x,nose_y,tail_x,tail_y"
+        )
     table = table_of(source)
     if table is None or table.width < FEWEST_COLUMNS:
         said = f"text that begins with {source.lines[0][:60]!r}, no table of keypoints. {_DO}"

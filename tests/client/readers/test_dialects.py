@@ -1,5 +1,6 @@
 """Tables in any hand: whatever separates cells and however numbers are spelled, it is the same."""
 
+import zipfile
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
@@ -183,6 +184,17 @@ def test_columns_are_mapped_as_was_asked(tmp_path: Path) -> None:
     for wrong, why in (("x={}", "no columns of x and y"), ("q={}", "ROLE"), ("x=a{}", "no column")):
         with pytest.raises(FormatError, match=why):
             fewview.read(path, columns=wrong)
+
+
+def test_what_cannot_be_read_says_what_to_do(tmp_path: Path) -> None:
+    numbers = written(tmp_path / "cam1.csv", wide(".", "NaN")[1:3], ",")
+    for given in (numbers, tmp_path):
+        with pytest.raises(FormatError, match="numbers without a header; write the names"):
+            fewview.read(given)
+    with zipfile.ZipFile(tmp_path / "book.xlsx", "w") as book:
+        book.writestr("xl/workbook.xml", "<workbook/>")
+    with pytest.raises(FormatError, match="save the sheet of each camera as CSV"):
+        fewview.read(tmp_path / "book.xlsx")
 
 
 def pairs(cameras: int) -> NDArray[np.float64]:
