@@ -1,4 +1,4 @@
-"""How files of 2D keypoints are to be read: what `fewview.read` and all commands are told."""
+"""How files of 2D keypoints are to be read: what `fewview.read` and all commands take."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class ReadingOptions:
         "index": frames of the same number belong together. "time": frames of the nearest time.
         "auto": by time where the cameras' rates or times differ.
     fps
-        Frames per second, where a file tells no times: of all, or text such as
+        Frames per second, where a file has no times: of all, or text such as
         "cam1=60,cam2=30".
     image_size
         (width, height) in pixels of all views, of each, or by their names; text such as

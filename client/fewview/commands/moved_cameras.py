@@ -11,7 +11,7 @@ from fewview.capture import Capture
 
 
 class Parted(NamedTuple):
-    """A capture in which each camera rests, and what a fit is told of it."""
+    """A capture in which each camera rests, and the configuration of its fit."""
 
     capture: Capture
     config: dict[str, Any]
@@ -41,10 +41,10 @@ def parted(capture: Capture, fit: Fit, config: Mapping[str, Any]) -> Parted | No
         times = np.concatenate([times, times[:, [view]]], axis=1)
     sizes = capture.image_sizes
     calibration = config.get("calibration")
-    told = dict(config)
+    changed = dict(config)
     if calibration:
         lens = calibration[view] and {"intrinsics": calibration[view].get("intrinsics")}
-        told["calibration"] = [*calibration, lens]
+        changed["calibration"] = [*calibration, lens]
     return Parted(
         replace(
             capture,
@@ -54,7 +54,7 @@ def parted(capture: Capture, fit: Fit, config: Mapping[str, Any]) -> Parted | No
             view_names=(*names, name),
             image_sizes=sizes and (*sizes, sizes[view]),
         ),
-        told,
+        changed,
         f"{names[view]} was moved at frame {first}: it was fitted again as two cameras, "
         f"{names[view]} and {name}",
     )

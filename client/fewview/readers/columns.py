@@ -78,17 +78,17 @@ def view_of_labels(
     out = np.full(shape, np.nan, np.float32)
     place = {person: i for i, person in enumerate(people)}
     point = {keypoint: i for i, keypoint in enumerate(points)}
-    told = False
+    measured = False
     for column, label in enumerate(labels):
         if label.axis in COORDINATES and label.keypoint in point:
             axis = COORDINATES[label.axis]
             out[:, place[label.person], point[label.keypoint], axis] = values[:, column]
-            told |= axis == 2
+            measured |= axis == 2
     view = View(
         name,
         out[..., :2],
         numbers,
-        out[..., 2] if told else None,
+        out[..., 2] if measured else None,
         people=people,
         keypoint_names=None if numbered else tuple(points),
     )
@@ -157,7 +157,7 @@ def row_numbers(rows: Sequence[object], what: str) -> Int64:
         once, count = np.unique(numbers, return_counts=True)
         if len(once) < len(numbers):
             raise FormatError(
-                f"{what}: tells of frame {once[count > 1][0]} twice; give a file for each camera"
+                f"{what}: has frame {once[count > 1][0]} twice; give a file for each camera"
             )
         return numbers if (once == numbers).all() else np.arange(len(rows))
     split = [frame_number(text if "." in text else f"{text}.") for text in texts]

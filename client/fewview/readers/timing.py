@@ -79,15 +79,15 @@ def _times_differ(views: Sequence[View]) -> bool:
     clocks = [view.times for view in views]
     if any(clock is None or len(clock) < 2 or np.any(np.diff(clock) <= 0) for clock in clocks):
         return False
-    told = [clock for clock in clocks if clock is not None]
-    start, end = max(clock[0] for clock in told), min(clock[-1] for clock in told)
-    if 2 * (end - start) < min(clock[-1] - clock[0] for clock in told):
+    timed = [clock for clock in clocks if clock is not None]
+    start, end = max(clock[0] for clock in timed), min(clock[-1] for clock in timed)
+    if 2 * (end - start) < min(clock[-1] - clock[0] for clock in timed):
         return False  # clocks that know nothing of each other
-    step = float(np.median(np.diff(told[0])))
+    step = float(np.median(np.diff(timed[0])))
     numbers = [view.numbers for view in views]
-    for own, clock in zip(numbers[1:], told[1:], strict=True):
+    for own, clock in zip(numbers[1:], timed[1:], strict=True):
         _, i, j = np.intersect1d(numbers[0], own, return_indices=True)
-        if len(i) and np.mean(np.abs(told[0][i] - clock[j]) > APART * step) > OFTEN:
+        if len(i) and np.mean(np.abs(timed[0][i] - clock[j]) > APART * step) > OFTEN:
             return True
     return False
 
@@ -159,18 +159,18 @@ def _own_times(views: list[View], rows: Int64, notes: list[str]) -> Float64 | No
 
     A frame that a camera lacks has the time of the others', and what that camera is late by.
     """
-    told = [(v, view.times) for v, view in enumerate(views) if view.times is not None]
-    if not told:
+    timed = [(v, view.times) for v, view in enumerate(views) if view.times is not None]
+    if not timed:
         return None
     times = np.full(rows.shape, np.nan)
-    for v, own in told:
+    for v, own in timed:
         there = rows[:, v] >= 0
         times[there, v] = own[rows[there, v]]
-    if len(told) < len(views):
-        notes.append(f"times are those of {', '.join(views[v].name for v, _ in told)}")
-    times = times[:, [v for v, _ in told]]
+    if len(timed) < len(views):
+        notes.append(f"times are those of {', '.join(views[v].name for v, _ in timed)}")
+    times = times[:, [v for v, _ in timed]]
     whole = np.isfinite(times).all(1)
-    late = np.zeros(len(told))
+    late = np.zeros(len(timed))
     if whole.any():
         late = np.median(times[whole] - times[whole].mean(1, keepdims=True), axis=0)
     some = np.isfinite(times).any(1).all()
@@ -178,7 +178,7 @@ def _own_times(views: list[View], rows: Int64, notes: list[str]) -> Float64 | No
     if np.any(np.diff(common) <= 0):
         notes.append("times were left out: some frames have none, or they do not rise")
         return None
-    if len(told) < len(views) or (np.nan_to_num(times - common[:, None]) == 0).all():
+    if len(timed) < len(views) or (np.nan_to_num(times - common[:, None]) == 0).all():
         return np.asarray(common)
     filled = np.where(np.isfinite(times), times, common[:, None] + late)
     return filled if (np.diff(filled, axis=0) > 0).all() else np.asarray(common)

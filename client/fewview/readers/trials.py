@@ -1,6 +1,6 @@
 """Which files are of one trial: what in their paths names the camera, and what the trial.
 
-Two networks' results of one video are told apart alike: a trial is whatever there is one of for
+Two networks' results of one video are parted alike: a trial is whatever there is one of for
 each camera.
 """
 

@@ -1,7 +1,7 @@
 """People frame by frame as JSON: of MMPose, AlphaPose, YOLO, EasyMocap, ViTPose and others.
 
-One file of a video, or a folder with a file for each image. One table says what tells the layouts
-apart; they are read alike (`json_frames.py`).
+One file of a video, or a folder with a file for each image. One table says how the layouts
+differ; they are read alike (`json_frames.py`).
 """
 
 from collections.abc import Callable
@@ -124,10 +124,10 @@ def _view(source: Source, name: str, content: Any, layout: Layout) -> View:
             raise
         raise FormatError(f"{what}: {layout.title} that is broken ({error!r})") from error
     keypoints, confidence = packed(detections, what)
-    told = [number for number, _ in frames if number is not None]
+    given = [number for number, _ in frames if number is not None]
     numbers = np.arange(len(frames))
-    if len(set(told)) == len(frames):
-        numbers = np.array(told, np.int64)
+    if len(set(given)) == len(frames):
+        numbers = np.array(given, np.int64)
     order = np.argsort(numbers)
     names = names_of(content, everybody, keypoints.shape[2])
     fps = content.get("fps") if isinstance(content, dict) else None

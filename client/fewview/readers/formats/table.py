@@ -44,8 +44,8 @@ def read(source: Source, mapping: str | None = None) -> list[View]:
     Raises
     ------
     FormatError
-        If its rows are of unlike length or hold no numbers, a row tells what another has told, or
-        nothing tells which rows are of one frame.
+        If its rows are of unlike length or hold no numbers, a row has what another has, or
+        nothing says which rows are of one frame.
     """
     table = table_of(source)
     if table is None:
@@ -65,7 +65,7 @@ def _read(source: Source, table: Table, columns: Columns) -> list[View]:
     texts, values = read_columns(table, texts=list(roles.values()), numbers=list(labels))
     if not len(values):
         raise FormatError(f"{source}: no rows")
-    told = dict(zip(roles, texts, strict=True))
+    given = dict(zip(roles, texts, strict=True))
     header = table.header[0]
     known = {*labels, *roles.values()}
     nowhere = [
@@ -75,11 +75,11 @@ def _read(source: Source, table: Table, columns: Columns) -> list[View]:
     ]
     notes = (f"columns that were not understood: {', '.join(nowhere[:6])}",) if nowhere else ()
     clock = header[roles["time"]] if "time" in roles else ""
-    cameras = told.pop("camera", Words(("",), np.zeros(len(values), np.int64)))
+    cameras = given.pop("camera", Words(("",), np.zeros(len(values), np.int64)))
     views = []
     for code, name in sorted(enumerate(cameras.words), key=lambda each: natural(each[1])):
         mine = cameras.codes == code
-        own = {role: replace(words, codes=words.codes[mine]) for role, words in told.items()}
+        own = {role: replace(words, codes=words.codes[mine]) for role, words in given.items()}
         for view in _views(source, list(labels.values()), values[mine], own, clock):
             called = view.name or _stem(name) or source.name
             views.append(replace(view, name=called, notes=(*view.notes, *notes)))
@@ -87,7 +87,7 @@ def _read(source: Source, table: Table, columns: Columns) -> list[View]:
 
 
 def _stem(name: str) -> str:
-    """Return the name of a camera, of its video where a path was told."""
+    """Return the name of a camera, of its video where a path is given."""
     return re.sub(r"\.\w{2,4}$", "", name.replace("\\", "/").rsplit("/", 1)[-1])
 
 
@@ -95,20 +95,20 @@ def _views(
     source: Source,
     columns: list[Label],
     values: NDArray[np.float64],
-    told: dict[str, Words],
+    given: dict[str, Words],
     clock: str,
 ) -> list[View]:
     """Pivot the rows of one camera to one for each frame."""
     nothing = Words(("",), np.zeros(len(values), np.int64))
-    frames, numbers, times = _frames(source, told, len(values), clock)
-    points = told.get("keypoint", nothing)
-    people = told.get("person", nothing)
+    frames, numbers, times = _frames(source, given, len(values), clock)
+    points = given.get("keypoint", nothing)
+    people = given.get("person", nothing)
     cell = frames * len(points.words) + points.codes
     own, count = np.unique(cell * len(people.words) + people.codes, return_counts=True)
     twice = {people.words[place] for place in own[count > 1] % len(people.words)}
     if any(twice):
         who = next(filter(None, sorted(twice)))
-        raise FormatError(f"{source}: tells of {who!r} twice in the same frame")
+        raise FormatError(f"{source}: has {who!r} twice in the same frame")
     if twice:  # rows that name nobody
         places = _turns(cell)
         people = Words(tuple(map(str, range(int(places.max()) + 1))), places)
@@ -143,17 +143,17 @@ def _turns(cell: Int64) -> Int64:
 
 
 def _frames(
-    source: Source, told: dict[str, Words], rows: int, clock: str
+    source: Source, given: dict[str, Words], rows: int, clock: str
 ) -> tuple[Int64, Int64, Float64 | None]:
     """Return the frame (N,) of each row, and numbers and times of the frames.
 
     Times in a column called `clock` count as the frames where there are no numbers.
     """
-    seconds = seconds_in(told["time"], clock) if "time" in told else None
-    words = told.get("frame", told.get("time"))
+    seconds = seconds_in(given["time"], clock) if "time" in given else None
+    words = given.get("frame", given.get("time"))
     if words is None:
         return np.arange(rows), np.arange(rows), None
-    named = _as_numbers(words) if "frame" in told or seconds is None else seconds
+    named = _as_numbers(words) if "frame" in given or seconds is None else seconds
     if named is None:
         codes, frames = np.unique(words.codes, return_inverse=True)
         names = [words.words[code] for code in codes]
@@ -163,8 +163,8 @@ def _frames(
     else:
         known, frames = np.unique(named, return_inverse=True)
         if np.isnan(known).any():
-            raise FormatError(f"{source}: has a row that tells no frame")
-        whole = "frame" in told and (known == np.round(known)).all()
+            raise FormatError(f"{source}: has a row without a frame")
+        whole = "frame" in given and (known == np.round(known)).all()
         numbers = known.astype(np.int64) if whole else np.arange(len(known))
     if seconds is None:
         return frames, numbers, None

@@ -36,8 +36,8 @@ def read(source: Source) -> list[View]:
     """
     frames = [_people(path) for path in source.frames]
     keypoints, confidence = packed(frames, str(source))
-    told = [number[1] for path in source.frames if (number := frame_number(path.name))]
-    numbers = told if len(set(told)) == len(frames) else range(len(frames))
+    named = [number[1] for path in source.frames if (number := frame_number(path.name))]
+    numbers = named if len(set(named)) == len(frames) else range(len(frames))
     order = np.argsort(numbers)
     return [
         View(
