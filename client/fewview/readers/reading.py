@@ -17,6 +17,7 @@ from fewview.readers.people import pick
 from fewview.readers.registry import views_of
 from fewview.readers.sides import doubts_of_sides, put_right
 from fewview.readers.timing import with_rates
+from fewview.readers.videos import with_video
 from fewview.readers.views import View
 from fewview.reading_options import Align, Person, ReadingOptions, Size, Sizes
 
@@ -120,6 +121,8 @@ def read_with(paths: AnyPath | Iterable[AnyPath], options: ReadingOptions) -> Ca
         sources = sources_at(paths, format, notes, folder, options.trial)
         for source, kind in sources:
             found = views_of(source, kind, untrusted=options.untrusted, columns=options.columns)
+            if len(found) == 1 and not options.untrusted:
+                found = [with_video(found[0], source)]
             views += found
             kinds[kind.title] += len(found)
     titles = ", ".join(f"{title} ({count} cameras)" for title, count in kinds.items())
