@@ -17,13 +17,14 @@ _IMAGE = "an image; run a detector on it first, and give what it writes"
 
 _BEGINNINGS = {
     ZIP: f"a zip file without `keypoints.npy`; an npz needs `keypoints`. {_DO}",
-    NUMPY: "an .npy array of a shape that is no keypoints: (views, frames, keypoints, 2)",
+    NUMPY: "an .npy array of a shape that is no keypoints, (views, frames, keypoints, 2), or one "
+    f"that {_3D}",
     b"RIFF": _VIDEO,
     b"\x1aE\xdf\xa3": _VIDEO,
     b"\x89PNG": _IMAGE,
     b"\xff\xd8\xff": _IMAGE,
     b"\x80": f"a pickle; only the CAM_*.pkl of the MV-NRSfM authors are read. {_DO}",
-    b"PathFileType": f"a TRC file without a whole header, or it {_3D}",
+    b"PathFileType": f"a TRC file: it {_3D}",
 }
 
 

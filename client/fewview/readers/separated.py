@@ -110,7 +110,9 @@ def _separator(lines: Sequence[str]) -> str:
     even = [each for each, found in counts.items() if len(set(found)) == 1 and found[0] > 1]
     found = max(even or SEPARATORS, key=lambda each: counts[each][0] if kept else 0)
     # Blanks are in names, too: they separate where nothing else does.
-    return " " if kept and counts[found][0] < FEWEST_CELLS else found
+    by_blanks = {len(cells(line, " ")) for line in kept}
+    blanks = kept and counts[found][0] < FEWEST_CELLS and len(kept) > 1 and len(by_blanks) == 1
+    return " " if blanks else found
 
 
 def _is_note(line: str, separator: str) -> bool:

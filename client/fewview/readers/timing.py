@@ -12,6 +12,7 @@ from fewview.errors import FormatError
 from fewview.readers.views import Int64, View
 from fewview.reading_options import Align
 
+MOST_MISSING = 20  # times the frames that there are: images that were chosen have larger holes
 ALIKE = 0.02  # rates that differ by a smaller share are one
 APART = 0.5  # of a frame: times of one number are not of one moment
 OFTEN = 0.1  # of the frames
@@ -110,7 +111,7 @@ def _by_number(views: list[View], notes: list[str]) -> Together:
     fps = rates.pop() if len(rates) == 1 else None
     times = _own_times(views, rows, notes)
     missing = int(every[-1] - every[0]) + 1 - len(every)
-    if times is None and missing:
+    if times is None and 0 < missing <= MOST_MISSING * len(every):  # else these are no film
         times = (every - every[0]) / (fps or USUAL_RATE)
         said = f"{missing} frame numbers between {every[0]} and {every[-1]} are in no file"
         if fps is None:

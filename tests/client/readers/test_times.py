@@ -107,6 +107,11 @@ def test_holes_in_frame_numbers_stay(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.numbers, numbers)
 
 
+def test_images_that_were_chosen_are_no_film(tmp_path: Path) -> None:
+    numbers = np.cumsum(np.full(60, 100.0))
+    assert fewview.read(table(tmp_path / "a.csv", FAST, frame=numbers)).times is None
+
+
 def test_a_camera_that_counts_from_one_is_not_late(tmp_path: Path) -> None:
     frames = [[frame] for frame in files.walk(20, 25)]
     pair = [files.openpose(tmp_path / name, frames, first) for name, first in (("a", 0), ("b", 1))]

@@ -93,6 +93,18 @@ def test_a_grid_that_names_no_cameras_is_ambiguous(tmp_path: Path) -> None:
         fewview.read(tmp_path / "anna", trial="x")
 
 
+def test_results_in_3d_beside_the_cameras_are_left_out(tmp_path: Path) -> None:
+    lay_out(tmp_path, "cam1/pose.csv", "cam2/pose.csv")
+    rng = np.random.default_rng(0)
+    np.save(tmp_path / "truth.npy", rng.normal(size=(6, 4, 3)))
+    header = "PathFileType\t4\t(X/Y/Z)\ta.trc\nDataRate\n30\nFrame#\tTime\tnose\n\t\tX1\tY1\tZ1\n"
+    (tmp_path / "room.trc").write_text(header + "\n1\t0\t0.1\t0.2\t0.3\n")
+    assert fewview.read(tmp_path).view_names == ("cam1", "cam2")
+    for name in ("truth.npy", "room.trc"):
+        with pytest.raises(FormatError, match="3D points"):
+            fewview.read(tmp_path / name)
+
+
 def test_cameras_are_chosen_by_name(tmp_path: Path) -> None:
     lay_out(tmp_path, "cam1.csv", "cam2.csv", "cam3.csv")
     capture = fewview.read(tmp_path, cameras="cam3,cam1")

@@ -21,8 +21,11 @@ METRES = 20.0  # so far nobody goes before one camera; pixels go further
 
 
 def fits(source: Source) -> bool:
-    """Whether this begins as TRC does, and has a header."""
-    return source.begins(b"PathFileType") and len(source.lines) >= HEADER
+    """Whether this begins as TRC does, and its first points have no depth."""
+    if not source.begins(b"PathFileType") or len(source.lines) < HEADER:
+        return False
+    rows = (cells(line, "\t")[FIRST:] for line in source.lines[HEADER:])
+    return not any(_number(depth) for row in rows for depth in row[2::3])
 
 
 def read(source: Source) -> list[View]:
@@ -58,8 +61,8 @@ def read(source: Source) -> list[View]:
         raise FormatError(
             f"{source}: a TRC file of metres in a plane; give the one of pixels (Sports2D's *_px_*)"
         )
-    rate = _rate(header.get("DataRate", ""))
-    clock = np.array([_rate(word) if word else np.nan for word in times.rows()], float)
+    rate = _number(header.get("DataRate", ""))
+    clock = np.array([_number(word) if word else np.nan for word in times.rows()], float)
     known = np.isfinite(clock).all() and bool(np.all(np.diff(clock) > 0))
     return [replace(view, fps=rate or None, times=clock if known else None)]
 
@@ -71,7 +74,7 @@ def _whole(words: list[str], source: Source) -> "np.ndarray[tuple[int], np.dtype
     return numbers
 
 
-def _rate(word: str) -> float:
+def _number(word: str) -> float:
     """Return a number, 0 where there is none."""
     try:
         return float(word.replace(",", "."))
