@@ -126,7 +126,8 @@ CATALOGUE: dict[FindingCode, Entry] = {
     "left_right_swapped": Entry(
         "warning",
         "The view shows left and right keypoints the other way round than the other views do.",
-        "Exchange left and right in this view, or turn off mirroring of its images.",
+        "Exchange left and right in this view, or turn off mirroring of its images (`mirror` where"
+        " files are read).",
     ),
     "left_right_mended": Entry(
         "info",

@@ -48,6 +48,7 @@ ROLES = {
         "bodyparts markername label name feature point nodename"
     ),
 }
+LONGEST_CELL = 200  # characters of a header's cell that are understood
 FIELDS = {r"\{\}": "keypoint", r"\{camera\}": "camera", r"\{person\}": "person"}
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 _AXIS_OF = {word: axis for axis, words in AXES.items() for word in words}
@@ -107,7 +108,7 @@ def plain(word: str) -> str:
 
 def axis_of(word: str) -> str | None:
     """Return what a column is called that holds x, y, z, a confidence or a visibility."""
-    return _AXIS_OF.get(plain(_UNIT.sub("", word)))
+    return _AXIS_OF.get(plain(_UNIT.sub("", word))) if len(word) <= LONGEST_CELL else None
 
 
 def stacked_columns(header: Sequence[Sequence[str]]) -> Columns:
@@ -169,6 +170,8 @@ def columns_of(header: Sequence[str]) -> Columns:
 
 def _wide(cell: str) -> Label | None:
     """Return what a cell such as ``nose_x`` names; None if it names no coordinate."""
+    if len(cell) > LONGEST_CELL:
+        return None
     cell = _UNIT.sub("", cell)
     for spelling in _SPELLINGS:
         found = spelling.fullmatch(cell)
@@ -231,7 +234,11 @@ def mapped_columns(header: Sequence[str], mapping: str) -> Columns:
         pattern = re.escape(name)
         for field, group in FIELDS.items():
             pattern = pattern.replace(field, f"(?P<{group}>.+?)", 1)
-        found = {i: each for i, cell in enumerate(header) if (each := re.fullmatch(pattern, cell))}
+        found = {
+            i: each
+            for i, cell in enumerate(header)
+            if len(cell) <= LONGEST_CELL and (each := re.fullmatch(pattern, cell))
+        }
         if not found:
             raise FormatError(_missing(part, header))
         for place, each in found.items():

@@ -8,6 +8,7 @@ from fewview.readers.headers import plain
 from fewview.readers.separated import cells, table_of
 from fewview.readers.sources import HDF5, NUMPY, ZIP, Source
 
+NUMERIC = frozenset("0123456789.eE+- \t,;|")
 MOST_AXES = 4  # columns of a keypoint
 FEWEST_COLUMNS = 3  # of a table of keypoints
 _DO = "Export the detections of each camera as one of the formats of docs/files.md, or as plain CSV"
@@ -53,7 +54,7 @@ def looks_like(source: Source, known: Mapping[str, str]) -> str:
 def _of_text(source: Source, known: Mapping[str, str]) -> str:
     if source.is_toml:
         return f"a TOML file, such as of a calibration, without keypoints. {_DO}"
-    if re.fullmatch(r"[\d.eE+\-\s,;|]*\d[\d.eE+\-\s,;|]*", source.lines[0]):
+    if NUMERIC.issuperset(source.lines[0]):
         return (
             "a table of numbers without a header; write the names of its columns above it, such as "
             "nose_x,nose_y,tail_x,tail_y"

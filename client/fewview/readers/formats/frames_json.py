@@ -7,6 +7,7 @@ differ; they are read alike (`json_frames.py`).
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -87,14 +88,23 @@ LAYOUTS = (
 )
 
 
+_LAYOUTS_OF: WeakKeyDictionary[Source, Layout | None] = WeakKeyDictionary()
+
+
 def fits(source: Source, layout: Layout) -> bool:
     """Whether this is of a layout, and of none before it in the table."""
+    if source not in _LAYOUTS_OF:  # found once for all layouts
+        _LAYOUTS_OF[source] = _layout_of(source)
+    return _LAYOUTS_OF[source] is layout
+
+
+def _layout_of(source: Source) -> Layout | None:
     content = next(iter(cameras_of(source.json).values()))
     frames = frames_of(content)
     one = next((person for _, people in frames for person in people), None)
     if one is None:
-        return False
-    return next(each for each in LAYOUTS if each.says(content, one)) is layout
+        return None
+    return next(each for each in LAYOUTS if each.says(content, one))
 
 
 def read(source: Source, layout: Layout) -> list[View]:
