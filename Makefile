@@ -4,6 +4,7 @@
 # make fidelity   measure errors: `make fidelity CAPTURE=file.npz`, else on the example
 # make benchmark  time lifts; benchmark-load, -fit, -scaling, -runtimes: see benchmarks/README.md
 # make performance   write all figures of docs/performance.md anew
+# make fuzz   send up to 5,000 generated requests to a running service (schemathesis)
 # make serve  set up, then run the service on http://127.0.0.1:8000
 
 PYTHON ?= python3
@@ -14,7 +15,7 @@ IMAGE_SIZE ?=
 # Python may keep what it compiles of each module: dozens of processes import the same ones.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test tests check changed lint types serve openapi lock benchmark fidelity performance clean
+.PHONY: demo test tests check changed lint types fuzz serve openapi lock benchmark fidelity performance clean
 
 demo: .venv/compiled
 	$(BIN)/python examples/demo.py $(if $(CAPTURE),"$(CAPTURE)")
@@ -40,6 +41,9 @@ lint: .venv/ready
 
 types: .venv/ready
 	$(BIN)/mypy
+
+fuzz: .venv/compiled
+	$(BIN)/python -P -m tests.fuzz $(ARGUMENTS)
 
 serve: .venv/compiled
 	$(BIN)/fewview serve

@@ -47,7 +47,8 @@ class Create(StoreSettings, Quotas):
     scopes: str = Field(
         "read,lift",
         description="What it allows, separated by commas: `read` what is stored; `lift` frames at "
-        "once; `write`: store, change, fit, cancel; `delete`; `admin`: keys and the audit.",
+        "once; `write`: store, change, fit, cancel; `delete`; `webhook`: have URLs notified when "
+        "jobs end; `admin`: keys and the audit.",
     )
     project: Project = Field(DEFAULT_PROJECT, description="Whose records it sees.")
     expires_in_days: float | None = Field(None, gt=0, le=36500, description="Default: never.")

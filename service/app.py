@@ -26,7 +26,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp
 
 from service.http import errors
-from service.http.authentication import Authentication, needed
+from service.http.authentication import PROBES, Authentication, needed
 from service.http.connections import KEEP_ALIVE_SECONDS, Connection
 from service.http.dependencies import refuse_foreign_changes, refuse_unknown_query
 from service.http.faults import Faults
@@ -44,6 +44,7 @@ from service.realtime import lift, stream
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
 from service.resources import (
+    aliases,
     audit,
     captures,
     datasets,
@@ -56,6 +57,7 @@ from service.resources import (
     models,
     queues,
     reconstructions,
+    webhooks,
 )
 from service.resources.events import Events
 from service.resources.integrity import Integrity
@@ -76,9 +78,11 @@ RESOURCES = (
     fits,
     reconstructions,
     models,
+    aliases,
     lifts,
     evaluations,
     queues,
+    webhooks,
     keys,
     audit,
     health,
@@ -141,12 +145,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.rooms = Rooms(app.state.store)
         threading.Thread(target=app.state.engine.models.warm_newest, daemon=True).start()
         yield
-        await asyncio.to_thread(app.state.engine.close)
-        app.state.metrics.flush()
-        app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
-        app.state.keyring.close()
-        app.state.store.close()
-        app.state.redis.close()
+        await _close(app)
 
     app = FastAPI(
         title="Fewview",
@@ -187,6 +186,16 @@ def create_app(settings: Settings) -> FastAPI:
     _wrap(app)
     _describe(app)
     return app
+
+
+async def _close(app: FastAPI) -> None:
+    await asyncio.to_thread(app.state.engine.close)
+    app.state.metrics.flush()
+    app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
+    app.state.keyring.close()
+    await app.state.rates.close()
+    app.state.store.close()
+    app.state.redis.close()
 
 
 def _make_engine(app: FastAPI, settings: Settings) -> Engine:
@@ -266,6 +275,8 @@ def _describe(app: FastAPI) -> None:
             for path, operations in schema["paths"].items():
                 for method, operation in operations.items():
                     operation["security"] = [{"bearer": [needed(method.upper(), path)]}]
+                    if path in PROBES:  # which need a key on loopback alone
+                        operation["security"].append({})
             for unused in ("HTTPValidationError", "ValidationError"):
                 schemas.pop(unused, None)
             for name, kind in ((n, k) for module in RESOURCES for n, k in vars(module).items()):

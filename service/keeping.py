@@ -16,6 +16,7 @@ from service.doctor import examine, open_store
 from service.settings import Settings
 from store import backup as backups
 from store import housekeeping, retention, schema
+from store.access_keys import Project
 from store.backup import Outcome
 from store.database import Store
 from store.engine import open_engine
@@ -29,7 +30,7 @@ LINE_SECONDS = 10.0  # between two lines of progress where no terminal shows the
 
 
 class Backup(StoreSettings):
-    """Copy everything that a deployment holds into a folder, while it runs or not.
+    """Copy what a deployment holds, or one of its projects, into a folder, while it runs or not.
 
     The records are copied as of one instant, as plain data, and then the objects that they name,
     each checked and read again. The next backup into the same folder copies what is new. The
@@ -39,6 +40,9 @@ class Backup(StoreSettings):
     model_config = SettingsConfigDict(cli_prog_name="fewview backup", cli_kebab_case=True)
 
     folder: CliPositionalArg[Path] = Field(description="Of the backup; made if it is missing.")
+    project: Project | None = Field(
+        None, description="Copy this project alone, with its keys and its part of the audit."
+    )
     deep: CliImplicitFlag[bool] = Field(
         False, description="Also read what earlier backups copied, and copy anew what is damaged."
     )
@@ -95,7 +99,9 @@ def backup(arguments: list[str]) -> None:
     settings = CliApp.run(Backup, cli_args=arguments)
     os.umask(0o077)  # captures are nobody else's
     with ending("backup"), closing(open_store(settings)) as store:
-        outcome = backups.backup(store, settings.folder, Progress(), deep=settings.deep)
+        outcome = backups.backup(
+            store, settings.folder, Progress(), project=settings.project, deep=settings.deep
+        )
         _report("backup", "Backed up", outcome)
 
 

@@ -21,8 +21,8 @@ from store.locks import alone
 from store.quotas import Quotas
 from store.records import DEFAULT_PROJECT, AccessKey
 
-Scope = TypeAliasType("Scope", Literal["read", "lift", "write", "delete", "admin"])
-SCOPES: tuple[Scope, ...] = ("read", "lift", "write", "delete", "admin")
+Scope = TypeAliasType("Scope", Literal["read", "lift", "write", "delete", "admin", "webhook"])
+SCOPES: tuple[Scope, ...] = ("read", "lift", "write", "delete", "admin", "webhook")
 Project = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]
 TOKEN_PREFIX = "fewview_"  # noqa: S105 (by which tokens are found in what was published by mistake)
 MAX_KEYS = 10_000  # in force: each process of the API knows all of them

@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
-from store import clock, fits, keys, lookup, models
+from store import clock, fits, jobs, keys, lookup, models, webhooks
 from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import DamagedError, LeaseLostError
@@ -172,6 +172,7 @@ def release(store: Store, attempt: Attempt) -> None:
             session.execute(
                 update(FitJob).where(FitJob.id == attempt.fit_id).values(**fits.ended("cancelled"))
             )
+            _announce(session, attempt)
 
 
 def give_up(store: Store, attempt: Attempt, why: str) -> None:
@@ -205,7 +206,15 @@ def _write(session: Session, attempt: Attempt, values: dict[str, Any]) -> float 
     row = session.execute(statement.returning(FitJob.cancel_requested_at)).first()
     if row is None:
         raise _lost(attempt)
+    if values.get("status") in jobs.TERMINAL:
+        _announce(session, attempt)
     return row[0]
+
+
+def _announce(session: Session, attempt: Attempt) -> None:
+    fit = session.get(FitJob, attempt.fit_id, populate_existing=True)
+    assert fit is not None  # noqa: S101 (it was written just now)
+    webhooks.announce(session, fit)
 
 
 def _lost(attempt: Attempt) -> LeaseLostError:

@@ -21,19 +21,26 @@ from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sqlalchemy import Table, insert, select
+from sqlalchemy import Select, Table, insert, select
 
 from store.database import Store
 from store.errors import DamagedError, StoreError
 from store.housekeeping import KEYS, known_keys
 from store.ids import new_id
 from store.objects import Objects
-from store.records import CondemnedObject, Deployment, FitJob, IdempotencyKey, Record
+from store.records import (
+    CondemnedObject,
+    Delivery,
+    Deployment,
+    FitJob,
+    IdempotencyKey,
+    Record,
+)
 
 FORMAT = 1  # of a backup; grows when older versions could not restore it
 SUMMARY = "backup.json"
 # What is of this deployment alone, or of the next minutes.
-LEFT_OUT = {Deployment.__tablename__, CondemnedObject.__tablename__, IdempotencyKey.__tablename__}
+LEFT_OUT = {kind.__tablename__ for kind in (Deployment, CondemnedObject, IdempotencyKey, Delivery)}
 CHECKPOINT = FitJob.checkpoint_key  # gone in seconds: a fit that runs starts anew when restored
 AT_A_TIME = 4  # objects in hand
 ROWS_AT_A_TIME = 500
@@ -64,7 +71,9 @@ class Outcome(NamedTuple):
     damaged: list[str]
 
 
-def backup(store: Store, folder: Path, say: Say, *, deep: bool = False) -> Outcome:
+def backup(
+    store: Store, folder: Path, say: Say, *, project: str | None = None, deep: bool = False
+) -> Outcome:
     """Bring the backup in a folder up to date, or make it; all objects copied are read again.
 
     Objects that it has are not copied again; those that no record names any more leave it in the
@@ -72,25 +81,31 @@ def backup(store: Store, folder: Path, say: Say, *, deep: bool = False) -> Outco
 
     Parameters
     ----------
+    project
+        The one project to copy, with its keys and its part of the audit; None: all.
     deep
         Read what was copied before again, too, and copy anew what is damaged.
 
     Raises
     ------
     StoreError
-        If the folder holds something else, or too much is deleted meanwhile.
+        If the folder holds something else, the project has nothing, or too much is deleted
+        meanwhile.
     """
-    _prepare(folder, store.identity)
+    _prepare(folder, store.identity, project)
     with _alone(folder):
-        return _backup(store, folder, say, deep=deep)
+        return _backup(store, folder, say, project, deep=deep)
 
 
-def _backup(store: Store, folder: Path, say: Say, *, deep: bool) -> Outcome:
+def _backup(store: Store, folder: Path, say: Say, project: str | None, *, deep: bool) -> Outcome:
     target = Objects((folder / "objects").absolute().as_uri())
     for _ in range(TRIES):
         records = folder / f"records-{new_id('backup')}.jsonl"
         taken_at = time.time()
-        rows, named = _write_records(store, records)
+        rows, named = _write_records(store, records, project)
+        if project is not None and not rows:
+            records.unlink()
+            raise StoreError(f"There is no project {project!r}: nothing belongs to it.")
         copied, size, failed = _copy(store.objects, target, named, say, deep=deep)
         with store.reading() as session:
             damaged = sorted(failed & known_keys(session))
@@ -102,6 +117,7 @@ def _backup(store: Store, folder: Path, say: Say, *, deep: bool) -> Outcome:
     summary = {
         "format": FORMAT,
         "deployment": store.identity,
+        "project": project,
         "taken_at": taken_at,
         "records": records.name,
         "sha256": _digest(records),
@@ -157,15 +173,19 @@ def _keys_in(table: Table, row: dict[str, Any]) -> list[str]:
     return [row[column] for column in columns if row.get(column) is not None]
 
 
-def _prepare(folder: Path, identity: str) -> None:
+def _prepare(folder: Path, identity: str, project: str | None) -> None:
     """Make the folder of a backup; raise ``StoreError`` if it holds something else."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     if (folder / SUMMARY).exists():
-        of = _summary(folder)["deployment"]
-        if of != identity:
+        summary = _summary(folder)
+        if summary["deployment"] != identity:
             raise StoreError(
-                f"{folder} holds a backup of another deployment ({of}): choose another folder."
+                f"{folder} holds a backup of another deployment ({summary['deployment']}): choose "
+                "another folder."
             )
+        if (of := summary.get("project")) != project:
+            held = "all projects" if of is None else f"the project {of!r}"
+            raise StoreError(f"{folder} holds a backup of {held}: choose another folder.")
     elif {file.name.partition("-")[0] for file in folder.iterdir()} - {"objects", "records"}:
         raise StoreError(f"{folder} holds something else: choose an empty folder, or a new one.")
 
@@ -195,8 +215,8 @@ def _summary(folder: Path) -> dict[str, Any]:
     return summary
 
 
-def _write_records(store: Store, file: Path) -> tuple[int, set[str]]:
-    """Write all rows as of one instant; return how many, and the objects they name."""
+def _write_records(store: Store, file: Path, project: str | None) -> tuple[int, set[str]]:
+    """Write the rows as of one instant; return how many, and the objects they name."""
     count, named = 0, set[str]()
     engine = store.engine  # a transaction of SQLite sees one instant anyway
     if engine.dialect.name != "sqlite":
@@ -207,7 +227,7 @@ def _write_records(store: Store, file: Path) -> tuple[int, set[str]]:
         file.open("w") as lines,
     ):
         for table in _tables():
-            query = select(table).execution_options(yield_per=ROWS_AT_A_TIME)
+            query = _rows(table, project).execution_options(yield_per=ROWS_AT_A_TIME)
             for found in connection.execute(query).mappings():
                 row = dict(found)
                 if table.name == FitJob.__tablename__:
@@ -218,6 +238,18 @@ def _write_records(store: Store, file: Path) -> tuple[int, set[str]]:
         lines.flush()
         os.fsync(lines.fileno())
     return count, named
+
+
+def _rows(table: Table, project: str | None) -> Select[Any]:
+    """Return the query of all rows of a table, or of those of one project."""
+    query = select(table)
+    if project is None:
+        return query
+    if "project" in table.columns:
+        return query.where(table.columns["project"] == project)
+    (reference,) = table.foreign_keys  # to what it is a part of
+    owner = reference.column.table
+    return query.join(owner).where(owner.columns["project"] == project)
 
 
 def _checked_records(folder: Path) -> Path:

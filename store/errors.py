@@ -42,6 +42,7 @@ KINDS = {
     "mdl": "model",
     "lift": "lift",
     "key": "key",
+    "wh": "webhook",
 }  # by their identifiers
 
 
@@ -53,6 +54,8 @@ class NotFoundError(StoreError):
         begin = next((f"{prefix}_" for prefix, known in KINDS.items() if known == kind), "")
         if other == kind:
             why = "it may have been deleted"
+        elif "@" in identifier:
+            why = "no alias of this name points to one"
         elif other is not None:
             why = f"this is the identifier of a {other}"
         else:

@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 from models.settings.calibration import Keypoint
 from models.settings.config import FitConfig, warm
 from models.settings.priors import ARCHITECTURE
-from store import clock, jobs
+from store import clock, jobs, webhooks
 from store.authors import author_of, owned_by
 from store.database import Store
 from store.disposal import condemn
@@ -68,8 +68,10 @@ def create(
         # Locked against deletion, so that no fit is queued of a dataset that is gone.
         dataset = lock(session, Dataset, dataset_id)
         complete = _by_index(FitConfig.model_validate(config), dataset)
+        source = None
         if from_model is not None:
-            complete = _suited(complete, session, from_model, dataset)
+            source = lock(session, Model, from_model, dataset.project)  # against deletion, too
+            complete = _suited(complete, source, dataset)
         filled_in = complete.model_dump(mode="json")
         _check(filled_in, dataset)
         return FitJob(
@@ -78,7 +80,7 @@ def create(
             dataset_id=dataset_id,
             frames=dataset.frames,
             config=filled_in,
-            from_model=from_model,
+            from_model=source and source.id,
             job_id=job_id or fit_id,
             **owned_by(author_of(session)) | {"project": dataset.project},
             **labels.columns(),
@@ -89,11 +91,10 @@ def create(
     )
 
 
-def _suited(config: FitConfig, session: Session, from_model: str, dataset: Dataset) -> FitConfig:
+def _suited(config: FitConfig, model: Model, dataset: Dataset) -> FitConfig:
     """Fill in a configuration for a start from a model; raise for one that does not suit it."""
-    model = lock(session, Model, from_model)  # against deletion, as the dataset is
     if model.project != dataset.project:  # whoever queues jobs sees all projects
-        raise NotFoundError("model", from_model)
+        raise NotFoundError(Model.noun, model.id)
     if model.keypoints != dataset.keypoints:
         raise SourceError(
             "from_model",
@@ -241,8 +242,8 @@ def lose(session: Session, fit: FitJob, now: float, code: str, why: str) -> None
     if fit.cancel_requested_at is not None:
         _end(session, fit, "cancelled", now)
     elif fit.crashes >= jobs.MAX_CRASHES:
-        _end(session, fit, "failed", now)
         fit.error = {"code": code, "message": f"Tried {fit.crashes} times: {why}"}
+        _end(session, fit, "failed", now)
     else:
         fit.status = "queued"
 
@@ -263,9 +264,11 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
     with store.writing() as session:
         locked = select(FitJob.checkpoint_key).where(mine).with_for_update()
         condemn(session, session.scalars(locked))
-        taken = session.execute(
-            update(FitJob).where(mine).values(**ended("cancelled")).returning(FitJob.id)
-        ).first()
+        taken = session.scalar(
+            update(FitJob).where(mine).values(**ended("cancelled")).returning(FitJob)
+        )
+        if taken is not None:
+            webhooks.announce(session, taken)
     return taken is not None
 
 
@@ -300,6 +303,7 @@ def _end(session: Session, fit: FitJob, status: str, now: float) -> None:
     condemn(session, [fit.checkpoint_key])
     fit.status, fit.finished_at = status, now
     fit.lease_expires_at = fit.checkpoint_key = None
+    webhooks.announce(session, fit)
 
 
 def reconstruction_key(fit: FitJob) -> str:

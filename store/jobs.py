@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
-from store import audit, clock
+from store import audit, clock, webhooks
 from store.authors import ALL_PROJECTS
 from store.database import Store
 from store.disposal import condemn, discard
@@ -91,6 +91,8 @@ def refuse(
             **columns,
         )
         session.add(refused)
+        session.flush()  # which fills in its project
+        webhooks.announce(session, refused)
     return refused.id
 
 

@@ -15,7 +15,7 @@ from sqlalchemy import delete as sql_delete
 from sqlalchemy.orm import Session
 
 from models.settings.keypoints import MAX_VIEWS
-from store import clock, jobs
+from store import clock, jobs, webhooks
 from store.authors import author_of, owned_by
 from store.database import Store
 from store.disposal import condemn, discard
@@ -69,7 +69,7 @@ def create(
     def make(session: Session, lift_id: str) -> LiftJob:
         # Locked against deletion, so that no lift is queued of what is gone.
         dataset = lock(session, Dataset, dataset_id)
-        model = lock(session, Model, model_id)
+        model = lock(session, Model, model_id, dataset.project)
         if model.project != dataset.project:  # whoever queues jobs sees all projects
             raise NotFoundError("model", model_id)
         _check(views, dataset, model)
@@ -80,7 +80,7 @@ def create(
             id=lift_id,
             name=name,
             dataset_id=dataset_id,
-            model_id=model_id,
+            model_id=model.id,
             frames=dataset.frames,
             refine=refine,
             views=views,
@@ -225,6 +225,7 @@ def end(
     lift.status, lift.error, lift.finished_at = status, error, clock.read(session)
     lift.seconds_left = None
     lift.revision += 1
+    webhooks.announce(session, lift)
     if status == "succeeded":
         return []
     lift.stored_bytes = 0

@@ -8,10 +8,19 @@ from sqlalchemy.orm import Session, defer
 
 from store import audit
 from store.array_files import GetRange
+from store.authors import author_of
 from store.database import Store
 from store.errors import DamagedError, NotFoundError, StoreError
 from store.labels import says, tagged
-from store.records import Dataset, FitJob, Job, LiftJob, Model
+from store.records import (
+    DEFAULT_PROJECT,
+    Dataset,
+    FitJob,
+    Job,
+    LiftJob,
+    Model,
+    ModelAlias,
+)
 
 HALF_A_MICROSECOND = 0.5e-6
 
@@ -53,7 +62,38 @@ class Filters(NamedTuple):
 def get(store: Store, kind: type[Resource], identifier: str) -> Resource:
     """Return the record of this kind with this identifier; ``NotFoundError`` if there is none."""
     with store.reading() as session:
-        return _found(session.get(kind, identifier), kind, identifier)
+        known = resolved(session, kind, identifier)
+        return _found(session.get(kind, known), kind, identifier)
+
+
+def is_alias(identifier: str) -> bool:
+    """Tell an alias of a model from an identifier."""
+    return "@" in identifier
+
+
+def resolved(
+    session: Session, kind: type[Resource], identifier: str, project: str | None = None
+) -> str:
+    """Return the identifier that an alias stands for, of a model; any other as it is.
+
+    Parameters
+    ----------
+    project
+        Whose alias; None: that of the session's author.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such alias.
+    """
+    if kind is not Model or not is_alias(identifier):
+        return identifier
+    author = author_of(session)
+    whose = project or (DEFAULT_PROJECT if author is None else author.project)
+    alias = session.get(ModelAlias, (whose, identifier))
+    if alias is None:
+        raise NotFoundError(kind.noun, identifier)
+    return alias.model_id
 
 
 def lost(
@@ -78,9 +118,15 @@ def reader_of(store: Store, kind: type[Resource], identifier: str) -> GetRange:
     return read
 
 
-def lock(session: Session, kind: type[Resource], identifier: str) -> Resource:
-    """Do the same in a transaction that writes; nobody else changes the record until its end."""
-    return _found(session.get(kind, identifier, with_for_update=True), kind, identifier)
+def lock(
+    session: Session, kind: type[Resource], identifier: str, project: str | None = None
+) -> Resource:
+    """Return a record in a transaction that writes; nobody else changes it until its end.
+
+    Raises ``NotFoundError`` if there is none; ``project`` is as :func:`resolved` takes it.
+    """
+    known = resolved(session, kind, identifier, project)
+    return _found(session.get(kind, known, with_for_update=True), kind, identifier)
 
 
 def change(
@@ -94,7 +140,7 @@ def change(
         if isinstance(record, Job) and columns:
             record.revision += 1
         if columns:
-            audit.note(session, f"{kind.noun}.change", identifier)
+            audit.note(session, f"{kind.noun}.change", record.id)
     return record
 
 

@@ -12,11 +12,11 @@ from store import audit, jobs, keys
 from store.authors import owned_by
 from store.database import Store
 from store.disposal import condemn, discard
-from store.errors import DamagedError
+from store.errors import ConflictError, DamagedError
 from store.idempotency import Idempotency, claim, replayed
 from store.ids import new_id
 from store.lookup import get, lock, lost
-from store.records import FitJob, LiftJob, Model
+from store.records import FitJob, LiftJob, Model, ModelAlias
 from store.space import discarded_if_full
 from store.usage import check_space
 
@@ -99,12 +99,17 @@ def delete(store: Store, model_id: str) -> None:
     NotFoundError
         If there is no such model.
     ConflictError
-        If a lift with it, or a fit that starts from it, is queued or running.
+        If it has an alias, or a lift with it, or a fit that starts from it, is queued or running.
     """
     with store.writing() as session:
         # Its fit before the model itself: as all do.
         session.execute(update(FitJob).where(FitJob.model_id == model_id).values(model_id=None))
         model = lock(session, Model, model_id)
+        alias = session.scalar(select(ModelAlias.name).where(ModelAlias.model_id == model.id))
+        if alias is not None:
+            raise ConflictError(
+                f"Model {model.id!r} has the alias {alias!r}: move or delete that first."
+            )
         refuse = partial(jobs.refuse_if_used, session, "Model", model_id)
         refuse(LiftJob, LiftJob.model_id == model_id)
         refuse(FitJob, FitJob.from_model == model_id)

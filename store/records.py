@@ -3,7 +3,7 @@
 import time
 from typing import Any, ClassVar
 
-from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String
+from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 
@@ -196,6 +196,51 @@ class Model(Labelled, Owned, Record):
     weights_bytes: Mapped[int]
     weights_checksum: Mapped[str]
     findings: Mapped[list[Any] | None]
+
+
+class ModelAlias(Owned, Record):
+    """A name of a model that can be moved to another; see ``store.aliases``."""
+
+    noun: ClassVar = "alias"
+    __tablename__ = "aliases"
+
+    project: Mapped[str] = mapped_column(
+        String(64), primary_key=True, server_default=DEFAULT_PROJECT
+    )
+    name: Mapped[str] = mapped_column(primary_key=True)
+    model_id: Mapped[str] = mapped_column(ForeignKey("models.id"), index=True)
+    moved_at: Mapped[float]
+
+
+class Webhook(Owned, Record):
+    """A URL that is notified when jobs of a project end; see ``store.webhooks``."""
+
+    noun: ClassVar = "webhook"
+    __tablename__ = "webhooks"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    created_at: Mapped[float]
+    url: Mapped[str] = mapped_column(Text)
+    events: Mapped[list[Any]]
+    secret: Mapped[str]
+
+
+class Delivery(Record):
+    """A message to a webhook. ``attempts`` is the fencing token of who attempts it."""
+
+    __tablename__ = "deliveries"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    webhook_id: Mapped[str] = mapped_column(
+        ForeignKey("webhooks.id", ondelete="CASCADE"), index=True
+    )
+    event: Mapped[str]
+    payload: Mapped[str] = mapped_column(Text)  # JSON, the very text that is signed
+    created_at: Mapped[float]
+    attempts: Mapped[int]
+    next_at: Mapped[float | None] = mapped_column(index=True)  # None: there will be no attempt
+    delivered_at: Mapped[float | None]
+    outcome: Mapped[str | None]  # of the last attempt, in words
 
 
 class Deployment(Record):

@@ -2,20 +2,19 @@
 
 from typing import NamedTuple
 
-from sqlalchemy import Integer, cast, func, select
+from sqlalchemy import func, select
 
 from store import clock
 from store.database import Store
 from store.housekeeping import SWEEP_SECONDS
 from store.records import (
     CondemnedObject,
-    Dataset,
     Deployment,
     FitJob,
     LiftChunk,
     LiftJob,
-    Model,
 )
+from store.usage import STORED
 
 STATUSES = ("queued", "running", "succeeded", "failed", "cancelled")
 
@@ -46,8 +45,8 @@ class Tallies(NamedTuple):
     kinds
         Of fits and of lifts, by the noun.
     stored_bytes
-        Of datasets (keypoints, confidence and true positions as arrays, before compression), of
-        models' weights, and of the lines of lifts' results.
+        Of the objects of datasets, fits (their reconstructions), lifts and models, by the noun in
+        the plural; 0 for records of before they were counted.
     swept_at
         Seconds since the epoch at which the last sweep began; None before the first.
     condemned
@@ -62,14 +61,6 @@ class Tallies(NamedTuple):
 
 def read(store: Store) -> Tallies:
     """Return what the records hold now."""
-    keypoints = Dataset.frames * Dataset.keypoints
-    seen = keypoints * Dataset.views
-    sizes = {
-        "datasets": seen * (8 + 4 * cast(Dataset.confidence, Integer))
-        + keypoints * 12 * cast(Dataset.ground_truth, Integer),
-        "models": Model.weights_bytes,
-        "lift_lines": LiftChunk.lines_bytes,
-    }
     running = FitJob.status == "running"
     leases = {
         "fit": select(func.count()).where(running, FitJob.lease_expires_at < clock.now()),
@@ -90,8 +81,8 @@ def read(store: Store) -> Tallies:
         return Tallies(
             kinds,
             {
-                name: int(session.scalar(select(func.sum(size))) or 0)
-                for name, size in sizes.items()
+                kind.__tablename__: int(session.scalar(select(func.sum(kind.stored_bytes))) or 0)
+                for kind in STORED
             },
             None if next_sweep is None else next_sweep - SWEEP_SECONDS,
             session.scalar(select(func.count()).select_from(CondemnedObject)) or 0,

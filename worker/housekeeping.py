@@ -2,7 +2,7 @@
 
 import logging
 
-from store import housekeeping, retention
+from store import housekeeping, retention, webhooks
 from store.database import Store
 from worker.queue import connect, forget_cancelled, open_queues
 from worker.settings import WorkerSettings
@@ -16,6 +16,7 @@ def keep_house(settings: WorkerSettings) -> None:
     for job in retention.prune(store, settings.retention):
         logger.info("%s, %s, was kept long enough: deleted", job.id, job.status)
     housekeeping.sweep(store)
+    webhooks.forget(store)
     store.close()
     with connect(str(settings.redis_url), retries=1) as connection:
         for queue in open_queues(connection):

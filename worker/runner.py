@@ -1,13 +1,11 @@
 """The worker process: waits for jobs and runs each in a process of its own."""
 
 import logging
-import multiprocessing
 import os
 import signal
 import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
-from multiprocessing.context import ForkProcess
 from typing import Any
 
 import redis.exceptions
@@ -22,12 +20,12 @@ from rq.utils import now
 from rq.worker import DequeueStrategy
 from sqlalchemy.exc import SQLAlchemyError
 
-from store import fits, housekeeping, jobs, lifts
+from store import fits, housekeeping, jobs, lifts, webhooks
 from store.database import Store
-from store.errors import StoreError
 from store.private import keep_private
 from store.records import FitJob, LiftJob
 from worker import at_work, logs
+from worker.beside import FORK, Beside
 from worker.contract import RESULT_SECONDS, KnownJob, PlainDataSerializer, is_of_wrong_type
 from worker.housekeeping import keep_house
 from worker.process import tie_forks
@@ -49,7 +47,6 @@ TIMEOUT_SLACK_SECONDS = 300  # the fit ends itself; RQ's timeout is for one that
 REDIS_RETRIES = 12
 ASK_SECONDS = 300  # between two looks whether the objects are to be swept
 REDIS_AWAY = (redis.exceptions.ConnectionError, redis.exceptions.TimeoutError)
-FORK = multiprocessing.get_context("fork")
 
 
 class JobWorker(Worker):
@@ -72,7 +69,8 @@ class JobWorker(Worker):
         self._reconciler = Reconciler(store, connection, settings)
         self._rounds = 0
         self._asked_at = time.monotonic()  # nobody sweeps in the way of the first jobs
-        self._sweeping: ForkProcess | None = None
+        self._sweep = Beside(keep_house, settings)
+        self._delivery = Beside(_deliver, settings)
 
     @property
     def dequeue_timeout(self) -> int:
@@ -120,6 +118,8 @@ class JobWorker(Worker):
                 logger.warning("Job %s did not stop when asked: killing it", job.id)
                 self.kill_horse()
             self._sweep_if_due()
+            if not self._delivery.is_running() and webhooks.any_due(self._store):
+                self._delivery.start()
         except (StopRequested, redis.exceptions.RedisError):
             raise
         except Exception as error:
@@ -136,17 +136,11 @@ class JobWorker(Worker):
         return in_step
 
     def _sweep_if_due(self) -> None:
-        if self._sweeping is not None and not self._sweeping.is_alive():
-            self._sweeping.close()
-            self._sweeping = None
-        if time.monotonic() - self._asked_at < ASK_SECONDS or self._sweeping is not None:
+        if self._sweep.is_running() or time.monotonic() - self._asked_at < ASK_SECONDS:
             return
         self._asked_at = time.monotonic()
         if housekeeping.take_turn(self._store):
-            # Not here: the object store's threads would not live on in a forked work-horse, which
-            # would wait for them forever.
-            self._sweeping = FORK.Process(target=_sweep, args=(self._settings,), daemon=True)
-            self._sweeping.start()
+            self._sweep.start()
 
     def execute_job(self, job: Job, queue: Queue) -> None:
         """Run a job in a process of its own, whatever limits its producer set or left out.
@@ -239,13 +233,10 @@ def _import_for_later_jobs() -> None:
     import worker.lifting  # noqa: F401, PLC0415
 
 
-def _sweep(settings: WorkerSettings) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):  # which the worker takes for itself
-        signal.signal(number, signal.SIG_DFL)
-    try:
-        keep_house(settings)
-    except (StoreError, SQLAlchemyError, ObjectStoreError, OSError, redis.exceptions.RedisError):
-        logger.exception("Housekeeping cannot be done")
+def _deliver(settings: WorkerSettings) -> None:
+    from worker.webhooks import deliver  # noqa: PLC0415 (few workers ever need it)
+
+    deliver(settings)
 
 
 def _open_store(settings: WorkerSettings) -> None:

@@ -100,6 +100,12 @@ class WorkerSettings(StoreSettings):
         description="Time a big lift may have a worker for itself while other jobs wait.",
     )
 
+    webhook_private_targets: bool = Field(
+        False,
+        description="Whether webhooks may name hosts of private networks and of this machine, and "
+        "`http://`. Then whoever may make webhooks reaches what workers reach.",
+    )
+
     log_format: LogFormat = Field(
         "text",
         description="How lines of the log are written, on stderr: `text`, or `json`, an object a "

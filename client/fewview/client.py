@@ -8,6 +8,7 @@ from typing import Any, Self, Unpack
 import httpx2
 from numpy.typing import ArrayLike
 
+from fewview.api.access import Audit, Keys
 from fewview.api.datasets import Datasets
 from fewview.api.drivers import Awaiting, Blocking
 from fewview.api.evaluations import Evaluations
@@ -20,6 +21,7 @@ from fewview.api.models import Models
 from fewview.api.operations import Driver, Resource, operation
 from fewview.api.steps import Steps
 from fewview.api.stream import AsyncStream, Line, Start, Stream
+from fewview.api.webhooks import Webhooks
 from fewview.capture import Capture
 from fewview.keys import is_loopback, key_for
 
@@ -34,7 +36,7 @@ class Api(Resource[Driver]):
     ----------
     url
         Where the service is.
-    datasets, fits, models, lifts, evaluations, health
+    datasets, fits, models, lifts, evaluations, health, keys, audit, webhooks
         What it has.
     """
 
@@ -47,6 +49,9 @@ class Api(Resource[Driver]):
         self.lifts = Lifts(driver)
         self.evaluations = Evaluations(driver)
         self.health = HealthChecks(driver)
+        self.keys = Keys(driver)
+        self.audit = Audit(driver)
+        self.webhooks = Webhooks(driver)
 
     @operation
     def lift(

@@ -21,6 +21,7 @@ from models.calibrating.prediction import (
     Split,
     common_noise,
     predicted_distances,
+    predicts_better,
     split_frames,
     surprise,
     typical_distance,
@@ -31,7 +32,6 @@ from models.calibrating.problem import (
     Solution,
     grouped,
 )
-from models.epipolar.rig_adjustment import LEAST_NOISE
 from models.numerics.medians import lower_median
 from models.numerics.rotations import nearest_rotations
 from models.numerics.steps import Steps
@@ -43,11 +43,9 @@ Corners = tuple[int, int, int, int]
 
 MEDIAN_ROUNDS = 10  # of reweighting for a median of rotations
 LEAST_ANGLE = 1e-4  # radians, below which rotations weigh alike there
-LIKELY = 2.0  # standard errors by which one rig must predict better than another to replace it
 MORE_ROUNDS = 2  # of learning, for what has been learnt from nearly the same frames
 SURE = 3.0  # standard errors by which hidden keypoints must speak against rest
 MORE_NOISE = 1.4  # times the noise of moving cameras: no rig at rest has more
-ABOVE_LEAST = 1.5  # times the least noise that is reckoned with: less may be none
 NEARLY = 3.0  # times the errors of lens models: what predicts so well may not be learnt to the end
 LAST_ROUNDS = 8  # of learning, before it counts as moving
 NEGLIGIBLE = 0.05  # nats of a keypoint, of what lens models leave
@@ -163,8 +161,7 @@ def _by_keypoints(
     problem: Problem, moving: Solution, found: KeypointRig, hint: Corners | None
 ) -> list[Candidate]:
     """Return the rig that keypoints alone say, and its mirror image if they hardly tell which."""
-    floor = LEAST_NOISE * problem.side  # of the rig, whose noise is no less
-    noise = max(found.noise if found.noise > ABOVE_LEAST * floor else 0.0, moving.measured_noise)
+    noise = max(found.noise, moving.measured_noise)
     kept = found.deviations if len(found.members) > 2 and noise > CLEAR * problem.size else None
     members, groups = found.members, found.lens_groups
     ours = Candidate("from keypoints", found.start, members, groups, kept)
@@ -255,13 +252,7 @@ def _better(asked: Problem, first: Judged | None, other: Judged) -> Judged:
     """Return the other if it has greater merits, or predicts better beyond chance."""
     if first is None or other.merits != first.merits:
         return other if first is None or other.merits > first.merits else first
-    noise = common_noise([first.distances, other.distances], asked.side)
-    gain = surprise(first.distances, asked.weights, noise) - surprise(
-        other.distances, asked.weights, noise
-    )
-    known = gain[np.isfinite(gain)]
-    chance = float(known.std()) / math.sqrt(max(len(known), 1))
-    return other if len(known) and known.mean() > LIKELY * chance else first
+    return other if predicts_better(asked, first.distances, other.distances) else first
 
 
 def _evidence(solution: Solution, handed: Handed, found: KeypointRig | None) -> list[Float64]:

@@ -1,6 +1,5 @@
 """A rig at rest that keypoints alone say, as a start of the search: cameras, structures, poses."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,11 +12,13 @@ from models.bundle.problem import (
     LENS,
     RADIAL,
     VIEW,
+    Rig,
     Scene,
+    ShapePrior,
     make_rig,
     make_shape_prior,
 )
-from models.bundle.shape_model import align, learn_shapes
+from models.bundle.shape_model import ShapeModel, align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, regauge
 from models.calibrating.handedness import mirrored, same_hand
 from models.calibrating.lens_groups import find_lens_groups
@@ -31,9 +32,8 @@ from models.calibrating.lens_prior import (
 from models.calibrating.problem import Problem, Solution, grouped
 from models.epipolar.pairs import Beliefs
 from models.epipolar.resting_rig import RestingRig, find_resting_rig
-from models.epipolar.rig_adjustment import LENS as CAMERA_LENS
-from models.epipolar.rig_adjustment import Rigid
 from models.epipolar.rig_certainty import FocalLikelihood
+from models.epipolar.static_cameras import Rigid
 from models.numerics.rotations import nearest_rotations
 from models.numerics.steps import Steps
 from models.optics.lenses.projection import Lenses, project
@@ -67,13 +67,7 @@ def rig_from_keypoints(
 
     None where the keypoints speak against any two cameras at rest.
     """
-    # Two views hold each other less than noise disturbs them: they do better without it.
-    keypoints = problem.detected if len(among) >= LEAST_VIEWS else problem.keypoints
-    images, sizes = _straight_images(problem, keypoints)
-    asked = np.isin(np.arange(len(sizes)), among)
-    weights = problem.weights * asked[:, None]
-    beliefs = _beliefs(problem)
-    found = yield from find_resting_rig(images, weights, beliefs, sizes)
+    found = yield from geometry_of(problem, among)
     if found is None:
         return None
     members = [int(k) for k in np.flatnonzero(found.resting)]
@@ -83,23 +77,61 @@ def rig_from_keypoints(
         structures = _structures(explanation.points)
         if structures is None:
             return None
-        lenses = _lenses(problem, moving, explanation.rig, found.resting)
+        lenses = _lenses(problem, moving.rig, explanation.rig, found.resting)
         start = _start(moving, explanation.rig, members, lenses, structures)
         starts.append(start._replace(noise=noise, measured_noise=noise))
         units.append(structures.unit)
     best, mirror = starts
-    groups = _lens_groups(problem, beliefs, found)
+    groups = _lens_groups(problem, lens_beliefs(problem), found)
     noise = found.noise * problem.side
     sds = _deviations(problem, found, units[0])
     return KeypointRig(best, mirror, members, noise, found.log_odds, groups, sds)
 
 
+def static_rig(problem: Problem, found: RestingRig) -> KeypointRig | None:
+    """Return the start that cameras make of which all rest; None where structures make no sense."""
+    members = list(range(len(found.resting)))
+    noise = found.noise * problem.side
+    starts, units = [], []
+    for explanation in (found.best, found.mirror):
+        structures = _structures(explanation.points)
+        if structures is None:
+            return None
+        lenses = _lenses(problem, problem.reference, explanation.rig, found.resting)
+        rig, held, placed = _in_first_camera(explanation.rig, members, lenses, structures)
+        scene = Scene(
+            structures.points,
+            np.ascontiguousarray(held[:, None]),
+            np.ascontiguousarray(placed[:, None]),
+            np.log(structures.scales / structures.unit)[:, None],
+        )
+        shapes, prior = _shapes(structures.points)
+        starts.append(Solution(rig, scene, prior, shapes, noise, noise))
+        units.append(structures.unit)
+    best, mirror = starts
+    groups = _lens_groups(problem, lens_beliefs(problem), found)
+    sds = _deviations(problem, found, units[0])
+    return KeypointRig(best, mirror, members, noise, found.log_odds, groups, sds)
+
+
+def geometry_of(problem: Problem, among: list[int]) -> Steps[RestingRig | None]:
+    """Find cameras at rest `among` some views from keypoints alone; None where none explain them.
+
+    The rig is in sides of the longest image.
+    """
+    # Two views hold each other less than noise disturbs them: they do better without it.
+    keypoints = problem.detected if len(among) >= LEAST_VIEWS else problem.keypoints
+    images, sizes = _straight_images(problem, keypoints)
+    asked = np.isin(np.arange(len(sizes)), among)
+    weights = problem.weights * asked[:, None]
+    found = yield from find_resting_rig(images, weights, lens_beliefs(problem), sizes)
+    return found
+
+
 def _deviations(problem: Problem, found: RestingRig, unit: float) -> Float64:
     """Return standard deviations (K, VIEW), `unit` units of the rig in one of the structure."""
     sds = np.full((len(found.resting), VIEW), np.inf)
-    lens, pose = np.split(found.deviations[found.resting], [CAMERA_LENS], axis=1)
-    bends = np.where(lens[:, RADIAL:] > 0, math.hypot(*RADIAL_2_SDS), 0)
-    sds[found.resting] = np.concatenate((lens, bends, pose), 1)
+    sds[found.resting] = found.deviations[found.resting]
     sds[:, [CENTRE_X, CENTRE_Y]] *= problem.side
     sds[:, LENS + 3 :] /= unit
     return sds
@@ -127,28 +159,31 @@ def _lens_groups(problem: Problem, beliefs: Beliefs, found: RestingRig) -> NDArr
     return groups
 
 
-def _lenses(problem: Problem, moving: Solution, rig: Rigid, resting: NDArray[np.bool_]) -> Lenses:
+def _lenses(problem: Problem, moving: Rig, rig: Rigid, resting: NDArray[np.bool_]) -> Lenses:
     """Return lenses as found of the views that rest; what was told stays."""
     side, lenses = problem.side, problem.reference.lenses
     free = resting[:, None] & (problem.lens_sds > 0)  # (K, LENS)
     distortion = lenses.distortion.copy()
-    distortion[free[:, RADIAL], 0] = rig.radial[free[:, RADIAL]]
+    distortion[free[:, RADIAL], :2] = rig.radial[free[:, RADIAL]]
     focals = side * np.exp(rig.log_focals)[:, None]
     return lenses._replace(
-        focals=np.where(free[:, [FOCAL]], focals, moving.rig.lenses.focals),
+        focals=np.where(free[:, [FOCAL]], focals, moving.lenses.focals),
         centres=lenses.centres + np.where(free[:, [CENTRE_X]], side * rig.centres, 0.0),
         distortion=distortion,
     )
 
 
-def _beliefs(problem: Problem) -> Beliefs:
+def lens_beliefs(problem: Problem) -> Beliefs:
     """Say what is believed of the lenses, in sides of the longest image."""
     images, sds = problem.images, problem.lens_sds
     focals = problem.reference.lenses.focals.mean(1)
     sides = np.where(np.isinf(sds[:, CENTRE_X]), images.sizes.max(1) / problem.side, 0)
     together = np.where(images.told, 0, UNTOLD_CENTRE_SD) * sides
     bends = np.isinf(sds[:, RADIAL])
-    radial = RADIAL_SDS[0] ** 2 + RADIAL_SDS[1] ** 2 * np.eye(len(sides))
+    radial = [
+        together**2 + alone**2 * np.eye(len(sides))
+        for together, alone in (RADIAL_SDS, RADIAL_2_SDS)
+    ]
     unknown = np.where(images.told, FOCAL_SD, UNTOLD_FOCAL_SD)
     own = np.where(np.isinf(sds[:, FOCAL]), unknown, sds[:, FOCAL])
     focal_covariance = np.diag(np.square(own))
@@ -160,7 +195,7 @@ def _beliefs(problem: Problem) -> Beliefs:
         focals / problem.side,
         focal_covariance,
         np.outer(together, together) + np.diag(np.square(CENTRE_SD * sides)),
-        radial * np.outer(bends, bends),
+        np.array(radial) * np.outer(bends, bends),
     )
 
 
@@ -252,18 +287,8 @@ def _start(
     moving: Solution, found: Rigid, members: list[int], lenses: Lenses, structures: _Structures
 ) -> Solution:
     """Put cameras, structures and the views that do not rest together."""
-    views = len(moving.rig.groups)
-    unit = structures.unit
-    rotations = np.tile(np.eye(3), (views, 1, 1))
-    translations = np.zeros((views, 3))
-    first = found.rotations[members[0]], found.translations[members[0]]
-    for k in members:  # in the frame of the first camera
-        rotations[k] = found.rotations[k] @ first[0].T
-        translations[k] = (found.translations[k] - rotations[k] @ first[1]) / unit
-    groups = grouped(members, views)
-    rig = make_rig(lenses, groups, rotations, translations)
-    held = first[0] @ structures.rotations  # (N, 3, 3)
-    placed = (structures.translations @ first[0].T + first[1]) / unit
+    rig, held, placed = _in_first_camera(found, members, lenses, structures)
+    views = len(rig.groups)
     scene = moving.scene
     if not same_hand(scene.points, structures.points):
         scene = mirrored(scene)
@@ -277,10 +302,33 @@ def _start(
         np.zeros((len(placed), len(firsts))),
     )
     joined.rotations[:, 0], joined.translations[:, 0] = held, placed
-    joined.sizes[:, 0] = np.log(structures.scales / unit)
-    count = structures.points[0].size
-    shapes = learn_shapes(
-        structures.points, np.zeros((len(placed), count, count)), floor=LEAST_SPREAD
-    )
-    prior = make_shape_prior(np.tile(shapes.mean, (len(placed), 1, 1)), shapes.basis, shapes.spread)
+    joined.sizes[:, 0] = np.log(structures.scales / structures.unit)
+    shapes, prior = _shapes(structures.points)
     return moving._replace(rig=rig, scene=joined, prior=prior, shapes=shapes)
+
+
+def _in_first_camera(
+    found: Rigid, members: list[int], lenses: Lenses, structures: _Structures
+) -> tuple[Rig, Float64, Float64]:
+    """Return the rig in the frame of its first camera, and where (N, 3, 3), (N, 3) structures are.
+
+    The unit is that of the structures.
+    """
+    views, unit = len(found.log_focals), structures.unit
+    rotations, translations = np.tile(np.eye(3), (views, 1, 1)), np.zeros((views, 3))
+    first = found.rotations[members[0]], found.translations[members[0]]
+    for k in members:
+        rotations[k] = found.rotations[k] @ first[0].T
+        translations[k] = (found.translations[k] - rotations[k] @ first[1]) / unit
+    rig = make_rig(lenses, grouped(members, views), rotations, translations)
+    held = first[0] @ structures.rotations
+    placed = (structures.translations @ first[0].T + first[1]) / unit
+    return rig, held, placed
+
+
+def _shapes(points: Float64) -> tuple[ShapeModel, ShapePrior]:
+    """Return the shape model of structures (N, P, 3), and the prior that frames are like it."""
+    count = points[0].size
+    shapes = learn_shapes(points, np.zeros((len(points), count, count)), floor=LEAST_SPREAD)
+    means = np.tile(shapes.mean, (len(points), 1, 1))
+    return shapes, make_shape_prior(means, shapes.basis, shapes.spread)

@@ -25,6 +25,7 @@ ITERATIONS = 15
 FREEDOM = 3.0  # of Student's t
 RAYLEIGH = 1.1774  # median length of a pair of unit normal numbers
 LENS_ERRORS = 1e-3  # of the image's side: errors of lens models, which decide nothing
+LIKELY = 2.0  # standard errors by which one rig must predict better than another to replace it
 WORST = 1e3  # standard deviations that stand for a frame that cannot be explained
 
 
@@ -76,6 +77,15 @@ def predicted_distances(problem: Problem, learnt: Solution, start: Scene) -> Flo
         off[~np.isfinite(costs)] = WORST * problem.side
         distances[hidden] = off[hidden]
     return distances
+
+
+def predicts_better(asked: Problem, first: Float64, other: Float64) -> bool:
+    """Whether the `other` distances (N, K, P) are better than the first ones beyond chance."""
+    noise = common_noise([first, other], asked.side)
+    gain = surprise(first, asked.weights, noise) - surprise(other, asked.weights, noise)
+    known = gain[np.isfinite(gain)]
+    chance = float(known.std()) / math.sqrt(max(len(known), 1))
+    return bool(len(known) and known.mean() > LIKELY * chance)
 
 
 def typical_distance(distances: Float64) -> float:

@@ -20,10 +20,11 @@ from models.bundle.problem import (
     points_in_cameras,
 )
 from models.bundle.shape_model import ShapeModel
-from models.calibrating.image_sizes import Images
+from models.calibrating.image_sizes import Images, ImageSizes, images_of
 from models.numerics.rotations import rotations_from_vectors
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, index_of, project
 from models.settings.calibration import Alike, Camera
+from models.settings.config import FitConfig
 
 Float64 = NDArray[np.float64]
 
@@ -87,6 +88,50 @@ class Problem(NamedTuple):
     def views(self, noise: float) -> Views:
         """Return the keypoints, weighted for this noise in pixels."""
         return Views(self.keypoints, self.weights / noise**2)
+
+
+def problem_of(
+    keypoints: Float64,
+    weights: Float64,
+    image_sizes: ImageSizes | None,
+    config: FitConfig,
+    *,
+    detected: Float64 | None = None,
+) -> Problem:
+    """Return the problem of keypoints (N, K, P, 2) with confidences (N, K, P), 0 if not observed.
+
+    `detected` (N, K, P, 2) are the keypoints with the noise that was removed from them.
+    """
+    calibration = config.calibration or (None,) * keypoints.shape[1]
+    images = images_of(keypoints, weights, image_sizes)
+    usual = usual_rig(images)
+    reference, lens_sds = told_lenses(usual, calibration)
+    alike = config.cameras_alike
+    groups = np.arange(len(lens_sds)) if alike is False else np.zeros(len(lens_sds), np.int64)
+    return Problem(
+        keypoints,
+        keypoints if detected is None else detected,
+        weights,
+        images,
+        mean_radius(keypoints, weights),
+        usual,
+        reference,
+        lens_sds,
+        told_poses(calibration),
+        alike,
+        groups,
+        kept=np.zeros(len(lens_sds), bool),
+    )
+
+
+def mean_radius(keypoints: Float64, weights: Float64) -> float:
+    """Pixels, mean over views (N, K) of the root-mean-square radius of what each shows."""
+    seen = (weights > 0)[..., None]
+    counts = seen.sum(2)  # (N, K, 1)
+    centres = np.where(seen, keypoints, 0.0).sum(2) / counts.clip(1)
+    squared = np.square(np.where(seen, keypoints - centres[:, :, None], 0.0)).sum((2, 3))
+    several = counts[..., 0] > 1
+    return float(np.sqrt(squared[several] / counts[several][:, 0]).mean())
 
 
 class GivenPoses(NamedTuple):

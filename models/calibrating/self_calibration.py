@@ -7,6 +7,7 @@ maximisation learns the noise of the keypoints and the Gaussian shape model besi
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from models.calibrating.camera_findings import camera_findings
 from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import learn
+from models.calibrating.geometry_first import settle_by_geometry, structures_of_all
 from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.lens_prior import other_lenses, rig_prior
@@ -28,9 +30,8 @@ from models.calibrating.problem import (
     CLEAR,
     Problem,
     Solution,
+    problem_of,
     reprojection_distances,
-    told_lenses,
-    told_poses,
     usual_rig,
 )
 from models.calibrating.result import SelfCalibration
@@ -91,72 +92,112 @@ def self_calibrate(
     numpy.linalg.LinAlgError
         When what is sought is not determined.
     """
-    calibration = config.calibration or (None,) * keypoints.shape[1]
-    images = images_of(keypoints, weights, image_sizes)
-    usual = usual_rig(images)
-    calibration, misread = as_meant(keypoints, weights, usual, calibration)
-    reference, lens_sds = told_lenses(usual, calibration)
-    there = weights.sum(-1) > 0
-    size = float(answers.scales[there].mean())
-    poses = told_poses(calibration)
-    alike = config.cameras_alike
-    groups = np.arange(len(lens_sds)) if alike is False else np.zeros(len(lens_sds), np.int64)
-    problem = Problem(
-        keypoints,
-        keypoints if detected is None else detected,
-        weights,
-        images,
-        size,
-        usual,
-        reference,
-        lens_sds,
-        poses,
-        alike,
-        groups,
-        kept=np.zeros(len(lens_sds), bool),
-    )
+    config, misread = _as_meant(keypoints, weights, config, image_sizes)
+    problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
     arranged = yield from search(problem, answers, config)
-    told = 1.0  # of what keypoints say, the share that is not said by others, too
+    share = 1.0  # of the information of keypoints, what noise removal did not use twice
     if noisy is not None:
-        told = min(1.0, arranged.checked.solution.noise / noisy.noise) ** 2
-    problem, best, kept, reason = yield from _with_likely_lenses(arranged, told)
-    if noisy is not None:
-        adjusted = yield from _by_detected(problem, best, noisy, edges)
-        if adjusted is None and kept is None and _leaves_lenses_to_shapes(problem, best):
-            # Shapes say of two views what suits them. Another start, and the outcome without
-            # any word of detected keypoints, is with lenses that are not far from the usual ones.
-            firm = yield from search(problem._replace(said_once=told), answers, config)
-            if firm.checked.solution.rig.resting.all():
-                best = firm.checked.solution
-                adjusted = yield from _by_detected(problem, best, noisy, edges)
-        if adjusted is not None:
-            best, kept = adjusted
-            reason = f"{reason}; cameras are adjusted to keypoints as they were detected"
-    clear = kept is None and best.noise < CLEAR * size
-    if clear and find_bone_lengths(best.scene.points, problem.told).steady:
-        # The lens under which shapes look most alike need not be the true one, and with two views
-        # it is not; with a wrong one, bones grow and shrink as they turn.
-        best = yield from learn(problem, best, with_bones=True)
-    unit, findings = arranged.unit, misread + arranged.findings
-    if config.known_length is not None:
-        unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
-        findings += contradiction
-    if arranged.hand < DECIDED:
-        findings += (Finding.of("handedness_not_observable", certainty=arranged.hand),)
+        share = min(1.0, arranged.checked.solution.noise / noisy.noise) ** 2
+    refined = yield from _refined(arranged, share, noisy, edges)
+    if noisy is not None and refined.kept is None and _leaves_lenses_to_shapes(refined):
+        # Of two views shapes suit many lenses. Another start, and the outcome where detected
+        # keypoints decide nothing, is with lenses that are not far from the usual ones.
+        firm = yield from search(problem._replace(said_once=share), answers, config)
+        if firm.checked.solution.rig.resting.all():
+            refined = refined._replace(best=firm.checked.solution)
+            adjusted = yield from _by_detected(refined, noisy, edges)
+            refined = adjusted or refined
+    problem, best, kept, reason = refined
     surely = deviations(problem, best)
     if kept is not None:
         surely = np.where(np.isfinite(kept), kept, surely)
-    found = replace(
-        _result(problem, best, surely, reason, unit, findings), handedness_certainty=arranged.hand
+    found = _result(
+        problem,
+        best,
+        surely,
+        reason,
+        arranged.hand,
+        arranged.unit,
+        misread + arranged.findings,
+        config,
     )
-    of_cameras = noticed(camera_findings, found, problem.images, problem.size)
-    return replace(found, findings=(*found.findings, *of_cameras)), best.scene
+    return found, best.scene
 
 
-def _leaves_lenses_to_shapes(problem: Problem, best: Solution) -> bool:
-    """Whether two views that rest have focal lengths that nobody told."""
+def calibrate_by_geometry(
+    keypoints: Float64,
+    weights: Float64,
+    config: FitConfig,
+    image_sizes: ImageSizes | None,
+    *,
+    detected: Float64,
+    noisy: NoisyFrames | None = None,
+    edges: Int64 | None = None,
+) -> Steps[tuple[SelfCalibration, Scene] | None]:
+    """Find static cameras from keypoints alone; None where geometry does not decide.
+
+    Parameters are those of `self_calibrate`, which finds everything else.
+    """
+    config, misread = _as_meant(keypoints, weights, config, image_sizes)
+    problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
+    most = most_frames(*keypoints.shape[1:3])
+    settled = yield from settle_by_geometry(problem, config, most=most)
+    if settled is None:
+        return None
+    arranged = settled.arranged
+    refined = yield from _refined(arranged, 1.0, noisy, edges)
+    part, best, kept, reason = refined
+    if part is not arranged.checked.problem:  # other lenses are better, and may move the cameras
+        return None
+    surely = deviations(part, best) if kept is None else kept
+    found = _result(part, best, surely, reason, arranged.hand, None, misread, config)
+    return found, structures_of_all(problem, best, settled.start)
+
+
+class _Refined(NamedTuple):
+    """Cameras after everything that was tried on them."""
+
+    problem: Problem
+    best: Solution
+    kept: Float64 | None  # as in `Arranged`
+    reason: str
+
+
+def _refined(
+    arranged: Arranged, share: float, noisy: NoisyFrames | None, edges: Int64 | None
+) -> Steps[_Refined]:
+    """Try other camera models, keypoints as they were detected, and bones, one after another."""
+    refined = _Refined(*(yield from _with_likely_lenses(arranged, share)))
+    if noisy is not None:
+        refined = (yield from _by_detected(refined, noisy, edges)) or refined
+    problem, best = refined.problem, refined.best
+    clear = best.noise < CLEAR * problem.size and (refined.kept is None or noisy is None)
+    if clear and find_bone_lengths(best.scene.points, problem.told).steady:
+        # The lens under which shapes look most alike need not be the true one, and with two views
+        # it is not; with a wrong one, bones grow and shrink as they turn.
+        if refined.kept is not None:
+            best = yield from learn(problem, best)
+        best = yield from learn(problem, best, with_bones=True)
+        return refined._replace(best=best, kept=None)
+    return refined
+
+
+def _leaves_lenses_to_shapes(refined: _Refined) -> bool:
+    """Whether two static views have focal lengths that nobody gave."""
+    problem, best = refined.problem, refined.best
     untold = np.isinf(problem.lens_sds[:, FOCAL]).all()
     return bool(untold and len(best.rig.groups) == 2 and best.rig.resting.all())
+
+
+def _as_meant(
+    keypoints: Float64, weights: Float64, config: FitConfig, image_sizes: ImageSizes | None
+) -> tuple[FitConfig, tuple[Finding, ...]]:
+    """Return the configuration with the calibration as the keypoints say that it is meant."""
+    if config.calibration is None:
+        return config, ()
+    usual = usual_rig(images_of(keypoints, weights, image_sizes))
+    meant, findings = as_meant(keypoints, weights, usual, config.calibration)
+    return config.model_copy(update={"calibration": tuple(meant)}), findings
 
 
 def _with_likely_lenses(
@@ -177,13 +218,14 @@ def _with_likely_lenses(
 
 
 def _by_detected(
-    problem: Problem, best: Solution, noisy: NoisyFrames, edges: Int64 | None
-) -> Steps[tuple[Solution, Float64] | None]:
-    """Adjust cameras that rest to keypoints as they were detected, and all else to these cameras.
+    refined: _Refined, noisy: NoisyFrames, edges: Int64 | None
+) -> Steps[_Refined | None]:
+    """Adjust static cameras to keypoints as they were detected, and all else to these cameras.
 
-    Returns also the deviations (K, VIEW) of the cameras; None if keypoints do not tell more than
-    shapes do, or if the cameras do not explain the clear ones as well as before.
+    None if keypoints do not give more than shapes do, or if the cameras do not explain the clear
+    ones as well as before.
     """
+    problem, best = refined.problem, refined.best
     resting = best.rig.resting
     if not resting.any() or best.given_poses is not None:
         return None
@@ -209,7 +251,10 @@ def _by_detected(
         )
     except np.linalg.LinAlgError:
         return None
-    return None if adjusted.noise > WORSE * best.noise else (adjusted, surely)
+    if adjusted.noise > WORSE * best.noise:
+        return None
+    reason = f"{refined.reason}; cameras are adjusted to keypoints as they were detected"
+    return refined._replace(best=adjusted, kept=surely, reason=reason)
 
 
 def _log_posterior(problem: Problem, solution: Solution, told: float) -> float:
@@ -234,12 +279,19 @@ def _result(
     best: Solution,
     surely: Float64,
     reason: str,
+    hand: float,
     unit: float | None,
     findings: tuple[Finding, ...],
+    config: FitConfig,
 ) -> SelfCalibration:
+    if config.known_length is not None:
+        unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
+        findings += contradiction
+    if hand < DECIDED:
+        findings += (Finding.of("handedness_not_observable", certainty=hand),)
     observed = problem.weights > 0  # (N, K, P)
     distances = reprojection_distances(problem, best.rig, best.scene)
-    return SelfCalibration(
+    found = SelfCalibration(
         rig=best.rig,
         deviations=surely,
         shapes=best.shapes,
@@ -250,4 +302,7 @@ def _result(
         reprojection_errors=(distances * observed).sum((0, 2)) / observed.sum((0, 2)).clip(1),
         reason=reason,
         findings=findings,
+        handedness_certainty=hand,
     )
+    of_cameras = noticed(camera_findings, found, problem.images, problem.size)
+    return replace(found, findings=(*findings, *of_cameras))

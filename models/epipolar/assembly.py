@@ -6,13 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import RelativePoses
-from models.epipolar.rig_adjustment import (
-    Rigid,
-    Seen,
-    distances_of,
-    robust_costs,
-    triangulate_points,
-)
+from models.epipolar.robust_points import triangulate_points
+from models.epipolar.static_cameras import Rigid, Seen, distances_of, robust_costs
 
 Float64 = NDArray[np.float64]
 ViewGraph = dict[tuple[int, int], RelativePoses]  # by views j < k
@@ -62,7 +57,7 @@ def _grow(
         poses.rotations[solution],
         poses.translations[solution],
     )
-    rig = Rigid(log_focals, np.zeros((views, 2)), np.zeros(views), rotations, translations)
+    rig = Rigid(log_focals, np.zeros((views, 2)), np.zeros((views, 2)), rotations, translations)
     while len(placed) < views:
         some = Seen(seen.images[placed], seen.weights[placed])
         known = (some.weights > 0).sum(0) >= 2
@@ -76,7 +71,7 @@ def _grow(
                 continue
             for candidate in _candidates(graph, rig, placed, view):
                 camera = _place(candidate, points, of_view)
-                distances = distances_of(camera, points, of_view, np.array([noise]))
+                distances = distances_of(camera, points, of_view)
                 cost = robust_costs(distances, of_view.weights, np.array([noise])).sum()
                 cost /= of_view.weights.sum()
                 if best is None or cost < best[0]:
@@ -89,7 +84,7 @@ def _grow(
         placed.append(view)
     points = triangulate_points(rig, seen)
     level = np.full(views, noise)
-    costs = robust_costs(distances_of(rig, points, seen, level), seen.weights, level)
+    costs = robust_costs(distances_of(rig, points, seen), seen.weights, level)
     return Assembled(rig, float(costs.sum() / seen.weights.sum()))
 
 
@@ -108,7 +103,7 @@ def _candidates(graph: ViewGraph, rig: Rigid, placed: list[int], view: int) -> l
                 Rigid(
                     np.log(focal)[None],
                     np.zeros((1, 2)),
-                    np.zeros(1),
+                    np.zeros((1, 2)),
                     (turn @ rig.rotations[other])[None],
                     np.zeros((1, 3)),
                 )

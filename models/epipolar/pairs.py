@@ -50,7 +50,8 @@ class Beliefs:
     focals: Float64  # (K,)
     focal_covariance: Float64  # (K, K) of the log
     centre_covariance: Float64  # (K, K) of a coordinate of the principal points
-    radial_covariance: Float64  # (K, K) of the first radial coefficients
+    radial_covariance: Float64  # (2, K, K) of the first and the second radial coefficients
+    alike: bool = True  # whether focal lengths are often nearly the same
 
     @property
     def focal_sds(self) -> Float64:
@@ -59,10 +60,10 @@ class Beliefs:
 
     @cached_property
     def precisions(self) -> Float64:
-        """Inverse covariances (4, K, K) of log focal length, principal point (x, y), radial."""
+        """Inverse covariances (5, K, K) of log focal length, principal point (x, y), radial (2)."""
         centres = _inverse(self.centre_covariance)
-        ends = _inverse(self.focal_covariance), _inverse(self.radial_covariance)
-        return np.stack((ends[0], centres, centres, ends[1]))
+        bends = [_inverse(each) for each in self.radial_covariance]
+        return np.stack((_inverse(self.focal_covariance), centres, centres, *bends))
 
     def of(self, views: list[int]) -> "Beliefs":
         """Return what is believed of some of the views."""
@@ -71,7 +72,8 @@ class Beliefs:
             self.focals[views],
             self.focal_covariance[some],
             self.centre_covariance[some],
-            self.radial_covariance[some],
+            np.stack([each[some] for each in self.radial_covariance]),
+            self.alike,
         )
 
 

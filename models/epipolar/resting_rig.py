@@ -6,57 +6,42 @@ adjusted (`rig_adjustment`). No network and no shapes take part. All starts, amo
 image (Necker's reversal) of the best, are compared under one common noise.
 """
 
-from collections.abc import Iterator
-from itertools import combinations
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from models.epipolar.assembly import ViewGraph, assemble
-from models.epipolar.pairs import Beliefs, relate
-from models.epipolar.rig_adjustment import (
-    CAMERA,
-    LEAST_NOISE,
-    Adjusted,
-    Rigid,
-    Seen,
-    adjust_rig,
-    distances_of,
-    prior_cost,
-    robust_costs,
-    triangulate_points,
-)
-from models.epipolar.rig_certainty import (
-    FocalLikelihood,
-    camera_deviations,
-    focal_likelihood,
-    repetition,
+from models.epipolar.assembly import ViewGraph
+from models.epipolar.camera_motion import CameraMotion, camera_motion
+from models.epipolar.pairs import Beliefs
+from models.epipolar.rig_adjustment import Adjusted, adjust_rig
+from models.epipolar.rig_certainty import Certainty, FocalLikelihood, certainty_of
+from models.epipolar.rig_search import finished_rig, likely_rigs, necker, ordered
+from models.epipolar.robust_points import robust_points
+from models.epipolar.static_cameras import CAMERA, Rigid, Seen, distances_of, robust_costs
+from models.epipolar.view_graph import (
+    NO_RIG,
+    NOISY_POINTS,
+    SharedPoints,
+    relate_pairs,
+    tied_views,
 )
 from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-MOST_POINTS, FEW_POINTS = 3000, 600  # that are adjusted at the end, and to choose among starts
-# With noise, which more points average out, so many of them, or so many observations of them.
-NOISY_POINTS, NOISY_OBSERVATIONS = 9000, 36000
-MOST_PAIRS = 18  # of views that are related
-STARTS, FINALISTS = 6, 3
-FIRST_ITERATIONS, MORE_ITERATIONS, LAST_ITERATIONS = 15, 20, 25
-NEAR_ITERATIONS = 10  # until errors can be told to repeat or not
-SAME = 0.03  # radians and share of focal lengths within which rigs count as one
-LEAST_POINTS = 60  # seen by a view together with others, for it to take part
-# Errors of detectors and of lens models repeat from frame to frame: before it is known how much,
-# all observations together say no more than so many independent ones would.
-EFFECTIVE = 1000.0
-# Nor do they ever say more than so many would, over the square of the noise as a share of the
-# subject's size: adjusting points with noisy rays biases cameras (Neyman & Scott, 1948), and the
-# bias, unlike the scatter, does not fall with their number.
+FEW_POINTS, NOISY_OBSERVATIONS = 900, 24000  # to choose among starts, and at the end
+MOST_FRAMES = 300  # that are asked whether cameras move
+LAST_ITERATIONS = 25
+# Observations never say more than so many, over the square of the noise as a share of the subject's
+# size, would: adjusting points with noisy rays biases cameras (Neyman & Scott, 1948), and the bias,
+# unlike the scatter, does not fall with their number.
 UNBIASED = 40.0
-OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it does not rest with them
-UNLIKE_PAIRS = 5.0  # times the noise of the best pair: a pair beyond it does not rest
-NO_RIG = 0.3  # noise, as a share of a view's size, that says that nothing rests
+OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it is not static with them
+MOVES = 0.03  # of the subject's size in the image: a camera that moves it by less is static
+SURE = 3.0  # standard errors by which it must move
 
 
 class Explanation(NamedTuple):
@@ -75,7 +60,8 @@ class RestingRig(NamedTuple):
     noise: float  # sides
     log_odds: Float64  # (N,) what each frame says for the best and against its mirror image
     focals: FocalLikelihood  # what keypoints say of the focal lengths of the views that rest
-    deviations: Float64  # (K, 10) of `Rigid`'s numbers, see `camera_deviations`; of the best
+    deviations: Float64  # (K, 11) of `Rigid`'s numbers, infinite of views that do not rest
+    motion: CameraMotion  # of the views that rest, as far as they do
 
 
 def find_resting_rig(
@@ -98,142 +84,33 @@ def find_resting_rig(
     None if no two views share enough, or nothing that rests explains what they see.
     """
     rng = np.random.default_rng(seed)
-    scene = _Scene.of(images, weights, rng)
-    graph = yield from _relate_pairs(scene, beliefs, rng)
-    members = _members(graph, sizes)
+    scene = SharedPoints.of(images, weights, rng)
+    graph = yield from relate_pairs(scene, beliefs, rng)
+    members = tied_views(graph, sizes)
     while len(members) > 1:
         chosen = yield from _adjusted(graph, scene, beliefs, sizes, members)
         if chosen is None:
             return None
         out = _out_of_line(chosen.noise_alone, sizes[members])
         if out is None:
-            return _result(chosen, images, weights, beliefs, members)
+            result = _result(chosen, images, weights, beliefs, members)
+            out = _most_moving(result.motion, sizes[members]) if len(members) > 2 else None
+            if out is None:
+                return result
         members = [view for place, view in enumerate(members) if place != out]
         graph = {pair: poses for pair, poses in graph.items() if set(pair) <= set(members)}
     return None
-
-
-def necker(rig: Rigid, points: Float64) -> tuple[Rigid, Float64]:
-    """Return the mirror image of cameras and points (3, M), which distant cameras see alike."""
-    centre = np.median(points, 1)
-    flip = np.diag([1.0, 1.0, -1.0])
-    translations = rig.translations + rig.rotations @ centre
-    mirrored = rig._replace(rotations=flip @ rig.rotations @ flip, translations=translations)
-    return mirrored, flip @ (points - centre[:, None])
-
-
-class _Scene(NamedTuple):
-    """All (frame, keypoint) that two views or more see, as points, and a sample of them."""
-
-    frames: NDArray[np.int64]  # (M,)
-    keypoints: NDArray[np.int64]  # (M,)
-    images: Float64  # (K, 2, M)
-    weights: Float64  # (K, M)
-    sample: NDArray[np.int64]  # places of at most `NOISY_POINTS` of them, in no order
-
-    @classmethod
-    def of(cls, images: Float64, weights: Float64, rng: np.random.Generator) -> "_Scene":
-        frames, keypoints = np.nonzero((weights > 0).sum(1) >= 2)
-        order = rng.permutation(len(frames))
-        # Points that many views see come first: they tie the views together.
-        seen = (weights > 0).sum(1)[frames, keypoints][order]
-        order = order[np.argsort(-np.minimum(seen, 3), kind="stable")]
-        return cls(
-            frames,
-            keypoints,
-            images[frames, :, keypoints].transpose(1, 2, 0),
-            weights[frames, :, keypoints].T,
-            order[:NOISY_POINTS],
-        )
-
-    def seen(
-        self,
-        members: list[int],
-        most: int,
-        *,
-        repeated: float = 1.0,
-        most_effective: float = EFFECTIVE,
-    ) -> Seen:
-        """Return what some views see of at most so many points of the sample.
-
-        So many `repeated` observations count as one, and all together as `most_effective`.
-        """
-        points = self.chosen(members, most)
-        weights = self.weights[members][:, points]
-        share = min(1 / repeated, most_effective / weights.sum())
-        return Seen(self.images[members][..., points], share * weights)
-
-    def chosen(self, members: list[int], most: int) -> NDArray[np.int64]:
-        """Return the places of these points."""
-        several = np.flatnonzero((self.weights[members][:, self.sample] > 0).sum(0) >= 2)
-        return self.sample[several[:most]]
 
 
 class _Chosen(NamedTuple):
     adjusted: Adjusted
     mirror: Adjusted
     noise_alone: Float64  # (K,) sides, of each view by itself
-    focals: FocalLikelihood
-    deviations: Float64  # (K, 10)
-
-
-def _relate_pairs(scene: _Scene, beliefs: Beliefs, rng: np.random.Generator) -> Steps[ViewGraph]:
-    """Find the relative poses of pairs; of many views those that share most, and all are tied."""
-    views = len(scene.weights)
-    there = (scene.weights > 0).astype(float)
-    shared = there @ there.T
-    pairs = sorted(combinations(range(views), 2), key=lambda pair: -shared[pair])
-    graph: ViewGraph = {}
-    for pair in _chosen_pairs(pairs, views):
-        yield
-        first, second = pair
-        both = np.flatnonzero((there[first] > 0) & (there[second] > 0))
-        some = rng.permutation(both)[:MOST_POINTS]
-        lenses = list(pair)
-        poses = relate(
-            scene.images[first][:, some].T,
-            scene.images[second][:, some].T,
-            beliefs.focals[lenses],
-            beliefs.focal_sds[lenses],
-            rng,
-        )
-        if poses is not None:
-            graph[pair] = poses
-    return graph
-
-
-def _chosen_pairs(pairs: list[tuple[int, int]], views: int) -> Iterator[tuple[int, int]]:
-    """Take the first pairs, such that every view has its share of them."""
-    if len(pairs) <= MOST_PAIRS:
-        yield from pairs
-        return
-    most = max(3, 2 * MOST_PAIRS // views)
-    count = [0] * views
-    for a, b in pairs:
-        if (count[a] < most and count[b] < most) or min(count[a], count[b]) == 0:
-            count[a], count[b] = count[a] + 1, count[b] + 1
-            yield a, b
-
-
-def _members(graph: ViewGraph, sizes: Float64) -> list[int]:
-    """Return the views that pairs tie together whose noise does not rule out that they rest."""
-    least = min((poses.noise for poses in graph.values()), default=0.0)
-    most = UNLIKE_PAIRS * max(least, LEAST_NOISE)
-    likely = [
-        pair
-        for pair, poses in graph.items()
-        if poses.noise < min(most, NO_RIG * float(sizes[list(pair)].mean()))
-    ]
-    label = list(range(len(sizes)))
-    for j, k in likely:
-        old, new = label[k], label[j]
-        label = [new if x == old else x for x in label]
-    largest = max(set(label), key=label.count)
-    return [k for k in range(len(sizes)) if label[k] == largest]
+    certainty: Certainty
 
 
 def _adjusted(
-    graph: ViewGraph, scene: _Scene, beliefs: Beliefs, sizes: Float64, members: list[int]
+    graph: ViewGraph, scene: SharedPoints, beliefs: Beliefs, sizes: Float64, members: list[int]
 ) -> Steps[_Chosen | None]:
     """Put the views together in several ways and adjust the best; None if they do not hang."""
     place = {view: i for i, view in enumerate(members)}
@@ -241,93 +118,42 @@ def _adjusted(
         (place[a], place[b]): poses for (a, b), poses in graph.items() if {a, b} <= set(members)
     }
     of_members = beliefs.of(members)
-    few, many = scene.seen(members, FEW_POINTS), scene.seen(members, MOST_POINTS)
-    noise = float(np.median([poses.noise for poses in graph.values()]))
-    rigs = assemble(graph, few, max(noise, 1e-3))
-    if not rigs:
+    few = scene.seen(members, FEW_POINTS)
+    likely = yield from likely_rigs(graph, few, of_members, sizes[members])
+    if not likely:
         return None
-    first = []
-    for rig in _distinct([rig.rig for rig in rigs], STARTS):
+    count = min(NOISY_POINTS, NOISY_OBSERVATIONS // len(members))
+    many = scene.seen(members, count)
+    rivals = []
+    for each in likely:
         yield
-        points = triangulate_points(rig, few)
-        first.append(
-            adjust_rig(rig, points, few, of_members, iterations=FIRST_ITERATIONS, lenses=False)
-        )
-    first = _ordered(first, few, of_members)
-    second = []
-    for adjusted in first[:FINALISTS]:
-        rig = adjusted.rig
-        alike = rig._replace(
-            log_focals=np.where(of_members.focal_sds > 0, np.median(rig.log_focals), rig.log_focals)
-        )
-        for start in (rig, alike):
-            yield
-            second.append(
-                adjust_rig(start, adjusted.points, few, of_members, iterations=MORE_ITERATIONS)
-            )
-    mirror = adjust_rig(
-        *necker(second[0].rig, second[0].points), few, of_members, iterations=MORE_ITERATIONS
-    )
-    finalists = _ordered([*second, mirror], few, of_members)
-    yield
-    best = _finished(finalists[0].rig, many, of_members, iterations=NEAR_ITERATIONS)
-    yield
-    chosen = scene.chosen(members, MOST_POINTS)
-    # Errors repeat within frames and within keypoints.
-    within = (scene.frames[chosen], scene.keypoints[chosen])
-    repeated = sum(repetition(best, many, clusters) for clusters in within) - 1
-    noise = float(np.median(best.noise))
-    most = UNBIASED / (noise / float(sizes[members].mean())) ** 2
-    many_points = max(MOST_POINTS, min(NOISY_POINTS, NOISY_OBSERVATIONS // len(members)))
-    count = many_points if noise > LEAST_NOISE else MOST_POINTS
-    many = scene.seen(members, count, repeated=repeated, most_effective=most)
-    best = _finished(best.rig, many, of_members, iterations=LAST_ITERATIONS)
+        rivals.append(finished_rig(each, many, of_members, iterations=LAST_ITERATIONS))
+    best = ordered(rivals, many, of_members)[0]
+    noise = float(np.median(best.noise)) / float(sizes[members].mean())
+    share = min(1.0, UNBIASED / noise**2 / many.weights.sum())
+    if share < 1:
+        yield
+        many = many._replace(weights=share * many.weights)
+        best = finished_rig(best, many, of_members, iterations=LAST_ITERATIONS)
     yield
     twin_start = necker(best.rig, best.points)
     twin = adjust_rig(*twin_start, many, of_members, iterations=LAST_ITERATIONS)
-    best, twin = _ordered([best, twin], many, of_members)
-    distances = distances_of(best.rig, best.points, many, np.ones(len(members)))
+    best, twin = ordered([best, twin], many, of_members)
+    distances = distances_of(best.rig, best.points, many)
     alone = np.array(
         [np.median(row[w > 0]) for row, w in zip(distances, many.weights, strict=True)]
     )
-    focals = focal_likelihood(best, many, of_members)
-    return _Chosen(best, twin, alone, focals, camera_deviations(best, many, of_members))
+    chosen = scene.chosen(members, count)
+    clusters = (scene.frames[chosen], scene.keypoints[chosen])
+    return _Chosen(best, twin, alone, certainty_of(best, many, of_members, clusters))
 
 
-def _finished(rig: Rigid, seen: Seen, beliefs: Beliefs, *, iterations: int) -> Adjusted:
-    points = triangulate_points(rig, seen)
-    return adjust_rig(rig, points, seen, beliefs, iterations=iterations)
-
-
-def _cost(adjusted: Adjusted, seen: Seen, beliefs: Beliefs, noise: Float64) -> float:
-    """Minus log posterior under a noise (K,)."""
-    distances = distances_of(adjusted.rig, adjusted.points, seen, noise)
-    return float(robust_costs(distances, seen.weights, noise).sum()) + prior_cost(
-        adjusted.rig, beliefs
-    )
-
-
-def _ordered(rigs: list[Adjusted], seen: Seen, beliefs: Beliefs) -> list[Adjusted]:
-    """Sort by cost under one common noise: with each its own, what fits worse could win."""
-    common = np.min([rig.noise for rig in rigs], 0)
-    return sorted(rigs, key=lambda rig: _cost(rig, seen, beliefs, common))
-
-
-def _distinct(rigs: list[Rigid], most: int) -> list[Rigid]:
-    """Return the first rigs of which no two are one."""
-    kept: list[Rigid] = []
-    for rig in rigs:
-        if len(kept) < most and not any(_same(rig, other) for other in kept):
-            kept.append(rig)
-    return kept
-
-
-def _same(rig: Rigid, other: Rigid) -> bool:
-    turns = [r.rotations @ r.rotations[0].T for r in (rig, other)]
-    relative = turns[0] @ turns[1].mT
-    cosines = (np.trace(relative, axis1=1, axis2=2) - 1) / 2
-    angles = np.arccos(cosines.clip(-1, 1))
-    return bool(angles.max() < SAME and np.abs(rig.log_focals - other.log_focals).max() < SAME)
+def _most_moving(motion: CameraMotion, sizes: Float64) -> int | None:
+    """Return the camera that moves most, if one does by more than matters."""
+    moves = (motion.squares > np.square(MOVES * sizes)) & (motion.squares > SURE * motion.errors)
+    if not moves.any():
+        return None
+    return int(np.where(moves, motion.squares / np.square(sizes), 0.0).argmax())
 
 
 def _out_of_line(alone: Float64, sizes: Float64) -> int | None:
@@ -353,21 +179,39 @@ def _result(
     known = np.flatnonzero((every.weights > 0).sum(0) >= 2)
     some = Seen(every.images[..., known], every.weights[:, known])
     noise = chosen.adjusted.noise
-    explanations, costs = [], []
+    explanations, costs, located = [], [], []
     for rig in (chosen.adjusted.rig, chosen.mirror.rig):
-        found = triangulate_points(rig, some)
+        found = robust_points(rig, some, noise)
         points = np.full((frames * keypoints, 3), np.nan)
         points[known] = found.T
         whole = _of_all_views(rig, beliefs, members)
         explanations.append(Explanation(whole, points.reshape(frames, keypoints, 3)))
-        robust = robust_costs(distances_of(rig, found, some, noise), some.weights, noise)
+        located.append(found)
+        robust = robust_costs(distances_of(rig, found, some), some.weights, noise)
         costs.append(np.bincount(known // keypoints, robust.sum(0), frames))
     best, mirror = explanations
     odds = np.asarray(costs[1] - costs[0], np.float64)
     deviations = np.full((views, CAMERA), np.inf)
-    deviations[members] = chosen.deviations
-    noise_of_all = float(np.median(noise))
-    return RestingRig(best, mirror, resting, noise_of_all, odds, chosen.focals, deviations)
+    deviations[members] = chosen.certainty.deviations
+    of_frames = known // keypoints
+    asked = np.flatnonzero(of_frames % math.ceil(frames / MOST_FRAMES) == 0)
+    motion = camera_motion(
+        chosen.adjusted.rig,
+        located[0][:, asked],
+        Seen(some.images[..., asked], some.weights[:, asked]),
+        noise,
+        of_frames[asked],
+    )
+    return RestingRig(
+        best,
+        mirror,
+        resting,
+        float(np.median(noise)),
+        odds,
+        chosen.certainty.focals,
+        deviations,
+        motion,
+    )
 
 
 def _of_all_views(rig: Rigid, beliefs: Beliefs, members: list[int]) -> Rigid:
@@ -376,7 +220,7 @@ def _of_all_views(rig: Rigid, beliefs: Beliefs, members: list[int]) -> Rigid:
     whole = Rigid(
         np.log(beliefs.focals),
         np.zeros((views, 2)),
-        np.zeros(views),
+        np.zeros((views, 2)),
         np.full((views, 3, 3), np.nan),
         np.full((views, 3), np.nan),
     )

@@ -12,45 +12,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
+from models.epipolar.robust_points import TINY, settle_points
+from models.epipolar.static_cameras import (
+    CAMERA,
+    LENS,
+    Rigid,
+    Seen,
+    distances_of,
+    linearised,
+    residuals_by_points,
+    robust_costs,
+)
 from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-CAMERA = 10  # numbers: log focal, principal point, radial coefficient, rotation vector, translation
-LENS = 4
-FREEDOM = 3.0  # of Student's t
 RAYLEIGH = 1.1774  # median length of a pair of unit normal numbers
-LEAST_NOISE = 1e-3  # sides: what lens models leave, and a start need not tell
+LEAST_NOISE = 1e-5  # sides: less cannot be told from none
+LEAST_LEFT = 0.1  # share of a view's numbers that points do not take up
 POOLED = 2 / 3  # share of the common noise in the log of each view's
-NEAR, FAR = 0.2, 5.0  # median depths between which a point has a say
-BLIND = 30.0  # standard deviations that stand for a point that a camera cannot see there
 ALIKE = 0.02  # scale of Cauchy's distribution of the log ratio of focal lengths
 LOG_WALLS = np.log((0.3, 4.5))  # factors of the expected focal length that no lens goes beyond
 WALL_SD = 0.05
-FIRST_DAMPING, MOST_DAMPING = 1e-3, 1e8
-CONVERGED = 1e-5
-
-
-class Rigid(NamedTuple):
-    """K cameras at rest, x = R X + t, and their lenses in sides of the image."""
-
-    log_focals: Float64  # (K,)
-    centres: Float64  # (K, 2) from the expected principal points
-    radial: Float64  # (K,) first radial coefficients
-    rotations: Float64  # (K, 3, 3)
-    translations: Float64  # (K, 3)
-
-    def of(self, views: list[int]) -> "Rigid":
-        """Return some of the cameras."""
-        return Rigid(*(array[views] for array in self))
-
-
-class Seen(NamedTuple):
-    """What K cameras see of M points."""
-
-    images: Float64  # (K, 2, M), any finite number where the weight is 0
-    weights: Float64  # (K, M) confidences
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e8
+LESS_DAMPING, MORE_DAMPING = 10.0, 8.0  # after a step that gained, and one that did not
+DAMPED_NO_MORE = 1e-8
+LEAST_HELD = 1e-12  # share of its curvature that holds each number
+CONVERGED, STILL = 0.02, 2  # nats, in so many steps
+LEARN_NOISE = 4  # steps, after which the noise is measured anew
 
 
 class Adjusted(NamedTuple):
@@ -59,54 +49,6 @@ class Adjusted(NamedTuple):
     rig: Rigid
     points: Float64  # (3, M)
     noise: Float64  # (K,) sides, of each view
-
-
-def triangulate_points(rig: Rigid, seen: Seen, *, rounds: int = 4) -> Float64:
-    """Return the points (3, M) next to their rays, those far off having less and less of a say."""
-    rays = _rays(rig, seen.images)  # (K, 3, M) in the rig's frame
-    across = np.eye(3)[None, :, :, None] - rays[:, :, None] * rays[:, None]  # (K, 3, 3, M)
-    centres = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
-    anchors = np.einsum("kijm,kj->kim", across, centres)
-    weights = seen.weights.copy()
-    several = seen.weights.astype(bool).sum(0) > 2
-    points = np.zeros((3, seen.weights.shape[1]))
-    for _ in range(rounds):
-        normal = np.einsum("km,kijm->mij", weights, across, optimize=True)
-        normal += 1e-9 * np.eye(3) * (1 + np.trace(normal, axis1=1, axis2=2))[:, None, None]
-        target = np.einsum("km,kim->mi", weights, anchors)
-        points = np.linalg.solve(normal, target[..., None])[..., 0].T
-        offsets = points[None] - centres[..., None]
-        distances = np.linalg.norm(np.einsum("kijm,kjm->kim", across, offsets), axis=1)
-        angles = distances / np.linalg.norm(offsets, axis=1).clip(1e-9)
-        there = seen.weights > 0
-        if not (there & several).any():
-            break
-        scale = max(float(np.median(angles[there & several])), LEAST_NOISE)
-        weights = seen.weights / (1 + np.square(angles / scale) / FREEDOM)
-    return points
-
-
-def images_of(rig: Rigid, points: Float64, seen: Seen) -> tuple[Float64, Bool]:
-    """Return images (K, 2, M) of points (3, M), and whether (K, M) a camera can see them there."""
-    flat, visible = _flat(rig.rotations @ points + rig.translations[..., None], seen)
-    return _images(rig, flat)[0], visible
-
-
-def distances_of(rig: Rigid, points: Float64, seen: Seen, noise: Float64) -> Float64:
-    """Sides (K, M) from what is seen to the points' images; `BLIND` noises where none can be."""
-    images, visible = images_of(rig, points, seen)
-    lengths = np.linalg.norm(images - seen.images, axis=1)
-    most = BLIND * noise[:, None]
-    # What is far off is an outlier anyway; so a start that cannot see it does not gain by that.
-    distances: Float64 = np.where(visible, np.minimum(lengths, most), most)
-    return distances
-
-
-def robust_costs(distances: Float64, weights: Float64, noise: Float64) -> Float64:
-    """Minus log likelihood (K, M) of distances (K, M) under Student's t of `noise` (K,)."""
-    squared = np.square(distances / noise[:, None]) / FREEDOM
-    costs: Float64 = weights * ((FREEDOM + 2) / 2 * np.log1p(squared) + 2 * np.log(noise)[:, None])
-    return costs
 
 
 def prior_cost(rig: Rigid, beliefs: Beliefs) -> float:
@@ -122,98 +64,72 @@ def adjust_rig(
     *,
     iterations: int,
     lenses: bool = True,
+    least_noise: float = LEAST_NOISE,
 ) -> Adjusted:
     """Adjust cameras and points (3, M); without `lenses`, only focal lengths are free of these.
 
-    The noise of each view is learnt from its median distance on the way.
+    The noise of each view is learnt from its median distance on the way; a start is less easily
+    caught by a wrong minimum if no noise below `least_noise` in sides is believed.
     """
     free = free_numbers(rig, beliefs, lenses=lenses)
-    noise = noise_of(rig, points, seen)
-    damping, learn_noise = FIRST_DAMPING, 3
+    noise = noise_of(rig, points, seen, least_noise)
+    damping, still = FIRST_DAMPING, 0
     cost = _cost(rig, points, seen, noise, beliefs)
     for iteration in range(iterations):
-        if iteration % learn_noise == 0:
-            noise = noise_of(rig, points, seen)
+        if iteration and iteration % LEARN_NOISE == 0:
+            noise = noise_of(rig, points, seen, least_noise)
             cost = _cost(rig, points, seen, noise, beliefs)
         tried_rig, tried = _step(rig, points, seen, noise, beliefs, free, damping)
+        tried = settle_points(tried_rig, tried, seen, noise)
         tried_cost = _cost(tried_rig, tried, seen, noise, beliefs)
         if tried_cost <= cost:
             gained = cost - tried_cost
             rig, points, cost = tried_rig, tried, tried_cost
-            damping = max(damping / 5, 1e-9)
-            if gained < CONVERGED * seen.weights.sum() and iteration % learn_noise:
+            damping = max(damping / LESS_DAMPING, LEAST_DAMPING)
+            # Along a narrow valley a damped step gains little, however far the end is.
+            still = still + 1 if gained < CONVERGED and damping <= DAMPED_NO_MORE else 0
+            if still >= STILL:
                 break
         else:
-            damping *= 8
+            damping *= MORE_DAMPING
             if damping > MOST_DAMPING:
                 break
-    return Adjusted(rig, points, noise_of(rig, points, seen))
+    return Adjusted(rig, points, noise_of(rig, points, seen, least_noise))
 
 
-def noise_of(rig: Rigid, points: Float64, seen: Seen) -> Float64:
-    """Noise (K,) of a coordinate in each view, by medians, for the most part what views share."""
-    count = (seen.weights > 0).sum()
-    points_seen = (seen.weights > 0).any(0).sum()
-    # Points take three of the two numbers of each observation.
-    freedom = np.sqrt(max(1 - 1.5 * points_seen / max(count, 1), 0.15))
-    distances = distances_of(rig, points, seen, np.ones(len(seen.images)))
-    medians = np.array(
-        [
-            np.median(row[w > 0]) if (w > 0).any() else np.nan
-            for row, w in zip(distances, seen.weights, strict=True)
-        ]
-    )
-    noise = (medians / RAYLEIGH / freedom).clip(LEAST_NOISE)
-    common = float(np.nanmedian(noise))
-    noise = np.where(np.isfinite(noise), noise, common)
+def noise_of(rig: Rigid, points: Float64, seen: Seen, least: float) -> Float64:
+    """Noise (K,) of a coordinate in each view, for the most part what views share.
+
+    By medians, as a share of residuals that points leave: of what they were made of they take up
+    the more, the more a view has a say in where they are.
+    """
+    there = seen.weights > 0
+    residuals, by_point = residuals_by_points(rig, points, seen)
+    of_views = np.einsum("kiam,kibm->kmab", by_point, by_point, optimize=True)
+    normal = of_views.sum(0)
+    normal[:, range(3), range(3)] += TINY * (np.trace(normal, axis1=1, axis2=2) + 1)[:, None]
+    leverages = (np.linalg.inv(normal) * of_views).sum((2, 3))  # (K, M) of 2 numbers each
+    left = np.array([1 - row[w].mean() / 2 for row, w in zip(leverages, there, strict=True)])
+    left = left.clip(LEAST_LEFT)
+    lengths = np.linalg.norm(residuals, axis=1)
+    medians = np.array([np.median(row[w]) for row, w in zip(lengths, there, strict=True)])
+    noise = (medians / RAYLEIGH / np.sqrt(left)).clip(least)
+    common = np.exp(float((left * np.log(noise)).sum() / left.sum()))
     if len(noise) == 2:
         return np.full(2, common)
     return np.asarray(common**POOLED * noise ** (1 - POOLED))
 
 
-def _rays(rig: Rigid, images: Float64) -> Float64:
-    """Return unit directions (K, 3, M) in the rig's frame; the lens is undone by iteration."""
-    flat = (images - rig.centres[..., None]) / np.exp(rig.log_focals)[:, None, None]
-    straight = flat
-    for _ in range(4):
-        squared = np.square(straight).sum(1, keepdims=True)
-        straight = flat / (1 + rig.radial[:, None, None] * squared).clip(0.3, 3)
-    rays = np.concatenate((straight, np.ones_like(straight[:, :1])), 1)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    turned: Float64 = rig.rotations.mT @ rays
-    return turned
-
-
-def _flat(camera: Float64, seen: Seen) -> tuple[Float64, Bool]:
-    """Directions (K, 2, M) at depth one, and whether the points have a usual depth (K, M)."""
-    depths = camera[:, 2]
-    there = seen.weights > 0
-    medians = np.array(
-        [np.median(row[w]) if w.any() else 1.0 for row, w in zip(depths, there, strict=True)]
-    )[:, None]
-    visible: Bool = (depths > NEAR * medians) & (depths < FAR * medians) & (medians > 0)
-    safe = np.where(visible, depths, 1.0)
-    return camera[:, :2] / safe[:, None], visible
-
-
-def _images(rig: Rigid, flat: Float64) -> tuple[Float64, Float64, Float64]:
-    """Images (K, 2, M) of directions (K, 2, M), the lens's gain and the squared radius (K, M)."""
-    squared = np.square(flat).sum(1)
-    gain = 1 + rig.radial[:, None] * squared
-    images = np.exp(rig.log_focals)[:, None, None] * gain[:, None] * flat
-    return images + rig.centres[..., None], gain, squared
-
-
 class _Prior(NamedTuple):
     cost: float  # minus twice the log density
-    gradient: Float64  # (K, 4) half that of the cost
-    precision: Float64  # (K, 4, K, 4)
+    gradient: Float64  # (K, 5) half that of the cost
+    precision: Float64  # (K, 5, K, 5)
 
 
 def lens_prior(rig: Rigid, beliefs: Beliefs) -> _Prior:
     """Say what is believed of the lenses, as a quadratic about where they are."""
     views = len(rig.log_focals)
-    offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, rig.radial))
+    offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, *rig.radial.T))
     blocks = beliefs.precisions.copy()
     gradient = (blocks @ offsets[..., None])[..., 0].T
     cost = float((gradient.T * offsets).sum())
@@ -225,10 +141,12 @@ def lens_prior(rig: Rigid, beliefs: Beliefs) -> _Prior:
     precision = np.zeros((views, LENS, views, LENS))
     for number in range(LENS):
         precision[:, number, :, number] = blocks[number]
-    together = _alike(rig.log_focals)
-    precision[:, 0, :, 0] += together.precision[:, 0, :, 0]
-    gradient[:, 0] += together.gradient[:, 0]
-    return _Prior(cost + together.cost, gradient, precision)
+    if beliefs.alike:
+        together = _alike(rig.log_focals)
+        precision[:, 0, :, 0] += together.precision[:, 0, :, 0]
+        gradient[:, 0] += together.gradient[:, 0]
+        cost += together.cost
+    return _Prior(cost, gradient, precision)
 
 
 def _alike(log_focals: Float64) -> _Prior:
@@ -246,16 +164,17 @@ def _alike(log_focals: Float64) -> _Prior:
 
 
 def _cost(rig: Rigid, points: Float64, seen: Seen, noise: Float64, beliefs: Beliefs) -> float:
-    costs = robust_costs(distances_of(rig, points, seen, noise), seen.weights, noise)
+    costs = robust_costs(distances_of(rig, points, seen), seen.weights, noise)
     return float(costs.sum()) + prior_cost(rig, beliefs)
 
 
 def free_numbers(rig: Rigid, beliefs: Beliefs, *, lenses: bool) -> Bool:
-    """Which of the cameras' numbers (K, 10) may change; the first camera's pose is the frame."""
+    """Which of the cameras' numbers (K, 11) may change; the first camera's pose is the frame."""
     free = np.ones((len(rig.log_focals), CAMERA), bool)
     free[:, 0] = beliefs.focal_sds > 0
     free[:, 1:3] = (beliefs.centre_covariance.diagonal()[:, None] > 0) & lenses
-    free[:, 3] = (beliefs.radial_covariance.diagonal() > 0) & lenses
+    bends = beliefs.radial_covariance.diagonal(axis1=1, axis2=2).T > 0  # (K, 2)
+    free[:, 3:LENS] = bends & lenses
     free[0, LENS:] = False
     return free
 
@@ -263,10 +182,11 @@ def free_numbers(rig: Rigid, beliefs: Beliefs, *, lenses: bool) -> Bool:
 class Reduced(NamedTuple):
     """The normal equations of the cameras, the points eliminated."""
 
-    information: Float64  # (10 K, 10 K) of cameras and points
-    matrix: Float64  # (10 K, 10 K) of the cameras alone
-    vector: Float64  # (10 K,)
-    spread: Float64  # (10 K, 3 M) by how much a camera's number moves the points
+    scores: Float64  # (11 K, M) what each point adds to the vector, besides the prior
+    information: Float64  # (11 K, 11 K) of cameras and points
+    matrix: Float64  # (11 K, 11 K) of the cameras alone
+    vector: Float64  # (11 K,)
+    spread: Float64  # (11 K, 3 M) by how much a camera's number moves the points
     solved: Float64  # (3, M) the points' own step
 
 
@@ -275,13 +195,14 @@ def reduced_equations(
 ) -> Reduced:
     """Return the normal equations of the cameras about a rig and its points (3, M)."""
     views, count = seen.weights.shape
-    residuals, by_camera, by_point = _linearised(rig, points, seen, noise)
+    residuals, by_camera, by_point = linearised(rig, points, seen, noise)
     # Sums over what a view sees of products of its two rows.
-    cross = np.einsum("kiam,kibm->kabm", by_camera, by_point, optimize=True)  # (K, 10, 3, M)
+    cross = np.einsum("kiam,kibm->kabm", by_camera, by_point, optimize=True)  # (K, 11, 3, M)
     rows = by_camera.transpose(0, 2, 1, 3).reshape(views, CAMERA, -1)
     information = np.zeros((views, CAMERA, views, CAMERA))
     information[range(views), :, range(views), :] = rows @ rows.mT
-    right = -np.einsum("kan,kn->ka", rows, residuals.reshape(views, -1))
+    pulls = -np.einsum("kiam,kim->kam", by_camera, residuals)
+    right = pulls.sum(-1)
     prior = lens_prior(rig, beliefs)
     information[:, :LENS, :, :LENS] += prior.precision
     right[:, :LENS] -= prior.gradient
@@ -296,7 +217,9 @@ def reduced_equations(
     flat, spread = flat.reshape(len(flat), -1), spread.reshape(len(flat), -1)
     whole = information.reshape(len(flat), len(flat))
     vector = right.ravel() - flat @ solved.ravel()
-    return Reduced(whole, whole - spread @ flat.T, vector, spread, solved)
+    through = np.einsum("cam,am->cm", cross.reshape(-1, 3, count), solved)
+    scores = pulls.reshape(-1, count) - through
+    return Reduced(scores, whole, whole - spread @ flat.T, vector, spread, solved)
 
 
 def _step(
@@ -312,11 +235,11 @@ def _step(
     equations = reduced_equations(rig, points, seen, noise, beliefs, damping)
     places = np.flatnonzero(free)
     matrix = equations.matrix[np.ix_(places, places)]
-    scale = equations.information.diagonal()[places]
+    root = np.sqrt(equations.information.diagonal()[places])
+    root = np.where(root > 0, root, 1.0)
+    held = matrix / root / root[:, None] + (damping + LEAST_HELD) * np.eye(len(places))
     step = np.zeros(free.size)
-    step[places] = np.linalg.solve(
-        matrix + np.diag(damping * scale + 1e-9), equations.vector[places]
-    )
+    step[places] = np.linalg.solve(held, equations.vector[places] / root) / root
     moved = equations.solved - (step @ equations.spread).reshape(equations.solved.shape)
     return _moved(rig, step.reshape(free.shape)), points + moved
 
@@ -325,47 +248,7 @@ def _moved(rig: Rigid, step: Float64) -> Rigid:
     return Rigid(
         rig.log_focals + step[:, 0].clip(-0.3, 0.3),
         rig.centres + step[:, 1:3],
-        (rig.radial + step[:, 3]).clip(-2, 2),
-        rotations_from_vectors(step[:, 4:7]) @ rig.rotations,
-        rig.translations + step[:, 7:],
-    )
-
-
-def _linearised(
-    rig: Rigid, points: Float64, seen: Seen, noise: Float64
-) -> tuple[Float64, Float64, Float64]:
-    """Weighted residuals (K, 2, M), by the cameras (K, 2, 10, M), by the points (K, 2, 3, M)."""
-    turned = rig.rotations @ points
-    camera = turned + rig.translations[..., None]
-    flat, visible = _flat(camera, seen)
-    images, gain, squared = _images(rig, flat)
-    residuals = images - seen.images
-    lengths = np.square(residuals).sum(1) / np.square(noise)[:, None]
-    weights = seen.weights * visible * (lengths < BLIND**2) * (FREEDOM + 2) / (FREEDOM + lengths)
-    root = np.sqrt(weights) / noise[:, None]  # (K, M)
-    focals = np.exp(rig.log_focals)[:, None]
-    views, count = root.shape
-    depths = np.where(visible, camera[:, 2], 1.0)
-    by_camera = np.zeros((views, 2, CAMERA, count))
-    by_camera[:, :, 0] = focals[..., None] * gain[:, None] * flat
-    by_camera[:, 0, 1] = by_camera[:, 1, 2] = 1
-    by_camera[:, :, 3] = focals[..., None] * squared[:, None] * flat
-    # By the direction (a, b), then by the point in the camera's frame.
-    slope = 2 * rig.radial[:, None]
-    by_flat = np.empty((views, 2, 2, count))
-    a, b = flat[:, 0], flat[:, 1]
-    by_flat[:, 0, 0] = focals * (gain + slope * a * a)
-    by_flat[:, 0, 1] = by_flat[:, 1, 0] = focals * slope * a * b
-    by_flat[:, 1, 1] = focals * (gain + slope * b * b)
-    by_flat /= depths[:, None, None]
-    by_held = np.concatenate(
-        (by_flat, -(by_flat * flat[:, None]).sum(2, keepdims=True)), 2
-    )  # (K, 2, 3, M)
-    by_camera[:, :, 7:] = by_held
-    by_camera[:, :, 4:7] = np.cross(turned[:, None], by_held, axis=2)
-    by_point = np.einsum("kiam,kab->kibm", by_held, rig.rotations, optimize=True)
-    return (
-        residuals * root[:, None],
-        by_camera * root[:, None, None],
-        by_point * root[:, None, None],
+        (rig.radial + step[:, 3:LENS]).clip(-2, 2),
+        rotations_from_vectors(step[:, LENS : LENS + 3]) @ rig.rotations,
+        rig.translations + step[:, LENS + 3 :],
     )

@@ -1,4 +1,10 @@
-"""What keypoints say of cameras at rest, and how surely: information, deviations, repetition."""
+"""How surely keypoints give cameras at rest: covariances that hold although errors repeat.
+
+Errors of detectors and of lens models repeat from frame to frame and from keypoint to keypoint, so
+the inverse of the information claims too much. The sandwich estimator takes the scatter of what
+whole frames, and whole keypoints, say instead (Huber, 1967; clusters in two ways: Cameron, Gelbach
+and Miller, *Robust inference with multiway clustering*, 2011).
+"""
 
 from typing import NamedTuple
 
@@ -6,20 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
-from models.epipolar.rig_adjustment import (
-    BLIND,
-    CAMERA,
-    FREEDOM,
-    LENS,
-    Adjusted,
-    Seen,
-    free_numbers,
-    images_of,
-    lens_prior,
-    reduced_equations,
-)
+from models.epipolar.rig_adjustment import Adjusted, free_numbers, lens_prior, reduced_equations
+from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, Rigid, Seen, distances_of
 
 Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+
+TINY = 1e-9  # of the largest eigenvalue of the scaled information: below, nothing is known
 
 
 class FocalLikelihood(NamedTuple):
@@ -29,62 +28,110 @@ class FocalLikelihood(NamedTuple):
     vector: Float64  # b (K,)
 
 
-def focal_likelihood(adjusted: Adjusted, seen: Seen, beliefs: Beliefs) -> FocalLikelihood:
-    """Say what keypoints alone tell of the focal lengths; poses and points follow them."""
-    rig = adjusted.rig
-    equations = reduced_equations(rig, adjusted.points, seen, adjusted.noise, beliefs, 0.0)
-    prior = lens_prior(rig, beliefs)
-    views = len(rig.log_focals)
-    focals = np.arange(views) * CAMERA
-    others = np.setdiff1d(np.flatnonzero(free_numbers(rig, beliefs, lenses=True)), focals)
-    matrix, vector = equations.matrix.copy(), equations.vector.copy()
-    matrix[np.ix_(focals, focals)] -= prior.precision[:, 0, :, 0]
-    vector[focals] += prior.gradient[:, 0]
-    among = matrix[np.ix_(others, others)]
-    carried = np.linalg.solve(among + 1e-9 * np.eye(len(others)), matrix[np.ix_(others, focals)]).T
-    information = matrix[np.ix_(focals, focals)] - carried @ matrix[np.ix_(others, focals)]
-    values, vectors = np.linalg.eigh((information + information.T) / 2)
-    information = (vectors * values.clip(0)) @ vectors.T
-    pull = vector[focals] - carried @ vector[others]
-    return FocalLikelihood(information, information @ rig.log_focals + pull)
+class Certainty(NamedTuple):
+    """How surely K cameras are known."""
+
+    deviations: (
+        Float64  # (K, 11) standard deviations of `Rigid`'s numbers, 0 of those that are held
+    )
+    focals: FocalLikelihood
 
 
-def camera_deviations(adjusted: Adjusted, seen: Seen, beliefs: Beliefs) -> Float64:
-    """Say how surely (K, 10) the cameras' numbers are known: standard deviations, 0 where told.
+def certainty_of(
+    adjusted: Adjusted, seen: Seen, beliefs: Beliefs, clusters: tuple[Int64, Int64]
+) -> Certainty:
+    """Return how surely cameras are known from points; those of one cluster (M,) err together.
 
-    Rotations and translations are relative to the first camera, translations in the unit of the
-    points, which is kept by the lengths of the translations.
+    There are two ways of clustering: frames and keypoints. Rotations and translations are relative
+    to the first camera, translations in the unit of the points, which is kept by the lengths of the
+    translations. No deviation is smaller than that of independent errors.
     """
     rig = adjusted.rig
     equations = reduced_equations(rig, adjusted.points, seen, adjusted.noise, beliefs, 0.0)
     free = free_numbers(rig, beliefs, lenses=True)
     places = np.flatnonzero(free)
-    growth = np.zeros(free.shape)  # of a rig that is taken for larger
-    growth[:, LENS + 3 :] = rig.translations
-    along = growth.ravel()[places]
-    along /= np.linalg.norm(along)
-    matrix = equations.matrix[np.ix_(places, places)]
-    scale = matrix.diagonal()
-    held = matrix + np.diag(1e-9 * scale + 1e-12) + scale.max() * np.outer(along, along)
+    prior = lens_prior(rig, beliefs)
+    numbers = CAMERA * np.arange(len(free))[:, None] + np.arange(LENS)
+    believed = np.zeros(equations.matrix.shape)
+    of_lenses = np.ix_(numbers.ravel(), numbers.ravel())
+    believed[of_lenses] = prior.precision.reshape(numbers.size, -1)
+    data = _curvature(adjusted, seen) * (equations.matrix - believed)
+    some = np.ix_(places, places)
+    scatter = np.zeros(data.shape)
+    scatter[some] = _scatter(equations.scores[places], clusters)
+    covariance = _inverse((data + believed)[some], rig.translations, free)
+    robust = covariance @ (scatter + believed)[some] @ covariance
     sds = np.zeros(free.size)
-    sds[places] = np.sqrt(np.linalg.inv(held).diagonal().clip(0))
-    return sds.reshape(free.shape)
+    sds[places] = np.sqrt(np.maximum(covariance.diagonal(), robust.diagonal()).clip(0))
+    focals = numbers[:, 0]
+    believed[np.ix_(focals, focals)] = 0.0
+    vector = equations.vector.copy()
+    vector[focals] += prior.gradient[:, 0]
+    others = np.setdiff1d(places, focals)
+    return Certainty(
+        sds.reshape(free.shape),
+        _focal_likelihood(data + believed, scatter, vector, focals, others, rig),
+    )
 
 
-def repetition(adjusted: Adjusted, seen: Seen, clusters: NDArray[np.int64]) -> float:
-    """By how much errors repeat in `clusters` (M,) of points: 1 where all are independent.
+def _focal_likelihood(
+    matrix: Float64,
+    scatter: Float64,
+    vector: Float64,
+    focals: Int64,
+    others: Int64,
+    rig: Rigid,
+) -> FocalLikelihood:
+    """Say what keypoints alone give of the focal lengths; poses and points follow them.
 
-    The variance of sums over a cluster in a view, over what it would be (the design effect; Kish,
-    *Survey Sampling*, 1965): so many observations say no more than one. What they say of the
-    cameras would not tell, for cameras have taken up what errors say of them.
+    Errors that repeat say as much less as sums of them scatter more (the design effect: Kish,
+    *Survey Sampling*, 1965).
     """
-    images, visible = images_of(adjusted.rig, adjusted.points, seen)
-    residuals = images - seen.images  # (K, 2, M)
-    squared = np.square(residuals).sum(1) / np.square(adjusted.noise)[:, None]
-    weights = seen.weights * visible * (squared < BLIND**2) / (FREEDOM + squared)
-    pulls = residuals * weights[:, None]
-    sums = np.array([[np.bincount(clusters, row) for row in of_view] for of_view in pulls])
-    # What is far below the noise that lens models are granted repeats, but does no harm.
-    granted = 2 * np.square(adjusted.noise[:, None] * seen.weights / (FREEDOM + 2)).sum()
-    alone = max(float(np.square(pulls).sum()), float(granted))
-    return max(1.0, float(np.square(sums).sum()) / alone)
+    among = matrix[np.ix_(others, others)]
+    small = np.diag(TINY * among.diagonal() + TINY)
+    carried = np.linalg.solve(among + small, matrix[np.ix_(others, focals)]).T
+    information = matrix[np.ix_(focals, focals)] - carried @ matrix[np.ix_(others, focals)]
+    values, vectors = np.linalg.eigh((information + information.T) / 2)
+    values = values.clip(TINY * max(values[-1], TINY))
+    turn = np.zeros((len(focals), len(matrix)))
+    turn[:, focals] = np.eye(len(focals))
+    turn[:, others] = -carried
+    scattered = vectors.T @ turn @ scatter @ turn.T @ vectors
+    effect = np.maximum(1.0, scattered.diagonal() / values)
+    step = (vectors / values) @ vectors.T @ (vector[focals] - carried @ vector[others])
+    information = (vectors * (values / effect)) @ vectors.T
+    return FocalLikelihood(information, information @ (rig.log_focals + step))
+
+
+def _curvature(adjusted: Adjusted, seen: Seen) -> float:
+    """Curvature of Student's t where residuals lie, as a share of that of its quadratic bound."""
+    distances = distances_of(adjusted.rig, adjusted.points, seen)
+    squared = np.square(distances / adjusted.noise[:, None])
+    weights = seen.weights / (FREEDOM + squared)
+    return float((weights * FREEDOM / (FREEDOM + squared)).sum() / weights.sum())
+
+
+def _scatter(scores: Float64, clusters: tuple[Int64, Int64]) -> Float64:
+    """Covariance (n, n) of sums of scores (n, M) whose points err together in two ways."""
+    total = -scores @ scores.T
+    for labels in clusters:
+        sums = np.array([np.bincount(labels, row) for row in scores])
+        total = total + sums @ sums.T
+    values, vectors = np.linalg.eigh(total)
+    return np.asarray((vectors * values.clip(0)) @ vectors.T)
+
+
+def _inverse(matrix: Float64, translations: Float64, free: NDArray[np.bool_]) -> Float64:
+    """Invert the information (n, n) of what is free, the size of the whole held."""
+    growth = np.zeros(free.shape)  # of a rig that is taken for larger
+    growth[:, LENS + 3 :] = translations
+    along = growth.ravel()[np.flatnonzero(free)]
+    along /= np.linalg.norm(along)
+    root = np.sqrt(matrix.diagonal().clip(1e-12))
+    scaled = matrix / root / root[:, None]
+    held = along * root
+    held /= np.linalg.norm(held)
+    scaled = scaled + len(root) * np.outer(held, held)
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+    inverse = (vectors / values.clip(TINY * values[-1])) @ vectors.T
+    return np.asarray(inverse / root / root[:, None])

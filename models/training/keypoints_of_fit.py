@@ -109,6 +109,27 @@ def observe(
     return Observed(observations, clear, capture, outliers, removal)
 
 
+def usable_frames(observations: Observations) -> Int64:
+    """Return the frames that show a view that can be used.
+
+    Raises ValueError if there are none.
+    """
+    frames = np.flatnonzero(observations.usable.any(1))
+    if not frames.size:
+        raise ValueError(
+            "no frame has a usable view: a view needs at least 4 observed keypoints"
+            " that do not all lie at one place"
+        )
+    return frames
+
+
+def check_entries_per_view(views: int, config: FitConfig, image_sizes: ImageSizes | None) -> None:
+    """Raise ValueError unless sizes and calibration have one entry per view."""
+    for name, given in (("image_sizes", image_sizes), ("calibration", config.calibration)):
+        if given is not None and len(given) != views:
+            raise ValueError(f"{name} must have one entry per view ({views}), got {len(given)}")
+
+
 def among_known(config: FitConfig, known: Bool) -> FitConfig:
     """Return a configuration that counts the keypoints that it names among the known.
 

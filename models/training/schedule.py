@@ -15,6 +15,12 @@ from models.settings.config import FitConfig
 WEAK_PERSPECTIVE_REFRESHES = (1 / 2, 3 / 4)
 # With perspective, the cameras are found at the first of these.
 PERSPECTIVE_REFRESHES = (1 / 3, 1 / 2, 2 / 3, 5 / 6)
+# Where geometry settles the cameras before the first step, teachers are there at once.
+SETTLED_REFRESHES = (0.0, 2 / 3)
+# What reprojection alone would have taught first is left out, and a capture of few frames is learnt
+# in fewer steps: a share of the whole, by frames.
+MOST_SETTLED, LEAST_SETTLED, SETTLED_FRAMES = 2 / 3, 1 / 3, 2000
+LEAST_STEPS = 1000  # that are taken in any case, where the configuration has as many
 NEARLY_DONE = 1 - 1e-9  # share: what is left of a fit must not be nothing, as it is divided by
 
 
@@ -37,6 +43,14 @@ class Schedule:
             refreshes = WEAK_PERSPECTIVE_REFRESHES if config.distillation else ()
         rate = cast("float", config.learning_rate)  # which the configuration has filled in
         return cls(rate, refreshes, config.steps, config.steps)
+
+    @classmethod
+    def of_settled(cls, config: FitConfig, frames: int) -> "Schedule":
+        """Plan a fit to so many frames whose cameras are settled before its first step."""
+        share = min(max(frames / SETTLED_FRAMES, LEAST_SETTLED), MOST_SETTLED)
+        steps = max(round(share * config.steps), min(config.steps, LEAST_STEPS))
+        rate = cast("float", config.learning_rate)
+        return cls(rate, SETTLED_REFRESHES, steps, steps)
 
     def share_at(self, step: int) -> float:
         """Return the share of the fit that is done before a step."""

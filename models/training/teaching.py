@@ -3,9 +3,8 @@
 import logging
 import math
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TypeVar, cast
 
 import numpy as np
 import torch
@@ -16,11 +15,15 @@ from torch import Tensor
 from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.known_structures import KnownStructures
-from models.bundle.problem import Views
+from models.bundle.problem import Scene, Views
 from models.calibrating.handedness import NothingFoundError, same_hand
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
-from models.calibrating.self_calibration import most_frames, self_calibrate
+from models.calibrating.self_calibration import (
+    calibrate_by_geometry,
+    most_frames,
+    self_calibrate,
+)
 from models.lifting.curve import CurvePoint
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import Lift, join
@@ -28,6 +31,7 @@ from models.lifting.skeleton_lengths import SkeletonLengths, learn_skeleton_leng
 from models.network.answers import Usual
 from models.network.priors.prior import Prior
 from models.network.settling import estimate_foreshortening
+from models.numerics.steps import Steps, finished
 from models.settings.config import FitConfig
 from models.training.batches import Data
 from models.training.known_structures import believe_where_better, known_structures
@@ -37,7 +41,6 @@ from models.training.teachers import Teachers, draw_frames, find_teachers, persp
 from models.training.usual import learn_usual
 
 logger = logging.getLogger(__name__)
-Outcome = TypeVar("Outcome")
 
 LIFTED_FRAMES = 256  # between two chances to stop
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
@@ -71,6 +74,47 @@ class Teaching:
         self._removed_noise = removed_noise  # and what is left of it, pixels
         self._detected = detected  # the data with the noise that was removed, weighed by it
         self._edges = edges  # (E, 2) of the skeleton
+
+    def settle_by_geometry(self) -> Iterator[None]:
+        """Find static cameras from keypoints alone, and teach what they see, if they decide that.
+
+        Yields now and then, to be stopped there: then nothing was found.
+        """
+        frames = self._frames_of_several_views(0).sort().values
+        if not len(frames):
+            return
+        weights = self._data.weights[frames]
+        found = yield from self._found_by(
+            calibrate_by_geometry(
+                self._data.pixels(frames).double().numpy(),
+                weights.double().numpy(),
+                self._config,
+                self._image_sizes,
+                detected=self._detected.pixels(frames).double().numpy(),
+                noisy=self._noisy_frames(),
+                edges=self._edges,
+            )
+        )
+        if found is None:
+            return
+        calibration, scene = found
+        self.self_calibration = calibration
+        self.state.cameras, self.state.found_at_step = "found", 0
+        if not self._config.distillation:
+            return
+        rig, sizes = calibration.rig, np.exp(scene.sizes)
+        translations = np.einsum("kij,ngj->nki", rig.rotations, scene.translations)
+        translations += rig.translations
+        self._teach(
+            calibration,
+            frames,
+            (weights > 0).any(-1),
+            (
+                torch.from_numpy(scene.points),
+                torch.from_numpy(rig.rotations @ scene.rotations),
+                torch.from_numpy(translations / sizes[..., None]),
+            ),
+        )
 
     def make_teachers(self, step: int, *, most: int) -> Iterator[None]:
         """Make teachers anew, and find the cameras first if they are sought.
@@ -112,7 +156,7 @@ class Teaching:
             return self._as_prior(None, curve)
         found = self._with_network_errors(found, step)
         frames = self._frames_of_several_views(step)
-        structures, _ = run_to_end(
+        structures, _ = finished(
             self._learn_structures(found, frames, seed=[self._config.seed, step, 5])
         )
         prior = self._as_prior(found, curve, structures=structures)
@@ -123,7 +167,7 @@ class Teaching:
         if structures is None:
             return prior
         # Lengths make structures truer, and so what they tell of noisy frames.
-        lift = run_to_end(self._lifted(prior, frames))
+        lift = finished(self._lifted(prior, frames))
         truer = known_structures(lift, self._data.weights[frames].numpy(), found.shapes.mean)
         if truer is None:
             return prior
@@ -170,8 +214,8 @@ class Teaching:
         pixels, weights = self._data.pixels(frames), self._data.weights[frames]
         prior = self._as_prior(None)
         answers = _weak_perspective(prior.lift(pixels, confidence=weights))
-        try:
-            found, scene = yield from self_calibrate(
+        result = yield from self._found_by(
+            self_calibrate(
                 pixels.double().numpy(),
                 weights.double().numpy(),
                 answers,
@@ -181,16 +225,29 @@ class Teaching:
                 noisy=self._noisy_frames(),
                 edges=self._edges,
             )
-        except (LinAlgError, NothingFoundError):
-            logger.warning("The keypoints do not say what the cameras are", exc_info=True)
+        )
+        if result is None:
             return
-        if self._removed_noise is not None:
-            noise, left = self._removed_noise
-            reason = f"{found.reason}; {noise:.3g} px of noise were removed"
-            found = replace(found, reason=reason, noise=max(found.noise, left))
+        found, scene = result
         self.self_calibration = found
         scene_is_mirrored = not same_hand(scene.points, answers.points)
         self.state.mirrored = (prior.foreshortening < 0) != scene_is_mirrored
+
+    def _found_by(
+        self, steps: Steps[tuple[SelfCalibration, Scene] | None]
+    ) -> Steps[tuple[SelfCalibration, Scene] | None]:
+        """Return what a search comes to, with the noise that was removed before it."""
+        try:
+            result = yield from steps
+        except (LinAlgError, NothingFoundError):
+            logger.warning("The keypoints do not determine the cameras", exc_info=True)
+            return None
+        if result is None or self._removed_noise is None:
+            return result
+        found, scene = result
+        noise, left = self._removed_noise
+        reason = f"{found.reason}; {noise:.3g} px of noise were removed"
+        return replace(found, reason=reason, noise=max(found.noise, left)), scene
 
     def _noisy_frames(self) -> NoisyFrames | None:
         """Return all frames before and after noise was removed from them; None if none was."""
@@ -248,7 +305,7 @@ class Teaching:
 
     def _learn_structures(
         self, found: SelfCalibration, frames: Tensor, *, seed: list[int]
-    ) -> Generator[None, None, tuple[KnownStructures | None, Lift | None]]:
+    ) -> Steps[tuple[KnownStructures | None, Lift | None]]:
         """Lift frames (T,), and again with what was learnt of them if views hide much of them.
 
         Yields now and then, to be stopped there; returns what is known, and the last lift.
@@ -277,7 +334,7 @@ class Teaching:
                 break
         return structures, lift
 
-    def _lifted(self, prior: FittedPrior, frames: Tensor) -> Generator[None, None, Lift]:
+    def _lifted(self, prior: FittedPrior, frames: Tensor) -> Steps[Lift]:
         """Return the refined lift of frames (T,); yields now and then, to be stopped there."""
         lifts = []
         for some in torch.split(frames, LIFTED_FRAMES):
@@ -302,28 +359,26 @@ class Teaching:
         refined = observed.any(1)
         if not refined.any():
             return
-        sizes = self._data.sizes[frames][refined][observed[refined]]
         rotations = torch.from_numpy(lift.rotations)
+        rotations = torch.where(observed[..., None, None], rotations, torch.eye(3))
         translations = torch.from_numpy(lift.translations)
+        translations = torch.where(observed[..., None], translations, 1.0)
+        seen = torch.from_numpy(lift.points3d)[refined], rotations[refined], translations[refined]
+        self._teach(self_calibration, frames[refined], observed[refined], seen)
+
+    def _teach(
+        self,
+        found: SelfCalibration,
+        frames: Tensor,
+        observed: Tensor,
+        seen: tuple[Tensor, Tensor, Tensor],
+    ) -> None:
+        """Teach structures, rotations and translations `seen` in frames (T,) by views (T, K)."""
+        noise = found.noise / float(self._data.sizes[frames][observed].mean())
+        count, mirrored = len(self._data.keypoints), self.state.mirrored
         self.teachers = perspective_teachers(
-            torch.from_numpy(lift.points3d)[refined],
-            torch.where(observed[..., None, None], rotations, torch.eye(3))[refined],
-            torch.where(observed[..., None], translations, 1.0)[refined],
-            observed[refined],
-            frames[refined],
-            len(self._data.keypoints),
-            noise=self_calibration.noise / float(sizes.mean()),
-            reflected=self.state.mirrored,
+            *seen, observed, frames, count, noise=noise, reflected=mirrored
         )
-
-
-def run_to_end(steps: Generator[None, None, Outcome]) -> Outcome:
-    """Return what a generator returns, having taken all its steps."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as ended:
-            return cast("Outcome", ended.value)
 
 
 def _weak_perspective(lift: Lift) -> WeakPerspectiveScene:

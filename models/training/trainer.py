@@ -5,12 +5,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from models.calibrating.image_sizes import ImageSizes
-from models.capture.observations import Observations
 from models.findings.advice import attempt
 from models.findings.finding import Finding
 from models.lifting.curve import CurvePoint
@@ -33,7 +31,13 @@ from models.training.budget import (
 )
 from models.training.checkpoints import Checkpoint
 from models.training.holdout import Holdout, split
-from models.training.keypoints_of_fit import among_known, edges_among_known, observe
+from models.training.keypoints_of_fit import (
+    among_known,
+    check_entries_per_view,
+    edges_among_known,
+    observe,
+    usable_frames,
+)
 from models.training.learner import Learner
 from models.training.schedule import Schedule
 from models.training.state import BestError, TrainerState
@@ -110,7 +114,7 @@ class Trainer:
         if confidence is not None:
             confidence = check_confidence(confidence, expected=pixels.shape[:3])
         pairs = check_edges(edges, pixels.shape[2])
-        _check_entries_per_view(pixels.shape[1], config, image_sizes)
+        check_entries_per_view(pixels.shape[1], config, image_sizes)
         known = None if start is None else start.capture.known
         if checkpoint is not None:
             known = checkpoints.known_keypoints(checkpoint, pixels.shape[2])
@@ -120,13 +124,12 @@ class Trainer:
         seen = observe(read, image_sizes, known, config)
         observations, self._capture = seen.observations, seen.capture
         self._outliers, self._noise_removal = seen.outliers, seen.noise_removal
-        frames = _usable_frames(observations)
+        frames = usable_frames(observations)
         self.config = config
         self._fingerprint = checkpoints.fingerprint(seen.detected, read.times, image_sizes, pairs)
         self._holdout: Holdout | None = None
-        held_out = frames[:0]
-        if config.early_stopping or config.refine != "off":
-            frames, held_out = split(frames, config.seed)
+        divided = config.early_stopping or config.refine != "off"
+        frames, held_out = split(frames, config.seed) if divided else (frames, frames[:0])
         unseen = Data.of(observations, held_out)
         if config.early_stopping and len(held_out):
             self._holdout = Holdout(unseen, config.seed)
@@ -172,12 +175,14 @@ class Trainer:
             return None
         if state.ends_early:
             return "early"
-        return "steps" if state.step >= self.config.steps else "budget"
+        return "steps" if state.step >= state.schedule.full_steps else "budget"
 
     def run(self) -> Iterator[Progress]:
         """Take the remaining steps, yielding after each; stop iterating to pause."""
         state = self._state
         state.clock.start()
+        if not state.step and state.teaching.cameras == "sought":
+            yield from self._settle_by_geometry()
         while state.step < state.schedule.steps:
             yield from self._make_due_teachers()
             if self.stopped_by is not None:
@@ -240,6 +245,20 @@ class Trainer:
         batch = self._batches.draw(step, teaching.teachers, perspective=calibrated)
         rate = self._state.schedule.rate_at(step, calibrated=calibrated)
         return self._learner.step(batch, count=step + 1, rate=rate)
+
+    def _settle_by_geometry(self) -> Iterator[Progress]:
+        """Find static cameras from keypoints alone; then training begins with what they see."""
+        state = self._state
+        for _ in self._teaching.settle_by_geometry():
+            if state.clock.count() and state.clock.seconds > CALIBRATION_LIMIT * self._budget:
+                break
+            yield self._progress("refining")
+            state.clock.start()
+        state.clock.count()
+        if state.teaching.cameras == "found":
+            state.schedule = Schedule.of_settled(self.config, len(self._data.keypoints))
+            state.refreshes_done = 1
+            self._plan_within_budget()
 
     def _make_due_teachers(self) -> Iterator[Progress]:
         """Find the cameras and make the teachers that are due."""
@@ -376,22 +395,6 @@ def _begin_with(network: Prior, config: FitConfig, start: FittedPrior) -> None:
     network.load_state_dict(start.weights)
 
 
-def _usable_frames(observations: Observations) -> NDArray[np.int64]:
-    frames = np.flatnonzero(observations.usable.any(1))
-    if not frames.size:
-        raise ValueError(
-            "no frame has a usable view: a view needs at least 4 observed keypoints"
-            " that do not all lie at one place"
-        )
-    return frames
-
-
-def _check_entries_per_view(views: int, config: FitConfig, image_sizes: ImageSizes | None) -> None:
-    for name, given in (("image_sizes", image_sizes), ("calibration", config.calibration)):
-        if given is not None and len(given) != views:
-            raise ValueError(f"{name} must have one entry per view ({views}), got {len(given)}")
-
-
 def _running_mean(mean: float, value: float, newest: float | None) -> float:
-    """Let a running mean follow a value by the share `newest`; it begins with the first one."""
+    """Let a running mean follow a value by the share `newest`; it begins with the first."""
     return value if newest is None else mean + newest * (value - mean)

@@ -32,7 +32,8 @@ async def get_settings(request: Request) -> Settings:
 async def get_store(request: Request) -> Store:
     """Return the store as the caller sees it: the project of the key, and nothing else."""
     store: Store = request.app.state.store
-    return store.on_behalf_of(caller_of(request).author)
+    identifier = request.scope["state"]["request_id"]
+    return store.on_behalf_of(caller_of(request).author._replace(request_id=identifier))
 
 
 async def get_redis(request: Request) -> Redis:

@@ -175,7 +175,7 @@ class ApiError(Exception):
             ],
         )
         headers = dict(self.headers or {})
-        if status in (408, 413):  # or the rest of the body would be read, to be thrown away
+        if status in (401, 408, 413):  # or the remaining body would be read, to be thrown away
             headers["Connection"] = "close"
         response = _ProblemResponse(problem.model_dump_json(), status, headers, PROBLEM_JSON)
         response.code = self.code

@@ -1,13 +1,16 @@
 """Who may do what: the keys in force, in the memory of each process of the API."""
 
+import asyncio
 import logging
 import threading
 import time
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Coroutine, Mapping
+from functools import partial
+from typing import Any, NamedTuple
 
 from starlette.requests import HTTPConnection
 
+from service.http.errors import ApiError
 from service.settings import Settings
 from store import access_keys, access_token
 from store.access_keys import SCOPES, Scope
@@ -19,6 +22,7 @@ from store.records import AccessKey
 logger = logging.getLogger(__name__)
 
 LOOK_SECONDS = 0.5  # between two looks at the records: a key is in force, or refused, that late
+ASK_SECONDS = 0.25  # between two looks at whether the key of an open connection still is
 
 
 class Caller(NamedTuple):
@@ -32,14 +36,16 @@ class Caller(NamedTuple):
         What the caller may do.
     expires_at
         Until when, in seconds since the epoch; None: for good.
+    digest
+        Of the token of a key that may be revoked; None for any other caller.
     """
 
     author: Author
     scopes: frozenset[Scope]
     expires_at: float | None = None
+    digest: str | None = None
 
 
-ANYBODY = Caller(Author(key_id="anybody"), frozenset())
 OWNER = Caller(Author(), frozenset(SCOPES))  # the user that the service runs as
 
 
@@ -70,7 +76,14 @@ class Keyring:
 
     def find(self, token: str) -> Caller | None:
         """Return who has a token; None if no key in force has it. It waits for nothing."""
-        caller = self._callers.get(access_keys.digest(token))
+        return self._find(access_keys.digest(token))
+
+    def is_in_force(self, caller: Caller) -> bool:
+        """Tell whether a caller's key is still in force. It waits for nothing."""
+        return caller.digest is None or self._find(caller.digest) is not None
+
+    def _find(self, digest: str) -> Caller | None:
+        caller = self._callers.get(digest)
         if caller is None or (caller.expires_at is not None and caller.expires_at <= time.time()):
             return None
         return caller
@@ -103,6 +116,36 @@ def caller_of(connection: HTTPConnection) -> Caller:
     return caller
 
 
+def still_let_in(connection: HTTPConnection) -> Callable[[], bool]:
+    """Return what tells whether the key of a request is still in force."""
+    keyring: Keyring = connection.app.state.keyring
+    return partial(keyring.is_in_force, caller_of(connection))
+
+
+async def while_let_in(connection: HTTPConnection, work: Coroutine[Any, Any, None]) -> None:
+    """Do work for a connection as long as its key is in force, whether the work waits or not.
+
+    Raises
+    ------
+    ApiError
+        401 once the key is not; and whatever the work raises.
+    """
+    in_force = still_let_in(connection)
+
+    async def watch() -> None:
+        while in_force():  # noqa: ASYNC110 (a key that expires sets no event)
+            await asyncio.sleep(ASK_SECONDS)
+        raise ApiError("unauthorized", "This key was revoked or has expired.")
+
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            watching = tasks.create_task(watch())
+            await work
+            watching.cancel()
+    except ExceptionGroup as group:
+        raise group.exceptions[0] from None
+
+
 def fixed_callers(settings: Settings) -> dict[str, Caller]:
     """Return who comes with a token that is in the settings or in the data folder."""
     callers = {}
@@ -116,4 +159,4 @@ def fixed_callers(settings: Settings) -> dict[str, Caller]:
 
 def _caller(key: AccessKey) -> Caller:
     author = Author(key.project, key.id, Quotas.model_validate(key.quotas or {}))
-    return Caller(author, frozenset(key.scopes), key.expires_at)
+    return Caller(author, frozenset(key.scopes), key.expires_at, key.digest)

@@ -3,10 +3,12 @@
 import logging
 import math
 import time
+from typing import Any
 
 from limits import RateLimitItemPerSecond
 from limits.aio.storage import MemoryStorage, RedisStorage
 from limits.aio.strategies import SlidingWindowCounterRateLimiter
+from redis.asyncio import ConnectionPool
 from redis.exceptions import RedisError
 
 from service.http.errors import ApiError
@@ -25,17 +27,25 @@ class Rates:
     """
 
     def __init__(self, redis_url: str) -> None:
-        url = f"redis+{redis_url}" if redis_url.startswith("unix:") else redis_url
-        shared = RedisStorage(
-            f"async+{url}",
-            implementation="redispy",
-            key_prefix="fewview:rates",
+        self._connections = ConnectionPool.from_url(
+            redis_url,
             socket_timeout=PATIENCE_SECONDS,
             socket_connect_timeout=PATIENCE_SECONDS,
+        )
+        options: dict[str, Any] = {"connection_pool": self._connections}
+        shared = RedisStorage(
+            "async+redis://",  # which the connections know better
+            implementation="redispy",
+            key_prefix="fewview:rates",
+            **options,
         )
         self._shared = SlidingWindowCounterRateLimiter(shared)
         self._own = SlidingWindowCounterRateLimiter(MemoryStorage())
         self._shared_again_at = 0.0
+
+    async def close(self) -> None:
+        """Close the connections to Redis."""
+        await self._connections.aclose()
 
     async def take_request(self, caller: Caller) -> None:
         """Count a request; raise ``ApiError`` 429 if the caller has sent too many."""

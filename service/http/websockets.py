@@ -52,6 +52,12 @@ class WebSocketConnection(NamedWebSocket):
         self._reading.stop()
         self._go_on_soon()
 
+    async def send(self, message: Any) -> None:
+        """Send a message; a handshake that was refused with an answer is complete."""
+        await super().send(message)
+        if self.initial_response is not None and self.close_sent:
+            self.handshake_complete = True  # uvicorn logs an error for any that is not
+
     async def receive(self) -> Any:
         """Return what comes next, and make way for what comes after it."""
         message = await super().receive()

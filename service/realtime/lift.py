@@ -83,7 +83,7 @@ class Lift(BaseModel):
 
 ModelQuery = Annotated[
     str | None,
-    Query(max_length=200, description="The model's identifier, for frames that come as bytes."),
+    Query(max_length=200, description="The model, or an alias, for frames that come as bytes."),
 ]
 RefineQuery = Annotated[Refine | None, Query(description=REFINE)]
 ViewsQuery = Annotated[

@@ -27,7 +27,7 @@ from service.http.errors import (
     problems,
     translated,
 )
-from service.http.keyring import caller_of
+from service.http.keyring import caller_of, while_let_in
 from service.http.operations import register
 from service.http.origins import refuse_foreign
 from service.http.rates import Rates
@@ -45,6 +45,7 @@ from service.realtime.stream_frames import (
 )
 from service.realtime.warm_models import WarmModel
 from service.settings import Settings
+from service.wire.json_kinds import refuse_converted
 from service.wire.rooms import is_room
 from service.wire.stream_messages import (
     StreamAnswer,
@@ -119,7 +120,7 @@ async def stream(websocket: WebSocket) -> None:
     async with places:
         await websocket.accept(subprotocol_of(websocket))
         try:
-            await _converse(websocket)
+            await while_let_in(websocket, _converse(websocket))
         except WebSocketDisconnect:
             return
         except Exception as error:
@@ -225,7 +226,7 @@ class _Conversation:
     def ready(self) -> str:
         """Return what the server says first."""
         said = StreamReady(
-            model=self._start.model,
+            model=self._model.id,
             keypoints=self._prior.keypoints_per_frame,
             views=self._start.views,
             refine=self._refine,
@@ -383,7 +384,9 @@ def _read_start(message: str | bytes) -> StreamStart:
     try:
         found = json_object(message)
         check_bounds(found, StreamStart)
-        return StreamStart.model_validate(found)
+        start = StreamStart.model_validate(found)
+        refuse_converted(found, start)
+        return start
     except ValidationError as error:
         raise from_validation(error, StreamStart) from error
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.rooms import Up
-from store import lookup, models
+from store import aliases, lookup, models
 from store.database import Store
 from store.errors import NotFoundError
 from store.records import Model
@@ -64,6 +64,7 @@ class WarmModels:
         self._kept: OrderedDict[str, WarmModel] = OrderedDict()
         self._lock = threading.Lock()
         self._loading: dict[str, threading.Lock] = {}
+        self._aliases: dict[tuple[str, str], str] = {}  # by project and name
         self._closed = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="warm-models", daemon=True)
         self._watcher.start()
@@ -73,8 +74,15 @@ class WarmModels:
         self._closed.set()
         self._watcher.join(LOOK_SECONDS)
 
-    def warm(self, project: str, model_id: str) -> WarmModel | None:
-        """Return a model of a project that is in memory; it waits for nothing."""
+    def warm(self, project: str, identifier: str) -> WarmModel | None:
+        """Return a model of a project that is in memory; it waits for nothing.
+
+        Parameters
+        ----------
+        identifier
+            The model's, or an alias of it.
+        """
+        model_id = self._aliases.get((project, identifier), identifier)
         with self._lock:
             model = self._used.get(model_id)
             if model is None or model.project != project:
@@ -82,14 +90,23 @@ class WarmModels:
             self._keep(model)
         return model
 
-    def get(self, project: str, model_id: str) -> WarmModel:
+    def get(self, project: str, identifier: str) -> WarmModel:
         """Return a model, as its record says now; only the first call of many reads its weights.
+
+        Parameters
+        ----------
+        identifier
+            The model's, or an alias of it.
 
         Raises
         ------
         NotFoundError
             If the project has no such model, or no longer.
         """
+        model_id = identifier
+        if lookup.is_alias(identifier):
+            with self._store.reading() as session:
+                model_id = lookup.resolved(session, Model, identifier, project)
         model = self.warm(project, model_id)
         if model is not None:
             self._compare([model])
@@ -100,6 +117,10 @@ class WarmModels:
         with loading:
             return self.warm(project, model_id) or self._load(project, model_id)
 
+    def look(self) -> None:
+        """Read now where aliases point to, after a change that this process has made."""
+        self._aliases = aliases.targets(self._store)
+
     def forget(self, model_id: str) -> None:
         """Give up a model that this process has deleted."""
         with self._lock:
@@ -108,12 +129,13 @@ class WarmModels:
                 self._give_up(model)
 
     def _watch(self) -> None:
-        """Give up what is no longer there; while the records cannot be asked, nothing is."""
+        """Follow aliases, and give up what is gone, unless the records cannot be asked."""
         blind = False
         while not self._closed.wait(LOOK_SECONDS):
             with self._lock:
                 known = list(self._used.values())
             try:
+                self.look()
                 if known:
                     self._compare(known)
                 blind = False

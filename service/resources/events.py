@@ -3,7 +3,7 @@
 import asyncio
 import logging
 from collections import defaultdict
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -29,6 +29,7 @@ class _Follower:
     kind: type[Any]
     job_id: str
     seen: int
+    may_follow: Callable[[], bool]
     newer: "asyncio.Future[Any]"
 
 
@@ -40,16 +41,20 @@ class Events:
         self._followers: set[_Follower] = set()
         self._looking: asyncio.Task[None] | None = None
 
-    async def follow(self, job: Job, seen: int) -> AsyncIterator[Job]:
+    async def follow(
+        self, job: Job, seen: int, may_follow: Callable[[], bool] = lambda: True
+    ) -> AsyncIterator[Job]:
         """Yield the record of a job as it is and with every change, until it has ended.
 
-        It also ends where the job is deleted and where this process leaves: whoever still wants to
-        know asks another.
+        It also ends where the job is deleted, where this process leaves (whoever still wants to
+        know asks another) and where the follower may follow it no longer.
 
         Parameters
         ----------
         seen
             The revision that the follower has, 0 for none.
+        may_follow
+            Tells whether the follower's key is still in force; asked with every look.
         """
         current: Job | None = job
         while current is not None:
@@ -59,12 +64,14 @@ class Events:
                 yield current
             if ended or self._leaving.is_set():
                 return
-            current = await self._newer(type(job), job.id, seen)
+            current = await self._newer(type(job), job.id, seen, may_follow)
 
-    async def _newer(self, kind: type[Any], job_id: str, seen: int) -> Any:
+    async def _newer(
+        self, kind: type[Any], job_id: str, seen: int, may_follow: Callable[[], bool]
+    ) -> Any:
         """Return the record once it is newer than ``seen``; None if there will be none."""
         newer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        follower = _Follower(kind, job_id, seen, newer)
+        follower = _Follower(kind, job_id, seen, may_follow, newer)
         self._followers.add(follower)
         if self._looking is None or self._looking.done():
             self._looking = asyncio.create_task(self._look())
@@ -79,6 +86,9 @@ class Events:
         while self._followers:
             await asyncio.sleep(LOOK_SECONDS)
             waiting = [follower for follower in self._followers if not follower.newer.done()]
+            for follower in waiting:
+                if not follower.may_follow():
+                    follower.newer.set_result(None)
             found: dict[tuple[type[Any], str], Any] = {}
             try:
                 if not self._leaving.is_set():

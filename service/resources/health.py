@@ -13,9 +13,10 @@ from obstore.exceptions import BaseError as ObjectStoreError
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.http.dependencies import RedisDep, StoreDep, refuse_if_leaving
+from service.http.dependencies import RedisDep, refuse_if_leaving
 from service.http.errors import ApiError, problems
 from store import deployment
+from store.database import Store
 from store.errors import DeploymentError
 from store.integrity import RECORDS_DAMAGED, is_corrupt
 from worker import at_work
@@ -88,7 +89,7 @@ async def check_live() -> Liveness:
 
 
 @router.get("/health/ready", responses=problems("unavailable", "draining"))
-def check_ready(request: Request, store: StoreDep, connection: RedisDep) -> Readiness:
+def check_ready(request: Request, connection: RedisDep) -> Readiness:
     """Reach queue, records and objects; 503 names those that cannot be reached, or are damaged.
 
     It is 503, too, while jobs wait and there are workers, but none of them does its work. Whether
@@ -96,6 +97,7 @@ def check_ready(request: Request, store: StoreDep, connection: RedisDep) -> Read
     service stops it is 503 with the code `draining`.
     """
     refuse_if_leaving(request)
+    store: Store = request.app.state.store  # of the whole deployment: balancers have no key
     parts: dict[str, Callable[[], object]] = {
         "queue": connection.ping,
         "records": store.check_records,

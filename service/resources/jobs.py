@@ -3,7 +3,7 @@
 from collections.abc import AsyncIterator, Callable
 from typing import Annotated, Any, Literal, NamedTuple
 
-from fastapi import APIRouter, Depends, Header, Path, Query, Response, status
+from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response, status
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel
 from redis import Redis
@@ -11,6 +11,7 @@ from typing_extensions import TypeAliasType
 
 from service.http.dependencies import RedisDep, StoreDep
 from service.http.errors import problems
+from service.http.keyring import still_let_in
 from service.resources.changes import add_change_route
 from service.resources.events import EventsDep
 from service.resources.lists import Columns
@@ -142,15 +143,17 @@ def _add_events_route(
         description=f"Follow a {noun}: server-sent events `progress` {progress}, then one "
         f"`end`.\n\nThe data of every event is the {noun} as `GET /{noun}s/{{{noun}_id}}` gives "
         "it, its id grows with every\nchange. Close the stream on `end`. Where it ends without "
-        "one, the service stopped or the job\nwas deleted: ask again with `Last-Event-ID`.",
+        "one, the service stopped, the job was\ndeleted or the key is no longer in force: ask "
+        "again with `Last-Event-ID`, and the answer names\nthe reason.",
         responses=problems("not_found", "overloaded", "draining"),
     )
     async def stream_job_events(
         job: Annotated[Job, Depends(finder(kind))],
         events: EventsDep,
+        request: Request,
         last_event_id: LastEventId = None,
     ) -> AsyncIterator[ServerSentEvent]:
-        async for current in events.follow(job, last_event_id or 0):
+        async for current in events.follow(job, last_event_id or 0, still_let_in(request)):
             yield ServerSentEvent(
                 data=to_wire(current),
                 event="end" if current.status in jobs.TERMINAL else "progress",

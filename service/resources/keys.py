@@ -55,7 +55,8 @@ class KeyCreate(BaseModel):
         min_length=1,
         max_length=len(SCOPES),
         description="What it allows: `read` what is stored; `lift` frames at once; `write`: store, "
-        "change, fit, cancel; `delete`; `admin`: keys and the audit of all projects.",
+        "change, fit, cancel; `delete`; `webhook`: have URLs notified when jobs end; `admin`: keys "
+        "and the audit of all projects.",
     )
     expires_at: Moment | None = Field(None, description=EXPIRES)
     quotas: Quotas = Quotas()

@@ -6,6 +6,7 @@ from functools import partial
 from typing import Annotated, Any, Self
 
 from fastapi import APIRouter, Depends, Query, Request, Response, status
+from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, ConfigDict, Field
 from redis import Redis
 
@@ -200,8 +201,11 @@ def create_lift(
 
 async def _columns(
     shared: Annotated[Columns, Depends(job_columns)],
+    store: StoreDep,
     model_id: Annotated[str | None, Query(max_length=200)] = None,
 ) -> Columns:
+    if model_id is not None and lookup.is_alias(model_id):
+        model_id = (await run_in_threadpool(lookup.get, store, records.Model, model_id)).id
     return shared | {"model_id": model_id}
 
 

@@ -100,7 +100,7 @@ def _of_records(store: Store) -> Iterator[Metric]:
         expired.add_metric([kind], tally.expired)
     stored = GaugeMetricFamily(
         "fewview_stored_bytes",
-        "Arrays of datasets before compression, weights of models, lines of lifts' results.",
+        "Objects of datasets, fits, lifts and models, without checkpoints.",
         labels=["of"],
     )
     for name, size in found.stored_bytes.items():

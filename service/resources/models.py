@@ -33,7 +33,7 @@ from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.model_files import Description, described, taken_apart
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
-from store import lookup, models, records
+from store import aliases, lookup, models, records
 from store.database import Store
 from store.errors import NotFoundError
 from store.labels import Labels, labels_of
@@ -206,15 +206,16 @@ def get_model_cameras(
 
     A model that was fitted without refinement answers too, with the arrangement `unknown`.
     """
-    cameras = ModelCameras.of(model_id, engine.models.get(store.project, model_id).prior.cameras)
+    model = engine.models.get(store.project, model_id)
+    cameras = ModelCameras.of(model.id, model.prior.cameras)
     if format == "json":
         return cameras
     try:
-        file = calibration_file(cameras, format, *_names_and_sizes(store, model_id))
+        file = calibration_file(cameras, format, *_names_and_sizes(store, model.id))
     except ValueError as error:
         raise ApiError("conflict", f"{error}; format=json says all that is known") from error
     return bytes_response(
-        request, file.content, media_type=file.media_type, filename=f"{model_id}-{file.filename}"
+        request, file.content, media_type=file.media_type, filename=f"{model.id}-{file.filename}"
     )
 
 
@@ -277,13 +278,14 @@ def download_network(
     (N, K, 2) in pixels, NaN where there is no answer: what `POST /lift` answers with `refine: off`.
     Perspective is not in it. A model that removes noise before its network has none (409).
     """
-    if engine.models.get(store.project, model_id).prior.denoises:
+    model = engine.models.get(store.project, model_id)
+    if model.prior.denoises:
         raise ApiError(
             "conflict",
-            f"Model {model_id!r} removes noise from its keypoints before the network, which ONNX "
+            f"Model {model.id!r} removes noise from its keypoints before the network, which ONNX "
             "has no part for: fit with `denoising: false`.",
         )
-    weights = models.load_weights(store, lookup.get(store, records.Model, model_id))
+    weights = models.load_weights(store, lookup.get(store, records.Model, model.id))
     made = subprocess.run(  # noqa: S603 (our own program)
         tied(*python("-m", "models.lifting.onnx_file")),
         input=weights,
@@ -291,7 +293,7 @@ def download_network(
         timeout=NETWORK_SECONDS,
         check=True,
     )
-    return bytes_response(request, made.stdout, media_type=OCTETS, filename=f"{model_id}.onnx")
+    return bytes_response(request, made.stdout, media_type=OCTETS, filename=f"{model.id}.onnx")
 
 
 @router.post(
@@ -371,7 +373,12 @@ def delete_model(model_id: Identifier, store: StoreDep, engine: EngineDep) -> No
     """Delete a model and its weights; the fit that made it keeps its reconstruction.
 
     Lifts of datasets that are not done yet need it, and so do fits that start from it: cancel them
-    first.
+    first. Move or delete its aliases, too. Of an alias (`DELETE /models/walk@production`) the alias
+    alone is deleted.
     """
+    if lookup.is_alias(model_id):
+        aliases.delete(store, model_id)
+        engine.models.look()
+        return
     models.delete(store, model_id)
     engine.models.forget(model_id)

@@ -12,6 +12,7 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 import orjson
+from fewview.readers.npy import read_header
 from numpy.typing import NDArray
 from safetensors.numpy import save
 
@@ -34,7 +35,7 @@ class Unlisted(NamedTuple):
 
 
 def from_bytes(data: bytes, *, max_bytes: int) -> Arrays:
-    """Read an npz or a safetensors file, told apart by how it begins.
+    """Read an npz or a safetensors file; how it begins shows which it is.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def _from_npz(data: bytes, max_bytes: int) -> Arrays:
 
 def _from_npy(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
     """Read one member; numpy would believe the header and allocate whatever it promises."""
-    shape, fortran_order, dtype = _npy_header(name, stream)
+    shape, fortran_order, dtype = read_header(name, stream)
     if dtype.hasobject:
         raise ApiError(
             "malformed_body",
@@ -116,25 +117,6 @@ def _from_npy(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
     data = b"".join(iter(partial(stream.read, PIECE_BYTES), b""))
     values = np.frombuffer(data, dtype, count=math.prod(shape))
     return values.reshape(shape, order="F" if fortran_order else "C")
-
-
-def _npy_header(name: str, stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return shape, whether it is in Fortran's order, and the type of one member."""
-    try:
-        version = np.lib.format.read_magic(stream)
-        read_header = (
-            np.lib.format.read_array_header_1_0
-            if version == (1, 0)
-            else np.lib.format.read_array_header_2_0
-        )
-        shape, fortran_order, dtype = read_header(stream)
-    except ZIP_FAULTS:
-        raise
-    except Exception as error:  # NumPy parses it as Python, and lets through what that raises
-        raise ValueError(f"the array {name!r} has a malformed header: {error}") from error
-    if not all(type(length) is int and length >= 0 for length in shape):
-        raise ValueError(f"the array {name!r} has a malformed header: its shape is {shape}")
-    return shape, fortran_order, dtype
 
 
 def to_safetensors(arrays: Arrays, metadata: dict[str, str]) -> bytes:

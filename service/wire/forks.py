@@ -176,9 +176,9 @@ def _serve_one(connection: socket.socket, parent: int, work: Work) -> None:
         confine(None)
         data = bytearray(given["size"])
         _fill(connection, memoryview(data))
-        said, arrays = work(given["asked"], data)
+        answer, arrays = work(given["asked"], data)
         shapes = {n: (a.dtype.str, a.shape) for n, a in arrays.items()}
-        _send(connection, {"said": said, "arrays": shapes})
+        _send(connection, {"answer": answer, "arrays": shapes})
         for array in arrays.values():
             connection.sendall(np.ascontiguousarray(array).data.cast("B"))
     except BaseException:  # noqa: BLE001 (nobody above it would say what it was)
@@ -188,14 +188,14 @@ def _serve_one(connection: socket.socket, parent: int, work: Work) -> None:
 
 
 def _receive_answer(process: socket.socket) -> tuple[dict[str, Any], Arrays]:
-    answer = _receive(process)
+    message = _receive(process)
     arrays: Arrays = {}
-    for name, (dtype, shape) in answer["arrays"].items():
+    for name, (dtype, shape) in message["arrays"].items():
         if dtype not in DTYPES:
             raise EndedError
         arrays[name] = np.empty(shape, dtype)
         _fill(process, arrays[name].reshape(-1).view(np.uint8).data)
-    return answer["said"], arrays
+    return message["answer"], arrays
 
 
 def _send(connection: socket.socket, message: dict[str, Any]) -> None:

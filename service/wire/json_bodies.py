@@ -17,6 +17,7 @@ from service.http.uploads import Upload
 from service.wire.arrays import Arrays, Unlisted
 from service.wire.captures import Converted, convert
 from service.wire.forks import EndedError, Forks
+from service.wire.json_kinds import refuse_converted
 from service.wire.slices import read_in_slices
 
 Body = TypeVar("Body", bound=BaseModel)
@@ -66,9 +67,11 @@ def _understood(
 def _checked(body: Any, kind: type[Body]) -> Body:
     check_bounds(body, kind)
     try:
-        return kind.model_validate(body)
+        made = kind.model_validate(body)
     except ValidationError as error:
         raise from_validation(error, kind) from error
+    refuse_converted(body, made)
+    return made
 
 
 def _refuse_costly(data: bytes | bytearray, most: int) -> None:
@@ -93,7 +96,7 @@ def _read_apart(upload: Upload, kind: type[BaseModel]) -> dict[str, Any]:
         "max_array_bytes": upload.max_array_bytes,
     }
     try:
-        said, arrays = _forks.work(
+        answer, arrays = _forks.work(
             kind.__module__, asked, upload.data, max_bytes=TIMES_DECODED * upload.max_decoded_bytes
         )
     except EndedError as error:
@@ -103,11 +106,11 @@ def _read_apart(upload: Upload, kind: type[BaseModel]) -> dict[str, Any]:
             f"again in {RETRY_SECONDS} s. {IN_PARTS}",
             headers={"Retry-After": RETRY_SECONDS},
         ) from error
-    if "problem" in said:
-        raise _problem(said["problem"])
-    refused = {name: _problem(problem) for name, problem in said["refused"].items()}
-    unlisted = {name: Unlisted(*sizes) for name, sizes in said["unlisted"].items()}
-    others: dict[str, Any] = said["others"]
+    if "problem" in answer:
+        raise _problem(answer["problem"])
+    refused = {name: _problem(problem) for name, problem in answer["refused"].items()}
+    unlisted = {name: Unlisted(*sizes) for name, sizes in answer["unlisted"].items()}
+    others: dict[str, Any] = answer["others"]
     return others | arrays | refused | unlisted
 
 

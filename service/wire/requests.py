@@ -41,7 +41,7 @@ class LiftRequest(BaseModel):
         },
     )
 
-    model: Text = Field(max_length=200, description="The model's identifier.")
+    model: Text = Field(max_length=200, description="The model's identifier, or an alias.")
     frames: KEYPOINTS
     confidence: CONFIDENCE = None
     times: TIMES = None
@@ -65,7 +65,7 @@ class LiftCreate(Labels):
         },
     )
 
-    model_id: Text = Field(max_length=200)
+    model_id: Text = Field(max_length=200, description="The model's identifier, or an alias.")
     dataset_id: Text = Field(max_length=200, description="It has the keypoints of the model.")
     name: Name = "lift"
     refine: Refine | None = Field(None, description=REFINE)

@@ -26,12 +26,12 @@ def _point(size: int) -> dict[str, Any]:
 
 _VIEWS_OF_KEYPOINTS = _list_of(_nullable(_list_of(_point(2))))
 _VIEWS_OF_CONFIDENCE = _list_of(_nullable(_list_of(_NUMBER)))
-KEYPOINTS_SCHEMA = _list_of(_VIEWS_OF_KEYPOINTS) | {
+KEYPOINTS_SCHEMA = _list_of(_nullable(_VIEWS_OF_KEYPOINTS)) | {
     "title": "Keypoints",
     "description": "frames x views x keypoints x (x, y), pixels, x right, y down. null for a "
-    "coordinate, a keypoint or a whole view that was not observed.",
+    "coordinate, a keypoint, a whole view or a frame that was not observed.",
 }
-CONFIDENCE_SCHEMA = _nullable(_list_of(_VIEWS_OF_CONFIDENCE)) | {
+CONFIDENCE_SCHEMA = _nullable(_list_of(_nullable(_VIEWS_OF_CONFIDENCE))) | {
     "title": "Confidence",
     "description": "frames x views x keypoints, in [0, 1]; 0 or null counts as not observed.",
 }

@@ -1,6 +1,6 @@
 """Reading the long lists of a JSON body some frames at a time: as lists they take little at once.
 
-JSON is not told apart by more than its brackets here, which is enough: whatever is not as it should
+Only the brackets of JSON are looked at here, which is enough: whatever is not as it should
 be, or might not be, is left to be read as a whole.
 """
 
@@ -65,13 +65,13 @@ def _read(
     data: bytearray, names: Sequence[str], check: Callable[[bytearray], None], max_bytes: int
 ) -> Sliced:
     cuts = {name: _cuts(data, start) for name, start in _starts(data, names).items()}
-    mark, rest, done = secrets.token_hex(), bytearray(), 0
+    mark, remaining, done = secrets.token_hex(), bytearray(), 0
     for places in sorted(cuts.values()):
-        rest += data[done : places[0]] + b'"%b"' % mark.encode()
+        remaining += data[done : places[0]] + b'"%b"' % mark.encode()
         done = places[-1] + 1
-    rest += data[done:]
-    check(rest)
-    body = orjson.loads(rest)
+    remaining += data[done:]
+    check(remaining)
+    body = orjson.loads(remaining)
     if not isinstance(body, dict):
         raise _NotSlicedError
     if any(body.get(name) != (mark if name in cuts else None) for name in names):

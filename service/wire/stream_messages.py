@@ -74,7 +74,7 @@ class StreamStart(BaseModel):
         },
     )
 
-    model: Text = Field(max_length=200, description="The model's identifier.")
+    model: Text = Field(max_length=200, description="The model's identifier, or an alias.")
     views: list[Index] | None = Field(None, min_length=1, max_length=MAX_VIEWS, description=VIEWS)
     refine: Refine | None = Field(None, description=REFINE)
     on_overload: Overload = Field(

@@ -4,6 +4,7 @@ import asyncio
 import subprocess
 import sys
 from collections.abc import Coroutine
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -178,6 +179,13 @@ def test_models_have_cameras_and_frames_are_lifted(served: Served) -> None:
     for view in cameras.views:
         assert view.focal is None or view.focal.shape == (2,)
 
+    alias = client.models.set_alias("walk@production", model)
+    assert list(client.models.aliases(model)) == [alias]
+    assert client.models.get("walk@production") == model
+    assert client.lift("walk@production", capture.keypoints[:1]).model_id == model.id
+    client.models.delete("walk@production")
+    assert list(client.models.aliases()) == []
+
     lift = client.lift(model, capture, refine="off")
     assert lift.points3d.shape == (60, capture.keypoints.shape[2], 3)
     two = client.lift(model, capture.keypoints[:4, [2, 0]], views=[2, 0], refine="off")
@@ -252,6 +260,40 @@ def test_answers_come_in_the_room(served: Served, tmp_path: Path) -> None:
     assert ran.returncode == 0, ran.stderr
     with np.load(file) as arrays:
         np.testing.assert_allclose(arrays["points3d"], mine.points3d, atol=1e-5)
+
+
+def test_keys_are_made_and_revoked_and_the_audit_is_read(served: Served) -> None:
+    client, tomorrow = served.client, datetime.now(UTC) + timedelta(days=1)
+    key = client.keys.create(
+        "laptop", ["read", "write"], project="gait", expires_at=tomorrow, queued_jobs=2
+    )
+    assert key.token not in repr(key)
+    assert (key.scopes, key.quotas["queued_jobs"]) == (("read", "write"), 2)
+    assert key.expires_at == tomorrow
+    with Client(served.live.url, key.token) as other:
+        dataset = other.datasets.create(a_capture(4))
+        with pytest.raises(fewview.Forbidden):
+            next(other.keys.list())
+    assert [entry.action for entry in client.audit.list(key=key)] == ["dataset.create"]
+    (entry,) = client.audit.list(target=dataset.id)
+    assert (entry.key_id, entry.project) == (key.id, "gait")
+    client.keys.revoke(key)
+    assert client.keys.get(key.id).revoked_at is not None
+    assert key.id in [found.id for found in client.keys.list()]
+    with Client(served.live.url, key.token) as other, pytest.raises(fewview.Unauthorized):
+        next(other.datasets.list())
+
+
+def test_webhooks_are_made_and_deleted(served: Served) -> None:
+    webhooks = served.client.webhooks
+    made = webhooks.create("https://lab.example/", ["fit.cancelled"])
+    assert made.secret not in repr(made)
+    assert webhooks.get(made) == next(webhooks.list())
+    assert list(webhooks.deliveries(made)) == []
+    with pytest.raises(fewview.InvalidRequest):
+        webhooks.create("https://127.0.0.1/")
+    webhooks.delete(made)
+    assert list(webhooks.list()) == []
 
 
 def test_the_same_can_be_awaited(served: Served, tmp_path: Path) -> None:

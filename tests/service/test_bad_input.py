@@ -137,11 +137,14 @@ def test_a_dataset_of_nothing(api: TestClient) -> None:
         ({"name": "n" * 201}, "/name"),
         ({"name": 5}, "/name"),
         ({"colour~of/x": 1}, "/colour~0of~1x"),
+        ({"fps": "50"}, "/fps"),
+        ({"image_sizes": [[640, "480"]]}, "/image_sizes/0/1"),
+        ({"skeleton": {"edges": [[0, 1], [False, 1]]}}, "/skeleton/edges/1/0"),
     ],
 )
 def test_other_fields(api: TestClient, more: dict[str, Any], pointer: str) -> None:
     # Integers beyond 64 bits are no business of orjson's.
-    body = str({"keypoints": FRAME, **more}).replace("'", '"').encode()
+    body = str({"keypoints": FRAME, **more}).replace("'", '"').replace("False", "false").encode()
     problem(api.post("/datasets", content=body, headers=JSON), 422, "invalid_input", pointer)
 
 

@@ -24,6 +24,7 @@ from service.http import errors
 from service.openapi import document
 from service.realtime import lift
 from service.resources import (
+    aliases,
     audit,
     datasets,
     evaluations,
@@ -35,6 +36,7 @@ from service.resources import (
     models,
     queues,
     reconstructions,
+    webhooks,
 )
 from tests.service.conftest import CONFIG, Live, frames_of, to_npz
 
@@ -50,6 +52,8 @@ MODULES = (
     lists,
     queues,
     keys,
+    aliases,
+    webhooks,
     audit,
     health,
     errors,
@@ -112,6 +116,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "create_fit",
         "create_key",
         "create_lift",
+        "create_webhook",
         "delete_dataset",
         "delete_datasets",
         "delete_fit",
@@ -120,6 +125,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "delete_lifts",
         "delete_model",
         "delete_models",
+        "delete_webhook",
         "download_capture",
         "download_network",
         "download_weights",
@@ -134,8 +140,10 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "get_model_cameras",
         "get_reconstruction",
         "get_version",
+        "get_webhook",
         "import_model",
         "lift",
+        "list_aliases",
         "list_audit",
         "list_datasets",
         "list_fits",
@@ -143,7 +151,10 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "list_lifts",
         "list_models",
         "list_queues",
+        "list_webhook_deliveries",
+        "list_webhooks",
         "revoke_key",
+        "set_alias",
         "stream_fit_events",
         "stream_lift_events",
         "stream_lifts",

@@ -292,6 +292,15 @@ class Version:
     api: int
 
 
+@dataclass(frozen=True)
+class Alias:
+    """A name that stands for a model and can be moved to another."""
+
+    alias: str
+    model_id: str
+    moved_at: datetime
+
+
 def form_in(form: type[Form]) -> Callable[[httpx2.Response], Form]:
     """Return what reads this form in a response."""
     return lambda response: read(form, response.json())

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from fewview.api.downloads import download
-from fewview.api.forms import Cameras, Model, form_in
+from fewview.api.forms import Alias, Cameras, Model, Page, form_in, page_of
 from fewview.api.lifting import identifier
-from fewview.api.operations import Driver, operation
+from fewview.api.operations import Driver, listing, operation
 from fewview.api.steps import Request, Steps, once, path
 from fewview.api.stored import Stored, labels
 
@@ -19,6 +19,27 @@ class Models(Stored[Driver, Model]):
 
     _form = Model
     _plural = "models"
+
+    @operation
+    def set_alias(self, alias: str, model: Model | str) -> Steps[Alias]:
+        """Have an alias, such as ``walk@production``, stand for a model from now on.
+
+        It may be given wherever a model is. ``delete("walk@production")`` deletes the alias alone.
+
+        Raises
+        ------
+        NotFound
+            There is no such model.
+        """
+        body = {"model_id": identifier(model)}
+        request = Request("PUT", path("models", alias), form_in(Alias), body={"json": body})
+        return self._call(request)
+
+    @listing
+    def aliases(self, model: Model | str | None = None) -> Request[Page[Alias]]:
+        """Iterate over the aliases by their names; of one model if it is given."""
+        of = None if model is None else identifier(model)
+        return Request("GET", "/aliases", page_of(Alias), params={"model_id": of})
 
     @operation
     def cameras(self, model: Model | str) -> Steps[Cameras]:

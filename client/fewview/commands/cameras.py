@@ -24,7 +24,7 @@ HEADING: tuple[str, ...] = (
 
 
 def cameras(
-    model: Annotated[str, typer.Argument(help="Its id: mdl_...")],
+    model: Annotated[str, typer.Argument(help="Its id, mdl_..., or an alias.")],
     *,
     output: Annotated[
         Path | None,

@@ -12,7 +12,7 @@ from fewview.commands.talking import AsJson, Url, capture_in, say, talking
 @reading_files
 def lift(
     options: Options,
-    model: Annotated[str, typer.Argument(help="Its id: mdl_...")],
+    model: Annotated[str, typer.Argument(help="Its id, mdl_..., or an alias.")],
     files: Files,
     *,
     output: Annotated[Path, typer.Option("--output", "-o", help="The npz to write.")],

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import pickle
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,25 @@ def test_npz(tmp_path: Path) -> None:
 def test_npz_that_does_not_fit_together(tmp_path: Path, wrong: Any, said: str) -> None:
     np.savez(tmp_path / "a.npz", **wrong)
     with pytest.raises(FormatError, match=said):
+        fewview.read(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "{'descr': '<f4', 'shape': (",
+        "{'descr': (), 'fortran_order': False, 'shape': (1,), }",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (True, 2, 4, 2), }",
+        "{**{}}",
+        "'\ud7ff",
+    ],
+)
+def test_npz_with_a_malformed_header(tmp_path: Path, header: str) -> None:
+    text = header.encode()
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
+        size = len(text).to_bytes(2, "little")
+        file.writestr("keypoints.npy", b"\x93NUMPY\x01\x00" + size + text + b"1" * 64)
+    with pytest.raises(FormatError, match="malformed header"):
         fewview.read(tmp_path / "a.npz")
 
 

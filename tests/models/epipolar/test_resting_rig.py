@@ -23,7 +23,7 @@ def found_in(capture: RigCapture) -> RestingRig | None:
         np.full(views, 1.2),
         0.5**2 * np.eye(views),
         0.02**2 * np.eye(views),
-        0.2**2 + 0.05**2 * np.eye(views),
+        np.stack((0.2**2 + 0.05**2 * np.eye(views), 0.07**2 + 0.01**2 * np.eye(views))),
     )
     images = (capture.pixels - centres) / SIDE
     return finished(find_resting_rig(images, capture.weights, believed, sizes))
@@ -79,6 +79,28 @@ def test_nothing_rests_where_all_move() -> None:
     found = found_in(capture)
     # A pair can always be made to agree halfway; three views cannot.
     assert found is None or (found.resting.sum() == 2 and found.noise * SIDE > 5)
+
+
+def test_clear_keypoints_give_exact_cameras() -> None:
+    capture = make_rig_capture([0.0, 50.0, 110.0], frames=80, lenses=UNLIKE, noise=0.0)
+    found = found_in(capture)
+    assert found is not None
+    focals = SIDE * np.exp(found.best.rig.log_focals)
+    np.testing.assert_allclose(focals, [lens.focal for lens in UNLIKE], rtol=5e-3)
+    assert rotation_errors(capture, found, [0, 1, 2]).max() < 0.2
+
+
+def test_motion_beyond_noise_is_seen() -> None:
+    """Cameras that shake are told from static ones whose keypoints are noisy."""
+    static = found_in(make_rig_capture([0.0, 80.0, -120.0], frames=60, noise=6.0))
+    assert static is not None
+    squares, errors = static.motion
+    assert (squares < 3 * errors).all()
+    shaken = make_rig_capture([0.0, 80.0, -120.0], frames=60, noise=1.0)
+    rng = np.random.default_rng(3)
+    shaken.keypoints[...] += 15 * rng.standard_normal((60, 3, 1, 2))  # each image as a whole
+    moving = found_in(shaken)
+    assert moving is None or moving.resting.sum() == 2
 
 
 def test_equal_keypoints_give_equal_rigs() -> None:

@@ -7,8 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
-from models.epipolar.rig_adjustment import Adjusted, Rigid, Seen, adjust_rig
-from models.epipolar.rig_certainty import camera_deviations, focal_likelihood, repetition
+from models.epipolar.rig_adjustment import adjust_rig
+from models.epipolar.rig_certainty import certainty_of
+from models.epipolar.static_cameras import Rigid, Seen
 from tests.models.rigs import around
 
 Float64 = NDArray[np.float64]
@@ -16,13 +17,19 @@ Float64 = NDArray[np.float64]
 NOISE = 2e-3  # sides
 POINTS = 800
 FOCALS = np.array([1.0, 1.3, 0.8])
-BELIEFS = Beliefs(np.full(3, 1.1), 0.5**2 * np.eye(3), 0.02**2 * np.eye(3), 0.1**2 * np.eye(3))
+BELIEFS = Beliefs(
+    np.full(3, 1.1),
+    0.5**2 * np.eye(3),
+    0.02**2 * np.eye(3),
+    np.stack((0.1**2 * np.eye(3), 0.05**2 * np.eye(3))),
+)
+APART = (np.arange(POINTS), np.arange(POINTS))  # clusters of points that err independently
 
 
 def make_rig(centres: Float64 | None = None) -> Rigid:
     rotations, translations = around([0.0, 80.0, -120.0])
     middles = np.zeros((3, 2)) if centres is None else centres
-    return Rigid(np.log(FOCALS), middles, np.zeros(3), rotations, translations)
+    return Rigid(np.log(FOCALS), middles, np.zeros((3, 2)), rotations, translations)
 
 
 def points_of(rng: np.random.Generator) -> Float64:
@@ -48,12 +55,12 @@ def test_deviations_are_the_scatter_of_what_is_found() -> None:
         relative = found.rig.rotations @ rig.rotations.mT
         turns.append(relative[:, [2, 0, 1], [1, 2, 0]] - relative[:, [1, 2, 0], [2, 0, 1]])
         focals.append(found.rig.log_focals - np.log(FOCALS))
-        sds.append(camera_deviations(found, seen, BELIEFS))
+        sds.append(certainty_of(found, seen, BELIEFS, APART).deviations)
     expected = np.mean(sds, 0)
-    assert (expected[0, 4:] == 0).all()  # the first camera is the frame of reference
+    assert (expected[0, 5:] == 0).all()  # the first camera is the frame of reference
     np.testing.assert_allclose(np.sqrt(np.square(focals).mean(0)), expected[:, 0], rtol=0.6)
     scatter = np.sqrt(np.square(turns).mean(0))[1:] / 2
-    np.testing.assert_allclose(scatter, expected[1:, 4:7], rtol=0.6)
+    np.testing.assert_allclose(scatter, expected[1:, 5:8], rtol=0.6)
 
 
 def test_what_keypoints_say_of_focal_lengths_does_not_depend_on_beliefs() -> None:
@@ -65,7 +72,7 @@ def test_what_keypoints_say_of_focal_lengths_does_not_depend_on_beliefs() -> Non
     said, sds = [], []
     for beliefs in (BELIEFS, wrong):
         found = adjust_rig(rig, points, seen, beliefs, iterations=25)
-        information, vector = focal_likelihood(found, seen, beliefs)
+        information, vector = certainty_of(found, seen, beliefs, APART).focals
         said.append(np.linalg.solve(information, vector))
         sds.append(np.sqrt(np.linalg.inv(information).diagonal()))
     assert (np.abs(said[0] - np.log(FOCALS)) < 2.5 * sds[0]).all()
@@ -73,16 +80,21 @@ def test_what_keypoints_say_of_focal_lengths_does_not_depend_on_beliefs() -> Non
     np.testing.assert_allclose(sds[1], sds[0], rtol=0.2)
 
 
-@pytest.mark.parametrize("alike", [1, 8, 40])
-def test_errors_that_repeat_are_counted(alike: int) -> None:
-    """Errors that are equal in so many points count so many times."""
-    rig, rng = make_rig(), np.random.default_rng(2)
-    points = points_of(rng)
-    clusters = np.arange(POINTS) // alike
-    errors = NOISE * rng.standard_normal((3, 2, POINTS // alike))[..., clusters]
-    seen = Seen(images_of(rig, points) + errors, np.ones((3, POINTS)))
-    adjusted = Adjusted(rig, points, np.full(3, NOISE))
-    assert repetition(adjusted, seen, clusters) == pytest.approx(alike, rel=0.35)
-    # What is far below the noise may repeat as it likes.
-    granted = adjusted._replace(noise=np.full(3, 30 * NOISE))
-    assert repetition(granted, seen, clusters) == 1
+@pytest.mark.parametrize("alike", [8, 40])
+def test_errors_that_repeat_make_cameras_less_certain(alike: int) -> None:
+    """What is found scatters as deviations say, where so many points err alike."""
+    rig, clusters = make_rig(), np.arange(POINTS) // alike
+    focals, sds = [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        # Points of a cluster lie together, as a frame's do, so that they pull together.
+        places = rng.uniform(-1, 1, (3, POINTS // alike))
+        points = places[:, clusters] + 0.05 * rng.standard_normal((3, POINTS))
+        errors = NOISE * rng.standard_normal((3, 2, POINTS // alike))[..., clusters]
+        seen = Seen(images_of(rig, points) + errors, np.ones((3, POINTS)))
+        found = adjust_rig(rig, points, seen, BELIEFS, iterations=25, lenses=False)
+        focals.append(found.rig.log_focals - np.log(FOCALS))
+        certainty = certainty_of(found, seen, BELIEFS, (clusters, np.arange(POINTS)))
+        sds.append(certainty.deviations[:, 0])
+    scores = np.array(focals) / np.array(sds)
+    assert 0.4 < np.sqrt(np.square(scores).mean()) < 1.6

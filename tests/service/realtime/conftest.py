@@ -54,12 +54,17 @@ def opened(http: httpx2.Client, origin: str | None = None) -> Iterator[ClientCon
 
 @contextmanager
 def started(
-    http: httpx2.Client, model: str, *, origin: str | None = None, **more: Any
+    http: httpx2.Client,
+    model: str,
+    *,
+    model_id: str | None = None,
+    origin: str | None = None,
+    **more: Any,
 ) -> Iterator[ClientConnection]:
     with opened(http, origin) as socket:
         socket.send(orjson.dumps({"model": model, **more}).decode())
         ready = StreamReady.model_validate_json(socket.recv(timeout=300))
-        assert ready.model == model
+        assert ready.model == (model_id or model)  # where an alias was asked for
         assert ready.keypoints == 16
         yield socket
 

@@ -31,7 +31,9 @@ def test_lifts_streams_and_liveness_do_not_wait_for_the_records(
     live: Live, weights: bytes, capture: SyntheticCapture
 ) -> None:
     """While more requests wait for them than there are threads for that."""
-    model = live.http.post("/models", content=weights, headers=BYTES).json()["id"]
+    made = live.http.post("/models", content=weights, headers=BYTES).json()["id"]
+    model = "independent@test"
+    assert live.http.put(f"/models/{model}", json={"model_id": made}).status_code == 200
     many = np.tile(capture.keypoints, (5, 1, 1, 1))
     small = {"model": model, "frames": frames_of(capture.keypoints[:1]), "refine": "off"}
     tiny = to_safetensors(keypoints=capture.keypoints[:1])
@@ -48,7 +50,7 @@ def test_lifts_streams_and_liveness_do_not_wait_for_the_records(
     with (
         ThreadPoolExecutor(THREADS + 20) as clients,
         httpx2.Client(base_url=live.url, timeout=PATIENCE_SECONDS) as http,
-        started(live.http, model) as socket,
+        started(live.http, model, model_id=made) as socket,
     ):
         with locked(live.data_dir / "records.db"):
             waiting = [
@@ -62,7 +64,7 @@ def test_lifts_streams_and_liveness_do_not_wait_for_the_records(
                     assert http.post(lift, content=body, headers=BYTES).status_code == 200
                 socket.send(as_bytes(n, capture.keypoints[n]))
                 assert read_bytes(socket.recv(timeout=PATIENCE_SECONDS)).sequence == n
-                with started(live.http, model):
+                with started(live.http, model, model_id=made):
                     pass
                 assert http.get("/health/live").status_code == 200
             assert not any(request.done() for request in waiting)

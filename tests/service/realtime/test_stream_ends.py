@@ -59,6 +59,8 @@ def ending(socket: ClientConnection) -> tuple[StreamError, int]:
         ({"model": "MODEL", "views": [0, 9]}, 4422, "/views"),
         ({"model": "MODEL", "views": []}, 4422, "/views"),
         ({"model": "MODEL", "views": [-1]}, 4422, "/views/0"),
+        ({"model": "MODEL", "views": [0, True]}, 4422, "/views/1"),
+        ({"model": "MODEL", "continuity": 1}, 4422, "/continuity"),
     ],
 )
 def test_a_bad_start_ends_the_stream(

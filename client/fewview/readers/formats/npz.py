@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fewview.errors import FormatError
+from fewview.readers.npy import read_header
 from fewview.readers.sources import ZIP, Source
 from fewview.readers.views import View, bounded
 
@@ -95,14 +96,8 @@ def _arrays(source: Source) -> Arrays:
         with zipfile.ZipFile(source.path) as file:
             for name in (name for name in KNOWN if f"{name}.npy" in file.namelist()):
                 with file.open(f"{name}.npy") as member:
-                    version = np.lib.format.read_magic(member)
-                    header = (
-                        np.lib.format.read_array_header_1_0
-                        if version == (1, 0)
-                        else np.lib.format.read_array_header_2_0
-                    )
-                    shape, _, _ = header(member)
-                    bounded([math.prod(shape)], f"{source}: `{name}`")
+                    header = read_header(name, member)
+                    bounded([math.prod(header.shape)], f"{source}: `{name}`")
                 with file.open(f"{name}.npy") as member:
                     found[name] = np.lib.format.read_array(member, allow_pickle=False)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:

@@ -1,0 +1,339 @@
+"""How true structures and cameras are on rigs that nobody chose: hundreds of numbered draws.
+
+    python -m benchmarks.wide_net [--draws 0 60] [--geometry] [--data FOLDER] [--oracle FILE]
+                                  [--processes N] [--json FILE]
+
+Each draw (`benchmarks/drawn_captures.py`) is fitted with the default configuration, or with
+`--geometry` its cameras are found from keypoints alone, which takes seconds. The error is that of
+structures aligned frame by frame, never mirrored, on keypoints that two views or more see, beside
+that of robust triangulation with the true cameras. `--oracle FILE` runs a module with `find` and
+`structure` beside. The truth takes no part in any fit.
+"""
+
+import argparse
+import importlib.util
+import json
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.drawn_captures import Draw, draw_capture
+from benchmarks.figures import print_table
+from models.calibrating.handedness import certainty
+from models.calibrating.keypoint_rig import geometry_of
+from models.calibrating.problem import problem_of
+from models.capture.metrics import pa_mpjpe
+from models.epipolar.robust_points import robust_points
+from models.epipolar.static_cameras import Rigid, Seen
+from models.numerics.steps import finished
+from models.numerics.threads import use_threads
+from models.settings.config import FitConfig
+from models.training.trainer import fit
+
+Float64 = NDArray[np.float64]
+
+FEWEST = 4  # keypoints of a frame that two views see, for the frame to count
+SLACK = 0.001  # of the subject's height that is granted beyond a ratio
+ABOUT_CAMERAS = (  # findings that warn of the cameras
+    "cameras_not_found",
+    "focal_not_observable",
+    "handedness_not_observable",
+    "lenses_extreme",
+    "views_opposite",
+)
+
+
+class Row(NamedTuple):
+    """What was found of one draw."""
+
+    number: int
+    words: str
+    error: float  # of the answer, in units of the subject's height
+    bound: float  # the same of triangulation with the true cameras
+    oracle: float  # the same of the oracle
+    mirrored: bool  # whether the mirror image is nearer to the truth
+    certainty: float  # of the handedness
+    moving: bool  # as drawn
+    called_moving: bool
+    focal_scores: list[float]  # errors of log focal lengths over their standard deviations
+    focal_error: float  # largest error of a log focal length
+    turn: float  # degrees, largest error of a rotation between two cameras
+    findings: tuple[str, ...]
+    seconds: float
+
+    @property
+    def ratio(self) -> float:
+        """The error over what triangulation with the true cameras has, less the slack."""
+        return max(self.error - SLACK, 0.0) / max(self.bound, 1e-9)
+
+
+def main() -> None:
+    """Run the command line."""
+    arguments = parse_arguments()
+    numbers = arguments.only or range(*arguments.draws)
+    jobs = [(number, arguments) for number in numbers]
+    rows = []
+    with get_context("spawn").Pool(arguments.processes, _quiet) as pool:
+        for row in pool.imap(_measured, jobs):
+            if row is not None:
+                rows.append(row)
+                print(_line(row), flush=True)
+    print_table("Shares", summary(rows))
+    if arguments.json:
+        arguments.json.write_text(json.dumps([row._asdict() for row in rows]) + "\n")
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description="Measure fits on drawn rigs and motions.")
+    parser.add_argument("--draws", type=int, nargs=2, default=(0, 60), help="first and end")
+    parser.add_argument("--only", type=int, nargs="+", help="these draws alone")
+    parser.add_argument("--geometry", action="store_true", help="stop before the network")
+    parser.add_argument("--data", type=Path, help="folder of captures with `points3d`")
+    parser.add_argument("--oracle", type=Path, help="a module with `find` and `structure`")
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--json", type=Path, help="write the results to this file")
+    return parser.parse_args()
+
+
+def _quiet() -> None:
+    warnings.simplefilter("ignore")
+    use_threads(1)
+
+
+def _measured(job: tuple[int, argparse.Namespace]) -> Row | None:
+    number, arguments = job
+    draw = draw_capture(number, arguments.data)
+    if draw is None:
+        return None
+    found = by_geometry if arguments.geometry else by_fit
+    try:
+        return measure(draw, found, arguments.oracle)
+    except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError):
+        print(f"draw {number}: {traceback.format_exc()}", flush=True)
+        return None
+
+
+class Answer(NamedTuple):
+    """What was made of a draw."""
+
+    points: Float64  # (N, P, 3)
+    static: bool  # whether all cameras were found at rest
+    certainty: float
+    rotations: Float64  # (K, 3, 3); NaN of cameras that were not found
+    focals: Float64  # (K,) pixels
+    focal_sds: Float64  # (K,) of their logs
+    findings: tuple[str, ...]
+
+
+def by_geometry(draw: Draw) -> Answer:
+    """Find cameras from keypoints alone and triangulate with them."""
+    weights: Float64 = np.all(np.isfinite(draw.keypoints), -1).astype(np.float64)
+    pixels: Float64 = np.nan_to_num(draw.keypoints)
+    problem = problem_of(pixels, weights, draw.sizes, FitConfig())
+    found = finished(geometry_of(problem, list(range(draw.keypoints.shape[1]))))
+    if found is None:
+        return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ("nothing",))
+    rig = found.best.rig
+    return Answer(
+        found.best.points,
+        bool(found.resting.all()),
+        certainty([found.log_odds]),
+        rig.rotations,
+        np.exp(rig.log_focals) * problem.side,
+        found.deviations[:, 0],
+        (),
+    )
+
+
+def by_fit(draw: Draw) -> Answer:
+    """Fit with the default configuration and lift the frames of the fit."""
+    prior = fit(draw.keypoints, FitConfig(), image_sizes=draw.sizes)
+    lift = prior.lift(draw.keypoints)
+    codes = tuple(sorted({finding.code for finding in prior.findings}))
+    cameras = prior.cameras
+    if cameras is None:
+        return _without_cameras(draw, lift.points3d.astype(np.float64), codes)
+    sds = cameras.focal_sds / cameras.focals.mean(1)
+    return Answer(
+        lift.points3d.astype(np.float64),
+        bool(cameras.resting.all()),
+        cameras.handedness_certainty,
+        np.where(cameras.resting[:, None, None], cameras.rotations, np.nan),
+        cameras.focals.mean(1),
+        sds,
+        codes,
+    )
+
+
+def _without_cameras(draw: Draw, points: Float64, findings: tuple[str, ...]) -> Answer:
+    views = draw.keypoints.shape[1]
+    unknown = np.full(views, np.nan)
+    return Answer(
+        points, False, 0.0, np.full((views, 3, 3), np.nan), unknown, unknown.copy(), findings
+    )
+
+
+def measure(draw: Draw, found: Callable[[Draw], Answer], oracle: Path | None) -> Row:
+    """Hold an answer against the truth and against triangulation with the true cameras."""
+    started = time.perf_counter()
+    answer = found(draw)
+    seconds = time.perf_counter() - started
+    asked = draw.seen_twice & np.isfinite(draw.points3d).all(-1)
+    asked &= asked.sum(1, keepdims=True) >= FEWEST
+    error = _error(draw, answer.points, asked)
+    reflected = _error(draw, answer.points * [1, 1, -1], asked)
+    bound = _error(draw, triangulated(draw), asked)
+    logs = np.abs(np.log(answer.focals / draw.focals))
+    return Row(
+        draw.number,
+        draw.words,
+        error,
+        bound,
+        np.nan if oracle is None else _error(draw, _by_oracle(draw, oracle), asked),
+        bool(reflected < error),
+        answer.certainty,
+        draw.moving,
+        not answer.static,
+        [float(score) for score in logs / answer.focal_sds if np.isfinite(score)],
+        float(np.nanmax(logs, initial=0)),
+        _turn(draw, answer.rotations),
+        answer.findings,
+        seconds,
+    )
+
+
+def triangulated(draw: Draw) -> Float64:
+    """Points (N, P, 3) of robust triangulation with the true cameras; NaN where one view sees."""
+    side = 1000.0  # only a unit
+    points = np.full(draw.points3d.shape, np.nan)
+    for frames in [range(len(points))] if not draw.moving else [[n] for n in range(len(points))]:
+        first = frames[0]
+        rig = Rigid(
+            np.log(draw.focals / side),
+            draw.centres / side,
+            np.stack((draw.radial, np.zeros(len(draw.radial))), 1),
+            draw.rotations[first],
+            draw.translations[first],
+        )
+        pixels = draw.keypoints[list(frames)]
+        views, count = pixels.shape[1], pixels.shape[2]
+        images = pixels.transpose(1, 3, 0, 2).reshape(views, 2, -1) / side
+        weights = np.isfinite(images).all(1).astype(float)
+        twice = weights.sum(0) > 1
+        seen = Seen(np.nan_to_num(images[..., twice]), weights[:, twice])
+        noise = np.full(views, max(draw.noise, 1e-3 * side / 10) / side)
+        of_frames = np.full((len(pixels) * count, 3), np.nan)
+        of_frames[twice] = robust_points(rig, seen, noise).T
+        points[list(frames)] = of_frames.reshape(len(pixels), count, 3)
+    return points
+
+
+def _error(draw: Draw, points: Float64, asked: NDArray[np.bool_]) -> float:
+    """Mean distance after alignment over the subject's height; keypoints `asked` (N, P)."""
+    truth = np.where(asked[..., None], draw.points3d, np.nan)
+    return pa_mpjpe(points, truth, reflection="never").mean / draw.height
+
+
+def _turn(draw: Draw, rotations: Float64) -> float:
+    """Largest error in degrees of a rotation between two cameras that were found at rest."""
+    known = np.flatnonzero(np.isfinite(rotations).all((1, 2)))
+    if len(known) < 2 or draw.moving:
+        return float("nan")
+    ours = rotations[known][:, None] @ rotations[known].mT
+    true = draw.rotations[0, known][:, None] @ draw.rotations[0, known].mT
+    cosines = (np.trace(ours @ true.mT, axis1=-2, axis2=-1) - 1) / 2
+    return float(np.degrees(np.arccos(cosines.clip(-1, 1)).max()))
+
+
+def _by_oracle(draw: Draw, file: Path) -> Float64:
+    """Points (N, P, 3) of the oracle."""
+    spec = importlib.util.spec_from_file_location("oracle", file)
+    if spec is None or spec.loader is None:
+        raise SystemExit(f"{file} is no module")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    weights = np.isfinite(draw.keypoints).all(-1).astype(float)
+    found = module.find(draw.keypoints, weights, draw.sizes)
+    if found is None:
+        return np.full(draw.points3d.shape, np.nan)
+    return np.asarray(module.structure(draw.keypoints, weights, found["cams"], found["sig"]))
+
+
+def summary(rows: list[Row]) -> list[dict[str, Any]]:
+    """Shares of the draws that hold each bar, and the worst of them."""
+    static = [row for row in rows if not row.moving]
+    kinds = {
+        "three views or more": [row for row in static if " 2 views" not in row.words],
+        "pairs": [row for row in static if " 2 views" in row.words],
+    }
+    table: list[dict[str, Any]] = []
+    for (name, some), (limit, far) in zip(kinds.items(), ((1.1, 2.0), (1.5, 3.0)), strict=True):
+        unsaid = [row for row in some if not set(row.findings) & set(ABOUT_CAMERAS)]
+        near = [row for row in some if row.ratio <= limit]
+        not_far = [row for row in unsaid if row.ratio <= far]
+        table += [
+            _share(f"{name}: within {limit} x", some, near),
+            _share(f"{name}: not beyond {far} x unsaid", unsaid, not_far),
+            _share(f"{name}: called static", some, [row for row in some if not row.called_moving]),
+        ]
+        scores = np.array([score for row in some for score in row.focal_scores])
+        if len(scores):
+            worst = max(some, key=lambda row: max(row.focal_scores, default=0))
+            table.append(
+                {
+                    "what": f"{name}: focal lengths, RMS of z",
+                    "share": f"{np.sqrt(np.mean(scores**2)):.2f}",
+                    "worst": f"largest {scores.max():.1f} ({worst.number})",
+                }
+            )
+    moving = [row for row in rows if row.moving]
+    sure = [row for row in rows if row.certainty > 0.99]
+    table += [
+        _share("moving: called moving", moving, [row for row in moving if row.called_moving]),
+        _share(
+            "certain of the hand: not mirrored", sure, [row for row in sure if not row.mirrored]
+        ),
+    ]
+    seconds = [row.seconds for row in rows]
+    if seconds:
+        median, most = np.median(seconds), max(seconds)
+        table.append({"what": "seconds", "share": f"{median:.1f}", "worst": f"most {most:.1f}"})
+    return table
+
+
+def _share(what: str, rows: list[Row], good: list[Row]) -> dict[str, Any]:
+    """Return the share of rows that are good, and the worst of the others."""
+    bad = sorted((row for row in rows if row not in good), key=lambda row: -row.ratio)
+    worst = ", ".join(f"{row.number} ({row.ratio:.2g})" for row in bad[:12])
+    return {"what": what, "share": f"{len(good)} of {len(rows)}", "worst": worst}
+
+
+def _line(row: Row) -> str:
+    def figures() -> Iterator[str]:
+        yield f"{row.number}"
+        yield f"x{row.ratio:.2f}"
+        yield f"error {100 * row.error:.3g} % (true cameras {100 * row.bound:.3g})"
+        if np.isfinite(row.oracle):
+            yield f"oracle x{max(row.oracle - SLACK, 0) / max(row.bound, 1e-9):.2f}"
+        yield f"focal {100 * row.focal_error:.2g} % z {max(row.focal_scores, default=0):.1f}"
+        yield f"turn {row.turn:.2g} deg"
+        yield f"{'MIRRORED ' if row.mirrored else ''}sure {row.certainty:.3f}"
+        if row.moving != row.called_moving:
+            yield "CALLED MOVING" if row.called_moving else "CALLED STATIC"
+        yield f"{row.seconds:.1f} s"
+        yield row.words
+        yield ", ".join(row.findings)
+
+    return " | ".join(figures())
+
+
+if __name__ == "__main__":
+    main()

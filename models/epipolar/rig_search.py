@@ -1,0 +1,187 @@
+"""The search for a static rig: starts from pairs of views, other lenses, the mirror image.
+
+All starts are compared under one common noise, each with its points located anew.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.epipolar.assembly import ViewGraph, assemble
+from models.epipolar.pairs import Beliefs
+from models.epipolar.rig_adjustment import Adjusted, adjust_rig, prior_cost
+from models.epipolar.robust_points import robust_points, triangulate_points
+from models.epipolar.static_cameras import Rigid, Seen, distances_of, robust_costs
+from models.epipolar.view_graph import LENS_NOISE
+from models.numerics.steps import Steps
+
+Float64 = NDArray[np.float64]
+
+STARTS, FINALISTS = 6, 2
+OTHER_FOCALS, SWEEPS, SWEEP_ITERATIONS = (0.5, 2.0), 2, 6
+FIRST_ITERATIONS, MORE_ITERATIONS = 15, 20
+SAME = 0.03  # radians and share of focal lengths within which rigs count as one
+# A first adjustment believes no noise below this share of the subject's size, nor one above what
+# lens models leave.
+FIRST_NOISE = 0.02
+COOLING = (1.0, 0.03)  # of it, one after another
+
+
+def likely_rigs(
+    graph: ViewGraph, few: Seen, beliefs: Beliefs, sizes: Float64
+) -> Steps[list[Adjusted]]:
+    """Return the best rig of all K views, and the best that is another; none if they do not hang.
+
+    `few` points decide; `sizes` (K,) are the subject's in each view, in sides.
+    """
+    noise = float(np.median([poses.noise for poses in graph.values()]))
+    rigs = assemble(graph, few, max(noise, 1e-3))
+    if not rigs:
+        return []
+    least = min(LENS_NOISE, FIRST_NOISE * float(np.median(sizes)))
+    free = replace(beliefs, alike=False)
+    first = []
+    for rig in _distinct([rig.rig for rig in rigs], STARTS):
+        yield
+        points = triangulate_points(rig, few)
+        first.append(
+            adjust_rig(
+                rig,
+                points,
+                few,
+                free,
+                iterations=FIRST_ITERATIONS,
+                lenses=False,
+                least_noise=least,
+            )
+        )
+    first = ordered(first, few, free)
+    first[0] = yield from _with_other_lenses(first[0], few, free, least)
+    return (yield from _with_lenses(first, few, beliefs, least))
+
+
+def _with_lenses(
+    first: list[Adjusted], few: Seen, beliefs: Beliefs, least: float
+) -> Steps[list[Adjusted]]:
+    """Adjust lenses, too, from the best rigs as they are, with lenses alike, and mirrored."""
+    second = []
+    for adjusted in first[:FINALISTS]:
+        rig = adjusted.rig
+        alike = rig._replace(
+            log_focals=np.where(beliefs.focal_sds > 0, np.median(rig.log_focals), rig.log_focals)
+        )
+        for start in (rig, alike):
+            yield
+            second.append(_nearer(start, adjusted.points, few, beliefs, least))
+    mirror = _nearer(*necker(second[0].rig, second[0].points), few, beliefs, least)
+    finalists = ordered([*second, mirror], few, beliefs)
+    others = [each for each in finalists[1:] if not same_rig(each.rig, finalists[0].rig)]
+    return [finalists[0], *others[:1]]
+
+
+def necker(rig: Rigid, points: Float64) -> tuple[Rigid, Float64]:
+    """Return the mirror image of cameras and points (3, M), which distant cameras see alike."""
+    centre = np.median(points, 1)
+    flip = np.diag([1.0, 1.0, -1.0])
+    translations = rig.translations + rig.rotations @ centre
+    mirrored = rig._replace(rotations=flip @ rig.rotations @ flip, translations=translations)
+    return mirrored, flip @ (points - centre[:, None])
+
+
+def _with_other_lenses(
+    adjusted: Adjusted, seen: Seen, beliefs: Beliefs, least_noise: float
+) -> Steps[Adjusted]:
+    """Try other focal lengths of one camera after another, each from where it sees things as large.
+
+    A camera that is nearer, with a shorter lens, sees nearly the same: adjusting alone hardly goes
+    from one to the other.
+    """
+    views = np.flatnonzero(beliefs.focal_sds > 0)
+    for _ in range(SWEEPS):
+        before = adjusted
+        for view in views:
+            yield
+            tried = [adjusted]
+            for factor in OTHER_FOCALS:
+                rig = Rigid(*(array.copy() for array in adjusted.rig))
+                rig.log_focals[view] += np.log(factor)
+                rig.translations[view, 2] *= factor
+                points = adjusted.points
+                near = adjust_rig(
+                    rig,
+                    points,
+                    seen,
+                    beliefs,
+                    iterations=SWEEP_ITERATIONS,
+                    lenses=False,
+                    least_noise=least_noise,
+                )
+                tried.append(near)
+            adjusted = ordered(tried, seen, beliefs)[0]
+        if same_rig(adjusted.rig, before.rig):
+            break
+    return adjusted
+
+
+def _nearer(
+    rig: Rigid, points: Float64, seen: Seen, beliefs: Beliefs, least_noise: float
+) -> Adjusted:
+    """Adjust a start, believing less and less noise: what is far off pulls it in at first."""
+    adjusted = Adjusted(rig, points, np.full(len(rig.log_focals), least_noise))
+    for share in COOLING:
+        adjusted = adjust_rig(
+            adjusted.rig,
+            adjusted.points,
+            seen,
+            beliefs,
+            iterations=MORE_ITERATIONS,
+            least_noise=share * least_noise,
+        )
+    return adjusted
+
+
+def finished_rig(adjusted: Adjusted, seen: Seen, beliefs: Beliefs, *, iterations: int) -> Adjusted:
+    """Adjust a rig to all that is seen, with points located anew."""
+    points = robust_points(adjusted.rig, seen, adjusted.noise)
+    return adjust_rig(adjusted.rig, points, seen, beliefs, iterations=iterations)
+
+
+def _cost(adjusted: Adjusted, seen: Seen, beliefs: Beliefs, noise: Float64) -> float:
+    """Minus log posterior under a noise (K,)."""
+    distances = distances_of(adjusted.rig, adjusted.points, seen)
+    return float(robust_costs(distances, seen.weights, noise).sum()) + prior_cost(
+        adjusted.rig, beliefs
+    )
+
+
+def ordered(rigs: list[Adjusted], seen: Seen, beliefs: Beliefs) -> list[Adjusted]:
+    """Sort by cost under one common noise: with each its own, what fits worse could win.
+
+    Points are located anew, since one that an outlier caught says nothing of the cameras.
+    """
+    common = np.min([rig.noise for rig in rigs], 0)
+    located = [
+        each._replace(points=robust_points(each.rig, seen, common, start=each.points))
+        for each in rigs
+    ]
+    costs = [_cost(each, seen, beliefs, common) for each in located]
+    return [located[place] for place in np.argsort(costs, kind="stable")]
+
+
+def _distinct(rigs: list[Rigid], most: int) -> list[Rigid]:
+    """Return the first rigs of which no two are one."""
+    kept: list[Rigid] = []
+    for rig in rigs:
+        if len(kept) < most and not any(same_rig(rig, other) for other in kept):
+            kept.append(rig)
+    return kept
+
+
+def same_rig(rig: Rigid, other: Rigid) -> bool:
+    """Whether rotations and focal lengths of two rigs are the same, or nearly."""
+    turns = [r.rotations @ r.rotations[0].T for r in (rig, other)]
+    relative = turns[0] @ turns[1].mT
+    cosines = (np.trace(relative, axis1=1, axis2=2) - 1) / 2
+    angles = np.arccos(cosines.clip(-1, 1))
+    return bool(angles.max() < SAME and np.abs(rig.log_focals - other.log_focals).max() < SAME)

@@ -1,0 +1,77 @@
+"""Static cameras from keypoints alone: drawn rigs that nobody chose, and what is left to shapes."""
+
+import numpy as np
+import pytest
+
+from benchmarks.drawn_captures import draw_capture
+from benchmarks.wide_net import by_geometry, measure
+from models.calibrating.result import SelfCalibration
+from models.calibrating.self_calibration import calibrate_by_geometry
+from models.numerics.steps import finished
+from models.settings.config import FitConfig
+from tests.models.rigs import IMAGE_SIZE, RigCapture, make_rig_capture
+
+# Of the first draws those with three or four static cameras, few frames and the motion of the
+# example, which is always at hand.
+DRAWS = (7, 41, 47, 77, 125, 154, 178, 220, 223, 226, 229, 235)
+
+
+def found_in(capture: RigCapture, config: FitConfig | None = None) -> SelfCalibration | None:
+    found = finished(
+        calibrate_by_geometry(
+            capture.pixels,
+            capture.weights,
+            config or FitConfig(),
+            [IMAGE_SIZE] * len(capture.lenses),
+            detected=capture.pixels,
+        )
+    )
+    return None if found is None else found[0]
+
+
+@pytest.mark.parametrize("number", DRAWS)
+def test_drawn_rigs_are_as_good_as_the_true_ones(number: int) -> None:
+    draw = draw_capture(number)
+    assert draw is not None
+    assert not draw.moving
+    row = measure(draw, by_geometry, None)
+    assert row.ratio < 1.1
+    assert not row.called_moving
+    assert not row.mirrored
+
+
+def test_a_draw_is_the_same_each_time() -> None:
+    first, second = draw_capture(7), draw_capture(7)
+    assert first is not None
+    assert second is not None
+    np.testing.assert_array_equal(first.keypoints, second.keypoints)
+    assert first.words == second.words
+
+
+def test_three_static_cameras_are_settled_with_their_deviations() -> None:
+    capture = make_rig_capture([0.0, 80.0, -120.0], frames=60, noise=2.0)
+    found = found_in(capture)
+    assert found is not None
+    assert found.resting.all()
+    assert found.handedness_certainty > 0.99
+    focals = np.array([lens.focal for lens in capture.lenses])
+    scores = np.log(found.rig.lenses.focals.mean(1) / focals) / found.deviations[:, 0]
+    assert np.abs(scores).max() < 4
+
+
+@pytest.mark.parametrize(
+    ("azimuths", "moving", "config"),
+    [
+        ([0.0, 80.0], (), {}),
+        ([0.0, 80.0, -120.0], (0, 1, 2), {}),
+        ([0.0, 80.0, -120.0, 170.0], (1,), {}),
+        ([0.0, 80.0, -120.0], (), {"cameras": "moving"}),
+        ([0.0, 80.0, -120.0], (), {"handedness": (0, 1, 2, 3)}),
+    ],
+)
+def test_the_rest_is_left_to_shapes(
+    azimuths: list[float], moving: tuple[int, ...], config: dict[str, object]
+) -> None:
+    """Two views, cameras that move, and what the user declared."""
+    capture = make_rig_capture(azimuths, frames=40, moving=moving)
+    assert found_in(capture, FitConfig.model_validate(config)) is None
