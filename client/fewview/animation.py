@@ -35,6 +35,8 @@ class Animation:
         P names, each but once.
     edges
         (first, second) keypoints that are joined, counted from 0.
+    numbers
+        (N,) numbers of the frames, rising, where they do not simply count from 0.
 
     Raises
     ------
@@ -48,6 +50,7 @@ class Animation:
     times: Float64 | None = None
     keypoint_names: tuple[str, ...] | None = None
     edges: tuple[tuple[int, int], ...] = ()
+    numbers: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         """Take any sequences, and check them."""
@@ -68,6 +71,11 @@ class Animation:
             if (np.diff(times) <= 0).any():
                 raise ValueError("times must rise from frame to frame")
             self._set("times", times)
+        if self.numbers is not None:
+            numbers = np.array(self.numbers, dtype=np.int64)
+            if numbers.shape != (frames,) or (np.diff(numbers) <= 0).any():
+                raise ValueError(f"numbers must be {frames} that rise, one a frame")
+            self._set("numbers", numbers)
         if self.keypoint_names is not None:
             names = tuple(str(name) for name in self.keypoint_names)
             if len(names) != count or len(set(names)) != count:
@@ -103,16 +111,20 @@ class Animation:
         return USUAL_RATE
 
     @property
+    def frames(self) -> list[int]:
+        """N numbers of the frames: those of the files, or from 0."""
+        return list(range(len(self.points))) if self.numbers is None else self.numbers.tolist()
+
+    @property
     def seconds(self) -> Float64:
         """The time (N,) of each frame, seconds: as told, or from 0 by `rate`."""
         if self.times is not None:
             return self.times
-        return np.arange(len(self.points)) / self.rate
+        frames = np.array(self.frames, np.float64)
+        return np.asarray((frames - frames[:1]) / self.rate)
 
     @property
     def even(self) -> bool:
         """Whether times are those of a constant rate, to half a frame."""
-        if self.times is None:
-            return True
-        regular = np.arange(len(self.times)) / self.rate
-        return bool(np.all(np.abs(self.times - self.times[:1] - regular) * self.rate <= UNEVEN))
+        regular, times = np.arange(len(self.points)) / self.rate, self.seconds
+        return bool(np.all(np.abs(times - times[:1] - regular) * self.rate <= UNEVEN))

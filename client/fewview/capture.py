@@ -32,6 +32,8 @@ class Capture:
         K names, such as those of files.
     image_sizes
         (width, height) in pixels of each view, None where unknown.
+    numbers
+        (N,) numbers of the frames in the files, where they do not simply count from 0.
     notes
         What a reader understood and changed, in sentences for people.
     """
@@ -46,6 +48,7 @@ class Capture:
     image_sizes: tuple[tuple[int, int] | None, ...] | None = None
     fps: float | None = None
     notes: tuple[str, ...] = field(default=(), compare=False)
+    numbers: NDArray[np.int64] | None = None
 
     @property
     def frames(self) -> int:
@@ -79,6 +82,7 @@ class Capture:
             "keypoint_names": self.keypoint_names,
             "edges": self.edges,
             "view_names": self.view_names,
+            "frame_numbers": self.numbers,
         }
         if self.image_sizes is not None and None not in self.image_sizes:
             known["image_sizes"] = self.image_sizes

@@ -43,8 +43,9 @@ def animation_of(
 ) -> Animation:
     """Return the frames as an animation, in the room if there is one."""
     times = capture.times
-    if times is not None and times.ndim == 2:
-        times = np.nanmedian(times, axis=1)
+    if times is not None:
+        times = times[: len(lift)]  # frames may have been added to the dataset since
+        times = np.nanmedian(times, axis=1) if times.ndim == 2 else times
     return Animation(
         points=np.asarray(lift.points3d if room is None else room.points, np.float64),
         unit=unit,
@@ -52,4 +53,5 @@ def animation_of(
         times=times,
         keypoint_names=capture.keypoint_names,
         edges=capture.edges or (),
+        numbers=capture.numbers,
     )

@@ -1,15 +1,17 @@
-"""How files of 2D keypoints are to be read: what `fewview.read` and all commands are told."""
+"""How files of 2D keypoints are to be read: what `fewview.read` and all commands take."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 from fewview.errors import FormatError
 
-Align = Literal["index", "time"]
+Align = Literal["auto", "index", "time"]
 Person = int | str
 Size = tuple[int, int]
+Sizes = Size | Sequence[Size | None] | Mapping[str, Size] | str
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -29,12 +31,25 @@ class ReadingOptions:
         Name of a skeleton that gives the keypoints their names and edges.
     align
         "index": frames of the same number belong together. "time": frames of the nearest time.
+        "auto": by time where the cameras' rates or times differ.
     fps
-        Frames per second, where a file tells no times.
+        Frames per second, where a file has no times: of all, or text such as
+        "cam1=60,cam2=30".
     image_size
-        (width, height) in pixels of all views, or of each; text such as "1920x1080" for all.
+        (width, height) in pixels of all views, of each, or by their names; text such as
+        "1920x1080" for all, "1920x1080,cam2=1080x1920" where some differ.
     untrusted
         Whether to refuse formats whose readers have to trust their files.
+    columns
+        What the columns of a table hold, such as "x={}_x,y={}_y,frame=No".
+    cameras
+        Names of the views that are wanted, in their order; text with commas is a list.
+    trial
+        Name of the trial, or of the detector, whose files are meant, where they are of several.
+    y
+        "down", as in images; "up" where y counts from the lower edge.
+    mirror
+        Names of the views whose images are mirrored; text with commas is a list.
 
     Raises
     ------
@@ -46,33 +61,120 @@ class ReadingOptions:
     person: Person | Sequence[Person] = "auto"
     min_confidence: float = 0.0
     skeleton: str | None = None
-    align: Align = "index"
-    fps: float | None = None
-    image_size: Size | Sequence[Size] | str | None = None
+    align: Align = "auto"
+    fps: float | str | None = None
+    image_size: Sizes | None = None
     untrusted: bool = False
+    columns: str | None = None
+    cameras: Sequence[str] | str | None = None
+    trial: str | None = None
+    y: Literal["down", "up"] = "down"
+    mirror: Sequence[str] | str | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_confidence <= 1:
             raise FormatError(f"min_confidence is {self.min_confidence}, not in [0, 1]")
-        if self.align not in ("index", "time"):
-            raise FormatError(f"align is {self.align!r}, neither 'index' nor 'time'")
-        if self.fps is not None and not 0 < self.fps < inf:
-            raise FormatError(f"fps is {self.fps}, not above 0")
-        self.sizes()
+        if self.align not in ("auto", "index", "time"):
+            raise FormatError(f"align is {self.align!r}, neither 'auto', 'index' nor 'time'")
+        if self.y not in ("down", "up"):
+            raise FormatError(f"y is {self.y!r}, neither 'down' nor 'up'")
+        self.sizes([""])
+        self.rates([""])
 
-    def sizes(self) -> Size | Sequence[Size] | None:
-        """Return the image size of all views, or of each, as numbers.
+    def sizes(self, views: Sequence[str]) -> list[Size | None]:
+        """Return the image size of each view, None where it was not given.
 
         Raises
         ------
         FormatError
-            If it is text of another kind than "1920x1080".
+            If one cannot be, there are too many or too few, or it names no view. No view may be
+            named "": it stands for any.
         """
-        if not isinstance(self.image_size, str):
-            return self.image_size
-        width, _, height = self.image_size.lower().partition("x")
-        if not (width.isdigit() and height.isdigit()):
+        given = self.image_size
+        if isinstance(given, str):
+            return _of_views(given, views, _size, "image_size")
+        if isinstance(given, Mapping):
+            return [given.get(name) for name in views]
+        if given is None:
+            return [None] * len(views)
+        of_each = any(isinstance(size, Sequence) for size in given)
+        listed: list[Any] = list(given) if of_each else [given] * len(views)
+        right = all(
+            size is None or (len(size) == 2 and all(int(n) > 0 for n in size)) for size in listed
+        )
+        if not right or (len(listed) != len(views) and views != [""]):
             raise FormatError(
-                f"image size {self.image_size!r}: expected WIDTHxHEIGHT, such as 1920x1080"
+                f"image_size is {given!r}, not (width, height), nor {len(views)} of these"
             )
-        return int(width), int(height)
+        return [None if size is None else (int(size[0]), int(size[1])) for size in listed]
+
+    def rates(self, views: Sequence[str]) -> list[float | None]:
+        """Return the frames per second of each view, None where they were not given.
+
+        Raises
+        ------
+        FormatError
+            If one cannot be, or names no view.
+        """
+        if self.fps is None:
+            return [None] * len(views)
+        return _of_views(str(self.fps), views, _rate, "fps")
+
+    def named(self, option: Literal["cameras", "mirror"], views: Sequence[str]) -> list[int] | None:
+        """Return the indices of the views that an option names; None if it was not given.
+
+        Raises
+        ------
+        FormatError
+            If there is no view of a name.
+        """
+        given: Sequence[str] | str | None = getattr(self, option)
+        if given is None:
+            return None
+        names = given.split(",") if isinstance(given, str) else given
+        return [_place(name, views, option) for name in names]
+
+
+def _of_views(
+    text: str, views: Sequence[str], parse: Callable[[str, str], Value], option: str
+) -> list[Value | None]:
+    """Return the value of each view from text such as ``30,cam2=60``: one for all, or by name."""
+    found: list[Value | None] = [None] * len(views)
+    for part in text.split(","):
+        name, named, value = part.rpartition("=")
+        parsed = parse(value.strip(), option)
+        if not named:
+            found = [parsed if each is None else each for each in found]
+        elif list(views) != [""]:
+            found[_place(name, views, option)] = parsed
+    return found
+
+
+def _place(name: str, views: Sequence[str], option: str) -> int:
+    name = name.strip()
+    if name in views:
+        return list(views).index(name)
+    raise FormatError(f"{option}: there is no camera {name!r}; there are {', '.join(views)}")
+
+
+def _size(text: str, option: str) -> Size:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise FormatError(
+            f"{option} {text!r}: expected WIDTHxHEIGHT, such as 1920x1080, or of each camera, such "
+            "as cam1=1920x1080,cam2=1080x1920"
+        )
+    return int(width), int(height)
+
+
+def _rate(text: str, option: str) -> float:
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = 0.0
+    if not 0 < rate < inf:
+        raise FormatError(
+            f"{option} is {text}, not above 0; give one number, or those of each camera, such as "
+            "cam1=60,cam2=30"
+        )
+    return rate

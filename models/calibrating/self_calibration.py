@@ -24,7 +24,7 @@ from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.geometry_first import settle_by_geometry, structures_of_all
 from models.calibrating.handedness import DECIDED
-from models.calibrating.image_sizes import ImageSizes
+from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
     CLEAR,
@@ -32,10 +32,12 @@ from models.calibrating.problem import (
     Solution,
     problem_of,
     reprojection_distances,
+    usual_rig,
 )
 from models.calibrating.result import SelfCalibration
 from models.calibrating.search import Arranged, search
 from models.calibrating.told_cameras import unit_by_length
+from models.calibrating.told_order import as_meant
 from models.findings.advice import noticed
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
@@ -90,6 +92,7 @@ def self_calibrate(
     numpy.linalg.LinAlgError
         When what is sought is not determined.
     """
+    config, misread = _as_meant(keypoints, weights, config, image_sizes)
     problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
     arranged = yield from search(problem, answers, config)
     share = 1.0  # of the information of keypoints, what noise removal did not use twice
@@ -109,7 +112,14 @@ def self_calibrate(
     if kept is not None:
         surely = np.where(np.isfinite(kept), kept, surely)
     found = _result(
-        problem, best, surely, reason, arranged.hand, arranged.unit, arranged.findings, config
+        problem,
+        best,
+        surely,
+        reason,
+        arranged.hand,
+        arranged.unit,
+        misread + arranged.findings,
+        config,
     )
     return found, best.scene
 
@@ -128,6 +138,7 @@ def calibrate_by_geometry(
 
     Parameters are those of `self_calibrate`, which finds everything else.
     """
+    config, misread = _as_meant(keypoints, weights, config, image_sizes)
     problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
     most = most_frames(*keypoints.shape[1:3])
     settled = yield from settle_by_geometry(problem, config, most=most)
@@ -139,7 +150,7 @@ def calibrate_by_geometry(
     if part is not arranged.checked.problem:  # other lenses are better, and may move the cameras
         return None
     surely = deviations(part, best) if kept is None else kept
-    found = _result(part, best, surely, reason, arranged.hand, None, (), config)
+    found = _result(part, best, surely, reason, arranged.hand, None, misread, config)
     return found, structures_of_all(problem, best, settled.start)
 
 
@@ -178,6 +189,17 @@ def _leaves_lenses_to_shapes(refined: _Refined) -> bool:
     problem, best = refined.problem, refined.best
     untold = np.isinf(problem.lens_sds[:, FOCAL]).all()
     return bool(untold and len(best.rig.groups) == 2 and best.rig.resting.all())
+
+
+def _as_meant(
+    keypoints: Float64, weights: Float64, config: FitConfig, image_sizes: ImageSizes | None
+) -> tuple[FitConfig, tuple[Finding, ...]]:
+    """Return the configuration with the calibration as the keypoints say that it is meant."""
+    if config.calibration is None:
+        return config, ()
+    usual = usual_rig(images_of(keypoints, weights, image_sizes))
+    meant, findings = as_meant(keypoints, weights, usual, config.calibration)
+    return config.model_copy(update={"calibration": tuple(meant)}), findings
 
 
 def _with_likely_lenses(

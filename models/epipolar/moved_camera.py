@@ -114,17 +114,18 @@ def _judge(seen: Seen, matrices: Matrices, first: int) -> MovedCamera | None:
         if min(early, frames - late) < least:
             return None
         sides = (slice(None, early), slice(late, None))
-        costs = {
-            pair: _costs_of_sides(seen, pair, sides, usual) for pair, usual in matrices.items()
-        }
+        told = {pair: usual for pair, usual in matrices.items() if _show(seen, pair, sides, least)}
+        if not told:
+            return None
+        costs = {pair: _costs_of_sides(seen, pair, sides, usual) for pair, usual in told.items()}
         window = slice(early, late)
         jumps = {pair: _jump(both[:, window], first - early) for pair, both in costs.items()}
         alike = _most_likely(jumps)
-        mine = [pair for pair in matrices if alike[0] in pair]
+        mine = [pair for pair in told if alike[0] in pair]
         mean = np.mean([costs[pair] for pair in mine], 0)
         near = slice(max(first - 2 * width, 0), first + 2 * width)
         first = near.start + _best_split(mean[:, near])[0]
-    if len(alike) > 1 and len(_paired(matrices)) > 2:
+    if len(alike) > 1 and len(_paired(told)) > 2:
         return None
     early, late = max(first - width, 0), first + width
     ratios = DEPENDENCE * (mean[0] - mean[1])
@@ -143,6 +144,13 @@ def _judge(seen: Seen, matrices: Matrices, first: int) -> MovedCamera | None:
     gain = plain - len(mine) * float(mean[0, :first].sum() + mean[1, first:].sum())
     views = (alike[0],) if len(alike) == 1 else _who_jumped(seen, alike, first)
     return MovedCamera(views, first, jump, jump / error, gain)
+
+
+def _show(seen: Seen, pair: tuple[int, int], sides: tuple[slice, slice], least: int) -> bool:
+    """Whether both views of a pair show enough frames on either side, and neither has ended."""
+    both = seen.there[:, pair[0]] & seen.there[:, pair[1]]
+    shown: NDArray[np.bool_] = np.any(both, axis=-1)
+    return all(shown[side].sum() >= least for side in sides)
 
 
 def _jump(costs: Float64, at: int) -> float:

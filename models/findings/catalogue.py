@@ -31,6 +31,7 @@ CameraCode = TypeAliasType(
         "cameras_not_found",
         "rig_declared_but_moving",
         "calibration_disagrees",
+        "calibration_read_otherwise",
         "known_length_disagrees",
         "camera_moved",
         "focal_not_observable",
@@ -125,7 +126,8 @@ CATALOGUE: dict[FindingCode, Entry] = {
     "left_right_swapped": Entry(
         "warning",
         "The view shows left and right keypoints the other way round than the other views do.",
-        "Exchange left and right in this view, or turn off mirroring of its images.",
+        "Exchange left and right in this view, or turn off mirroring of its images (`mirror` where"
+        " files are read).",
     ),
     "left_right_mended": Entry(
         "info",
@@ -158,6 +160,15 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " slightly off (`refused` 0), and found anew where it is far off (`refused` 1).",
         "Look at whether the camera was moved, zoomed, exchanged or calibrated at another image"
         " size; calibrate it anew, or leave its calibration out.",
+    ),
+    "calibration_read_otherwise": Entry(
+        "warning",
+        "The poses that were given explain the keypoints only if they are read otherwise, and so"
+        " they were: as leading from the camera to the room (`inverted` 1), with the axes of"
+        " graphics (`graphics_axes` 1), or with the cameras in another order (`camera_of_view_0`"
+        " ...).",
+        "Write poses that lead from the room to the camera, x right, y down, z forward, and the"
+        " cameras in the order of the views.",
     ),
     "known_length_disagrees": Entry(
         "warning",

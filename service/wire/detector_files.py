@@ -53,10 +53,34 @@ class DetectorReading(BaseModel):
     min_confidence: float = Field(
         0.0, ge=0, le=1, description="Of `files`: detections that are less sure are gaps."
     )
-    align: Literal["index", "time"] = Field(
-        "index",
+    align: Literal["auto", "index", "time"] = Field(
+        "auto",
         description="Of `files`: whether frames of the same number (`index`) or of the nearest "
-        "`time` belong together.",
+        "`time` belong together; `auto`: by time where the cameras' rates or times differ.",
+    )
+    table_columns: str = Field(
+        "",
+        max_length=LONGEST_NOTE,
+        description="Of `files`: what the columns of a table hold, where their names do not say "
+        "it, such as `x={}_x,y={}_y,frame=No`.",
+    )
+    cameras: str = Field(
+        "",
+        max_length=LONGEST_NOTE,
+        description="Of `files`: which views are wanted, in their order, such as `cam1,cam2`.",
+    )
+    trial: str = Field(
+        "",
+        max_length=LONGEST_NOTE,
+        description="Whose `files` are meant, where they are of several trials or detectors.",
+    )
+    y: Literal["down", "up"] = Field(
+        "down", description="Of `files`: `up` where y counts from the lower edge of the image."
+    )
+    mirror: str = Field(
+        "",
+        max_length=LONGEST_NOTE,
+        description="Of `files`: which views show mirror images, such as `cam2`.",
     )
     skeleton_name: str = Field(
         "", description=f"Of `files`: names the keypoints: {', '.join(SKELETONS)}."
@@ -130,7 +154,12 @@ def read_files(
             skeleton=said.skeleton_name or None,
             align=said.align,
             fps=fps,
-            image_size=[(w, h) for w, h in filter(None, image_sizes or ())] or None,
+            image_size=[None if s is None else (s[0], s[1]) for s in image_sizes or ()] or None,
+            columns=said.table_columns or None,
+            cameras=said.cameras or None,
+            trial=said.trial or None,
+            y=said.y,
+            mirror=said.mirror or None,
         )
         with TemporaryDirectory(prefix="fewview-") as folder:
             names: list[str] = []

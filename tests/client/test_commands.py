@@ -44,8 +44,9 @@ def refused(ran: Ran, status: int) -> str:
 
 def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
     file, url = tmp_path / "figure.npz", f"--url={served.live.url}"
-    np.savez(file, allow_pickle=False, **served.capture.arrays())
-    dataset = fewview("upload", str(file), "--fps=25", url).stdout.strip()
+    times = 100 + np.arange(60) / 25
+    np.savez(file, allow_pickle=False, times=times, **served.capture.arrays())
+    dataset = fewview("upload", str(file), url).stdout.strip()
     assert served.client.datasets.get(dataset).name == "figure"
 
     small = ["-c", '{"dictionary_sizes": [16, 8], "batch_size": 16}', "-c", "cameras=moving"]
@@ -72,7 +73,7 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
     assert {"animation.csv", "animation.npz", "model.safetensors"} <= written
     with np.load(out / "animation.npz") as arrays:
         assert arrays["points"].shape == (60, served.capture.keypoints.shape[2], 3)
-        assert arrays["fps"] == 25  # the dataset's
+        np.testing.assert_allclose(arrays["times"], times)  # the dataset's
         plain = arrays["points"]
     tall = ["--height=1.8", "--formats=npz", "--json", url]
     assert said(fewview("export", fit, "-o", str(out), *tall))["frames"] == 60

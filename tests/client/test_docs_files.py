@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fewview.api.lifting import Lift
 from fewview.calibration import read_cameras
+from fewview.readers.registry import NAMES
 from safetensors.numpy import load_file
 
 ROOT = Path(__file__).parents[2]
@@ -65,3 +66,9 @@ def test_everything_shown_runs_in_its_order(
     np.testing.assert_allclose(
         np.nanmean(errors, axis=1), lift.reprojection_errors[there, 0], atol=0.02
     )
+
+
+def test_every_format_that_is_read_is_described() -> None:
+    text = (ROOT / "docs/files.md").read_text(encoding="utf-8")
+    (section,) = re.findall(r"^## What is read\n(.*?)^## ", text, re.DOTALL | re.MULTILINE)
+    assert set(NAMES) <= set(re.findall(r"`([a-z0-9-]+)`", section))

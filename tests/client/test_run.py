@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from fewview.calibration import Camera, read_cameras, write_cameras
 from safetensors import safe_open
+from scipy.spatial.transform import Rotation
 
 from tests import fork_server
 from tests.models.rigs import IMAGE_SIZE, RigCapture, make_rig_capture
@@ -28,8 +29,11 @@ def capture() -> RigCapture:
 
 @pytest.fixture(scope="module")
 def files(capture: RigCapture, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    return written(capture, tmp_path_factory.mktemp("files"))
+
+
+def written(capture: RigCapture, folder: Path) -> list[str]:
     """Write what DeepLabCut would, a file for each camera."""
-    folder = tmp_path_factory.mktemp("files")
     for view in range(3):
         with (folder / f"cam{view}.csv").open("w", newline="") as file:
             rows = csv.writer(file)
@@ -79,6 +83,35 @@ def test_files_become_an_animation_cameras_and_a_model(
     again = run(*words)
     assert json.loads(again.stdout)["model"] == told["model"]
     assert run(*words, "-c", "seed=5", "--formats", "obj").returncode == 2
+
+
+def test_a_camera_that_was_moved_counts_as_two(tmp_path: Path) -> None:
+    capture = make_rig_capture([0.0, 80.0, -120.0], frames=100, seed=3)
+    rays = np.concatenate(
+        ((capture.keypoints[60:, 1] - [640, 512]) / 1100, np.ones((40, 16, 1))), axis=-1
+    )
+    turned = rays @ Rotation.from_rotvec([0.05, 0.06, 0.03]).as_matrix().T
+    capture.keypoints[60:, 1] = turned[..., :2] / turned[..., 2:] * 1100 + [640, 512]
+    size = "x".join(map(str, IMAGE_SIZE))
+    words = [*written(capture, tmp_path), "-o", str(tmp_path / "out"), "--json", *QUICK]
+    words += ["--image-size", size, "--formats", "npz,trc", "--unit", "m"]
+    done = run(*words)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    (note,) = [note for note in told["notes"] if "was moved at frame" in note]
+    first = int(note.partition("frame ")[2].partition(":")[0])
+    assert abs(first - 60) <= 1
+    assert told["arrangement"] == "static"
+    # A unit that nothing gives is none, so TRC, which needs one, is not written.
+    assert any(note.startswith("no unit: ") for note in told["notes"])
+    with np.load(tmp_path / "out" / "animation.npz") as arrays:
+        points = arrays["points"]
+        assert "unit" not in arrays
+    cameras = {camera.name: camera for camera in read_cameras(tmp_path / "out" / "cameras.toml")}
+    assert set(cameras) == {"cam0", "cam1", "cam2", f"cam1@{first}"}
+    for name, frames in (("cam1", slice(0, 59)), (f"cam1@{first}", slice(61, 100))):
+        shown = cameras[name].project(points[frames])
+        assert np.nanmedian(np.linalg.norm(shown - capture.keypoints[frames, 1], axis=-1)) < 3
 
 
 def test_it_goes_on_where_it_was_stopped(files: list[str], tmp_path: Path) -> None:

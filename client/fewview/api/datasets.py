@@ -128,7 +128,8 @@ def to_capture(source: Source) -> Capture:
 def parts(capture: Capture) -> Iterator[dict[str, NDArray[Any]]]:
     """Cut a capture's arrays into parts of a size to send; the first also describes it."""
     arrays = capture.arrays()
-    for name in ("image_sizes", "fps"):  # which the form tells
+    # The form has the first two; the service keeps no numbers, but times.
+    for name in ("image_sizes", "fps", "frame_numbers"):
         arrays.pop(name, None)
     framed = {name: arrays.pop(name) for name in OF_FRAMES if name in arrays}
     bytes_each = sum(array.nbytes for array in framed.values()) // max(1, capture.frames)

@@ -3,7 +3,7 @@
 from fewview.calibration.camera import Camera, from_model, rotation_matrix, rotation_vector
 from fewview.calibration.comparing import CameraError, compare_cameras
 from fewview.calibration.files import FORMATS, read_cameras, write_cameras
-from fewview.calibration.told import as_config, for_views, read_for_views
+from fewview.calibration.told import as_config, for_views, read_for_views, sizes_in
 
 __all__ = [
     "FORMATS",
@@ -17,5 +17,6 @@ __all__ = [
     "read_for_views",
     "rotation_matrix",
     "rotation_vector",
+    "sizes_in",
     "write_cameras",
 ]

@@ -64,6 +64,20 @@ def for_views(cameras: Sequence[Camera], names: Sequence[str]) -> tuple[list[Cam
     return list(cameras), f"cameras of the calibration are taken in the order of views: {called}"
 
 
+def sizes_in(file: str | PathLike[str]) -> tuple[int, int] | dict[str, tuple[int, int]] | None:
+    """Return the image size that all cameras of a calibration file have, or those by their names.
+
+    None if it has none.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read.
+    """
+    sizes = {camera.name: camera.size for camera in read_cameras(file) if camera.size is not None}
+    return next(iter(sizes.values())) if len(set(sizes.values())) == 1 else sizes or None
+
+
 def as_config(camera: Camera) -> dict[str, Any]:
     """Return a camera as an entry of a fit's ``calibration``.
 

@@ -51,16 +51,19 @@ def summary(capture: "Capture") -> dict[str, Any]:
     Returns
     -------
     dict
-        ``frames``, ``keypoints`` (a count), ``keypoint_names``, ``edges``, ``fps``, ``times``
-        (seconds from first to last, None without), ``cameras`` with ``name``, ``image_size`` and
-        ``gaps`` (the share of keypoints that it does not show), and ``notes``.
+        ``frames``, ``frame_numbers`` (first and last, None where they count from 0), ``keypoints``
+        (a count), ``keypoint_names``, ``edges``, ``fps``, ``times`` (seconds from first to last,
+        None without), ``cameras`` with ``name``, ``image_size`` and ``gaps`` (the share of
+        keypoints that it does not show), and ``notes``.
     """
     seen = capture.observed().mean(axis=(0, 2)) if capture.frames else [0.0] * capture.views
     names = capture.view_names or tuple(f"view {v + 1}" for v in range(capture.views))
     sizes = capture.image_sizes or (None,) * capture.views
     times = capture.times
+    numbers = None if capture.numbers is None else capture.numbers.tolist()
     return {
         "frames": capture.frames,
+        "frame_numbers": numbers and [numbers[0], numbers[-1]],
         "keypoints": int(capture.keypoints.shape[2]),
         "keypoint_names": capture.keypoint_names and list(capture.keypoint_names),
         "edges": capture.edges and [list(edge) for edge in capture.edges],
@@ -78,9 +81,11 @@ def in_words(understood: dict[str, Any]) -> str:
     """Return the summary as lines for people."""
     cameras, names = understood["cameras"], understood["keypoint_names"]
     listed = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "") if names else "no names"
+    numbers = understood["frame_numbers"]
+    numbered = f", numbered {numbers[0]} to {numbers[1]}" if numbers else ""
     lines = [
         f"cameras    {len(cameras)}",
-        f"frames     {understood['frames']}",
+        f"frames     {understood['frames']}{numbered}",
         f"keypoints  {understood['keypoints']} ({listed}), {len(understood['edges'] or ())} edges",
     ]
     if understood["fps"]:

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fewview.commands.reading import Fps
 from fewview.commands.talking import AsJson, Url, say, talking
 
 USUAL = "trc,csv,glb,npz"
@@ -27,7 +26,7 @@ def export(
     *,
     output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write into.")],
     formats: Formats = USUAL,
-    fps: Fps = None,
+    fps: Annotated[float | None, typer.Option(help="Frames per second, if they are even.")] = None,
     unit: LengthUnit = None,
     height: Height = None,
     url: Url = None,
@@ -96,7 +95,16 @@ def in_words(told: dict[str, Any]) -> str:
         f"error      {told['reprojection_error']:.2f} px from the keypoints, mean",
     ]
     for finding in told["findings"]:
-        lines.append(f"{finding['severity']:<10} {finding['code']}: {finding['effect']}")
+        lines.append(
+            f"{finding['severity']:<10} {finding['code']}{_where(finding)}: {finding['effect']}"
+        )
         lines.append(f"           {finding['remedy']}")
     lines += [f"- {note}" for note in told["notes"]]
     return "\n".join([*lines, *(f"wrote      {file}" for file in told["files"])])
+
+
+def _where(finding: Mapping[str, Any]) -> str:
+    """Return the cameras and frames that a finding is about, in brackets; "" for all."""
+    frames = ", ".join(f"{first} to {last}" for first, last in finding["frames"][:3])
+    parts = [", ".join(finding["cameras"]), f"frames {frames}" if frames else ""]
+    return f" ({', '.join(filter(None, parts))})" if any(parts) else ""

@@ -5,7 +5,7 @@ import inspect
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Concatenate, ParamSpec, get_type_hints
+from typing import Annotated, Any, Concatenate, Literal, ParamSpec, get_type_hints
 
 import typer
 
@@ -18,7 +18,6 @@ Files = Annotated[
     list[Path],
     typer.Argument(help="A file or folder of 2D keypoints for each camera, or all in one."),
 ]
-Fps = Annotated[float | None, typer.Option(help="Frames per second, if they are even.")]
 OPTIONS: dict[str, Any] = {
     "format": Annotated[
         str | None, typer.Option(help="Name of the format; found out if not given.")
@@ -36,9 +35,37 @@ OPTIONS: dict[str, Any] = {
     "skeleton": Annotated[
         str | None, typer.Option(help="Names the keypoints, such as `body-25b`.")
     ],
-    "align": Annotated[Align, typer.Option(help="What belongs together: numbers or times.")],
-    "fps": Fps,
-    "image_size": Annotated[str | None, typer.Option(help="Of all cameras, such as `1920x1080`.")],
+    "align": Annotated[
+        Align, typer.Option(help="What belongs together: numbers (index), times, or found out.")
+    ],
+    "fps": Annotated[
+        str | None,
+        typer.Option(help="Frames per second of all cameras, or `cam1=60,cam2=30`."),
+    ],
+    "image_size": Annotated[
+        str | None,
+        typer.Option(
+            "--image-size",
+            "--size",
+            help="Of all cameras, such as `1920x1080`, or `1920x1080,cam2=1080x1920`.",
+        ),
+    ],
+    "columns": Annotated[
+        str | None,
+        typer.Option(help="What columns of a table hold, such as `x={}_x,y={}_y,frame=No`."),
+    ],
+    "cameras": Annotated[
+        str | None, typer.Option(help="Which views are wanted, in their order: `cam1,cam2`.")
+    ],
+    "trial": Annotated[
+        str | None, typer.Option(help="Whose files are meant, where they are of several trials.")
+    ],
+    "y": Annotated[
+        Literal["down", "up"], typer.Option(help="`up` where y counts from the lower edge.")
+    ],
+    "mirror": Annotated[
+        str | None, typer.Option(help="Which views show mirror images, such as `cam2`.")
+    ],
 }
 
 

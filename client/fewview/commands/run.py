@@ -58,13 +58,16 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Read, upload, fit, and write animation, cameras and model; again, it goes on where it was."""
-    from fewview.calibration import as_config, read_for_views  # noqa: PLC0415
+    from fewview.calibration import as_config, read_for_views, sizes_in  # noqa: PLC0415
     from fewview.commands.convert import in_words, summary  # noqa: PLC0415 (what it needs)
     from fewview.errors import FewviewError, InvalidRequest  # noqa: PLC0415
     from fewview.readers import read_with  # noqa: PLC0415
 
     try:
-        capture = read_with(files, options())
+        asked = options()
+        if calibration is not None and asked.image_size is None:
+            asked = replace(asked, image_size=sizes_in(calibration))
+        capture = read_with(files, asked)
         told = _config(config or [], known_length)
         if known_length is not None:
             _check_keypoints(told["known_length"]["keypoints"], capture)
@@ -108,12 +111,19 @@ def _run(
     quiet: bool,
 ) -> dict[str, Any]:
     from fewview.client import Client  # noqa: PLC0415
+    from fewview.commands.moved_cameras import parted  # noqa: PLC0415
     from fewview.commands.progress import FitProgressBar  # noqa: PLC0415
-    from fewview.commands.running import Notes, digest_of, export, fitted  # noqa: PLC0415
+    from fewview.commands.running import (  # noqa: PLC0415
+        NOTES,
+        NOTES_AGAIN,
+        Notes,
+        digest_of,
+        export,
+        fitted,
+    )
     from fewview.embedded import running_service  # noqa: PLC0415
     from fewview.keys import token_in  # noqa: PLC0415
 
-    notes = Notes.of(folder, digest_of(capture, config, url))
     data = folder / "fewview-data"
     service = running_service(data=data) if url is None else nullcontext(url)
     with ExitStack() as stack:
@@ -121,17 +131,22 @@ def _run(
         # FEWVIEW_KEY is of another service; that of this run has a token of its own.
         key = None if url is not None else token_in(data) or ""
         client = stack.enter_context(Client(address, key))
-        with FitProgressBar(quiet=quiet) as bar:
-            fit: Fit = fitted(
-                client,
-                capture,
-                folder,
-                notes,
-                name=folder.absolute().name,
-                config=config,
-                on_progress=bar.show,
-            )
-        return export(client, fit, capture, folder, formats=formats, unit=unit, height=height)
+
+        def fit_of(capture: "Capture", config: dict[str, Any], file: str) -> "Fit":
+            notes = Notes.of(folder / file, digest_of(capture, config, url))
+            name = folder.absolute().name
+            with FitProgressBar(quiet=quiet) as bar:
+                return fitted(
+                    client, capture, notes, name=name, config=config, on_progress=bar.show
+                )
+
+        fit, said = fit_of(capture, config, NOTES), []
+        again = parted(capture, fit, config)
+        if again is not None:
+            capture, said = again.capture, [again.note]
+            fit = fit_of(capture, again.config, NOTES_AGAIN)
+        done = export(client, fit, capture, folder, formats=formats, unit=unit, height=height)
+        return done | {"notes": [*said, *done["notes"]]}
 
 
 def _config(texts: list[str], known_length: str | None) -> dict[str, Any]:

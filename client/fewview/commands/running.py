@@ -5,15 +5,16 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 import numpy as np
 
 from fewview.animation import Unit
-from fewview.api.forms import Fit
+from fewview.api.forms import Finding, Fit
 from fewview.api.lifting import Lift
 from fewview.calibration import write_cameras
-from fewview.capture import Capture
+from fewview.capture import Capture, Float64
 from fewview.client import Client
 from fewview.errors import FewviewError, JobFailed, NotFound
 from fewview.height import scaled_to
@@ -23,6 +24,7 @@ from fewview.writers import write
 from fewview.writers.registry import FORMATS
 
 NOTES = "run.json"
+NOTES_AGAIN = "run-again.json"  # of a fit with cameras that were parted
 CALIBRATIONS = ("cameras.toml", "cameras.yml")  # of Anipose, of OpenCV
 WEIGHTS = "model.safetensors"
 
@@ -31,25 +33,27 @@ WEIGHTS = "model.safetensors"
 class Notes:
     """What of a run is done, by the identifiers of the service."""
 
+    file: Path
     digest: str  # of the keypoints and of what the fit was told
     dataset_id: str | None = None
     fit_id: str | None = None
 
     @classmethod
-    def of(cls, folder: Path, digest: str) -> Self:
+    def of(cls, file: Path, digest: str) -> Self:
         """Read the notes of an earlier run of the very same; else begin new ones."""
         try:
-            said = json.loads((folder / NOTES).read_text())
-            notes = cls(str(said["digest"]), said["dataset_id"], said["fit_id"])
+            said = json.loads(file.read_text())
+            notes = cls(file, str(said["digest"]), said["dataset_id"], said["fit_id"])
         except (OSError, ValueError, KeyError, TypeError):
-            return cls(digest)
-        return notes if notes.digest == digest else cls(digest)
+            return cls(file, digest)
+        return notes if notes.digest == digest else cls(file, digest)
 
-    def keep(self, folder: Path) -> None:
+    def keep(self) -> None:
         """Write the notes; the file is whole or the one before."""
-        part = folder / f".{NOTES}.part"
-        part.write_text(json.dumps(asdict(self)))
-        part.replace(folder / NOTES)
+        said = {"digest": self.digest, "dataset_id": self.dataset_id, "fit_id": self.fit_id}
+        part = self.file.with_name(f".{self.file.name}.part")
+        part.write_text(json.dumps(said))
+        part.replace(self.file)
 
 
 def digest_of(capture: Capture, *told: object) -> str:
@@ -64,7 +68,6 @@ def digest_of(capture: Capture, *told: object) -> str:
 def fitted(
     client: Client,
     capture: Capture,
-    folder: Path,
     notes: Notes,
     *,
     name: str,
@@ -85,14 +88,14 @@ def fitted(
             lambda: client.datasets.get(str(notes.dataset_id))
         ):
             notes.dataset_id = client.datasets.create(capture, name=name).id
-            notes.keep(folder)
+            notes.keep()
         notes.fit_id = client.fits.create(notes.dataset_id, name=name, **config).id
-        notes.keep(folder)
+        notes.keep()
     try:
         return client.fits.wait(notes.fit_id, on_progress=on_progress)
     except JobFailed:
         notes.fit_id = None  # the same command tries anew
-        notes.keep(folder)
+        notes.keep()
         raise
 
 
@@ -108,6 +111,7 @@ def described_by(client: Client, fit: Fit) -> Capture:
         edges=tuple((first, second) for first, second in skeleton.get("edges") or ()),
         view_names=tuple(cameras or (f"view{view}" for view in range(views))),
         image_sizes=sizes and tuple(size and (size[0], size[1]) for size in sizes),
+        times=_times(client, fit) if said.get("has_times") else None,
         fps=said.get("fps"),
     )
 
@@ -118,6 +122,14 @@ def _dataset(client: Client, fit: Fit) -> dict[str, Any]:
         return client.datasets.get(fit.dataset_id).raw
     except NotFound:
         return {}
+
+
+def _times(client: Client, fit: Fit) -> Float64:
+    """Return the times (N,) or (N, K) of the frames of a fit's dataset."""
+    with TemporaryDirectory() as folder:
+        file = client.datasets.download(fit.dataset_id, Path(folder, "capture.npz"))
+        with np.load(file, allow_pickle=False) as arrays:
+            return np.asarray(arrays["times"], np.float64)
 
 
 def export(
@@ -142,6 +154,8 @@ def export(
     lift = client.fits.reconstruction(fit)
     found = client.models.cameras(fit.model_id)
     room, said = room_of(lift, found, capture)
+    unit, doubted = _unit_used(fit, unit, height)
+    said += doubted
     if height is not None:
         if room is None:
             raise ValueError(f"--height: {'; '.join(said)}")
@@ -165,9 +179,42 @@ def export(
         "frames": len(lift),
         "in_room": 0 if room is None else len(lift) - room.missing,
         "reprojection_error": float(np.nanmean(lift.reprojection_errors)),
-        "findings": [asdict(finding) for finding in fit.findings],
+        "findings": [
+            asdict(finding) | {"cameras": _called(finding.views, capture)}
+            for finding in fit.findings
+        ],
         "notes": said,
     }
+
+
+def _called(views: Sequence[int], capture: Capture) -> list[str]:
+    names = capture.view_names or tuple(f"view{view}" for view in range(capture.views))
+    return [names[view] for view in views if view < len(names)]
+
+
+def _unit_used(fit: Fit, unit: Unit | None, height: float | None) -> tuple[Unit | None, list[str]]:
+    """Return the unit if something that was used gives it, and what is to be said of it."""
+    config = fit.config or {}
+    if unit is None or height is not None or config.get("known_length"):
+        return unit, []
+    cameras = config.get("calibration") or ()
+    posed = {v for v, camera in enumerate(cameras) if camera and camera.get("translation")}
+    refused = {view for each in fit.findings if _refuses_poses(each) for view in each.views}
+    if len(posed - refused) > 1:
+        return unit, []
+    why = (
+        "the keypoints contradict the poses of the calibration, which were not used"
+        if posed
+        else "the fit was given neither a length nor poses"
+    )
+    return None, [f"no unit: {why}"]
+
+
+def _refuses_poses(finding: Finding) -> bool:
+    """Whether told poses were not used, and not lenses alone."""
+    told = finding.evidence
+    of_lens_alone = "focal_ratio" in told and "degrees" not in told
+    return finding.code == "calibration_disagrees" and bool(told["refused"]) and not of_lens_alone
 
 
 def _calibrations(

@@ -16,6 +16,7 @@ from fewview.readers.sources import ZIP, Source
 
 MAX_UNPACKED = 2**30  # bytes
 MAX_MEMBERS = 200_000  # files
+WORKBOOK = "xl/workbook.xml"
 MAX_DEPTH = 32  # of folders in folders
 NAMED = "named"  # the folder of what was unpacked, under its own name
 
@@ -38,13 +39,18 @@ def is_archive(path: Path) -> bool:
     Raises
     ------
     FormatError
-        If it is one that is broken.
+        If it is one that is broken, or a workbook.
     """
     if not path.is_file() or not Source(path).begins(ZIP):
         return False
     try:
         with zipfile.ZipFile(path) as archive:
-            return "keypoints.npy" not in archive.namelist()
+            names = archive.namelist()
+        if WORKBOOK in names:
+            raise FormatError(f"{path}: an Excel workbook; save the sheet of each camera as CSV")
+        return "keypoints.npy" not in names
+    except FormatError:
+        raise
     except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
         raise FormatError(f"{path}: a zip file or npz that is broken ({_cause(error)})") from error
 

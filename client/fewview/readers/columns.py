@@ -1,41 +1,43 @@
-"""Tables with a column for each x, y and confidence, as views: of CSV and of HDF5 by pandas."""
+"""Tables with a column for each x, y and confidence, as views: of text and of HDF5 by pandas."""
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fewview.errors import FormatError
-from fewview.readers.names import frame_number
+from fewview.readers.headers import Label, plain
+from fewview.readers.names import frame_number, natural
+from fewview.readers.skeletons import SKELETONS
 from fewview.readers.views import Int64, View, bounded
 
-COORDINATES = {
-    "x": 0,
-    "y": 1,
-    "likelihood": 2,
-    "confidence": 2,
-    "conf": 2,
-    "score": 2,
-    "visibility": 2,
-    "probability": 2,
-    "prob": 2,
-    "p": 2,
-}
+COORDINATES = {"x": 0, "y": 1, "confidence": 2, "visibility": 2}
 MAX_COLUMNS = 2**16  # of a table: 21,845 keypoints with their confidence
-Label = tuple[str, str, str]  # individual ("" if there is one), keypoint, coordinate
+HANDS = {"wrist", "thumbcmc", "thumbmcp", "thumbip", "thumbtip"} | {
+    f"{finger}finger{joint}"
+    for finger in ("index", "middle", "ring", "pinky")
+    for joint in ("mcp", "pip", "dip", "tip")
+}
+OF_MEDIAPIPE = HANDS.union(map(plain, SKELETONS["mediapipe-33"].names))
+MANY_OF_MEDIAPIPE = (21, 33, 468, 478)  # landmarks of a hand, a body, a face
+INSIDE = 0.8  # of all landmarks lie in the image, where they are shares of it
+OF_3D = (
+    "has columns of x, y and z, so it holds 3D points; Fewview makes 3D from the 2D keypoints of "
+    "each camera: give those"
+)
 
 
-def view_of_columns(
+def views_of_columns(
     name: str, labels: Sequence[Label], values: NDArray[np.float64], numbers: Int64, what: str
-) -> View:
-    """Return the view of a table.
+) -> list[View]:
+    """Return the views of a table, one for each camera that its labels name.
 
     Parameters
     ----------
     labels
-        C columns: the individual ("" if there is one), the keypoint, the coordinate. Columns whose
-        coordinate is not known are left out, and keypoints without an x or a y.
+        Of C columns. Keypoints without an x or a y are left out.
     values
         (N, C).
     numbers
@@ -46,39 +48,88 @@ def view_of_columns(
     Raises
     ------
     FormatError
-        If there are no columns of x and y, or there are z.
+        If there are no columns of x and y, or there is a depth that makes the points 3D.
     """
     bounded_columns(len(labels), what)
-    people = tuple(dict.fromkeys(label[0] for label in labels))
-    axes = {label[2] for label in labels}
-    with_x, with_y = ({label[1] for label in labels if label[2] == axis} for axis in "xy")
+    cameras = sorted({label.camera for label in labels}, key=natural)
+    views = []
+    for camera in cameras:
+        mine = [place for place, label in enumerate(labels) if label.camera == camera]
+        part = values if len(cameras) == 1 else values[:, mine]
+        views.append(view_of_labels(camera or name, [labels[i] for i in mine], part, numbers, what))
+    return views
+
+
+def view_of_labels(
+    name: str, labels: Sequence[Label], values: NDArray[np.float64], numbers: Int64, what: str
+) -> View:
+    """Return the view of one camera's columns, as `views_of_columns` does of all."""
+    people = tuple(dict.fromkeys(label.person for label in labels))
+    with_x, with_y = ({each.keypoint for each in labels if each.axis == axis} for axis in "xy")
     whole = with_x & with_y
-    points = tuple(dict.fromkeys(label[1] for label in labels if label[1] in whole))
-    if "z" in axes:
-        raise FormatError(
-            f"{what}: has columns of x, y and z, so it holds 3D points; Fewview makes 3D from the "
-            "2D keypoints of each camera: give those"
-        )
+    points = list(dict.fromkeys(each.keypoint for each in labels if each.keypoint in whole))
     if not points:
         raise FormatError(f"{what}: has no columns of x and y")
+    numbered = all(point.isdecimal() for point in points)
+    if numbered:
+        points.sort(key=natural)
     shape = (len(values), len(people), len(points), 3)
     bounded(shape, what)
     out = np.full(shape, np.nan, np.float32)
     place = {person: i for i, person in enumerate(people)}
     point = {keypoint: i for i, keypoint in enumerate(points)}
-    told = False
-    for column, (person, keypoint, axis) in enumerate(labels):
-        if axis in COORDINATES and keypoint in point:
-            out[:, place[person], point[keypoint], COORDINATES[axis]] = values[:, column]
-            told |= COORDINATES[axis] == 2
-    return View(
+    measured = False
+    for column, label in enumerate(labels):
+        if label.axis in COORDINATES and label.keypoint in point:
+            axis = COORDINATES[label.axis]
+            out[:, place[label.person], point[label.keypoint], axis] = values[:, column]
+            measured |= axis == 2
+    view = View(
         name,
         out[..., :2],
         numbers,
-        out[..., 2] if told else None,
+        out[..., 2] if measured else None,
         people=people,
-        keypoint_names=points,
+        keypoint_names=None if numbered else tuple(points),
     )
+    depths = [column for column, label in enumerate(labels) if label.axis == "z"]
+    if not depths:
+        return view
+    axes = {label.axis for label in labels}
+    return without_depth(view, values[:, depths], what, visible="visibility" in axes)
+
+
+def without_depth(
+    view: View, depths: NDArray[np.float64], what: str, *, visible: bool = False
+) -> View:
+    """Return a view whose points came with a depth that says nothing, or is MediaPipe's guess.
+
+    Parameters
+    ----------
+    depths
+        Of all points, in any shape.
+    visible
+        Whether there is a visibility, as MediaPipe alone calls it.
+
+    Raises
+    ------
+    FormatError
+        If the depth makes the points 3D.
+    """
+    if not np.any(np.nan_to_num(depths)):
+        return view
+    known = view.keypoints[np.isfinite(view.keypoints).all(-1)]
+    shares = len(known) > 0 and np.mean((known >= 0) & (known <= 1)) > INSIDE
+    names = view.keypoint_names
+    landmarks = (
+        view.keypoints.shape[2] in MANY_OF_MEDIAPIPE
+        if names is None
+        else OF_MEDIAPIPE.issuperset(map(plain, names))
+    )
+    if not (visible or (shares and landmarks)):
+        raise FormatError(f"{what}: {OF_3D}")
+    note = "the z of landmarks is a guess of one image, and was left out"
+    return replace(view, notes=(*view.notes, note))
 
 
 def bounded_columns(count: int, what: str) -> None:
@@ -106,7 +157,7 @@ def row_numbers(rows: Sequence[object], what: str) -> Int64:
         once, count = np.unique(numbers, return_counts=True)
         if len(once) < len(numbers):
             raise FormatError(
-                f"{what}: tells of frame {once[count > 1][0]} twice; give a file for each camera"
+                f"{what}: has frame {once[count > 1][0]} twice; give a file for each camera"
             )
         return numbers if (once == numbers).all() else np.arange(len(rows))
     split = [frame_number(text if "." in text else f"{text}.") for text in texts]

@@ -5,15 +5,16 @@ from dataclasses import replace
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fewview.capture import Capture, Float32, Float64
+from fewview.capture import Capture, Float32
 from fewview.errors import FormatError
-from fewview.readers.skeletons import skeleton_of
+from fewview.readers.skeletons import edges_of, skeleton_of
+from fewview.readers.timing import together
 from fewview.readers.views import Edges, Int64, View, bounded
 from fewview.reading_options import Align
 
 SLIGHTLY_ABOVE = 1.1  # peaks of heatmaps that are interpolated
+FEW = 0.01  # of the confidences of a camera: so many above 1 are errors, and no other scale
 
 
 def cleaned(view: View, min_confidence: float) -> tuple[View, list[str]]:
@@ -28,15 +29,22 @@ def cleaned(view: View, min_confidence: float) -> tuple[View, list[str]]:
         keypoints[nowhere] = np.nan
     gaps = ~np.isfinite(keypoints).all(-1)
     if confidence is not None:
-        confidence = np.where(gaps, 0.0, np.nan_to_num(confidence, nan=1.0)).astype(np.float32)
+        confidence = np.where(np.isfinite(confidence), confidence, 1.0)
+        confidence = np.where(gaps, 0.0, confidence).astype(np.float32)
         highest = float(confidence.max(initial=0.0))
-        if 1 < highest <= SLIGHTLY_ABOVE:
-            notes.append(f"{view.name}: confidences up to {highest:.3f} were clipped to 1")
-        elif highest > SLIGHTLY_ABOVE:
+        odd = confidence > SLIGHTLY_ABOVE
+        if odd.any() and odd.sum() < FEW * (confidence > 0).sum():
+            notes.append(
+                f"{view.name}: {int(odd.sum())} confidences above 1, up to {highest:.4g}, were "
+                "clipped to 1"
+            )
+        elif odd.any():
             notes.append(
                 f"{view.name}: confidences go up to {highest:.4g}, so they were divided by it"
             )
             confidence = confidence / np.float32(highest)
+        elif highest > 1:
+            notes.append(f"{view.name}: confidences up to {highest:.3f} were clipped to 1")
         confidence = np.clip(confidence, 0, 1)
         weak = (confidence < min_confidence) & (confidence > 0)
         if weak.any():
@@ -49,10 +57,13 @@ def cleaned(view: View, min_confidence: float) -> tuple[View, list[str]]:
     return replace(view, keypoints=keypoints, confidence=confidence), notes
 
 
-def combined(
-    views: Sequence[View], *, align: Align, fps: float | None, skeleton: str | None
-) -> Capture:
-    """Return the capture of views of one person (M = 1), that were cleaned.
+def combined(views: Sequence[View], *, align: Align, one_file: bool = False) -> Capture:
+    """Return the capture of views of one person (M = 1), that were cleaned and named.
+
+    Parameters
+    ----------
+    one_file
+        Whether all views are of one file, whose rows say what belongs together.
 
     Raises
     ------
@@ -61,10 +72,11 @@ def combined(
     """
     notes: list[str] = []
     notes += [f"{view.name}: {note}" for view in views for note in view.notes]
-    views = [_named(view, skeleton, notes) for view in views]
-    views = _common_keypoints(views, notes)
-    fps = fps or _common_rate(views)
-    rows, times = _aligned(views, align, fps, notes)
+    views = _common_keypoints(list(views), notes)
+    for view in views:
+        if view.fps is not None and not 0 < view.fps < inf:
+            raise FormatError(f"{view.name}: `fps` is {view.fps}, not above 0")
+    rows, numbers, times, fps = together(views, align, notes, one_file=one_file)
     first = views[0]
     shape = (len(rows), len(views), first.keypoints.shape[2])
     bounded((*shape, 2), "the views together")
@@ -89,14 +101,21 @@ def combined(
         sizes if any(sizes) else None,
         fps,
         tuple(notes),
+        None if (numbers == np.arange(len(numbers))).all() else numbers,
     )
+
+
+def named(views: Sequence[View], skeleton: str | None, notes: list[str]) -> list[View]:
+    """Return the views with the names and edges of their skeletons, as far as they can be known."""
+    return [_named(view, skeleton, notes) for view in views]
 
 
 def _named(view: View, skeleton: str | None, notes: list[str]) -> View:
     """Return the view with the names and edges of its skeleton, as far as they can be known."""
     count = view.keypoints.shape[2]
     if view.keypoint_names is not None and skeleton is None:
-        return view
+        edges = view.edges or edges_of(view.keypoint_names)
+        return replace(view, edges=edges)
     known, candidates = skeleton_of(count, skeleton, view.skeletons)
     if known is not None:
         said = f"the {count} keypoints were taken for {known.title}"
@@ -157,103 +176,6 @@ def _only_keypoints(view: View, common: list[str]) -> View:
         keypoint_names=tuple(common),
         edges=edges,
     )
-
-
-def _aligned(
-    views: list[View], align: Align, fps: float | None, notes: list[str]
-) -> tuple[Int64, Float64 | None]:
-    """Return which frame (N, K) of each view stands in each frame, -1 for none, and times."""
-    if align == "time":
-        return _by_time(views, fps, notes)
-    numbers = common_numbers(views, notes)
-    together = np.unique(np.concatenate(numbers))
-    rows = np.full((len(together), len(views)), -1)
-    for v, own in enumerate(numbers):
-        rows[np.searchsorted(together, own), v] = np.arange(len(own))
-    for view, own in zip(views, numbers, strict=True):
-        if len(own) < len(together):
-            notes.append(
-                f"{view.name}: has {len(own)} of the {len(together)} frames; the others are gaps"
-            )
-    times = _own_times(views, rows)
-    if fps is None or times is not None:
-        return rows, times
-    even = bool((np.diff(together) == 1).all())  # then the rate says it all
-    return rows, None if even else (together - together[0]) / fps
-
-
-def common_numbers(views: list[View], notes: list[str]) -> list[Int64]:
-    """Return frame numbers (N,) that mean the same in all views."""
-    numbers = [view.numbers for view in views]
-    first = [int(own[0]) for own in numbers]
-    last = [int(own[-1]) for own in numbers]
-    shared = min(last) - max(first) + 1
-    shortest = min(b - a + 1 for a, b in zip(first, last, strict=True))
-    if shared * 2 >= shortest:
-        return numbers
-    notes.append(
-        "frame numbers of the cameras hardly overlap ("
-        + ", ".join(f"{v.name} {a} to {b}" for v, a, b in zip(views, first, last, strict=True))
-        + "), so each camera's first frame was taken for the same"
-    )
-    return [own - start for own, start in zip(numbers, first, strict=True)]
-
-
-def _common_rate(views: list[View]) -> float | None:
-    """Return the frames per second that all views tell.
-
-    Raises
-    ------
-    FormatError
-        If they cannot be.
-    """
-    rates = {view.fps for view in views}
-    for rate in rates:
-        if rate is not None and not 0 < rate < inf:
-            raise FormatError(f"`fps` is {rate}, not above 0")
-    return rates.pop() if len(rates) == 1 else None
-
-
-def _own_times(views: list[View], rows: Int64) -> Float64 | None:
-    """Return the times that all views tell, (N,) where equal, else (N, K)."""
-    if any(view.times is None for view in views) or (rows < 0).any():
-        return None
-    times = np.stack(
-        [view.times[rows[:, v]] for v, view in enumerate(views) if view.times is not None], axis=1
-    )
-    return times[:, 0] if (times == times[:, :1]).all() else times
-
-
-def _by_time(
-    views: list[View], fps: float | None, notes: list[str]
-) -> tuple[Int64, Float64 | None]:
-    """Align to the times of the view with most frames: each takes what is nearest, within half."""
-    clocks: list[NDArray[np.float64]] = []
-    for view in views:
-        if view.times is not None:
-            clocks.append(view.times)
-        elif rate := fps or view.fps:
-            clocks.append(view.numbers / rate)
-        else:
-            raise FormatError(
-                f"{view.name}: tells no times to align by; say fps (--fps), or align='index'"
-            )
-    if any(np.any(np.diff(clock) <= 0) for clock in clocks):
-        raise FormatError("times must rise from frame to frame to align by them")
-    reference = max(clocks, key=len)
-    half = float(np.median(np.diff(reference))) / 2 if len(reference) > 1 else np.inf
-    rows = np.full((len(reference), len(views)), -1)
-    for v, (view, clock) in enumerate(zip(views, clocks, strict=True)):
-        after = np.clip(np.searchsorted(clock, reference), 1, max(len(clock) - 1, 1))
-        before = after - 1
-        after = np.minimum(after, len(clock) - 1)
-        nearer = np.abs(clock[after] - reference) < np.abs(clock[before] - reference)
-        nearest = np.where(nearer, after, before)
-        near = np.abs(clock[nearest] - reference) <= half
-        rows[near, v] = nearest[near]
-        if not near.all():
-            notes.append(f"{view.name}: {int((~near).sum())} moments without a frame are gaps")
-    return rows, reference - reference[0]
 
 
 def _truth(views: list[View], rows: Int64) -> Float32 | None:

@@ -10,15 +10,20 @@ from fewview.readers.archives import is_archive, unpacked
 from fewview.readers.names import natural
 from fewview.readers.registry import FORMATS, Format, detect, find
 from fewview.readers.sources import Source, frames_in
+from fewview.readers.trials import names_of_paths, of_one_trial
 
 Found = tuple[Source, Format]
 AnyPath = str | PathLike[str]
-DEPTH = 3  # of folders in folders
+DEPTH = 4  # of folders in folders
 FILTERED = re.compile(r"[_-]filtered(?=[./\\]|$)")
 
 
 def sources_at(
-    paths: AnyPath | Iterable[AnyPath], name: str | None, notes: list[str], folder: Path
+    paths: AnyPath | Iterable[AnyPath],
+    name: str | None,
+    notes: list[str],
+    folder: Path,
+    trial: str | None = None,
 ) -> list[Found]:
     """Return what there is to read at the paths, a format each.
 
@@ -30,11 +35,13 @@ def sources_at(
         Gets what was left out.
     folder
         An empty one, where zip files are unpacked.
+    trial
+        Whose files are meant, where they are of several.
 
     Raises
     ------
     FormatError
-        If there is nothing of a known format.
+        If there is nothing of a known format, or the files are of several trials.
     """
     listed = [paths] if isinstance(paths, str | PathLike) else list(paths)
     if not listed:
@@ -45,14 +52,21 @@ def sources_at(
         if path.is_dir():
             inside = _in_folder(path, name, notes, DEPTH)
             if not inside:
-                raise FormatError(f"{path}: a folder with no file of a known format")
-            found += _told_apart(_newest(inside, path, notes), path)
+                raise FormatError(
+                    f"{path}: a folder with no file of a known format{_first_looks_like(path)}"
+                )
+            found += _newest(inside, path, notes)
         elif path.exists():
             source = Source(path)
             found.append((source, find(source, name)))
         else:
             raise FormatError(f"{path}: there is no such file or folder")
-    return found
+    names = names_of_paths([each.path for each, _ in found], [each.name for each, _ in found])
+    mine, called, note = of_one_trial(names, trial)
+    notes += filter(None, [note])
+    for index, camera in zip(mine, called, strict=True):
+        found[index][0].name = camera
+    return [found[index] for index in mine]
 
 
 def _in_folder(folder: Path, name: str | None, notes: list[str], depth: int) -> list[Found]:
@@ -65,24 +79,42 @@ def _in_folder(folder: Path, name: str | None, notes: list[str], depth: int) -> 
         key=lambda path: natural(path.name),
     )
     found: list[Found] = []
-    unknown = []
+    unknown: list[Source] = []
     for path in inside:
         if path.is_file():
             source = Source(path)
-            kind = find(source, name) if name else _quietly(source)
+            kind = _quietly(source)
             if kind is None:
-                unknown.append(path.name)
-            else:
+                unknown.append(source)
+            elif name in (None, kind.name):
                 found.append((source, kind))
+    if name and not found:  # none looks like it, so those may be that look like nothing
+        found = [(source, find(source, name)) for source in unknown]
+        unknown = []
     if not found and depth > 1:
         for path in inside:
             if path.is_dir():
                 found += _in_folder(path, name, notes, depth - 1)
         return found
     if found and unknown:
-        shown = ", ".join(unknown[:5]) + (", ..." if len(unknown) > 5 else "")
+        shown = ", ".join(source.path.name for source in unknown[:5]) + (
+            ", ..." if len(unknown) > 5 else ""
+        )
         notes.append(f"{folder.name}: not read, of no known format: {shown}")
     return _one_of_each(found, folder, notes)
+
+
+def _first_looks_like(folder: Path) -> str:
+    """Return what the first file of a folder looks like, to go on an error; "" without files."""
+    files = sorted((path for path in folder.iterdir() if path.is_file()), key=natural)
+    files = [path for path in files if not path.name.startswith(".")]
+    if not files:
+        return ""
+    try:
+        found = find(Source(files[0]), None)
+    except FormatError as error:
+        return f"; {error}"
+    return f"; {files[0].name} looks like {found.title}"
 
 
 def _newest(found: list[Found], folder: Path, notes: list[str]) -> list[Found]:
@@ -97,17 +129,6 @@ def _newest(found: list[Found], folder: Path, notes: list[str]) -> list[Found]:
         else:
             notes.append(f"{path} was left out for {other}")
     return kept
-
-
-def _told_apart(found: list[Found], folder: Path) -> list[Found]:
-    """Name files of one name by the folders that they lie in."""
-    if len({source.name for source, _ in found}) == len(found):
-        return found
-    for source, _ in found:
-        inside = source.path.parent.relative_to(folder)
-        if not source.frames and inside.parts:
-            source.name = "_".join((*inside.parts, source.name))
-    return found
 
 
 def _quietly(source: Source) -> Format | None:

@@ -1,9 +1,16 @@
 """What a file that is of no known format looks like, and what to do with it."""
 
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from fewview.readers.headers import plain
+from fewview.readers.separated import cells, table_of
 from fewview.readers.sources import HDF5, NUMPY, ZIP, Source
 
+NUMERIC = frozenset("0123456789.eE+- \t,;|")
+MOST_AXES = 4  # columns of a keypoint
+FEWEST_COLUMNS = 3  # of a table of keypoints
 _DO = "Export the detections of each camera as one of the formats of docs/files.md, or as plain CSV"
 _3D = "holds 3D points; Fewview makes 3D from the 2D keypoints of each camera: give those"
 _VIDEO = "a video; run a detector on it first, and give what it writes"
@@ -11,7 +18,8 @@ _IMAGE = "an image; run a detector on it first, and give what it writes"
 
 _BEGINNINGS = {
     ZIP: f"a zip file without `keypoints.npy`; an npz needs `keypoints`. {_DO}",
-    NUMPY: "an .npy array of a shape that is no keypoints: (views, frames, keypoints, 2)",
+    NUMPY: "an .npy array of a shape that is no keypoints, (views, frames, keypoints, 2), or one "
+    f"that {_3D}",
     b"RIFF": _VIDEO,
     b"\x1aE\xdf\xa3": _VIDEO,
     b"\x89PNG": _IMAGE,
@@ -21,28 +29,86 @@ _BEGINNINGS = {
 }
 
 
-def looks_like(source: Source) -> str:
-    """Return a sentence for the error: what this is taken for, and what would be read."""
-    if not source.head:
-        return f"an empty file. {_DO}"
+def looks_like(source: Source, known: Mapping[str, str]) -> str:
+    """Return a sentence for the error: what this is taken for, and what would be read.
+
+    Parameters
+    ----------
+    known
+        Titles of the formats that are text, and words that are in their files.
+    """
+    begins = (said for magic, said in _BEGINNINGS.items() if source.begins(magic))
+    if (said := next(begins, None)) is not None:
+        return said
     if source.begins(HDF5):
         return _of_hdf5(set(source.hdf5))
+    if source.json is not None:
+        return _of_json(source.json) + _nearest(_keys(source.json), known)
+    if source.lines:
+        return _of_text(source, known)
     if source.head[4:8] == b"ftyp":
         return _VIDEO
-    for magic, said in _BEGINNINGS.items():
-        if source.begins(magic):
-            return said
-    return _of_text(source)
+    return f"not a format that is known. {_DO}" if source.head else f"an empty file. {_DO}"
 
 
-def _of_text(source: Source) -> str:
+def _of_text(source: Source, known: Mapping[str, str]) -> str:
     if source.is_toml:
         return f"a TOML file, such as of a calibration, without keypoints. {_DO}"
-    if source.json is not None:
-        return _of_json(source.json)
-    if source.lines:
-        return f"text that begins with {source.lines[0][:60]!r}, no table of keypoints. {_DO}"
-    return f"not a format that is known. {_DO}"
+    if NUMERIC.issuperset(source.lines[0]):
+        return (
+            "a table of numbers without a header; write the names of its columns above it, such as "
+            "nose_x,nose_y,tail_x,tail_y"
+        )
+    table = table_of(source)
+    if table is None or table.width < FEWEST_COLUMNS:
+        said = f"text that begins with {source.lines[0][:60]!r}, no table of keypoints. {_DO}"
+        return said + _nearest(re.findall(r"\w+", source.lines[0]), known)
+    header = cells(source.lines[0], table.separator)
+    shown = ", ".join(map(repr, header[:6])) + (", ..." if len(header) > 6 else "")
+    x, y = _templates(header) or ("{}_x", "{}_y")
+    return (
+        f"a table whose columns {shown} name no x and y. {_DO}, or say which columns hold what, "
+        f"{{}} for the keypoint: fewview convert {source.path.name} --columns 'x={x},y={y}'"
+        + _nearest([word for cell in header for word in re.findall(r"\w+", cell)], known)
+    )
+
+
+def _templates(header: Sequence[str]) -> tuple[str, str] | None:
+    """Return what the columns of x and y may be called, where each name is of two parts.
+
+    The part that takes fewer values is the coordinate.
+    """
+    possible = []
+    for split, whole in (
+        (r"(?P<name>.+)(?P<between>[._ :-])(?P<word>.+)", "{{}}{between}{word}"),
+        (r"(?P<word>.+)(?P<between>[._ :-])(?P<name>.+)", "{word}{between}{{}}"),
+    ):
+        found = [each for cell in header if (each := re.fullmatch(split, cell))]
+        words = list(dict.fromkeys(each["word"] for each in found))
+        names = {each["name"] for each in found}
+        if 2 <= len(words) <= MOST_AXES and len(words) * len(names) == len(found):
+            between = found[0]["between"]
+            x, y = (whole.format(between=between, word=word) for word in words[:2])
+            possible.append((len(words), (x, y)))
+    return min(possible)[1] if possible else None
+
+
+def _nearest(words: Iterable[str], known: Mapping[str, str]) -> str:
+    """Return a sentence on the format whose files have most of these words; "" if none has any."""
+    said = {plain(word) for word in words}
+    shared = {title: len(said & set(there.split())) for title, there in known.items()}
+    title = max(shared, key=lambda each: shared[each])
+    return f". Of what is read, {title} is nearest" if shared[title] else ""
+
+
+def _keys(content: Any, depth: int = 4) -> Iterator[str]:
+    """Yield the keys of the first dictionaries in JSON."""
+    if isinstance(content, dict):
+        yield from map(str, content)
+    inside = list(content.values()) if isinstance(content, dict) else content
+    if isinstance(inside, list) and depth:
+        for one in inside[:3]:
+            yield from _keys(one, depth - 1)
 
 
 def _of_hdf5(names: set[str]) -> str:

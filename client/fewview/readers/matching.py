@@ -82,6 +82,30 @@ def same_people(tracks: Sequence[Track], views: int) -> tuple[list[list[int]], d
     return sorted(people, key=lambda who: -sum(tracks[i].amount for i in who)), sureness
 
 
+def epipolar_misfit(one: Float, other: Float) -> float | None:
+    """Return how far two views of somebody are from one epipolar geometry, in pixels.
+
+    Parameters
+    ----------
+    one, other
+        (N, P, 2) pixels of the same frames, NaN where not detected.
+
+    Returns
+    -------
+    float or None
+        The median distance; None if too few points are seen by both.
+    """
+    both = np.isfinite(one).all(-1) & np.isfinite(other).all(-1)
+    x, y = one[both], other[both]
+    part = slice(None, None, max(1, -(-len(x) // POINTS)))
+    x, y = x[part], y[part]
+    if len(x) < FEWEST:
+        return None
+    size = float(x.std()) or 1.0
+    a, b = (x - x.mean(0)) / size, (y - y.mean(0)) / size
+    return float(np.median(_distances(_fundamental(a, b), a, b))) * size
+
+
 def _joined(tracks: Sequence[Track], links: list[tuple[float, int, int]]) -> list[list[int]]:
     """Join tracks by their links, the strongest first; nobody is in a camera twice at a time."""
     who = {i: [i] for i in range(len(tracks))}

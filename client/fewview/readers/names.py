@@ -6,7 +6,7 @@ from pathlib import PurePath
 
 _DIGITS = re.compile(r"\d+")
 _LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
-_SEPARATORS = re.compile(r"([_.\- ]+)")
+_SEPARATORS = re.compile(r"([_.\- /\\]+)")
 
 
 def natural(name: object) -> list[tuple[int, str]]:

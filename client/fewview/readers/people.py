@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from fewview.capture import Float32
 from fewview.errors import FormatError
 from fewview.placing import row_medians
-from fewview.readers.combining import common_numbers
 from fewview.readers.matching import SURE, Track, same_people
+from fewview.readers.timing import common_numbers
 from fewview.readers.views import Int64, View
 from fewview.reading_options import Person
 

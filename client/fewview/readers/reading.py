@@ -3,19 +3,23 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from fewview.capture import Capture
 from fewview.errors import FormatError
 from fewview.readers.archives import workplace
-from fewview.readers.combining import cleaned, combined
+from fewview.readers.combining import cleaned, combined, named
 from fewview.readers.finding import AnyPath, sources_at
 from fewview.readers.names import told_apart
 from fewview.readers.people import pick
 from fewview.readers.registry import views_of
+from fewview.readers.sides import doubts_of_sides, put_right
+from fewview.readers.timing import with_rates
+from fewview.readers.videos import with_video
 from fewview.readers.views import View
-from fewview.reading_options import Align, Person, ReadingOptions, Size
+from fewview.reading_options import Align, Person, ReadingOptions, Size, Sizes
 
 SHARES = 3.0  # pixels go further than this many images
 MIDDLE = 0.25  # where shares from the middle of the image have their median, and go beyond
@@ -28,10 +32,15 @@ def read(
     person: Person | Sequence[Person] = "auto",
     min_confidence: float = 0.0,
     skeleton: str | None = None,
-    align: Align = "index",
-    fps: float | None = None,
-    image_size: Size | Sequence[Size] | str | None = None,
+    align: Align = "auto",
+    fps: float | str | None = None,
+    image_size: Sizes | None = None,
     untrusted: bool = False,
+    columns: str | None = None,
+    cameras: Sequence[str] | str | None = None,
+    trial: str | None = None,
+    y: Literal["down", "up"] = "down",
+    mirror: Sequence[str] | str | None = None,
 ) -> Capture:
     """Read the 2D keypoints of all cameras.
 
@@ -52,13 +61,26 @@ def read(
         names and edges; None for what the file says, or its count of keypoints.
     align
         "index": frames of the same number belong together. "time": frames of the nearest time.
+        "auto": by time where the cameras' rates or times differ.
     fps
-        Frames per second, where a file tells no times.
+        Frames per second, where a file has no times: of all, or "cam1=60,cam2=30".
     image_size
-        (width, height) in pixels of all views, or of each; "1920x1080" for all.
+        (width, height) in pixels of all views, of each, or a mapping by their names; "1920x1080"
+        for all, "1920x1080,cam2=1080x1920" where some differ.
     untrusted
         Whether the files come from somebody else: formats whose readers have to trust their files
         (C3D, pickles) are then refused. Files may still ask for much memory and time.
+    columns
+        What the columns of a table hold, where their names do not say it: "x={}_x,y={}_y,frame=No",
+        with {} for the keypoint's name, {camera} and {person} for theirs.
+    cameras
+        Names of the views that are wanted, in their order.
+    trial
+        Name of the trial, or of the detector, whose files are meant, where they are of several.
+    y
+        "up" where y counts from the lower edge of the image.
+    mirror
+        Names of the views whose images are mirrored, left and right.
 
     Returns
     -------
@@ -71,10 +93,22 @@ def read(
         If a file is of no known format, or the files do not fit together; the message says what
         it looks like and what to do.
     """
-    return read_with(
-        paths,
-        ReadingOptions(format, person, min_confidence, skeleton, align, fps, image_size, untrusted),
+    options = ReadingOptions(
+        format=format,
+        person=person,
+        min_confidence=min_confidence,
+        skeleton=skeleton,
+        align=align,
+        fps=fps,
+        image_size=image_size,
+        untrusted=untrusted,
+        columns=columns,
+        cameras=cameras,
+        trial=trial,
+        y=y,
+        mirror=mirror,
     )
+    return read_with(paths, options)
 
 
 def read_with(paths: AnyPath | Iterable[AnyPath], options: ReadingOptions) -> Capture:
@@ -83,46 +117,59 @@ def read_with(paths: AnyPath | Iterable[AnyPath], options: ReadingOptions) -> Ca
     views: list[View] = []
     kinds: Counter[str] = Counter()
     with workplace() as folder:
-        for source, kind in sources_at(paths, options.format, notes, folder):
-            found = views_of(source, kind, untrusted=options.untrusted)
+        format = options.format or ("csv" if options.columns else None)
+        sources = sources_at(paths, format, notes, folder, options.trial)
+        for source, kind in sources:
+            found = views_of(source, kind, untrusted=options.untrusted, columns=options.columns)
+            if len(found) == 1 and not options.untrusted:
+                found = [with_video(found[0], source)]
             views += found
             kinds[kind.title] += len(found)
     titles = ", ".join(f"{title} ({count} cameras)" for title, count in kinds.items())
     notes.insert(0, f"read as {titles}" if len(kinds) > 1 else f"read as {next(iter(kinds))}")
     names = told_apart([view.name for view in views])
     views = [replace(view, name=name) for view, name in zip(views, names, strict=True)]
-    views = _sized(views, options.sizes())
+    wanted = options.named("cameras", names)
+    views = views if wanted is None else [views[index] for index in wanted]
+    names = tuple(view.name for view in views)
+    views = _sized(with_rates(views, options.rates(names)), options.sizes(names))
     clean: list[View] = []
     for view in views:
         one, said = cleaned(view, options.min_confidence)
         clean.append(one)
         notes += said
     picked, said = pick(clean, options.person)
-    capture = combined(picked, align=options.align, fps=options.fps, skeleton=options.skeleton)
-    return replace(capture, notes=(*notes, *said, *capture.notes))
+    picked = named(picked, options.skeleton, said)
+    picked = put_right(picked, options.y, options.named("mirror", names) or [], said)
+    capture = combined(picked, align=options.align, one_file=len(sources) == 1)
+    return replace(capture, notes=(*notes, *said, *capture.notes, *doubts_of_sides(capture)))
 
 
-def _sized(views: list[View], asked: Size | Sequence[Size] | None) -> list[View]:
-    """Return the views with the image sizes that were told, and with coordinates in pixels."""
-    sizes: list[Size | None] = [view.image_size for view in views]
-    if asked is not None:
-        told = np.array(asked)
-        if told.shape not in ((2,), (len(views), 2)) or not (told > 0).all():
-            raise FormatError(
-                f"image_size is {asked!r}, not (width, height), nor {len(views)} of these"
-            )
-        sizes = [(int(w), int(h)) for w, h in np.broadcast_to(told, (len(views), 2))]
+def _sized(views: list[View], given: list[Size | None]) -> list[View]:
+    """Return the views with the image sizes that were given, and with coordinates in pixels.
+
+    Raises
+    ------
+    FormatError
+        If coordinates are shares of images whose size is not known.
+    """
+    sizes = [size or view.image_size for view, size in zip(views, given, strict=True)]
+    shares = [_are_shares(view) for view in views]
+    unknown = [
+        view.name
+        for view, size, share in zip(views, sizes, shares, strict=True)
+        if share and size is None
+    ]
+    if unknown:
+        each = ",".join(f"{name}=WIDTHxHEIGHT" for name in unknown)
+        raise FormatError(
+            f"{', '.join(unknown)}: coordinates are shares of the image's width and height, and "
+            "its size is not in the file; say image_size='WIDTHxHEIGHT' for all cameras, or "
+            f"'{each}' (--image-size, image_sizes)"
+        )
     out = []
-    for view, size in zip(views, sizes, strict=True):
-        keypoints = view.keypoints
-        if _are_shares(view):
-            if size is None:
-                raise FormatError(
-                    f"{view.name}: coordinates are shares of the image's width and height, and its "
-                    "size is not in the file; say image_size=(width, height), or --image-size "
-                    "WIDTHxHEIGHT"
-                )
-            keypoints = keypoints * np.array(size, np.float32)
+    for view, size, share in zip(views, sizes, shares, strict=True):
+        keypoints = view.keypoints * np.array(size, np.float32) if share else view.keypoints
         out.append(replace(view, keypoints=keypoints, image_size=size))
     return out
 

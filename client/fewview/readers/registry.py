@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,15 +12,17 @@ from fewview.readers.formats import (
     c3d,
     coco,
     deeplabcut,
+    frames_json,
     lightning_pose,
     mediapipe,
-    mmpose,
     mvnrsfm,
     npy,
     npz,
     openpose,
     sleap,
     table,
+    trc,
+    yolo,
 )
 from fewview.readers.hints import looks_like
 from fewview.readers.sources import Source
@@ -30,7 +33,8 @@ from fewview.readers.views import View
 class Format:
     """A format: its name, for people its title, whether a source is of it, and its reader.
 
-    A reader may have to trust its files: `trusting` says why.
+    A reader may have to trust its files: `trusting` says why. `words` are some that are in its
+    files, in lower case, letters and digits alone: by them a file of no format is compared.
     """
 
     name: str
@@ -38,23 +42,66 @@ class Format:
     fits: Callable[[Source], bool]
     read: Callable[[Source], list[View]]
     trusting: str = ""
+    words: str = ""
 
 
 FORMATS = (
     Format("npz", "npz", npz.fits, npz.read),
     Format("deeplabcut-h5", "DeepLabCut or Anipose H5", deeplabcut.fits_h5, deeplabcut.read_h5),
     Format("lightning-pose", "Lightning Pose CSV", lightning_pose.fits, lightning_pose.read),
-    Format("deeplabcut-csv", "DeepLabCut CSV", deeplabcut.fits_csv, deeplabcut.read_csv),
-    Format("openpose", "OpenPose JSON", openpose.fits, openpose.read),
+    Format(
+        "deeplabcut-csv",
+        "DeepLabCut CSV",
+        deeplabcut.fits_csv,
+        deeplabcut.read_csv,
+        words="scorer individuals bodyparts coords x y likelihood",
+    ),
+    Format("jarvis", "JARVIS CSV", deeplabcut.fits_jarvis, deeplabcut.read_csv),
+    Format(
+        "openpose",
+        "OpenPose JSON",
+        openpose.fits,
+        openpose.read,
+        words="version people posekeypoints2d handleftkeypoints2d personid",
+    ),
     Format("sleap", "SLEAP .slp", sleap.fits_slp, sleap.read_slp),
     Format("sleap-analysis", "SLEAP analysis H5", sleap.fits_analysis, sleap.read_analysis),
-    Format("coco", "COCO keypoints JSON", coco.fits, coco.read),
-    Format("mmpose", "MMPose JSON", mmpose.fits, mmpose.read),
-    Format("mediapipe", "MediaPipe JSON", mediapipe.fits, mediapipe.read),
+    Format(
+        "coco",
+        "COCO keypoints JSON",
+        coco.fits,
+        coco.read,
+        words="images annotations categories imageid categoryid keypoints numkeypoints filename",
+    ),
+    Format(
+        "mediapipe",
+        "MediaPipe JSON",
+        mediapipe.fits,
+        mediapipe.read,
+        words="landmarks poselandmarks poselandmark visibility worldlandmarks",
+    ),
+    *(
+        Format(
+            each.name,
+            each.title,
+            partial(frames_json.fits, layout=each),
+            partial(frames_json.read, layout=each),
+            words=each.words,
+        )
+        for each in frames_json.LAYOUTS
+    ),
+    Format("yolo", "YOLO pose labels", yolo.fits, yolo.read),
     Format("npy", "FreeMoCap npy", npy.fits, npy.read),
     Format("mvnrsfm", "CAM_*.pkl of MV-NRSfM", mvnrsfm.fits, mvnrsfm.read, "pickles are programs"),
     Format("c3d", "C3D", c3d.fits, c3d.read, "a broken file can end the process that reads it"),
-    Format("csv", "plain CSV", table.fits, table.read),
+    Format("trc", "TRC", trc.fits, trc.read, words="pathfiletype datarate camerarate nummarkers"),
+    Format(
+        "csv",
+        "plain CSV",
+        table.fits,
+        table.read,
+        words="frame keypoint x y confidence time camera point joint",
+    ),
 )
 NAMES = tuple(each.name for each in FORMATS)
 
@@ -71,8 +118,15 @@ def detect(source: Source) -> Format | None:
         return next((each for each in FORMATS if each.fits(source)), None)
 
 
-def views_of(source: Source, known: Format, *, untrusted: bool = False) -> list[View]:
+def views_of(
+    source: Source, known: Format, *, untrusted: bool = False, columns: str | None = None
+) -> list[View]:
     """Read a source's views.
+
+    Parameters
+    ----------
+    columns
+        What the columns of a plain table hold, as `ReadingOptions.columns`.
 
     Raises
     ------
@@ -85,7 +139,7 @@ def views_of(source: Source, known: Format, *, untrusted: bool = False) -> list[
             f"`fewview convert {source.path.name} -o capture.npz`, and send that"
         )
     with _broken(source, lambda: f"not as {known.title} should be{_instead(source, known)}"):
-        views = known.read(source)
+        views = known.read(source) if columns is None else table.read(source, columns)
     if not all(len(view.numbers) for view in views):
         raise FormatError(f"{source}: {known.title} without a single frame")
     return views
@@ -123,7 +177,10 @@ def find(source: Source, name: str | None) -> Format:
         found = detect(source)
         if found is None:
             with _broken(source, lambda: "a broken file"):
-                raise FormatError(f"{source}: {looks_like(source)}")
+                said = looks_like(
+                    source, {each.title: each.words for each in FORMATS if each.words}
+                )
+                raise FormatError(f"{source}: {said}")
         return found
     for each in FORMATS:
         if each.name == name:

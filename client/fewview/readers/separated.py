@@ -1,8 +1,9 @@
-"""Text with separators, read column by column and without holding all of it in memory."""
+"""Text with separators: its dialect and header, found once; read without holding all of it."""
 
 import csv
+import re
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -13,9 +14,43 @@ from fewview.errors import FormatError
 from fewview.readers.sources import Source
 from fewview.readers.views import Int64
 
-SEPARATORS = ",;\t"
+SEPARATORS = ",;\t|"
+NOTES = ("#", "%", "//")
+FEWEST_CELLS = 3  # of a line of keypoints
+UNITS = {"px", "pixel", "pixels", "s", "ms", "frames", "frame", "-", "1", "%"}
 CHUNK = 4096  # rows
-NOTHING = ("", "na", "n/a", "none", "null", "<na>")
+COORDINATE_ROW = re.compile(
+    r"coords|x|y|z|likelihood|confidence|conf|score|prob(ability)?|visibility"
+)
+NOTHING = {
+    *("", "na", "n/a", "#n/a", "#na", "nan", "-nan", "#nan", "none", "null", "<na>", "nil", "."),
+    *("?", "-", "--", "#value!", "#div/0!", "#num!", "-1.#ind", "1.#qnan", "-nan(ind)", "missing"),
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A text with separators.
+
+    Attributes
+    ----------
+    separator
+        What stands between cells.
+    header
+        The rows above the numbers, of `width` cells each.
+    start
+        How many lines that are not empty are above the first row of numbers.
+    """
+
+    source: Source
+    separator: str
+    header: tuple[tuple[str, ...], ...]
+    start: int
+
+    @property
+    def width(self) -> int:
+        """Cells of each row."""
+        return len(self.header[0])
 
 
 @dataclass(frozen=True)
@@ -30,43 +65,103 @@ class Words:
         return [self.words[code] for code in self.codes]
 
 
-def separator(header: str) -> str:
-    """Return what stands between the cells of a header."""
-    return max(SEPARATORS, key=header.count)
+def table_of(source: Source) -> Table | None:
+    """Return the table that a text is; None if it is none, or has no header.
+
+    A header is the rows down to one of coordinates (x, y, ...), or else the first row. A row below
+    it that only names the columns of the index belongs to it.
+    """
+    if source.frames:
+        return None
+    lines = source.lines
+    separator = _separator(lines)
+    notes = next((i for i, line in enumerate(lines) if not _is_note(line, separator)), len(lines))
+    rows = [cells(line, separator) for line in lines[notes:]]
+    if not rows or all(_is_number(cell) for cell in rows[0]):
+        return None
+    end = 1 + max((i for i, row in enumerate(rows[:6]) if _names_coordinates(row)), default=0)
+    if end < len(rows) and (_names_units(rows[end]) or (end > 1 and _names_index(rows[end]))):
+        end += 1
+    header, width = rows[:end], max(map(len, rows[:end]))
+    if end < len(rows) and len(rows[end]) == width + 1 and rows[end][-1]:
+        header = [["", *row] for row in header]  # R leaves out the name of the rows' names
+        width += 1
+    filled = tuple(tuple(row + [""] * (width - len(row))) for row in header)
+    return Table(source, separator, filled, notes + end)
 
 
-def cells(line: str, between: str) -> list[str]:
+def cells(line: str, separator: str) -> list[str]:
     """Return the cells of a line."""
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=between), [])]
+    try:
+        return [cell.strip() for cell in next(_reader([line], separator), [])]
+    except csv.Error:
+        return [line]
+
+
+def _reader(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
+    """Yield the cells of lines; blanks that separate may be many."""
+    return csv.reader(lines, delimiter=separator, skipinitialspace=separator == " ")
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """Return what stands between cells: what parts all lines into as many, most of all."""
+    kept = [line for line in lines if not line.startswith(NOTES)] or lines
+    counts = {each: [len(cells(line, each)) for line in kept] for each in SEPARATORS}
+    even = [each for each, found in counts.items() if len(set(found)) == 1 and found[0] > 1]
+    found = max(even or SEPARATORS, key=lambda each: counts[each][0] if kept else 0)
+    # Blanks are in names, too: they separate where nothing else does.
+    by_blanks = {len(cells(line, " ")) for line in kept}
+    blanks = kept and counts[found][0] < FEWEST_CELLS and len(kept) > 1 and len(by_blanks) == 1
+    return " " if blanks else found
+
+
+def _is_note(line: str, separator: str) -> bool:
+    """Whether this is a remark above the table."""
+    return line.startswith(NOTES) and len(cells(line, separator)) < FEWEST_CELLS
+
+
+def _names_units(row: Sequence[str]) -> bool:
+    said = {cell.lower().strip("()[]") for cell in row if cell}
+    return bool(said & {"px", "pixel", "pixels"}) and said <= UNITS
+
+
+def _names_coordinates(row: Sequence[str]) -> bool:
+    said = [cell.lower() for cell in row if cell]
+    named = [cell for cell in said if COORDINATE_ROW.fullmatch(cell)]
+    return len(named) * 2 > len(said) and named.count("x") == named.count("y") > 0
+
+
+def _names_index(row: Sequence[str]) -> bool:
+    """Whether a row has a word in its first cell, and nothing in the others."""
+    return bool(row[0]) and not any(row[1:]) and re.fullmatch(r"[A-Za-z_ ]+", row[0]) is not None
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        _number(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def read_columns(
-    source: Source,
-    start: int,
-    between: str,
-    count: int,
-    *,
-    texts: Sequence[int],
-    numbers: Sequence[int],
+    table: Table, *, texts: Sequence[int], numbers: Sequence[int], ragged: bool = False
 ) -> tuple[list[Words], NDArray[np.float64]]:
     """Read the columns of a table that are wanted.
 
     Parameters
     ----------
-    start
-        Lines above the first row, without empty ones.
-    between
-        What stands between cells.
-    count
-        Cells of each row.
     texts, numbers
         Which columns hold text, and which C hold numbers.
+    ragged
+        Whether a row may lack cells at its end: they are empty.
 
     Returns
     -------
     tuple
         The columns of text, and the numbers (N, C). Cells that are empty, or say so, are NaN;
-        numbers may have a comma for a point where no comma stands between cells.
+        numbers may have a comma for a point. Rows without a single entry are left out where
+        columns of text tell which row is which, and else at the end.
 
     Raises
     ------
@@ -76,25 +171,49 @@ def read_columns(
     known: list[dict[str, int]] = [{} for _ in texts]
     codes = [array("q") for _ in texts]
     parts = [np.empty((0, len(numbers)))]
-    lines = islice(source.text_lines(), start, None)
-    rows_read = csv.reader(lines, delimiter=between)
+    rows_read = _rows(table, ragged=ragged, skip=bool(texts))
     try:
         while rows := list(islice(rows_read, CHUNK)):
-            if any(len(row) != count for row in rows):
-                raise FormatError(
-                    f"{source}: has rows of another length than the header, which has {count} cells"
-                )
             for column, words, code in zip(texts, known, codes, strict=True):
                 code.extend(words.setdefault(row[column].strip(), len(words)) for row in rows)
             parts.append(_numbers([[row[i] for i in numbers] for row in rows]))
     except (ValueError, csv.Error) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"{source}: not a table of numbers ({error})") from error
+        raise FormatError(f"{table.source}: not a table of numbers ({error})") from error
     return (
         [Words(tuple(w), np.array(c, np.int64)) for w, c in zip(known, codes, strict=True)],
         np.concatenate(parts),
     )
+
+
+def _rows(table: Table, *, ragged: bool, skip: bool) -> Iterator[list[str]]:
+    """Yield the rows, each of the table's width; those without an entry as `read_columns` has it.
+
+    Raises
+    ------
+    FormatError
+        If a row has another count of cells.
+    """
+    lines = islice(table.source.text_lines(), table.start, None)
+    width, blank = table.width, 0
+    for cells_read in _reader(lines, table.separator):
+        row = cells_read
+        if not any(row):
+            blank += not skip
+            continue
+        if len(row) > width and not any(map(str.strip, row[width:])):
+            row = row[:width]
+        elif len(row) < width and ragged:
+            row = row + [""] * (width - len(row))
+        if len(row) != width:
+            raise FormatError(
+                f"{table.source}: has rows of another length than the header, which has {width} "
+                "cells"
+            )
+        yield from ([""] * width for _ in range(blank))
+        blank = 0
+        yield row
 
 
 def _numbers(rows: list[list[str]]) -> NDArray[np.float64]:
@@ -108,4 +227,9 @@ def _number(cell: str) -> float:
     try:
         return float(cell)
     except ValueError:
-        return np.nan if cell.strip().lower() in NOTHING else float(cell.replace(",", "."))
+        cell = cell.strip().lower()
+        if cell in NOTHING:
+            return np.nan
+        if cell.rfind(".") < cell.rfind(","):  # 1.234,5
+            cell = cell.replace(".", "")
+        return float(cell.replace(",", "."))

@@ -1,5 +1,6 @@
 """Skeletons that are known by name: the names of keypoints and what joins them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -180,3 +181,16 @@ def skeleton_of(
     if len(by_format) == 1 or len(fitting) == 1:
         return SKELETONS[(by_format or fitting)[0]], ()
     return None, fitting
+
+
+def edges_of(names: Sequence[str]) -> Edges | None:
+    """Return the edges of the skeleton whose keypoints have these names, in any order and spelling.
+
+    None if there is none.
+    """
+    place = {_plain(name): index for index, name in enumerate(names)}
+    for known in SKELETONS.values():
+        own = [_plain(name) for name in known.names]
+        if len(names) == len(own) and place.keys() == set(own):
+            return tuple((place[own[a]], place[own[b]]) for a, b in known.edges)
+    return None

@@ -2,19 +2,25 @@
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from fewview.errors import FormatError
 from fewview.readers import hdf5
+from fewview.readers.json_frames import is_one_frame, people_of
 from fewview.readers.names import frame_number, natural
+from fewview.readers.text import HEAD, WESTERN, encoding_of, lines_of
 
 MAX_JSON = 2**29  # bytes: parsed it takes several times as much
 MAX_TEXT = 2**31
 MAX_FRAME = 2**24  # of the file of one frame
 MAX_FRAMES = 2**20
+FIRST_LINES = 12
+MAX_LINE = 2**16  # bytes of a person
+FEWEST_NUMBERS = 9  # of a person: class, box, two keypoints
 LOOKED_INTO = 1000  # files of a folder, whose first may show nobody
 HDF5, NUMPY, ZIP = b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"PK\x03\x04"
 
@@ -44,7 +50,7 @@ class Source:
         """Its first bytes; of the first frame if it has many."""
         try:
             with (self.frames[0] if self.frames else self.path).open("rb") as file:
-                return file.read(2**16)
+                return file.read(HEAD)
         except OSError as error:
             raise FormatError(f"{self}: {error.strerror or error}") from error
 
@@ -67,8 +73,10 @@ class Source:
         FormatError
             If it looks like JSON, and is too large or broken.
         """
-        start = self.head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
-        if start not in (b"{", b"[") or self.is_toml:
+        start = self.head.decode(self.encoding or "ascii", errors="ignore").lstrip("\ufeff \t\r\n")[
+            :1
+        ]
+        if not self.encoding or start not in ("{", "[") or self.is_toml:
             return None
         if self.frames:
             said = (load_json(path, MAX_FRAME) for path in self.frames[:LOOKED_INTO])
@@ -89,15 +97,20 @@ class Source:
             return {name: "pandas_type" in file[name].attrs for name in file}
 
     @cached_property
+    def encoding(self) -> str | None:
+        """The encoding of a text; None if it is not text."""
+        return encoding_of(self.frames[0] if self.frames else self.path, self.head)
+
+    @cached_property
     def lines(self) -> list[str]:
-        """The first lines of a text file; none if it is not text."""
-        try:
-            text = self.head.decode(
-                "utf-8-sig", errors="strict" if len(self.head) < 2**16 else "ignore"
-            )
-        except UnicodeDecodeError:
+        """The first lines of a text that are not empty; none if it is not text."""
+        if self.encoding is None:
             return []
-        return [] if "\0" in text else text.splitlines()[:12]
+        try:
+            path = self.frames[0] if self.frames else self.path
+            return list(islice(lines_of(path, self.encoding), FIRST_LINES))
+        except FormatError:
+            return []
 
     def text_lines(self) -> Iterator[str]:
         """Yield the lines of a text that are not empty, without their ends.
@@ -105,25 +118,40 @@ class Source:
         Raises
         ------
         FormatError
-            If the file is too large or no UTF-8.
+            If the file is too large or no text.
         """
         check_size(self.path, MAX_TEXT)
-        try:
-            with self.path.open(encoding="utf-8-sig") as file:
-                yield from (line.rstrip("\n") for line in file if line.strip())
-        except (OSError, UnicodeDecodeError) as error:
-            raise FormatError(f"{self}: cannot be read as text ({error})") from error
+        if self.encoding is None:
+            raise FormatError(f"{self}: cannot be read as text")
+        return lines_of(self.path, self.encoding)
 
 
 def load_json(path: Path, limit: int) -> Any:
-    """Parse a JSON file of bounded size; NaN and Infinity are understood."""
+    """Parse a JSON file of bounded size, or JSON lines as a list; NaN and Infinity are understood.
+
+    Raises
+    ------
+    FormatError
+        If it is too large, or broken.
+    """
     check_size(path, limit)
     try:
-        return json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: broken JSON ({error})") from error
+        content = path.read_bytes()
     except OSError as error:
         raise FormatError(f"{path}: {error.strerror or error}") from error
+    try:
+        try:
+            text = content.decode(json.detect_encoding(content))
+        except UnicodeDecodeError:
+            text = content.decode(WESTERN, errors="replace")
+        try:
+            return json.loads(text.removeprefix("\ufeff"))
+        except json.JSONDecodeError as error:
+            if error.msg != "Extra data":
+                raise
+            return [json.loads(line) for line in text.splitlines() if line.strip()]
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: broken JSON ({error})") from error
 
 
 def check_size(path: Path, limit: int) -> None:
@@ -137,36 +165,59 @@ def check_size(path: Path, limit: int) -> None:
 
 
 def frames_in(folder: Path) -> list[Source]:
-    """Return the cameras whose frames are JSON files of this folder, one file each."""
-    files = [path for path in folder.iterdir() if path.suffix.lower() == ".json"]
-    if not files or len(files) > MAX_FRAMES:
-        if files:
+    """Return the cameras whose frames are files of this folder, one file each.
+
+    They are JSON, or lines of YOLO's labels.
+    """
+    for suffix, says in ((".json", _is_json_frame), (".txt", _is_yolo_frame)):
+        files = [path for path in folder.iterdir() if path.suffix.lower() == suffix]
+        if len(files) > MAX_FRAMES:
             raise FormatError(f"{folder}: {len(files):,} files are too many")
-        return []
-    files.sort(key=lambda path: natural(path.name))
-    if any(path.stat().st_size > MAX_FRAME for path in files[:LOOKED_INTO]):
-        return []
-    first = next(
-        (said for path in files[:LOOKED_INTO] if (said := load_json(path, MAX_FRAME))), None
-    )
-    if not _is_frame(first):
-        return []
-    cameras: dict[str, list[Path]] = {}
+        files.sort(key=lambda path: natural(path.name))
+        first = files[:LOOKED_INTO]
+        if not files or any(path.stat().st_size > MAX_FRAME for path in first) or not says(first):
+            continue
+        cameras: dict[str, list[Path]] = {}
+        for path in files:
+            cameras.setdefault((frame_number(path.name) or ("", 0))[0], []).append(path)
+        if len(cameras) > max(1, len(files) // 2):
+            cameras = {"": files}
+        several = len(cameras) > 1
+        return [
+            Source(folder, tuple(paths), name if several else folder.name)
+            for name, paths in cameras.items()
+        ]
+    return []
+
+
+def _is_json_frame(files: Sequence[Path]) -> bool:
+    """Whether the first file that says something is what a detector says of one image."""
+    contents = (load_json(path, MAX_FRAME) for path in files)
+    said = (content for content in contents if content and not _shows_nobody(content))
+    content = next(said, None)
+    return (isinstance(content, dict) and "landmarks" in content) or is_one_frame(content)
+
+
+def _shows_nobody(content: Any) -> bool:
+    return isinstance(content, dict) and people_of(content) == []
+
+
+def _is_yolo_frame(files: Sequence[Path]) -> bool:
     for path in files:
-        cameras.setdefault((frame_number(path.name) or ("", 0))[0], []).append(path)
-    if len(cameras) > max(1, len(files) // 2):
-        cameras = {"": files}
-    several = len(cameras) > 1
-    return [
-        Source(folder, tuple(paths), name if several else folder.name)
-        for name, paths in cameras.items()
-    ]
+        with path.open("rb") as file:
+            line = file.readline(MAX_LINE).decode("ascii", errors="replace")
+        if line.strip():
+            return yolo_numbers(line) is not None
+    return False
 
 
-def _is_frame(content: Any) -> bool:
-    """Whether this is one frame's people: of OpenPose, or of one image by MMPose or MediaPipe."""
-    if isinstance(content, dict):
-        return isinstance(content.get("people"), list) or "landmarks" in content
-    if not isinstance(content, list) or not content or not isinstance(content[0], dict):
-        return False
-    return "keypoints" in content[0] and "keypoint_scores" in content[0]
+def yolo_numbers(line: str) -> list[float] | None:
+    """Return the numbers of a line of YOLO's pose labels; None if it is another."""
+    try:
+        numbers = [float(word) for word in line.split()]
+    except ValueError:
+        return None
+    # A class, a box, and at least two keypoints; a box alone is no pose.
+    shares = numbers[1:5]
+    whole = len(numbers) >= FEWEST_NUMBERS and numbers[0] == int(numbers[0])
+    return numbers if whole and all(0 <= share <= 2 for share in shares) else None

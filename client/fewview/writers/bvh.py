@@ -1,5 +1,7 @@
 """BVH, a skeleton in motion, where the edges join all keypoints as one tree.
 
+A body whose keypoints have the usual names has the tree of `body_tree.py`, whatever its edges.
+
 The root has channels of position and rotation, every other joint those of rotation alone, as tools
 for animation expect. Bones are rigid: a bone's OFFSET has its median length over the frames, and a
 joint with several bones keeps the angles between them that suit all frames best. So a point is off
@@ -22,8 +24,9 @@ from numpy.typing import NDArray
 
 from fewview.animation import Animation
 from fewview.errors import FormatError
+from fewview.writers.body_tree import with_body_tree
 from fewview.writers.bones import angles_of, posed
-from fewview.writers.numbers import demand_even
+from fewview.writers.numbers import evened
 
 Float64 = NDArray[np.float64]
 
@@ -40,7 +43,7 @@ def write(path: Path, animation: Animation) -> None:
         If its edges form no tree over all keypoints, its times are uneven, no keypoint is ever
         seen, or names are the same without their blanks.
     """
-    demand_even(animation, "BVH")
+    animation = with_body_tree(evened(animation, "BVH"))
     names = [re.sub(r"\s+", "_", name.strip()) or "_" for name in animation.names]
     if len(set(names)) < len(names):
         raise FormatError("BVH has no blanks in names, and without them some are the same")
@@ -105,7 +108,8 @@ def _parents(animation: Animation) -> dict[int, int | None]:
         apart = ", ".join(names[joint] for joint in range(count) if pieces[joint] != pieces[0])
         raise FormatError(
             f"BVH needs edges that join all keypoints, {apart} are apart from {names[0]}; "
-            "--skeleton tells edges, and so do the files of some detectors"
+            "name the keypoints of a body as its skeleton does (--skeleton), or give edges that "
+            "join all (`edges` of an npz)"
         )
     walks = [_walk(near, joint) for joint in range(count)]
     depths = [depth for _, depth in walks]

@@ -12,7 +12,7 @@ import numpy as np
 
 from fewview.animation import Animation
 from fewview.errors import FormatError
-from fewview.writers.numbers import demand_even
+from fewview.writers.numbers import evened
 
 MOST_FRAMES = 65535  # the header counts in 16 bits
 LONGEST = 127  # characters of a label
@@ -28,7 +28,7 @@ def write(path: Path, animation: Animation) -> None:
     """
     import ezc3d  # noqa: PLC0415  # takes a while to load
 
-    demand_even(animation, "C3D")
+    animation = evened(animation, "C3D")
     if not animation.points.size:
         raise FormatError("C3D holds one point of one frame at least")
     if len(animation.points) > MOST_FRAMES:

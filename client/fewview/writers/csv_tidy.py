@@ -1,7 +1,7 @@
 """CSV with a row for each point of each frame: frame, time, keypoint, x, y, z.
 
-Frames count from 0; time (seconds) is left out where it is unknown. A missing point has its row,
-with x, y and z empty. Comma and CRLF as in RFC 4180.
+Frames have the numbers of the files, or count from 0; time (seconds) is left out where it is
+unknown. A missing point has its row, with x, y and z empty. Comma and CRLF as in RFC 4180.
 """
 
 import csv
@@ -17,8 +17,8 @@ def write(path: Path, animation: Animation) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow(["frame", *(["time"] if timed else []), "keypoint", "x", "y", "z"])
-        for frame, (time, points) in enumerate(
-            zip(animation.seconds, animation.points, strict=True)
+        for frame, time, points in zip(
+            animation.frames, animation.seconds, animation.points, strict=True
         ):
             when = [frame, *([time_text(time)] if timed else [])]
             rows.writerows(

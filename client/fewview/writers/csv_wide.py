@@ -1,7 +1,7 @@
 """CSV with a row for each frame: frame, time, then x, y, z of every keypoint.
 
-Frames count from 0; time (seconds) is left out where it is unknown. A missing point is empty.
-Comma and CRLF as in RFC 4180.
+Frames have the numbers of the files, or count from 0; time (seconds) is left out where it is
+unknown. A missing point is empty. Comma and CRLF as in RFC 4180.
 """
 
 import csv
@@ -18,7 +18,7 @@ def write(path: Path, animation: Animation) -> None:
         rows = csv.writer(file)
         columns = [f"{name}_{axis}" for name in animation.names for axis in "xyz"]
         rows.writerow(["frame", *(["time"] if timed else []), *columns])
-        for frame, (time, points) in enumerate(
-            zip(animation.seconds, animation.points, strict=True)
+        for frame, time, points in zip(
+            animation.frames, animation.seconds, animation.points, strict=True
         ):
             rows.writerow([frame, *([time_text(time)] if timed else []), *texts(points)])

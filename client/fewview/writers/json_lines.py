@@ -1,7 +1,8 @@
 """JSON lines: first what holds for all frames, then a line for each.
 
 The first line has `unit`, `fps`, `keypoint_names` and `edges`, null where unknown; the others have
-`frame` (from 0), `time` (seconds, null where unknown) and `points`, each [x, y, z] or null.
+`frame` (its number in the files, or from 0), `time` (seconds, null where unknown) and `points`,
+each [x, y, z] or null.
 """
 
 import json
@@ -21,8 +22,12 @@ def write(path: Path, animation: Animation) -> None:
     }
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(json.dumps(header, ensure_ascii=False) + "\n")
-        for frame, (time, points, seen) in enumerate(
-            zip(animation.seconds.tolist(), animation.points, animation.seen, strict=True)
+        for frame, time, points, seen in zip(
+            animation.frames,
+            animation.seconds.tolist(),
+            animation.points,
+            animation.seen,
+            strict=True,
         ):
             listed = [
                 point if there else None

@@ -1,6 +1,7 @@
 """npz: `points` (N, P, 3), NaN where missing, and what else is known under its own name.
 
-`unit`, `fps`, `times` (N,), `keypoint_names` (P,), `edges` (E, 2); no pickled objects.
+`unit`, `fps`, `times` (N,), `keypoint_names` (P,), `edges` (E, 2), `frame_numbers` (N,); no pickled
+objects.
 """
 
 from pathlib import Path
@@ -20,6 +21,7 @@ def write(path: Path, animation: Animation) -> None:
         "times": animation.times,
         "keypoint_names": animation.keypoint_names,
         "edges": animation.edges or None,
+        "frame_numbers": animation.numbers,
     }
     arrays: dict[str, Any] = {
         name: np.asarray(value) for name, value in known.items() if value is not None

@@ -1,12 +1,16 @@
 """What writers of text share."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fewview.animation import Animation
 from fewview.errors import FormatError
+
+OFF = 0.25  # of a frame: times of a constant rate that lacks frames are not further off
+MOST_MISSING = 20  # times the frames that there are
 
 
 def text(number: float) -> str:
@@ -24,10 +28,25 @@ def time_text(seconds: float) -> str:
     return f"{seconds:.9f}".rstrip("0").rstrip(".")
 
 
-def demand_even(animation: Animation, format: str) -> None:
-    """Raise `FormatError` where times are not those of a constant rate."""
-    if not animation.even:
+def evened(animation: Animation, format: str) -> Animation:
+    """Return an animation with a constant rate: frames that are missing become gaps.
+
+    Raises
+    ------
+    FormatError
+        If times are not those of a constant rate, or far more frames are missing than there are.
+    """
+    if animation.even:
+        return animation
+    steps = (animation.seconds - animation.seconds[0]) * animation.rate
+    places = np.rint(steps).astype(np.int64)
+    count = int(places[-1]) + 1
+    regular = np.all(np.abs(steps - places) <= OFF) and np.all(np.diff(places) > 0)
+    if not regular or count > MOST_MISSING * len(places):
         raise FormatError(
             f"{format} has a constant frame rate, and the times of the frames are uneven: "
             "interpolate to even times first, or write CSV, TRC, JSON lines or glTF"
         )
+    points = np.full((count, *animation.points.shape[1:]), np.nan)
+    points[places] = animation.points
+    return replace(animation, points=points, times=None, fps=animation.rate, numbers=None)

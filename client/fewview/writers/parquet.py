@@ -28,7 +28,7 @@ def write(path: Path, animation: Animation) -> None:
             "Parquet needs pyarrow, which is not installed: pip install 'fewview[parquet]'"
         ) from error
     frames, count = animation.points.shape[:2]
-    columns = {"frame": pyarrow.array(np.repeat(np.arange(frames), count))}
+    columns = {"frame": pyarrow.array(np.repeat(np.array(animation.frames, np.int64), count))}
     if animation.times is not None or animation.fps is not None:
         columns["time"] = pyarrow.array(np.repeat(animation.seconds, count))
     places = pyarrow.array(np.tile(np.arange(count, dtype=np.int32), frames))

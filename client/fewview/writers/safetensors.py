@@ -5,8 +5,10 @@ What are no arrays is in the metadata, as JSON where it is no text: `unit`, `fps
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fewview.animation import Animation
 from fewview.api.arrays import to_safetensors
@@ -14,9 +16,11 @@ from fewview.api.arrays import to_safetensors
 
 def write(path: Path, animation: Animation) -> None:
     """Write an animation as arrays."""
-    arrays = {"points": animation.points}
+    arrays: dict[str, NDArray[Any]] = {"points": animation.points}
     if animation.times is not None:
         arrays["times"] = animation.times
+    if animation.numbers is not None:
+        arrays["frame_numbers"] = animation.numbers
     if animation.edges:
         arrays["edges"] = np.array(animation.edges)
     about = {} if animation.unit is None else {"unit": str(animation.unit)}

@@ -1,7 +1,9 @@
 """TRC, the markers that OpenSim reads.
 
-Five lines of header, an empty one, then a line for each frame, all between tabs; frames count from
-1. A missing point is three empty fields. The header names the unit, so it must be known.
+Five lines of header, an empty one, then a line for each frame, all between tabs; frames have the
+numbers of the files, or count from 1. A missing point is `nan` three times: OpenSim takes no notice
+of empty fields at the end of a line, and refuses a line that has fewer. The header names the unit,
+so it must be known.
 
 Source: OpenSim documentation, "Marker (.trc) Files".
 """
@@ -31,7 +33,10 @@ def write(path: Path, animation: Animation) -> None:
     frames, count = animation.points.shape[:2]
     rate = text(animation.rate)
     header = ("DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate")
-    said = (rate, rate, frames, count, animation.unit, rate, 1, frames)
+    numbers = animation.frames
+    first = 1 if animation.numbers is None else 0  # added to what counts from 0
+    start = first + (numbers[0] if numbers else 0)
+    said = (rate, rate, frames, count, animation.unit, rate, start, frames)
     axes = [f"{axis}{place + 1}" for place in range(count) for axis in "XYZ"]
     lines = [
         ["PathFileType", "4", "(X/Y/Z)", path.name],
@@ -41,7 +46,8 @@ def write(path: Path, animation: Animation) -> None:
         ["", "", *axes],
         [],
     ]
-    for frame, (time, points) in enumerate(zip(animation.seconds, animation.points, strict=True)):
-        lines.append([str(frame + 1), time_text(time), *texts(points)])
+    for frame, time, points in zip(numbers, animation.seconds, animation.points, strict=True):
+        fields = [field or "nan" for field in texts(points)]
+        lines.append([str(frame + first), time_text(time), *fields])
     written = "".join("\t".join(line) + "\n" for line in lines)
     path.write_text(written, encoding="utf-8", newline="\n")

@@ -1,5 +1,6 @@
 """BVH, by a parser and forward kinematics that know nothing of the writer."""
 
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 from fewview import Animation, write
 from fewview.errors import FormatError
+from fewview.readers.skeletons import SKELETONS
+from fewview.writers.body_tree import with_body_tree
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -176,6 +179,50 @@ def test_a_root_that_was_never_seen_is_among_the_others(tmp_path: Path) -> None:
     joints, motion, _ = read_bvh(write(tmp_path / "a.bvh", hidden))
     places = forward(joints, motion)
     np.testing.assert_allclose(places["hip"], points[:, 1:].mean(1), atol=1e-6)
+
+
+def body(name: str, frames: int = 20) -> Animation:
+    """Return a body of rigid parts, of a skeleton that is known by name; its limbs turn freely."""
+    rng = np.random.default_rng(3)
+    skeleton = SKELETONS[name]
+    shape = Animation(rng.normal(size=(1, len(skeleton.names), 3)), keypoint_names=skeleton.names)
+    whole = with_body_tree(replace(shape, edges=skeleton.edges))
+    names, parents = whole.names, {second: first for first, second in whole.edges}
+    rest = rng.normal(size=(len(names), 3)) * 0.3
+    for place, said in enumerate(names):  # a centre is in the middle of its pair
+        left = re.sub("^right|^R(?=[A-Z])", lambda m: "left" if m[0] == "right" else "L", said)
+        if left != said and said.lower().endswith(("hip", "shoulder")):
+            rest[place] = -rest[names.index(left)]
+    points = np.zeros((frames, len(names), 3))
+    turns: dict[int, Rotation] = {}
+    root = next(place for place in range(len(names)) if place not in parents)
+    points[:, root] = np.cumsum(rng.normal(size=(frames, 3)) * 0.1, 0)
+    order = [root]
+    for place in order:
+        own = Rotation.from_rotvec(np.cumsum(rng.normal(size=(frames, 3)) * 0.2, 0))
+        turns[place] = turns[parents[place]] * own if place in parents else own
+        for child in (c for c, p in parents.items() if p == place):
+            points[:, child] = points[:, place] + turns[place].apply(rest[child])
+            order.append(child)
+    count = len(skeleton.names)
+    return Animation(points[:, :count], fps=30, keypoint_names=skeleton.names, edges=skeleton.edges)
+
+
+@pytest.mark.parametrize("name", [name for name in SKELETONS if name != "hands-21"])
+def test_bodies_of_all_skeletons_move_as_they_did(tmp_path: Path, name: str) -> None:
+    moved = body(name)
+    joints, motion, _ = read_bvh(write(tmp_path / "a.bvh", moved))
+    places = forward(joints, motion)
+    for point, said in enumerate(moved.names):
+        np.testing.assert_allclose(places[said], moved.points[:, point], atol=1e-4)
+    assert len([joint for joint in joints if joint.parent is None]) == 1
+
+
+def test_hands_are_written(tmp_path: Path) -> None:
+    hand = SKELETONS["hands-21"]
+    points = np.random.default_rng(0).normal(size=(3, 21, 3))
+    moved = Animation(points, keypoint_names=hand.names, edges=hand.edges)
+    assert len(read_bvh(write(tmp_path / "a.bvh", moved))[0]) == 21
 
 
 def test_other_skeletons_are_refused(tmp_path: Path, animation: Animation) -> None:

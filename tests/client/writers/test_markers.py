@@ -41,6 +41,44 @@ def test_trc(tmp_path: Path, animation: Animation) -> None:
     np.testing.assert_allclose(points, animation.points, rtol=1e-8)
 
 
+def test_a_trc_with_gaps_anywhere_has_all_its_fields(tmp_path: Path, animation: Animation) -> None:
+    """OpenSim refuses a line that ends in empty fields: it has fewer than the header, then."""
+    points = animation.points.copy()
+    points[5], points[6, -1], points[7, 0] = np.nan, 1.0, np.nan
+    path = write(tmp_path / "a.trc", replace(animation, points=points))
+    for line in path.read_text(encoding="utf-8").split("\n")[6:-1]:
+        assert len(line.rstrip("\t").split("\t")) == 17
+    np.testing.assert_allclose(read_trc(path)[3], points, rtol=1e-8)
+
+
+def test_opensim_loads_a_trc_with_gaps_anywhere(tmp_path: Path, animation: Animation) -> None:
+    opensim = pytest.importorskip("opensim", reason="OpenSim is not installed")
+    points = animation.points.copy()
+    points[5], points[6, -1], points[7, 0] = np.nan, 1.0, np.nan
+    path = write(tmp_path / "a.trc", replace(animation, points=points))
+    table = opensim.TimeSeriesTableVec3(str(path))
+    rows = [table.getRowAtIndex(n) for n in range(table.getNumRows())]
+    loaded = [[row.getElt(0, n).to_numpy() for n in range(points.shape[1])] for row in rows]
+    np.testing.assert_allclose(loaded, points, rtol=1e-6)
+
+
+def test_a_hole_in_the_frame_numbers_stays(tmp_path: Path, animation: Animation) -> None:
+    numbers = np.r_[1001:1007, 1010:1016]
+    holed = replace(animation, numbers=numbers, times=(numbers - 1001) / 25)
+    trc = write(tmp_path / "a.trc", holed).read_text().split("\n")
+    assert [int(line.split("\t")[0]) for line in trc[6:-1]] == numbers.tolist()
+    assert trc[2].split("\t")[6] == "1001"
+    csv = write(tmp_path / "a.csv", holed).read_text().splitlines()
+    assert [int(line.split(",")[0]) for line in csv[1:]] == numbers.tolist()
+    assert float(csv[7].split(",")[1]) == pytest.approx(9 / 25)
+    file = ezc3d.c3d(str(write(tmp_path / "a.c3d", holed)))  # which has a constant rate
+    shown = file["data"]["points"][:3].transpose(2, 1, 0)
+    assert len(shown) == 15
+    assert np.isnan(shown[6:9]).all()
+    np.testing.assert_allclose(shown[9:], holed.points[6:], rtol=1e-6)
+    assert "Frames: 15" in write(tmp_path / "a.bvh", holed).read_text()
+
+
 def test_c3d(tmp_path: Path, animation: Animation) -> None:
     uneven = replace(animation, fps=None, times=np.arange(12) / 25 + 1e-3 * (np.arange(12) % 2))
     for told in (animation, uneven):

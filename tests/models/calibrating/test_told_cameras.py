@@ -98,6 +98,25 @@ def test_the_view_whose_calibration_is_off_is_named(
         assert Rotation.from_matrix(turned).magnitude() < np.radians(1)
 
 
+@pytest.mark.parametrize("kind", ["inverted", "reversed"])
+def test_poses_that_are_meant_otherwise_are_used_as_they_are_meant(
+    rig: RigCapture, kind: str
+) -> None:
+    told = calibration(rig)
+    if kind == "reversed":
+        told = told[::-1]
+    else:
+        for view, each in enumerate(told):
+            assert each is not None
+            turn, shift = rig.rotations[0, view], rig.translations[0, view]
+            each["rotation"], each["translation"] = turn.T.tolist(), (-turn.T @ shift).tolist()
+    found = calibrated(rig, told)
+    assert [finding.code for finding in found.findings] == ["calibration_read_otherwise"]
+    cameras = camera_report(found)
+    np.testing.assert_allclose(cameras.rotations, rig.rotations[0], atol=1e-6)
+    np.testing.assert_allclose(cameras.translations, rig.translations[0], rtol=1e-5, atol=1e-9)
+
+
 def codes(found: SelfCalibration) -> set[str]:
     return {finding.code for finding in found.findings}
 

@@ -95,13 +95,29 @@ def test_left_and_right_in_one_of_two_views_names_both() -> None:
     assert (finding.code, finding.views) == ("left_right_swapped", (0, 1))
 
 
-@pytest.mark.parametrize(("degrees", "noise"), [(2.0, 1.0), (8.0, 5.0)])
-def test_a_camera_that_was_bumped(degrees: float, noise: float) -> None:
+def bumped(degrees: float, noise: float) -> Float64:
+    """Return keypoints of which view 1 was turned from frame 55 on."""
     keypoints = capture(noise=noise)
     turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, 0.6, 0.5])).as_matrix()
     rays = np.concatenate(((keypoints[55:, 1] - [640, 512]) / 1100, np.ones((45, 16, 1))), -1)
     turned = rays @ turn.T
     keypoints[55:, 1] = turned[..., :2] / turned[..., 2:] * 1100 + [640, 512]
+    return keypoints
+
+
+@pytest.mark.parametrize("ends", [30, 45, 70])
+def test_a_camera_that_was_bumped_while_another_had_ended(ends: int) -> None:
+    keypoints = bumped(4.0, 1.0)
+    keypoints[ends:, 2] = np.nan
+    (finding,) = found_in(keypoints)
+    assert finding.code == "camera_moved"
+    assert finding.views in ((1,), (0, 1))  # two views alone do not say which of them it was
+    assert abs(finding.frames[0][0] - 55) <= 1
+
+
+@pytest.mark.parametrize(("degrees", "noise"), [(2.0, 1.0), (8.0, 5.0)])
+def test_a_camera_that_was_bumped(degrees: float, noise: float) -> None:
+    keypoints = bumped(degrees, noise)
     (finding,) = found_in(keypoints)
     assert (finding.code, finding.views) == ("camera_moved", (1,))
     assert abs(finding.frames[0][0] - 55) <= 1

@@ -93,7 +93,18 @@ def test_how_they_are_read_is_said_in_the_form(api: TestClient, tables: Parts) -
     made = send(api, tables, min_confidence="0.8", format="deeplabcut-csv")
     np.testing.assert_allclose(made["missing_fraction"], 1 - seen, atol=1e-6)
     assert any("below 0.8 are gaps" in note for note in made["notes"])
+    one = send(api, tables, cameras="right", y="up", image_sizes="[[640, 480]]")
+    assert one["view_names"] == ["right"]
+    assert any("y is" in note for note in one["notes"])
+    names = ("nase", "ohr", "füße", "hand")
+    german = ";".join(["Nr", *(f"{axis} von {name}" for name in names for axis in "xy")]) + "\n"
+    german += "".join(f"{n};" + ";".join(["1,5", str(20 + n)] * 4) + "\n" for n in range(4))
+    for encoding in ("utf-8-sig", "utf-16", "utf-16-le", "utf-32", "cp1252"):
+        sent = parts(a_csv=german.encode(encoding))
+        mapped = send(api, sent, table_columns="x=x von {},y=y von {},frame=Nr")
+        assert mapped["skeleton"]["keypoint_names"] == list(names)
     for field, wrong in (
+        ("y", "left"),
         ("format", "dlc"),
         ("min_confidence", "2"),
         ("align", "name"),

@@ -54,9 +54,12 @@ def read(source: Source) -> list[View]:
             if one.get(BODY) and one["image_id"] in by_image and not one.get("iscrowd"):
                 by_image[one["image_id"]].append(one)
         names, edges = _skeleton(content) if annotations else (None, None)
+        cameras = _cameras(images)
+        if len(cameras) == 1:
+            cameras = {key.rsplit("/", 1)[-1]: frames for key, frames in cameras.items()}
         return [
             _view(source, camera, frames, images, by_image, names, edges)
-            for camera, frames in _cameras(images).items()
+            for camera, frames in cameras.items()
         ]
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         if isinstance(error, FormatError):
@@ -111,7 +114,7 @@ def _view(
     fitting = names is not None and len(names) == keypoints.shape[2]
     notes = ("images have several sizes, as of several cameras",) if sizes else ()
     return View(
-        camera.rsplit("/", 1)[-1] or source.name,
+        camera or source.name,
         keypoints,
         np.array([number for number, _ in frames], np.int64),
         None if flags else confidence,

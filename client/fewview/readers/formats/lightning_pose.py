@@ -6,6 +6,7 @@ Keypoints such as ``paw_top`` and ``paw_bot`` are one keypoint in two views.
 from dataclasses import replace
 
 from fewview.readers.formats import deeplabcut
+from fewview.readers.separated import table_of
 from fewview.readers.sources import Source
 from fewview.readers.views import View
 
@@ -16,11 +17,12 @@ FEWEST = 4  # keypoints that views have in common
 
 def fits(source: Source) -> bool:
     """Whether a table has a scorer of Lightning Pose, or keypoints named by views."""
-    if not deeplabcut.fits_csv(source):
+    table = table_of(source) if deeplabcut.fits_csv(source) else None
+    if table is None:
         return False
-    header = {line.partition(",")[0]: line.split(",")[1:] for line in source.lines[:4]}
-    scorer = (header.get("scorer") or [""])[-1].lower()
-    return scorer.startswith(SCORERS) or bool(_views(header["bodyparts"]))
+    header = {row[0].lower(): row[1:] for row in table.header}
+    scorer = (header.get("scorer") or ("",))[-1].lower()
+    return scorer.startswith(SCORERS) or bool(_views(list(header.get("bodyparts", ()))))
 
 
 def read(source: Source) -> list[View]:
@@ -31,7 +33,10 @@ def read(source: Source) -> list[View]:
     FormatError
         If it is no table.
     """
-    (view,) = deeplabcut.read_csv(source)
+    views = deeplabcut.read_csv(source)
+    if len(views) > 1:  # keypoints name their cameras
+        return views
+    view = views[0]
     names = list(view.keypoint_names or ())
     out = []
     for suffix, mine in _views(names).items():

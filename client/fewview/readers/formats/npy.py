@@ -5,11 +5,13 @@ from typing import Any
 import numpy as np
 
 from fewview.errors import FormatError
+from fewview.readers.combining import SLIGHTLY_ABOVE
 from fewview.readers.skeletons import SKELETONS
 from fewview.readers.sources import NUMPY, Source
 from fewview.readers.views import Edges, View, bounded
 
 MOST_VIEWS = 32  # an array of more is taken for one whose frames come first
+LOOKED_INTO = 1000  # frames
 FACES = (468, 478)  # points of MediaPipe's face, after 33 of the body and 21 of each hand
 
 
@@ -18,10 +20,13 @@ def fits(source: Source) -> bool:
     if not source.begins(NUMPY) or "3d" in source.path.name.lower():
         return False
     try:
-        shape = np.load(source.path, mmap_mode="r", allow_pickle=False).shape
+        array = np.load(source.path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError):
         return False
-    return len(shape) in (3, 4) and shape[-1] in (2, 3)
+    if array.ndim == 3 and array.shape[-1] == 3 and array.dtype.kind in "fiu":
+        third = array[:LOOKED_INTO, :, 2]
+        return not np.any((third < 0) | (third > SLIGHTLY_ABOVE))
+    return array.ndim in (3, 4) and array.shape[-1] in (2, 3)
 
 
 def read(source: Source) -> list[View]:
@@ -52,7 +57,7 @@ def read(source: Source) -> list[View]:
         )
     third = views[..., 2] if views.shape[-1] == 3 else None
     notes: tuple[str, ...] = ()
-    if third is not None and not (np.nanmin(third) >= 0 and np.nanmax(third) <= 1.1):
+    if third is not None and not (np.nanmin(third) >= 0 and np.nanmax(third) <= SLIGHTLY_ABOVE):
         if array.ndim == 3:
             raise FormatError(f"{source}: an array {array.shape} holds 3D points, not detections")
         third, notes = None, ("the third coordinate is no confidence and was left out",)

@@ -23,6 +23,7 @@ KNOWN = (
     "edges",
     "image_sizes",
     "view_names",
+    "frame_numbers",
 )
 Arrays = dict[str, NDArray[Any]]
 
@@ -70,7 +71,7 @@ def read(source: Source) -> list[View]:
             if views is None
             else str(views[v]),
             keypoints[:, v, None].astype(np.float32),
-            np.arange(n),
+            arrays.get("frame_numbers", np.arange(n)).astype(np.int64),
             None if confidence is None else confidence[:, v, None].astype(np.float32),
             people=("",),
             keypoint_names=None if names is None else tuple(map(str, names)),
@@ -114,6 +115,7 @@ def _check(source: Source, arrays: Arrays, n: int, k: int, p: int) -> None:
         ("fps", "fiu", [(), (1,)]),
         ("keypoint_names", "U", [(p,)]),
         ("view_names", "U", [(k,)]),
+        ("frame_numbers", "iu", [(n,)]),
         ("image_sizes", "fiu", [(k, 2)]),
     ):
         if name in arrays:
@@ -123,6 +125,9 @@ def _check(source: Source, arrays: Arrays, n: int, k: int, p: int) -> None:
                     f"{source}: `{name}` is {array.dtype} of shape {array.shape}; {n} frames, {k} "
                     f"views and {p} keypoints ask for {' or '.join(map(str, shapes))}"
                 )
+    numbers = arrays.get("frame_numbers")
+    if numbers is not None and np.any(np.diff(numbers.astype(np.int64)) <= 0):
+        raise FormatError(f"{source}: `frame_numbers` must rise from frame to frame")
 
 
 def _edges(arrays: Arrays) -> tuple[tuple[int, int], ...] | None:

@@ -1,0 +1,195 @@
+"""Up, down, left and right of images: put right where it was asked, doubted where names say so.
+
+Left and right are named, and so are toes and heels. A camera above the feet sees the toes of
+somebody who faces it below the heels, and their left on the right; both are the other way round
+from behind. In a mirrored image, or with y upwards, one of the two is wrong.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fewview.capture import Capture, Float64
+from fewview.readers.matching import epipolar_misfit
+from fewview.readers.views import View
+
+HEADS = ("nose", "head", "eye", "ear", "neck", "snout", "chin", "mouth", "forehead")
+FEET = ("ankle", "foot", "heel", "toe", "paw", "hoof")
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")  # of left_ear, leftEar, LEar, LEFT_EAR
+SIDES = {"left": "right", "l": "r", "right": "left", "r": "l"}
+UPSIDE_DOWN = 0.9  # of the frames: so often a head is below the feet only where y counts upwards
+CONTRADICTED = -0.2  # correlation; unmirrored it is hardly ever below 0
+TURNING = 0.06  # of the height that is seen: somebody who never turns says nothing of sides
+FEWEST = 20  # frames that must show what an image is judged by
+
+
+def put_right(
+    views: list[View], y: Literal["down", "up"], mirrored: Sequence[int], notes: list[str]
+) -> list[View]:
+    """Return the views with y downwards, and images as the cameras saw them.
+
+    A detector calls the left hand of a mirrored image right, if it was run on that. Whether it was,
+    the other views say: in a mirrored view, names change places if they fit better then.
+    """
+    out = []
+    for index, view in enumerate(views):
+        keypoints = view.keypoints
+        for axis, turned, what in ((1, y == "up", "y"), (0, index in mirrored, "x")):
+            if turned:
+                keypoints = keypoints.copy()
+                last = _last(view, axis)
+                keypoints[..., axis] = last - keypoints[..., axis]
+                notes.append(f"{view.name}: {what} is {last:g} minus what the file has")
+        out.append(replace(view, keypoints=keypoints))
+    for index in mirrored:
+        other = next((v for v in range(len(out)) if v not in mirrored), None)
+        order = opposite_names(out[index].keypoint_names or ())
+        if order is not None and (other is None or _fits_exchanged(out[index], out[other], order)):
+            view = out[index]
+            confidence = None if view.confidence is None else view.confidence[:, :, order]
+            out[index] = replace(view, keypoints=view.keypoints[:, :, order], confidence=confidence)
+            notes.append(f"{view.name}: left and right were exchanged, as its image is mirrored")
+    return out
+
+
+def opposite_names(names: Sequence[str]) -> NDArray[np.intp] | None:
+    """Return of each keypoint (P,) that of the other side, itself if it has none; None of none."""
+    words = [[word.lower() for word in _WORD.findall(name)] for name in names]
+    place = {tuple(each): index for index, each in enumerate(words)}
+    order = [
+        place.get(tuple(SIDES.get(word, word) for word in each), index)
+        for index, each in enumerate(words)
+    ]
+    return None if order == list(range(len(names))) else np.array(order, np.intp)
+
+
+def _fits_exchanged(view: View, other: View, order: NDArray[np.intp]) -> bool:
+    """Whether a view fits another better with left and right exchanged, or as well."""
+    if view.keypoints.shape[2] != other.keypoints.shape[2]:
+        return True
+    _, i, j = np.intersect1d(view.numbers, other.numbers, return_indices=True)
+    mine, theirs = view.keypoints[i, 0].astype(float), other.keypoints[j, 0].astype(float)
+    kept, exchanged = epipolar_misfit(mine, theirs), epipolar_misfit(mine[:, order], theirs)
+    return kept is None or exchanged is None or exchanged <= kept
+
+
+def _last(view: View, axis: int) -> float:
+    """Return the last pixel of an axis: of the image, or that is seen if its size is unknown."""
+    if view.image_size is not None:
+        return view.image_size[axis] - 1.0
+    return float(np.ceil(np.nanmax(view.keypoints[..., axis], initial=0)))
+
+
+def doubts_of_sides(capture: Capture) -> list[str]:
+    """Return sentences on images that seem to be upside down or mirrored, by their keypoints."""
+    return _upside_down(capture) or _mirrored(capture)
+
+
+def _mirrored(capture: Capture) -> list[str]:
+    """Return a sentence on cameras in which toes contradict left and right."""
+    evidence = [_names_hold(capture, view) for view in range(capture.views)]
+    against = [v for v, held in enumerate(evidence) if held is not None and held < CONTRADICTED]
+    if not against:
+        return []
+    views = capture.view_names or tuple(map(str, range(capture.views)))
+    which = ",".join(views[v] for v in against)
+    if len(against) == sum(held is not None for held in evidence) > 1:
+        return [
+            "in all cameras, toes point the other way than the names left and right say: the "
+            "images are mirrored, or names changed places, and the result is a mirror image: say "
+            f"mirror='{which}' (--mirror {which}) if the images are mirrored"
+        ]
+    return [
+        f"{which}: toes point the other way than the names left and right say, and not in the "
+        f"other cameras, as in a mirrored image: say mirror='{which}' (--mirror {which})"
+    ]
+
+
+def _names_hold(capture: Capture, view: int) -> float | None:
+    """Return how toes and heels agree with left and right, from -1 to 1; None if they cannot.
+
+    It is the correlation over the frames of how far toes are below heels, and of how far left is to
+    the right: what feet do in every step is in it but once.
+    """
+    names = capture.keypoint_names or ()
+    words = [{word.lower() for word in _WORD.findall(name)} for name in names]
+    opposite = opposite_names(names)
+    if opposite is None:
+        return None
+    shown = np.where(capture.observed()[:, view, :, None], capture.keypoints[:, view], np.nan)
+    left = [k for k, said in enumerate(words) if said & {"left", "l"} and opposite[k] != k]
+    toes_there = [k for k, said in enumerate(words) if "toe" in said or {"foot", "index"} <= said]
+    heels_there = {
+        frozenset(said & SIDES.keys()): k for k, said in enumerate(words) if "heel" in said
+    }
+    feet = [(toe, heels_there.get(frozenset(words[toe] & SIDES.keys()))) for toe in toes_there]
+    pairs = [(toe, heel) for toe, heel in feet if heel is not None]
+    if not left or not pairs:
+        return None
+    toes, heels = (shown[:, list(each), 1] for each in zip(*pairs, strict=True))
+    across = _means(shown[:, left, 0] - shown[:, opposite[left], 0])
+    below = _means(toes - heels)
+    known = np.isfinite(below) & np.isfinite(across)
+    if known.sum() < FEWEST:
+        return None
+    heights = np.fmax.reduce(shown[known, :, 1], axis=1) - np.fmin.reduce(
+        shown[known, :, 1], axis=1
+    )
+    turned = across[known].std() > TURNING * float(np.median(heights))
+    if not turned or not below[known].std() > 0:
+        return None
+    return float(np.corrcoef(across[known], below[known])[0, 1])
+
+
+def _means(values: Float64) -> Float64:
+    """Return the mean of each row (N,) over what is known of it, NaN of nothing."""
+    known = np.isfinite(values)
+    total = np.where(known, values, 0).sum(1)
+    return np.asarray(np.where(known.any(1), total / np.maximum(known.sum(1), 1), np.nan))
+
+
+def _upside_down(capture: Capture) -> list[str]:
+    """Return a sentence if heads are below the feet in most cameras: y counts upwards then."""
+    heads, feet = (_heights(capture, words) for words in (HEADS, FEET))
+    if heads is None or feet is None:
+        return []
+    both = np.isfinite(heads) & np.isfinite(feet)
+    below = [
+        np.mean(heads[both[:, v], v] > feet[both[:, v], v]) > UPSIDE_DOWN
+        for v in range(capture.views)
+        if both[:, v].sum() >= FEWEST
+    ]
+    if not below or not any(below):
+        return []
+    names = capture.view_names or tuple(map(str, range(capture.views)))
+    if all(below):
+        return [
+            "heads are below the feet in all cameras, as where y counts upwards from the lower "
+            "edge, and then the result is a mirror image: say y='up' (--y up), unless the subject "
+            "is upside down"
+        ]
+    where = [name for name, one in zip(names, below, strict=False) if one]
+    return [
+        f"{', '.join(where)}: heads are below the feet, and not in the other cameras: these images "
+        "are upside down, or mirrored from top to bottom"
+    ]
+
+
+def _heights(capture: Capture, words: Sequence[str]) -> Float64 | None:
+    """Return the median y (N, K) of the keypoints whose names have one of these words."""
+    mine = [
+        place
+        for place, name in enumerate(capture.keypoint_names or ())
+        if any(word.lower() in words for word in _WORD.findall(name))
+    ]
+    if not mine:
+        return None
+    y = np.where(capture.observed(), capture.keypoints[..., 1], np.nan)[:, :, mine]
+    known = np.isfinite(y).any(-1)
+    out = np.full(known.shape, np.nan)
+    out[known] = np.nanmedian(y[known], axis=-1)
+    return out
