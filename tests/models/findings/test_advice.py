@@ -73,7 +73,8 @@ def test_cameras_are_found_without_the_checks_of_what_was_told(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(doubts, "_worst_doubts", failing(ZeroDivisionError))
-    keypoints = make_rig_capture(RING, frames=30).keypoints
-    told = QUICK | {"steps": 30, "refine": "auto"}
-    assert fit(keypoints, FitConfig.model_validate(told)).cameras is not None
+    capture = make_rig_capture(RING, frames=30)
+    lenses = [{"intrinsics": {"fx": lens.focal}} for lens in capture.lenses]
+    given = QUICK | {"steps": 30, "refine": "auto", "calibration": lenses}
+    assert fit(capture.keypoints, FitConfig.model_validate(given)).cameras is not None
     assert "failed and is left out" in caplog.text
