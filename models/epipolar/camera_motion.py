@@ -16,7 +16,7 @@ Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
-FEWEST = 6  # points of a frame that a view shows, to say anything of its pose
+FEWEST = 6  # points of a frame that a view shows, for its pose to be asked
 WEAKEST = 1e-3  # of the strongest direction of a pose: weaker ones are left alone
 CENTRE_X = 1  # place of the principal point's x among a camera's numbers: it moves images by 1
 

@@ -1,6 +1,6 @@
-"""Cameras at rest and structures from keypoints alone, by robust structure from motion.
+"""Static cameras and structures from keypoints alone, by robust structure from motion.
 
-For cameras at rest, every keypoint of every frame is a point of one rigid scene. Pairs of views
+For static cameras, every keypoint of every frame is a point of one rigid scene. Pairs of views
 give relative poses (`pairs`), these are put together to rigs (`assembly`), and the best are
 adjusted (`rig_adjustment`). No network and no shapes take part. All starts, among them the mirror
 image (Necker's reversal) of the best, are compared under one common noise.
@@ -35,8 +35,8 @@ Bool = NDArray[np.bool_]
 FEW_POINTS, NOISY_OBSERVATIONS = 900, 24000  # to choose among starts, and at the end
 MOST_FRAMES = 300  # that are asked whether cameras move
 LAST_ITERATIONS = 25
-# Observations never say more than so many, over the square of the noise as a share of the subject's
-# size, would: adjusting points with noisy rays biases cameras (Neyman & Scott, 1948), and the bias,
+# Observations never count as more than so many over the square of the noise, as a share of the
+# subject's size: adjusting points with noisy rays biases cameras (Neyman & Scott, 1948), and the bias,
 # unlike the scatter, does not fall with their number.
 UNBIASED = 40.0
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it is not static with them
@@ -45,35 +45,35 @@ SURE = 3.0  # standard errors by which it must move
 
 
 class Explanation(NamedTuple):
-    """Cameras at rest, and what they see."""
+    """Static cameras, and what they see."""
 
     rig: Rigid  # K cameras in sides; of views that take no part the pose is NaN
     points: Float64  # (N, P, 3) in the rig's frame, NaN where fewer than two of these views see
 
 
 class RestingRig(NamedTuple):
-    """Cameras that rest, as far as keypoints alone say."""
+    """Static cameras, as far as keypoints alone decide."""
 
     best: Explanation
     mirror: Explanation  # the best that there is of the other hand
-    resting: Bool  # (K,) which views take part
+    resting: Bool  # (K,) which views are static
     noise: float  # sides
-    log_odds: Float64  # (N,) what each frame says for the best and against its mirror image
-    focals: FocalLikelihood  # what keypoints say of the focal lengths of the views that rest
-    deviations: Float64  # (K, 11) of `Rigid`'s numbers, infinite of views that do not rest
-    motion: CameraMotion  # of the views that rest, as far as they do
+    log_odds: Float64  # (N,) of each frame, for the best and against its mirror image
+    focals: FocalLikelihood  # of the static views
+    deviations: Float64  # (K, 11) of `Rigid`'s numbers, infinite of views that are not static
+    motion: CameraMotion  # of the static views
 
 
 def find_resting_rig(
     images: Float64, weights: Float64, beliefs: Beliefs, sizes: Float64, *, seed: int = 0
 ) -> Steps[RestingRig | None]:
-    """Find cameras at rest from what they see of N frames; yields now and then, to be stopped.
+    """Find static cameras from what they see of N frames; yields now and then, to be stopped.
 
     Parameters
     ----------
     images
         (N, K, P, 2) keypoints from the expected principal points, in sides of the image; without
-        distortion where the lens was told.
+        distortion where the lens was given.
     weights
         (N, K, P) confidences, 0 where not observed.
     sizes
@@ -81,7 +81,7 @@ def find_resting_rig(
 
     Returns
     -------
-    None if no two views share enough, or nothing that rests explains what they see.
+    None if no two views share enough, or nothing static explains what they see.
     """
     rng = np.random.default_rng(seed)
     scene = SharedPoints.of(images, weights, rng)
@@ -157,7 +157,7 @@ def _most_moving(motion: CameraMotion, sizes: Float64) -> int | None:
 
 
 def _out_of_line(alone: Float64, sizes: Float64) -> int | None:
-    """Return the view that does not rest with the others, if there is one."""
+    """Return the view that is not static with the others, if there is one."""
     relative = alone / sizes
     worst = int(relative.argmax())
     common = float(np.sort(alone)[(len(alone) - 1) // 2])
@@ -168,7 +168,7 @@ def _out_of_line(alone: Float64, sizes: Float64) -> int | None:
 def _result(
     chosen: _Chosen, images: Float64, weights: Float64, beliefs: Beliefs, members: list[int]
 ) -> RestingRig:
-    """Triangulate every frame with both hands, and say what each frame says for which."""
+    """Triangulate every frame with both hands, and give the log odds of each frame."""
     frames, views, keypoints, _ = images.shape
     resting = np.zeros(views, bool)
     resting[members] = True

@@ -1,4 +1,4 @@
-"""Robust bundle adjustment of points and cameras at rest, without shapes or bones.
+"""Robust bundle adjustment of points and static cameras, without shapes or bones.
 
 Triggs, McLauchlan, Hartley and Fitzgibbon, *Bundle adjustment: a modern synthesis*, 1999:
 Levenberg-Marquardt with the points eliminated (Schur complement), Student's t by reweighting.
@@ -29,7 +29,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 RAYLEIGH = 1.1774  # median length of a pair of unit normal numbers
-LEAST_NOISE = 1e-5  # sides: less cannot be told from none
+LEAST_NOISE = 1e-5  # sides: less is as good as none
 LEAST_LEFT = 0.1  # share of a view's numbers that points do not take up
 POOLED = 2 / 3  # share of the common noise in the log of each view's
 ALIKE = 0.02  # scale of Cauchy's distribution of the log ratio of focal lengths
@@ -101,7 +101,7 @@ def noise_of(rig: Rigid, points: Float64, seen: Seen, least: float) -> Float64:
     """Noise (K,) of a coordinate in each view, for the most part what views share.
 
     By medians, as a share of residuals that points leave: of what they were made of they take up
-    the more, the more a view has a say in where they are.
+    the more, the more a view decides where they are.
     """
     there = seen.weights > 0
     residuals, by_point = residuals_by_points(rig, points, seen)

@@ -1,8 +1,8 @@
-"""How surely keypoints give cameras at rest: covariances that hold although errors repeat.
+"""How surely keypoints give static cameras: covariances that hold although errors repeat.
 
 Errors of detectors and of lens models repeat from frame to frame and from keypoint to keypoint, so
-the inverse of the information claims too much. The sandwich estimator takes the scatter of what
-whole frames, and whole keypoints, say instead (Huber, 1967; clusters in two ways: Cameron, Gelbach
+the inverse of the information claims too much. The sandwich estimator takes the scatter of
+gradients of whole frames, and of whole keypoints, instead (Huber, 1967; clusters in two ways: Cameron, Gelbach
 and Miller, *Robust inference with multiway clustering*, 2011).
 """
 
@@ -22,7 +22,7 @@ TINY = 1e-9  # of the largest eigenvalue of the scaled information: below, nothi
 
 
 class FocalLikelihood(NamedTuple):
-    """What keypoints say of the logs x (K,) of focal lengths: -x' A x / 2 + b' x, a log density."""
+    """The likelihood of the logs x (K,) of focal lengths: -x' A x / 2 + b' x, a log density."""
 
     information: Float64  # A (K, K)
     vector: Float64  # b (K,)
@@ -84,7 +84,7 @@ def _focal_likelihood(
 ) -> FocalLikelihood:
     """Say what keypoints alone give of the focal lengths; poses and points follow them.
 
-    Errors that repeat say as much less as sums of them scatter more (the design effect: Kish,
+    Errors that repeat are worth as much less as sums of them scatter more (the design effect: Kish,
     *Survey Sampling*, 1965).
     """
     among = matrix[np.ix_(others, others)]

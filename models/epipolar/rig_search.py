@@ -158,7 +158,7 @@ def _cost(adjusted: Adjusted, seen: Seen, beliefs: Beliefs, noise: Float64) -> f
 def ordered(rigs: list[Adjusted], seen: Seen, beliefs: Beliefs) -> list[Adjusted]:
     """Sort by cost under one common noise: with each its own, what fits worse could win.
 
-    Points are located anew, since one that an outlier caught says nothing of the cameras.
+    Points are located anew, since one that an outlier caught is no evidence about the cameras.
     """
     common = np.min([rig.noise for rig in rigs], 0)
     located = [

@@ -55,7 +55,7 @@ def robust_points(
 def _of_pairs(rig: Rigid, seen: Seen) -> list[Float64]:
     """Points (3, M) midway between the rays of two views, for every two; NaN where there are not.
 
-    With two views, that is what all rays say.
+    With two views all rays are these two, and the list is empty.
     """
     views = len(seen.weights)
     if views < 3:
@@ -78,7 +78,7 @@ def _of_pairs(rig: Rigid, seen: Seen) -> list[Float64]:
 
 
 def triangulate_points(rig: Rigid, seen: Seen, *, rounds: int = 4) -> Float64:
-    """Return the points (3, M) next to their rays, those far off having less and less of a say."""
+    """Return the points (3, M) next to their rays, those far off with less and less weight."""
     rays = rays_of(rig, seen.images)  # (K, 3, M) in the rig's frame
     across = np.eye(3)[None, :, :, None] - rays[:, :, None] * rays[:, None]  # (K, 3, 3, M)
     centres = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)

@@ -15,12 +15,12 @@ Bool = NDArray[np.bool_]
 CAMERA = 11  # numbers: log focal, principal point, radial coefficients, rotation, translation
 LENS = 5
 FREEDOM = 3.0  # of Student's t
-NEAR, FAR = 0.2, 5.0  # median depths between which a point has a say
+NEAR, FAR = 0.2, 5.0  # median depths between which a point counts
 BLIND = 1.0  # sides that stand for a point that a camera cannot see there: none is further off
 
 
 class Rigid(NamedTuple):
-    """K cameras at rest, x = R X + t, and their lenses in sides of the image."""
+    """K static cameras, x = R X + t, and their lenses in sides of the image."""
 
     log_focals: Float64  # (K,)
     centres: Float64  # (K, 2) from the expected principal points

@@ -18,7 +18,7 @@ Bool = NDArray[np.bool_]
 MOST_POINTS = 3000  # of a pair of views that are related
 NOISY_POINTS = 9000  # of a sample
 MOST_PAIRS = 18  # of views that are related
-UNLIKE_PAIRS = 5.0  # times the noise of the best pair: a pair beyond it does not rest
+UNLIKE_PAIRS = 5.0  # times the noise of the best pair: a pair beyond it is not static
 LENS_NOISE = 1e-3  # sides: what lens models leave at most
 NO_RIG = 0.3  # noise, as a share of a view's size, that nothing static has
 
@@ -100,7 +100,7 @@ def _chosen_pairs(pairs: list[tuple[int, int]], views: int) -> Iterator[tuple[in
 
 
 def tied_views(graph: ViewGraph, sizes: Float64) -> list[int]:
-    """Return the views that pairs tie together whose noise does not rule out that they rest."""
+    """Return the views that pairs tie together whose noise allows that they are static."""
     least = min((poses.noise for poses in graph.values()), default=0.0)
     most = UNLIKE_PAIRS * max(least, LENS_NOISE)
     likely = [
