@@ -36,8 +36,8 @@ FEW_POINTS, NOISY_OBSERVATIONS = 900, 24000  # to choose among starts, and at th
 MOST_FRAMES = 300  # that are asked whether cameras move
 LAST_ITERATIONS = 25
 # Observations never count as more than so many over the square of the noise, as a share of the
-# subject's size: adjusting points with noisy rays biases cameras (Neyman & Scott, 1948), and the bias,
-# unlike the scatter, does not fall with their number.
+# subject's size: adjusting points with noisy rays biases cameras (Neyman & Scott, 1948), and the
+# bias, unlike the scatter, does not fall with their number.
 UNBIASED = 40.0
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it is not static with them
 MOVES = 0.03  # of the subject's size in the image: a camera that moves it by less is static

@@ -2,8 +2,8 @@
 
 Errors of detectors and of lens models repeat from frame to frame and from keypoint to keypoint, so
 the inverse of the information claims too much. The sandwich estimator takes the scatter of
-gradients of whole frames, and of whole keypoints, instead (Huber, 1967; clusters in two ways: Cameron, Gelbach
-and Miller, *Robust inference with multiway clustering*, 2011).
+gradients of whole frames, and of whole keypoints, instead (Huber, 1967; clusters in two ways:
+Cameron, Gelbach and Miller, *Robust inference with multiway clustering*, 2011).
 """
 
 from typing import NamedTuple
