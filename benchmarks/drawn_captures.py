@@ -92,7 +92,7 @@ def draw_capture(number: int, data: Path | None = None) -> Draw | None:
     translations = np.broadcast_to(translations, (*shape, 3))
     exact = projected(points, rotations, translations, lens.focals, lens.centres, lens.radial)
     keypoints, noise, harms = _detected(exact, lens, rng)
-    told = bool(rng.random() < 0.7)
+    sized = bool(rng.random() < 0.7)
     words = [
         f"{name}, {len(points)} frames",
         *words,
@@ -101,14 +101,14 @@ def draw_capture(number: int, data: Path | None = None) -> Draw | None:
         "like lenses" if np.ptp(lens.focals / lens.sizes.max(1)) == 0 else "unlike lenses",
         f"f {', '.join(f'{f:.2f}' for f in lens.focals / lens.sizes.max(1))}",
         f"height {HEIGHT * float(np.nanmedian(_radii(exact))):.0f} px",
-        "sizes" if told else "no sizes",
+        "sizes" if sized else "no sizes",
         *harms,
     ]
     return Draw(
         number,
         "; ".join(words),
         keypoints,
-        [(int(w), int(h)) for w, h in lens.sizes] if told else None,
+        [(int(w), int(h)) for w, h in lens.sizes] if sized else None,
         points,
         rotations,
         translations,

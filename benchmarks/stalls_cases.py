@@ -75,8 +75,8 @@ def posted(
 
 
 def _in_short(answer: httpx2.Response) -> str:
-    said = answer.json()["detail"][:60] if answer.status_code >= 400 else ""
-    return f"{answer.status_code} {said} {len(answer.content) / MIB:.1f} MiB"
+    reason = answer.json()["detail"][:60] if answer.status_code >= 400 else ""
+    return f"{answer.status_code} {reason} {len(answer.content) / MIB:.1f} MiB"
 
 
 def _captures() -> Iterator[Case]:
@@ -289,8 +289,8 @@ def _sized(send: Send) -> tuple[Send, int]:
 
 
 def _flood(running: Service, first: bytes, again: bytes, reads: bool, _: httpx2.Client) -> str:
-    """Send as fast as the service takes it, for a while; say how much that was."""
-    sent, rest = 0, memoryview(first)
+    """Send as fast as the service takes it, for a while; return how much that was."""
+    sent, unsent = 0, memoryview(first)
     ends = time.monotonic() + FLOOD_SECONDS
     with socket.create_connection((running.host, running.port)) as connection:
         connection.sendall(HANDSHAKE)
@@ -301,9 +301,9 @@ def _flood(running: Service, first: bytes, again: bytes, reads: bool, _: httpx2.
                 reading = [connection] if reads else []
                 readable, writable, _none = select.select(reading, [connection], [], 0.1)
                 if writable:
-                    count = connection.send(rest)
+                    count = connection.send(unsent)
                     sent += count
-                    rest = rest[count:] or memoryview(again)
+                    unsent = unsent[count:] or memoryview(again)
                 if readable and not connection.recv(MIB):
                     return f"closed after {sent / MIB:.1f} MiB"
         except OSError:

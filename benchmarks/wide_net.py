@@ -125,7 +125,7 @@ class Answer(NamedTuple):
     """What was made of a draw."""
 
     points: Float64  # (N, P, 3)
-    static: bool  # whether all cameras were found at rest
+    static: bool  # whether all cameras were found to be static
     certainty: float
     rotations: Float64  # (K, 3, 3); NaN of cameras that were not found
     focals: Float64  # (K,) pixels
@@ -243,7 +243,7 @@ def _error(draw: Draw, points: Float64, asked: NDArray[np.bool_]) -> float:
 
 
 def _turn(draw: Draw, rotations: Float64) -> float:
-    """Largest error in degrees of a rotation between two cameras that were found at rest."""
+    """Largest error in degrees of a rotation between two cameras that were found to be static."""
     known = np.flatnonzero(np.isfinite(rotations).all((1, 2)))
     if len(known) < 2 or draw.moving:
         return float("nan")

@@ -1,5 +1,6 @@
-"""A rig at rest that keypoints alone say, as a start of the search: cameras, structures, poses."""
+"""Static cameras that keypoints alone give, as a start: cameras, structures, poses."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -49,56 +50,46 @@ LEAST_KNOWN = 4  # points that tell a structure's pose
 
 
 class KeypointRig(NamedTuple):
-    """Cameras at rest as keypoints alone say, and the starts that they make."""
+    """Static cameras as keypoints alone give them, and the starts that they make."""
 
     start: Solution
     mirror: Solution  # of the other hand
-    members: list[int]  # the views that rest
+    members: list[int]  # the static views
     noise: float  # pixels
-    log_odds: Float64  # (N,) what each frame says for the start and against its mirror image
+    log_odds: Float64  # (N,) of each frame, for the start and against its mirror image
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
-    deviations: Float64  # (K, VIEW) standard deviations, infinite for views that do not rest
+    deviations: Float64  # (K, VIEW) standard deviations, infinite for views that are not static
 
 
 def rig_from_keypoints(
     problem: Problem, moving: Solution, among: list[int]
 ) -> Steps[KeypointRig | None]:
-    """Find cameras at rest `among` some views; those that do not rest move as in `moving`.
+    """Find static cameras `among` some views; the others move as in `moving`.
 
-    None where the keypoints speak against any two cameras at rest.
+    None where no two static cameras explain the keypoints.
     """
     found = yield from geometry_of(problem, among)
     if found is None:
         return None
     members = [int(k) for k in np.flatnonzero(found.resting)]
     noise = max(found.noise * problem.side, moving.noise)
-    starts, units = [], []
-    for explanation in (found.best, found.mirror):
-        structures = _structures(explanation.points)
-        if structures is None:
-            return None
-        lenses = _lenses(problem, moving.rig, explanation.rig, found.resting)
-        start = _start(moving, explanation.rig, members, lenses, structures)
-        starts.append(start._replace(noise=noise, measured_noise=noise))
-        units.append(structures.unit)
-    best, mirror = starts
-    groups = _lens_groups(problem, lens_beliefs(problem), found)
-    noise = found.noise * problem.side
-    sds = _deviations(problem, found, units[0])
-    return KeypointRig(best, mirror, members, noise, found.log_odds, groups, sds)
+
+    def start_of(rig: Rigid, structures: _Structures) -> Solution:
+        lenses = _lenses(problem, moving.rig, rig, found.resting)
+        start = _start(moving, rig, members, lenses, structures)
+        return start._replace(noise=noise, measured_noise=noise)
+
+    return _with_both_hands(problem, found, members, start_of)
 
 
 def static_rig(problem: Problem, found: RestingRig) -> KeypointRig | None:
-    """Return the start that cameras make of which all rest; None where structures make no sense."""
+    """Return the start that a rig of static cameras alone makes; None without structures."""
     members = list(range(len(found.resting)))
     noise = found.noise * problem.side
-    starts, units = [], []
-    for explanation in (found.best, found.mirror):
-        structures = _structures(explanation.points)
-        if structures is None:
-            return None
-        lenses = _lenses(problem, problem.reference, explanation.rig, found.resting)
-        rig, held, placed = _in_first_camera(explanation.rig, members, lenses, structures)
+
+    def start_of(rig: Rigid, structures: _Structures) -> Solution:
+        lenses = _lenses(problem, problem.reference, rig, found.resting)
+        placed_rig, held, placed = _in_first_camera(rig, members, lenses, structures)
         scene = Scene(
             structures.points,
             np.ascontiguousarray(held[:, None]),
@@ -106,16 +97,34 @@ def static_rig(problem: Problem, found: RestingRig) -> KeypointRig | None:
             np.log(structures.scales / structures.unit)[:, None],
         )
         shapes, prior = _shapes(structures.points)
-        starts.append(Solution(rig, scene, prior, shapes, noise, noise))
-        units.append(structures.unit)
-    best, mirror = starts
-    groups = _lens_groups(problem, lens_beliefs(problem), found)
-    sds = _deviations(problem, found, units[0])
-    return KeypointRig(best, mirror, members, noise, found.log_odds, groups, sds)
+        return Solution(placed_rig, scene, prior, shapes, noise, noise)
+
+    return _with_both_hands(problem, found, members, start_of)
+
+
+def _with_both_hands(
+    problem: Problem,
+    found: RestingRig,
+    members: list[int],
+    start_of: Callable[[Rigid, "_Structures"], Solution],
+) -> KeypointRig | None:
+    """Return the starts of a rig and of its mirror image; None without structures."""
+    best, mirror = _structures(found.best.points), _structures(found.mirror.points)
+    if best is None or mirror is None:
+        return None
+    return KeypointRig(
+        start_of(found.best.rig, best),
+        start_of(found.mirror.rig, mirror),
+        members,
+        found.noise * problem.side,
+        found.log_odds,
+        _lens_groups(problem, lens_beliefs(problem), found),
+        _deviations(problem, found, best.unit),
+    )
 
 
 def geometry_of(problem: Problem, among: list[int]) -> Steps[RestingRig | None]:
-    """Find cameras at rest `among` some views from keypoints alone; None where none explain them.
+    """Find static cameras `among` some views from keypoints alone; None where none explain them.
 
     The rig is in sides of the longest image.
     """

@@ -59,7 +59,12 @@ class FitConfig(BaseModel):
         default=MlpSizes(), description="Sizes of the encoder and decoder of the prior `mlp`."
     )
     steps: int = Field(
-        default=4500, ge=1, le=1_000_000, description="Optimiser steps; each sees one batch."
+        default=4500,
+        ge=1,
+        le=1_000_000,
+        description="Optimiser steps; each sees one batch. Where geometry finds static cameras"
+        " before the first step, two thirds of them are taken, of few frames a third, but no"
+        " fewer than 1000.",
     )
     batch_size: int = Field(default=64, ge=1, le=512, description="Frames in one step.")
     learning_rate: float | None = Field(
