@@ -87,7 +87,7 @@ class Objects:
         DamagedError
             If they are not what was put there.
         """
-        with _naming(key):
+        with self._naming(key):
             data = bytes(obstore.get(self._store, key).bytes())
         if keys.checksum_of(key) not in (None, zlib.crc32(data)):
             raise DamagedError(key)
@@ -115,7 +115,7 @@ class Objects:
 
     def _read(self, key: str, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
         starts, ends = zip(*ranges, strict=True)
-        with _naming(key):
+        with self._naming(key):
             try:
                 found = obstore.get_ranges(
                     self._store, key, starts=starts, ends=ends, coalesce=NEAR_BYTES
@@ -132,9 +132,22 @@ class Objects:
         if keys.checksum_of(key) is not None:
             _check(self, key, self._written(key))
 
+    @contextmanager
+    def _naming(self, key: str) -> Iterator[None]:
+        """Have the error of an object that is not there name its key.
+
+        Where the whole folder is missing, an object of it is away, not lost.
+        """
+        try:
+            yield
+        except FileNotFoundError as error:
+            if self._folder is not None and not self._folder.is_dir():
+                raise ObjectStoreError(f"The folder {self._folder} is away: {error}") from error
+            raise FileNotFoundError(errno.ENOENT, "there is no such object", key) from error
+
     def _written(self, key: str) -> tuple[object, ...]:
         """Return what differs once an object was written to, by whomever."""
-        with _naming(key):
+        with self._naming(key):
             if self._folder is None:
                 found = obstore.head(self._store, key)
                 return found["e_tag"], found["last_modified"], found["size"]
@@ -143,7 +156,7 @@ class Objects:
 
     def check(self, key: str) -> int:
         """Read an object, without keeping it, and return its size; raises as :meth:`get` does."""
-        with _naming(key):
+        with self._naming(key):
             checksum = size = 0
             for piece in obstore.get(self._store, key):
                 checksum, size = zlib.crc32(piece, checksum), size + len(piece)
@@ -167,7 +180,8 @@ class Objects:
     def has(self, key: str) -> bool:
         """Tell whether there is an object under ``key``."""
         try:
-            obstore.head(self._store, key)
+            with self._naming(key):
+                obstore.head(self._store, key)
         except FileNotFoundError:
             return False
         return True
@@ -206,15 +220,6 @@ class Objects:
         for path in partial:
             path.unlink(missing_ok=True)
         return len(partial)
-
-
-@contextmanager
-def _naming(key: str) -> Iterator[None]:
-    """Have the error of an object that is not there name its key."""
-    try:
-        yield
-    except FileNotFoundError as error:
-        raise FileNotFoundError(errno.ENOENT, "there is no such object", key) from error
 
 
 # What was found of an object holds until it is written to.

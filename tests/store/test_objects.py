@@ -55,6 +55,24 @@ def test_what_is_not_there_is_said_so(objects: Objects) -> None:
     objects.delete()
 
 
+def test_objects_of_a_missing_folder_are_away_not_lost(tmp_path: Path) -> None:
+    folder = tmp_path / "objects"
+    objects, key = Objects(folder.as_uri()), keys.of_chunk(new_id("ds"), b"capture")
+    objects.put(key, b"capture")
+    folder.rename(tmp_path / "elsewhere")
+    for read in (
+        lambda: objects.get(key),
+        lambda: objects.get_range(key, 0, 4),
+        lambda: objects.check(key),
+        lambda: objects.has(key),
+        lambda: objects.damaged([key]),
+    ):
+        with pytest.raises(ObjectStoreError, match="is away"):
+            read()
+    (tmp_path / "elsewhere").rename(folder)
+    assert objects.get(key) == b"capture"
+
+
 def test_a_folder_that_goes_away_as_it_is_written_is_away(tmp_path: Path) -> None:
     objects, done = Objects(tmp_path.as_uri()), threading.Event()
     key = keys.of_chunk(new_id("ds"), b"capture")
