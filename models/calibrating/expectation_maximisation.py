@@ -59,29 +59,36 @@ class Uncertainty(NamedTuple):
 
 
 def learn(
-    problem: Problem, solution: Solution, *, with_bones: bool = False, rounds: int = ROUNDS
+    problem: Problem,
+    solution: Solution,
+    *,
+    with_bones: bool = False,
+    rounds: int = ROUNDS,
+    least_noise: float = LEAST_NOISE,
 ) -> Steps[Solution]:
     """Maximise expectations from a solution on.
 
-    With `with_bones`, bone lengths have a say, too, and the shape model less of it.
+    With `with_bones`, constant lengths of bones are weighed as well, and the shape model less. No
+    noise below `least_noise`, a share of the image's side, is reckoned with.
     """
     rig, scene, prior, noise = solution.rig, solution.scene, solution.prior, solution.noise
     focals = rig.lenses.focals
-    floor = LEAST_NOISE * problem.side
+    floor = least_noise * problem.side
     least_spread = LEAST_SPREAD_WITH_BONES if with_bones else LEAST_SPREAD
     for _ in range(ROUNDS_WITH_BONES if with_bones else rounds):
         views = problem.views(noise)
         believed = rig_prior(problem, rig, given_poses=solution.given_poses)
         before = rig
-        rig, scene = yield from adjust(
-            views,
-            rig,
-            prior,
-            scene,
-            rig_prior=believed,
-            bones=find_bone_lengths(scene.points, problem.told) if with_bones else None,
-            iterations=ADJUSTMENTS,
-        )
+        if believed.free.any():
+            rig, scene = yield from adjust(
+                views,
+                rig,
+                prior,
+                scene,
+                rig_prior=believed,
+                bones=find_bone_lengths(scene.points, problem.told) if with_bones else None,
+                iterations=ADJUSTMENTS,
+            )
         yield
         if np.ptp(prior.means, axis=0).max() == 0 and believed.free.any():
             bones = find_bone_lengths(scene.points, problem.told) if with_bones else None

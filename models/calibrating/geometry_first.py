@@ -15,7 +15,8 @@ from models.bundle.shape_model import align
 from models.calibrating.doubts import Checked
 from models.calibrating.expectation_maximisation import about_model, learn, regauge
 from models.calibrating.handedness import DECIDED, certainty
-from models.calibrating.keypoint_rig import LEAST_VIEWS, geometry_of, static_rig
+from models.calibrating.keypoint_rig import geometry_of, static_rig
+from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import Problem, Solution
 from models.calibrating.search import Arranged
 from models.numerics.steps import Steps
@@ -43,11 +44,13 @@ def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Ste
     """
     views = len(problem.poses)
     given = problem.posed or config.hand is not None or np.isfinite(problem.lens_sds).any()
-    if views < LEAST_VIEWS or given or config.cameras == "moving":
+    if views < 2 or given or config.cameras == "moving":
         return None
     found = yield from geometry_of(problem, list(range(views)))
     if found is None or not found.resting.all():
         return None
+    if views == 2:
+        found = yield from scan_lenses(problem, found)
     if found.noise * problem.side > EXPLAINED * problem.size:
         return None
     hand = certainty([found.log_odds])

@@ -32,7 +32,7 @@ from models.calibrating.lens_prior import (
 )
 from models.calibrating.problem import Problem, Solution, grouped
 from models.epipolar.pairs import Beliefs
-from models.epipolar.resting_rig import RestingRig, find_resting_rig
+from models.epipolar.resting_rig import Explanation, RestingRig, find_resting_rig
 from models.epipolar.rig_certainty import FocalLikelihood
 from models.epipolar.static_cameras import Rigid
 from models.numerics.rotations import nearest_rotations
@@ -45,7 +45,7 @@ FOCAL_SD, UNTOLD_FOCAL_SD = 0.5, 0.6  # of the log focal length, with and withou
 STRAIGHTENINGS = 8  # steps that undo a lens
 STRAY = 4.0  # radii of a structure beyond which a point is none of it
 ROUNDS = 5  # of aligning structures and filling their gaps
-LEAST_VIEWS = 3  # that tell lenses apart: two explain almost all keypoints with many lenses
+LEAST_VIEWS = 3  # that hold lenses: two explain almost all keypoints with many lenses
 LEAST_KNOWN = 4  # points that tell a structure's pose
 
 
@@ -79,7 +79,9 @@ def rig_from_keypoints(
         start = _start(moving, rig, members, lenses, structures)
         return start._replace(noise=noise, measured_noise=noise)
 
-    return _with_both_hands(problem, found, members, start_of)
+    # Of two views geometry alone does not say which lenses are alike.
+    groups = lens_kinds(problem, found) if len(members) >= LEAST_VIEWS else problem.lens_groups
+    return _with_both_hands(problem, found, members, start_of, groups)
 
 
 def static_rig(problem: Problem, found: RestingRig) -> KeypointRig | None:
@@ -88,18 +90,31 @@ def static_rig(problem: Problem, found: RestingRig) -> KeypointRig | None:
     noise = found.noise * problem.side
 
     def start_of(rig: Rigid, structures: _Structures) -> Solution:
-        lenses = _lenses(problem, problem.reference, rig, found.resting)
-        placed_rig, held, placed = _in_first_camera(rig, members, lenses, structures)
-        scene = Scene(
-            structures.points,
-            np.ascontiguousarray(held[:, None]),
-            np.ascontiguousarray(placed[:, None]),
-            np.log(structures.scales / structures.unit)[:, None],
-        )
-        shapes, prior = _shapes(structures.points)
-        return Solution(placed_rig, scene, prior, shapes, noise, noise)
+        return _static_start(problem, rig, structures, noise)
 
-    return _with_both_hands(problem, found, members, start_of)
+    return _with_both_hands(problem, found, members, start_of, lens_kinds(problem, found))
+
+
+def static_start(problem: Problem, seen: Explanation, noise: float) -> Solution | None:
+    """Return the start that static cameras and points make; `noise` in pixels."""
+    structures = _structures(seen.points)
+    return None if structures is None else _static_start(problem, seen.rig, structures, noise)
+
+
+def _static_start(
+    problem: Problem, rig: Rigid, structures: "_Structures", noise: float
+) -> Solution:
+    members = list(range(len(rig.log_focals)))
+    lenses = _lenses(problem, problem.reference, rig, np.ones(len(members), bool))
+    placed_rig, held, placed = _in_first_camera(rig, members, lenses, structures)
+    scene = Scene(
+        structures.points,
+        np.ascontiguousarray(held[:, None]),
+        np.ascontiguousarray(placed[:, None]),
+        np.log(structures.scales / structures.unit)[:, None],
+    )
+    shapes, prior = _shapes(structures.points)
+    return Solution(placed_rig, scene, prior, shapes, noise, noise)
 
 
 def _with_both_hands(
@@ -107,6 +122,7 @@ def _with_both_hands(
     found: RestingRig,
     members: list[int],
     start_of: Callable[[Rigid, "_Structures"], Solution],
+    lens_groups: NDArray[np.int64],
 ) -> KeypointRig | None:
     """Return the starts of a rig and of its mirror image; None without structures."""
     best, mirror = _structures(found.best.points), _structures(found.mirror.points)
@@ -118,7 +134,7 @@ def _with_both_hands(
         members,
         found.noise * problem.side,
         found.log_odds,
-        _lens_groups(problem, lens_beliefs(problem), found),
+        lens_groups,
         _deviations(problem, found, best.unit),
     )
 
@@ -130,7 +146,7 @@ def geometry_of(problem: Problem, among: list[int]) -> Steps[RestingRig | None]:
     """
     # Two views hold each other less than noise disturbs them: they do better without it.
     keypoints = problem.detected if len(among) >= LEAST_VIEWS else problem.keypoints
-    images, sizes = _straight_images(problem, keypoints)
+    images, sizes = straight_images(problem, keypoints)
     asked = np.isin(np.arange(len(sizes)), among)
     weights = problem.weights * asked[:, None]
     found = yield from find_resting_rig(images, weights, lens_beliefs(problem), sizes)
@@ -146,25 +162,26 @@ def _deviations(problem: Problem, found: RestingRig, unit: float) -> Float64:
     return sds
 
 
-def _lens_groups(problem: Problem, beliefs: Beliefs, found: RestingRig) -> NDArray[np.int64]:
-    """Say which of the lenses that nobody told are alike, of three views or more that rest.
+def lens_kinds(problem: Problem, found: RestingRig) -> NDArray[np.int64]:
+    """Return which lenses (K,) are alike, of those of static views that nobody gave.
 
     The other views have lenses like those of most.
     """
+    beliefs = lens_beliefs(problem)
     members = np.flatnonzero(found.resting)
-    untold = beliefs.focal_sds[members] > 0
-    if problem.cameras_alike != "auto" or len(members) < LEAST_VIEWS or untold.sum() < 2:
+    free = beliefs.focal_sds[members] > 0
+    if problem.cameras_alike != "auto" or free.sum() < 2:
         return problem.lens_groups
-    told = np.flatnonzero(~untold)
+    given = np.flatnonzero(~free)
     information, vector = found.focals
     known = np.log(beliefs.focals[members])
-    said = FocalLikelihood(
-        information[np.ix_(untold, untold)],
-        vector[untold] - information[np.ix_(untold, told)] @ known[told],
+    likelihood = FocalLikelihood(
+        information[np.ix_(free, free)],
+        vector[free] - information[np.ix_(free, given)] @ known[given],
     )
-    kinds = find_lens_groups(said, known[untold], *FOCAL_SDS)
+    kinds = find_lens_groups(likelihood, known[free], *FOCAL_SDS)
     groups = np.full(len(problem.lens_groups), np.bincount(kinds).argmax())
-    groups[members[untold]] = kinds
+    groups[members[free]] = kinds
     return groups
 
 
@@ -208,10 +225,10 @@ def lens_beliefs(problem: Problem) -> Beliefs:
     )
 
 
-def _straight_images(problem: Problem, keypoints: Float64) -> tuple[Float64, Float64]:
-    """Keypoints from the expected principal points in sides, and the subject's size in views.
+def straight_images(problem: Problem, keypoints: Float64) -> tuple[Float64, Float64]:
+    """Return keypoints (N, K, P, 2) from expected principal points, and the subject's size (K,).
 
-    Distortion of lenses that were told is undone, by fixed-point iteration.
+    Both in sides of the longest image. Distortion that was given is undone by iteration.
     """
     lenses, side = problem.reference.lenses, problem.side
     mean = lenses.focals.mean(1)[:, None, None]

@@ -25,9 +25,9 @@ def group_covariance(groups: Int64, together: float, alone: float) -> Float64:
 
 
 def find_lens_groups(
-    said: FocalLikelihood, expected: Float64, together: float, alone: float
+    likelihood: FocalLikelihood, expected: Float64, together: float, alone: float
 ) -> Int64:
-    """Return the kinds (K,) of lens under which what keypoints say of focal lengths is likely.
+    """Return the kinds (K,) of lens that make the focal lengths of the keypoints likely.
 
     Every kind has a focal length of its own, whose log is expected at `expected` (K,) with a
     standard deviation of `together`; lenses of a kind differ by `alone`. The marginal likelihood of
@@ -41,7 +41,7 @@ def find_lens_groups(
 
     def evidence(groups: Int64) -> float:
         covariance = group_covariance(groups, together, alone)
-        return _log_evidence(said, expected, covariance)
+        return log_evidence_of_kinds(likelihood, expected, covariance)
 
     groups = np.arange(views)
     best = evidence(groups)
@@ -65,9 +65,11 @@ def _merged(groups: Int64, first: int, second: int) -> Int64:
     return numbered
 
 
-def _log_evidence(said: FocalLikelihood, expected: Float64, covariance: Float64) -> float:
+def log_evidence_of_kinds(
+    likelihood: FocalLikelihood, expected: Float64, covariance: Float64
+) -> float:
     """Log marginal likelihood of focal lengths under a Gaussian prior, up to a constant."""
-    pull = said.vector - said.information @ expected
-    inner = np.eye(len(expected)) + covariance @ said.information
+    pull = likelihood.vector - likelihood.information @ expected
+    inner = np.eye(len(expected)) + covariance @ likelihood.information
     explained = pull @ np.linalg.solve(inner, covariance @ pull)
     return float(explained - np.linalg.slogdet(inner).logabsdet) / 2

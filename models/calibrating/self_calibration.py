@@ -95,9 +95,7 @@ def self_calibrate(
     config, misread = _as_meant(keypoints, weights, config, image_sizes)
     problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
     arranged = yield from search(problem, answers, config)
-    share = 1.0  # of the information of keypoints, what noise removal did not use twice
-    if noisy is not None:
-        share = min(1.0, arranged.checked.solution.noise / noisy.noise) ** 2
+    share = _share_left(arranged, noisy)
     refined = yield from _refined(arranged, share, noisy, edges)
     if noisy is not None and refined.kept is None and _leaves_lenses_to_shapes(refined):
         # Of two views shapes suit many lenses. Another start, and the outcome where detected
@@ -145,13 +143,20 @@ def calibrate_by_geometry(
     if settled is None:
         return None
     arranged = settled.arranged
-    refined = yield from _refined(arranged, 1.0, noisy, edges)
+    refined = yield from _refined(arranged, _share_left(arranged, noisy), noisy, edges)
     part, best, kept, reason = refined
     if part is not arranged.checked.problem:  # other lenses are better, and may move the cameras
         return None
     surely = deviations(part, best) if kept is None else kept
     found = _result(part, best, surely, reason, arranged.hand, None, misread, config)
     return found, structures_of_all(problem, best, settled.start)
+
+
+def _share_left(arranged: Arranged, noisy: NoisyFrames | None) -> float:
+    """Return the share of the information of keypoints that noise removal has not used already."""
+    if noisy is None:
+        return 1.0
+    return min(1.0, arranged.checked.solution.noise / noisy.noise) ** 2
 
 
 class _Refined(NamedTuple):
@@ -168,8 +173,12 @@ def _refined(
 ) -> Steps[_Refined]:
     """Try other camera models, keypoints as they were detected, and bones, one after another."""
     refined = _Refined(*(yield from _with_likely_lenses(arranged, share)))
-    if noisy is not None:
+    import os
+
+    if noisy is not None and not os.environ.get("NODET"):
         refined = (yield from _by_detected(refined, noisy, edges)) or refined
+    if os.environ.get("NOCLEAR"):
+        return refined
     problem, best = refined.problem, refined.best
     clear = best.noise < CLEAR * problem.size and (refined.kept is None or noisy is None)
     if not clear:

@@ -17,7 +17,7 @@ from models.epipolar.camera_motion import CameraMotion, camera_motion
 from models.epipolar.pairs import Beliefs
 from models.epipolar.rig_adjustment import Adjusted, adjust_rig
 from models.epipolar.rig_certainty import Certainty, FocalLikelihood, certainty_of
-from models.epipolar.rig_search import finished_rig, likely_rigs, necker, ordered
+from models.epipolar.rig_search import finished_rig, likely_rigs, necker, ordered, same_rig
 from models.epipolar.robust_points import robust_points
 from models.epipolar.static_cameras import CAMERA, Rigid, Seen, distances_of, robust_costs
 from models.epipolar.view_graph import (
@@ -138,6 +138,8 @@ def _adjusted(
     yield
     twin_start = necker(best.rig, best.points)
     twin = adjust_rig(*twin_start, many, of_members, iterations=LAST_ITERATIONS)
+    if same_rig(twin.rig, best.rig):  # the mirror image is no optimum of its own
+        twin = best._replace(rig=twin_start[0], points=twin_start[1])
     best, twin = ordered([best, twin], many, of_members)
     distances = distances_of(best.rig, best.points, many)
     alone = np.array(

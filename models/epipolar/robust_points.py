@@ -52,6 +52,23 @@ def robust_points(
     return settle_points(rig, points, seen, noise, steps=ITERATIONS)
 
 
+def robust_structures(rig: Rigid, images: Float64, weights: Float64, noise: Float64) -> Float64:
+    """Return points (N, P, 3) of images (N, K, P, 2) with weights (N, K, P).
+
+    NaN where fewer than two cameras see one; `noise` as in `robust_points`.
+    """
+    frames, views, count, _ = images.shape
+    every = Seen(
+        images.transpose(1, 3, 0, 2).reshape(views, 2, -1),
+        weights.transpose(1, 0, 2).reshape(views, -1),
+    )
+    known = np.flatnonzero((every.weights > 0).sum(0) >= 2)
+    points = np.full((frames * count, 3), np.nan)
+    some = Seen(every.images[..., known], every.weights[:, known])
+    points[known] = robust_points(rig, some, noise).T
+    return points.reshape(frames, count, 3)
+
+
 def _of_pairs(rig: Rigid, seen: Seen) -> list[Float64]:
     """Points (3, M) midway between the rays of two views, for every two; NaN where there are not.
 

@@ -1,0 +1,52 @@
+"""How likely a rig and a shape model make the keypoints of each frame, whatever its structure.
+
+Laplace's method: structure and poses are integrated out about their best values (MacKay,
+*Information Theory, Inference, and Learning Algorithms*, 2003, ch. 27). The best structure alone
+would favour rigs that leave structures vague.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.frame_equations import NormalEquations
+from models.bundle.problem import POSE, Rig, Scene, ShapePrior, Views, points_in_cameras
+from models.bundle.scene_adjustment import adjust_frames, normal_equations
+
+Float64 = NDArray[np.float64]
+
+FREEDOM = 8.0  # of the multivariate t by which a frame unlike all others counts little; a guess
+ITERATIONS = 15
+TINY = 1e-12
+
+
+def log_evidence(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> Float64:
+    """Return the log likelihood (N,) of what each frame shows, up to a constant of the keypoints.
+
+    The rig has one group, and `scene` is a start that is adjusted first. Where the subject is, is
+    as likely in every part of the image and at every order of distance, so that a rig that is
+    larger as a whole is no likelier. NaN where a frame cannot be explained.
+    """
+    scene, costs = adjust_frames(views, rig, prior, scene, iterations=ITERATIONS)
+    numbers = 2 * (views.weights > 0).sum((1, 2))  # (N,)
+    degrees = (numbers - POSE).clip(1)
+    logs = np.log(np.where(views.weights > 0, views.weights, 1.0)).sum((1, 2))
+    structure = prior.means[0].size
+    depths = points_in_cameras(scene, rig)[..., 2].mean(2)  # (N, K)
+    focals = rig.lenses.focals.mean(1)
+    places = (2 * np.log(focals) - 3 * np.log(depths.clip(TINY))).mean(1)
+    equations = normal_equations(views, rig, prior, scene, shared=False)
+    fits = -(FREEDOM + degrees) / 2 * np.log1p(costs / FREEDOM)
+    evidence = fits + logs + places - _log_determinants(equations) / 2
+    evidence -= structure * np.log(prior.scale * prior.spread)
+    return np.where(np.isfinite(evidence), evidence, np.nan)
+
+
+def _log_determinants(equations: NormalEquations) -> Float64:
+    """Log determinants (N,) of frames' normal equations; NaN of those not positive definite."""
+    blocks, coupling = equations.points, equations.coupling  # (N, P, 3, 3), (N, P, 3, R)
+    carried = np.linalg.solve(blocks, coupling)
+    flat = (len(blocks), -1, coupling.shape[-1])
+    schur = equations.rest - coupling.reshape(flat).mT @ carried.reshape(flat)
+    signs, logs = np.linalg.slogdet(schur)
+    of_points = np.linalg.slogdet(blocks).logabsdet.sum(1)
+    return np.where(signs > 0, logs + of_points, np.nan)

@@ -1,0 +1,415 @@
+"""Focal lengths of two static views, scanned over their range by the evidence of shapes.
+
+Keypoints of two views fit almost any two lenses, but with wrong ones a body has other shapes
+wherever it turns. For each pair of focal lengths that is tried, the cameras are adjusted to the
+keypoints, a shape model is learnt, and the evidence is how likely both make the keypoints. How
+narrow its peak is, beside its scatter between frames, is how surely the lenses are known.
+"""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.frame_evidence import log_evidence
+from models.calibrating.expectation_maximisation import learn
+from models.calibrating.handedness import DECIDED, certainty
+from models.calibrating.keypoint_rig import (
+    lens_beliefs,
+    lens_kinds,
+    static_start,
+    straight_images,
+)
+from models.calibrating.lens_groups import group_covariance, log_evidence_of_kinds
+from models.calibrating.lens_prior import FOCAL_SDS
+from models.calibrating.problem import Problem, Solution
+from models.epipolar.pairs import Beliefs
+from models.epipolar.resting_rig import Explanation, RestingRig
+from models.epipolar.rig_adjustment import Adjusted, adjust_rig
+from models.epipolar.rig_certainty import FocalLikelihood, certainty_of
+from models.epipolar.robust_points import robust_points, robust_structures
+from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, Rigid, Seen, distances_of
+from models.epipolar.view_graph import SharedPoints
+from models.numerics.steps import Steps
+
+Float64 = NDArray[np.float64]
+
+FRAMES = 100  # at most, that shapes are learnt from
+POINTS = 900  # that cameras are adjusted to
+RIG_ITERATIONS, ROUNDS = 30, 5  # of adjusting cameras, and of learning shapes
+# Of the image's side: lenses are told apart by less than what their models leave.
+LEAST_NOISE = 5e-5
+LONGEST, SHORTEST = math.log(3.0), math.log(0.35)  # of the expected focal length
+COMMON_STEPS = 7  # between these
+RATIO_STEP, MOST_RATIO = 0.3, 1.5  # of the log ratio of the two focal lengths
+FINE = 0.08  # of either: half the width of the parabola at the peak
+PEAKS = 3  # times the peak is looked for, from where the last parabola had it
+LONGEST_STEP = 0.2  # from one parabola to the next
+# Shapes are learnt from the frames that they are held against: on drawn rigs errors are so many
+# times what the evidence gives.
+TOO_SURE = 2.0
+LEAST_INFORMATION = 1e-3  # of the evidence on a logarithm: next to none
+# Of the common log focal length and the log ratio, of lenses of two kinds.
+PRIOR_SDS = FOCAL_SDS[0] * np.array([math.sqrt(0.5), math.sqrt(2.0)])
+TINY = 1e-12
+# From the common log focal length and the log ratio to the two logs, and back.
+TO_LOGS = np.array([[1.0, 0.5], [1.0, -0.5]])
+FROM_LOGS = np.linalg.inv(TO_LOGS)
+RIGHT, UP = np.eye(2)
+
+
+class Trial(NamedTuple):
+    """Two static cameras with focal lengths that are tried."""
+
+    at: Float64  # (2,) common log focal length in sides, and log ratio
+    cameras: Adjusted
+    shown: Explanation  # the frames that are looked at
+    solution: Solution  # of these
+    evidence: Float64  # (N,) of each frame
+    posterior: float  # log density of the focal lengths, up to a constant
+
+
+class _Sight(NamedTuple):
+    """What the cameras see: keypoints in sides, and the problem of the frames looked at."""
+
+    problem: Problem
+    images: Float64  # (N, 2, P, 2)
+    points: Seen  # of the sample that cameras are adjusted to
+    clusters: tuple[NDArray[np.int64], NDArray[np.int64]]  # frames and keypoints of these
+    beliefs: Beliefs
+    worth: float  # of the evidence, as a share of what it claims
+
+
+class _Peak(NamedTuple):
+    """The most likely focal lengths of one hand."""
+
+    trial: Trial
+    at: Float64  # (2,) the top of a quadratic about the trial
+    information: Float64  # (2, 2) of keypoints alone, on `at`
+    moves: Float64  # (2, 2, 11) how `at` moves the numbers of the cameras
+
+
+class _Around(NamedTuple):
+    """A trial, and those beside it."""
+
+    trials: list[Trial]  # itself, right, left, up, down, right and up
+
+    @property
+    def gradients(self) -> Float64:
+        """Derivatives (2, N) of the evidence of each frame."""
+        _, right, left, up, down, _ = (trial.evidence for trial in self.trials)
+        return np.stack((right - left, up - down)) / (2 * FINE)
+
+    @property
+    def curvature(self) -> Float64:
+        """Minus the second derivatives (2, 2) of the evidence of all frames."""
+        middle, right, left, up, down, both = (trial.evidence for trial in self.trials)
+        across = np.nansum(right + up - both - middle)
+        along = np.nansum(2 * middle - right - left), np.nansum(2 * middle - up - down)
+        return np.array([[along[0], across], [across, along[1]]]) / FINE**2
+
+    @property
+    def moves(self) -> Float64:
+        """How the numbers of the cameras move, (2, 2, 11)."""
+        middle, right, left, up, down, _ = self.trials
+        return np.stack((_difference(right, left, middle), _difference(up, down, middle))) / (
+            2 * FINE
+        )
+
+
+def scan_lenses(problem: Problem, found: RestingRig) -> Steps[RestingRig]:
+    """Return two static cameras with the focal lengths under which shapes are most alike.
+
+    `found` is what geometry alone gives. Where that leaves the handedness open, both are scanned.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        Where shapes cannot be learnt.
+    """
+    frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, FRAMES).astype(np.int64))
+    sight = _sight(problem, found, frames)
+    noise = np.full(2, found.noise)
+    hands = [found.best]
+    if certainty([found.log_odds]) < DECIDED:
+        hands.append(found.mirror)
+    peaks = []
+    for hand in hands:
+        points = robust_points(hand.rig, sight.points, noise)
+        peaks.append((yield from _peak(sight, Adjusted(hand.rig, points, noise))))
+    best = max(peaks, key=lambda each: each.trial.posterior)
+    if len(peaks) > 1:
+        other = peaks[1] if best is peaks[0] else peaks[0]
+        found = found._replace(log_odds=best.trial.evidence - other.trial.evidence)
+    return (yield from _settled(problem, found, sight, best))
+
+
+def _sight(problem: Problem, found: RestingRig, frames: NDArray[np.int64]) -> _Sight:
+    """Take some frames, their keypoints weighted as Student's t has it."""
+    images, _ = straight_images(problem, problem.keypoints)
+    points = found.best.points[frames].reshape(-1, 3).T
+    weights = problem.weights[frames]
+    seen = Seen(
+        images[frames].transpose(1, 3, 0, 2).reshape(2, 2, -1),
+        weights.transpose(1, 0, 2).reshape(2, -1),
+    )
+    distances = distances_of(found.best.rig, np.nan_to_num(points), seen)
+    distances[:, np.isnan(points).any(0)] = 0  # one view alone does not show what is an outlier
+    ratios = np.square(distances / max(found.noise, LEAST_NOISE))
+    robust = FREEDOM / (FREEDOM + ratios).reshape(2, len(frames), -1)
+    shared = SharedPoints.of(images, problem.weights, np.random.default_rng(0))
+    chosen = shared.chosen([0, 1], POINTS)
+    sample = shared.seen([0, 1], POINTS)
+    worth = _worth(problem, found.noise * problem.side)
+    return _Sight(
+        problem.of(frames)._replace(weights=weights * robust.transpose(1, 0, 2)),
+        images[frames],
+        sample._replace(weights=worth * sample.weights),
+        (shared.frames[chosen], shared.keypoints[chosen]),
+        lens_beliefs(problem),
+        worth / TOO_SURE**2,
+    )
+
+
+def _peak(sight: _Sight, cameras: Adjusted) -> Steps[_Peak]:
+    """Scan what the focal lengths have in common, then their ratio, then both about the peak.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        Where shapes cannot be learnt.
+    """
+    at = FROM_LOGS @ cameras.rig.log_focals
+    first = yield from _tried(sight, at, cameras)
+    usual = float(np.log(sight.beliefs.focals).mean())
+    places = np.linspace(usual + SHORTEST, usual + LONGEST, COMMON_STEPS)
+    trials = [first]
+    for side in (places[places > at[0]], places[places < at[0]][::-1]):
+        trials += yield from _walk(sight, first, [np.array([place, at[1]]) for place in side])
+    best = max(trials, key=_posterior)
+    if sight.problem.cameras_alike is not True:
+        ratios = np.arange(RATIO_STEP, MOST_RATIO, RATIO_STEP)
+        found = [best]
+        for side in (1, -1):
+            walk = [best.at + side * ratio * UP for ratio in ratios]
+            found += yield from _walk(sight, best, walk, uphill=True)
+        best = max(found, key=_posterior)
+    for _ in range(PEAKS):
+        around = yield from _around(sight, best)
+        step = _step(sight, around)
+        if np.abs(step).max() < FINE:
+            break
+        moved = yield from _next(sight, best.at + step, best)
+        better = max([*around.trials, moved], key=_posterior)
+        if better is best:
+            break
+        best = better
+    else:
+        around = yield from _around(sight, best)
+        step = _step(sight, around)
+    information = _information(sight, around, trials)
+    return _Peak(best, best.at + step.clip(-FINE, FINE), information, around.moves)
+
+
+def _posterior(trial: Trial) -> float:
+    return trial.posterior
+
+
+def _step(sight: _Sight, around: _Around) -> Float64:
+    """Return what leads to the top of the posterior, bounded in each direction."""
+    matrix = sight.worth * around.curvature + np.diag(1 / PRIOR_SDS**2)
+    offset = around.trials[0].at - _expected(sight.beliefs)
+    pull = sight.worth * np.nansum(around.gradients, 1) - offset / PRIOR_SDS**2
+    values, vectors = np.linalg.eigh(matrix)
+    along = (vectors.T @ pull) / np.maximum(np.abs(values), LEAST_INFORMATION)
+    return np.asarray(vectors @ along.clip(-LONGEST_STEP, LONGEST_STEP), np.float64)
+
+
+def _expected(beliefs: Beliefs) -> Float64:
+    """Return the focal lengths that are expected, as `Trial.at` has them."""
+    return np.asarray(FROM_LOGS @ np.log(beliefs.focals), np.float64)
+
+
+def _walk(
+    sight: _Sight, near: Trial, places: list[Float64], *, uphill: bool = False
+) -> Steps[list[Trial]]:
+    """Try one place after another, each from the one before; `uphill` as long as that is better."""
+    trials: list[Trial] = []
+    for place in places:
+        try:
+            tried = yield from _next(sight, place, near)
+        except np.linalg.LinAlgError:
+            break
+        trials.append(tried)
+        if uphill and tried.posterior < near.posterior:
+            break
+        near = tried
+    return trials
+
+
+def _around(sight: _Sight, middle: Trial) -> Steps[_Around]:
+    """Try focal lengths beside those of a trial."""
+    right = yield from _next(sight, middle.at + FINE * RIGHT, middle)
+    left = yield from _next(sight, middle.at - FINE * RIGHT, middle)
+    up = yield from _next(sight, middle.at + FINE * UP, middle)
+    down = yield from _next(sight, middle.at - FINE * UP, middle)
+    both = yield from _next(sight, middle.at + FINE * (RIGHT + UP), middle)
+    return _Around([middle, right, left, up, down, both])
+
+
+def _information(sight: _Sight, around: _Around, trials: list[Trial]) -> Float64:
+    """Return what the frames are worth, (2, 2), though they err alike.
+
+    In each direction as much less as their sums scatter more (the design effect: Kish, *Survey
+    Sampling*, 1965), and no more than other peaks of the scan allow.
+    """
+    values, vectors = np.linalg.eigh(sight.worth * around.curvature)
+    values = values.clip(LEAST_INFORMATION)
+    gradients = sight.worth * around.gradients
+    known = gradients[:, np.isfinite(gradients).all(0)]
+    scores = vectors.T @ (known - known.mean(1, keepdims=True))
+    effect = np.maximum(1.0, np.square(scores).sum(1) / values)
+    information = (vectors * (values / effect)) @ vectors.T
+    best = around.trials[0]
+    tried = [*trials, best]
+    likely = np.exp(np.array([trial.posterior - best.posterior for trial in tried]))
+    squares = np.square([trial.at[0] - best.at[0] for trial in tried])
+    variance = float(np.linalg.inv(information + np.diag(1 / PRIOR_SDS**2))[0, 0])
+    widest = float((likely * squares).sum() / likely.sum())
+    return np.asarray(information * min(1.0, variance / max(widest, TINY)))
+
+
+def _worth(problem: Problem, noise: float) -> float:
+    """Return what keypoints with this `noise` in pixels are worth; 1 if none was removed.
+
+    Removing noise makes keypoints of all frames err alike: together they are worth what they were
+    worth before.
+    """
+    seen = problem.weights > 0
+    removed = np.square(problem.detected - problem.keypoints)[seen].mean()
+    return float(noise**2 / (noise**2 + removed))
+
+
+def _next(sight: _Sight, at: Float64, near: Trial) -> Steps[Trial]:
+    """Try focal lengths from a trial near them."""
+    return (yield from _tried(sight, at, near.cameras))
+
+
+def _tried(sight: _Sight, at: Float64, near: Adjusted) -> Steps[Trial]:
+    """Adjust the cameras and learn shapes, with focal lengths held.
+
+    Shapes are learnt from nothing, and equally long, in each trial: those of another would be an
+    advantage.
+    """
+    yield
+    rig = refocused(near.rig, near.points, TO_LOGS @ at)
+    beliefs = _held(sight.beliefs, rig.log_focals)
+    points = robust_points(rig, sight.points, near.noise)
+    cameras = adjust_rig(rig, points, sight.points, beliefs, iterations=RIG_ITERATIONS)
+    weights = sight.problem.weights
+    structures = robust_structures(cameras.rig, sight.images, weights, cameras.noise)
+    shown = Explanation(cameras.rig, structures)
+    problem = sight.problem._replace(kept=np.ones(2, bool))
+    start = static_start(problem, shown, float(np.median(cameras.noise)) * problem.side)
+    if start is None:
+        raise np.linalg.LinAlgError("no structure can be located")
+    solution = yield from learn(problem, start, rounds=ROUNDS, least_noise=LEAST_NOISE)
+    views = problem.views(solution.noise)
+    evidence = log_evidence(views, solution.rig, solution.prior, solution.scene)
+    offsets = (at - _expected(sight.beliefs)) / PRIOR_SDS
+    posterior = sight.worth * float(np.nansum(evidence)) - float(offsets @ offsets) / 2
+    return Trial(at, cameras, shown, solution, evidence, posterior)
+
+
+def refocused(rig: Rigid, points: Float64, log_focals: Float64) -> Rigid:
+    """Give cameras other focal lengths, and go to where each sees the points (3, M) as large."""
+    centre = np.median(points, 1)
+    translations = rig.translations + rig.rotations @ centre
+    translations[:, 2] *= np.exp(log_focals - rig.log_focals)
+    return rig._replace(log_focals=log_focals, translations=translations)
+
+
+def _held(beliefs: Beliefs, log_focals: Float64) -> Beliefs:
+    """Hold the focal lengths."""
+    return replace(
+        beliefs, focals=np.exp(log_focals), focal_covariance=np.zeros((2, 2)), alike=False
+    )
+
+
+def _difference(trial: Trial, other: Trial, middle: Trial) -> Float64:
+    """Return the numbers (2, 11) of the cameras of a trial less those of another.
+
+    Rotations are to first order, translations for structures as large as those of `middle`.
+    """
+    ours, theirs = trial.cameras.rig, other.cameras.rig
+    numbers = np.zeros((2, CAMERA))
+    numbers[:, 0] = ours.log_focals - theirs.log_focals
+    numbers[:, 1:3] = ours.centres - theirs.centres
+    numbers[:, 3:LENS] = ours.radial - theirs.radial
+    turns = [rig.rotations[1] @ rig.rotations[0].T for rig in (ours, theirs)]
+    turn = turns[0] @ turns[1].T
+    skew = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+    numbers[1, LENS : LENS + 3] = np.array(skew) / 2
+    size = _radius(middle.shown.points)
+    shifts = [
+        size / _radius(each.shown.points) * (rig.translations[1] - turned @ rig.translations[0])
+        for each, rig, turned in zip((trial, other), (ours, theirs), turns, strict=True)
+    ]
+    numbers[1, LENS + 3 :] = shifts[0] - shifts[1]
+    return numbers
+
+
+def _radius(points: Float64) -> float:
+    """Median over frames of the size of structures (N, P, 3)."""
+    centres = np.nanmedian(points, 1, keepdims=True)
+    return float(np.nanmedian(np.linalg.norm(points - centres, axis=-1)))
+
+
+def _settled(problem: Problem, found: RestingRig, sight: _Sight, peak: _Peak) -> Steps[RestingRig]:
+    """Give the cameras the focal lengths of the peak, as usual lenses and alike ones allow."""
+    # The likelihood whose product with the prior of the scan has its top at the peak.
+    vector = peak.information @ peak.at + (peak.at - _expected(sight.beliefs)) / PRIOR_SDS**2
+    likelihood = FocalLikelihood(FROM_LOGS.T @ peak.information @ FROM_LOGS, FROM_LOGS.T @ vector)
+    found = found._replace(focals=likelihood)
+    logs, covariance = _believed(problem, found, np.log(sight.beliefs.focals))
+    last = yield from _next(sight, FROM_LOGS @ logs, peak.trial)
+    beliefs = _held(sight.beliefs, logs)
+    cameras = last.cameras
+    deviations = certainty_of(cameras, sight.points, beliefs, sight.clusters).deviations
+    of_lenses = FROM_LOGS @ covariance @ FROM_LOGS.T
+    variances = np.einsum("ikn,ij,jkn->kn", peak.moves, of_lenses, peak.moves)
+    images, _ = straight_images(problem, problem.keypoints)
+    points = robust_structures(cameras.rig, images, problem.weights, cameras.noise)
+    return found._replace(
+        best=Explanation(cameras.rig, points),
+        noise=float(np.median(cameras.noise)),
+        deviations=np.sqrt(np.square(deviations) + variances),
+    )
+
+
+def _believed(problem: Problem, found: RestingRig, expected: Float64) -> tuple[Float64, Float64]:
+    """Return the log focal lengths (2,) after what is known of lenses, and their covariance.
+
+    Both lenses of one kind, and each of its own, are as likely beforehand: where the evidence does
+    not decide, the covariance spans both answers.
+    """
+    chosen = lens_kinds(problem, found)
+    one, two = np.zeros(2, np.int64), np.arange(2)
+    kinds = [one, two] if problem.cameras_alike == "auto" else [chosen]
+    means, covariances, evidence = [], [], []
+    for groups in kinds:
+        prior = group_covariance(groups, *FOCAL_SDS)
+        precision = np.linalg.inv(prior)
+        covariance = np.linalg.inv(found.focals.information + precision)
+        covariances.append(covariance)
+        means.append(covariance @ (found.focals.vector + precision @ expected))
+        evidence.append(log_evidence_of_kinds(found.focals, expected, prior))
+    logs = means[[groups.tolist() for groups in kinds].index(chosen.tolist())]
+    shares = np.exp(np.array(evidence) - max(evidence))
+    spread = [
+        covariance + np.outer(mean - logs, mean - logs)
+        for mean, covariance in zip(means, covariances, strict=True)
+    ]
+    return logs, np.average(spread, 0, shares)
