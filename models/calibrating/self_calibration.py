@@ -173,12 +173,10 @@ def _refined(
 ) -> Steps[_Refined]:
     """Try other camera models, keypoints as they were detected, and bones, one after another."""
     refined = _Refined(*(yield from _with_likely_lenses(arranged, share)))
-    import os
-
-    if noisy is not None and not os.environ.get("NODET"):
+    # Two settled views have the lenses of the evidence of shapes already.
+    by_evidence = refined.kept is not None and len(refined.kept) == 2
+    if noisy is not None and not by_evidence:
         refined = (yield from _by_detected(refined, noisy, edges)) or refined
-    if os.environ.get("NOCLEAR"):
-        return refined
     problem, best = refined.problem, refined.best
     clear = best.noise < CLEAR * problem.size and (refined.kept is None or noisy is None)
     if not clear:
