@@ -28,6 +28,7 @@ from benchmarks.drawn_captures import Draw, draw_capture
 from benchmarks.figures import print_table
 from models.calibrating.handedness import certainty
 from models.calibrating.keypoint_rig import geometry_of
+from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import problem_of
 from models.capture.metrics import pa_mpjpe
 from models.epipolar.robust_points import robust_points
@@ -134,11 +135,13 @@ class Answer(NamedTuple):
 
 
 def by_geometry(draw: Draw) -> Answer:
-    """Find cameras from keypoints alone and triangulate with them."""
+    """Find cameras without the network, and triangulate with them."""
     weights: Float64 = np.all(np.isfinite(draw.keypoints), -1).astype(np.float64)
     pixels: Float64 = np.nan_to_num(draw.keypoints)
     problem = problem_of(pixels, weights, draw.sizes, FitConfig())
     found = finished(geometry_of(problem, list(range(draw.keypoints.shape[1]))))
+    if found is not None and len(found.resting) == 2 and found.resting.all():
+        found = finished(scan_lenses(problem, found))
     if found is None:
         return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ("nothing",))
     rig = found.best.rig

@@ -9,7 +9,7 @@ from models.calibrating.result import SelfCalibration
 from models.calibrating.self_calibration import calibrate_by_geometry
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
-from tests.models.rigs import IMAGE_SIZE, RigCapture, make_rig_capture
+from tests.models.rigs import IMAGE_SIZE, Lens, RigCapture, make_rig_capture
 
 # Of the first draws those with three or four static cameras, few frames and the motion of the
 # example, which is always at hand.
@@ -60,9 +60,31 @@ def test_three_static_cameras_are_settled_with_their_deviations() -> None:
 
 
 @pytest.mark.parametrize(
+    ("azimuths", "focals"),
+    [
+        ([0.0, 80.0], [1100.0, 1100.0]),
+        ([0.0, 25.0], [1100.0, 1100.0]),
+        ([0.0, 180.0], [1100.0, 1100.0]),  # they face each other
+        ([0.0, 80.0], [800.0, 1500.0]),
+    ],
+)
+def test_two_static_cameras_have_the_lenses_under_which_shapes_are_alike(
+    azimuths: list[float], focals: list[float]
+) -> None:
+    lenses = tuple(Lens(focal=focal) for focal in focals)
+    capture = make_rig_capture(azimuths, frames=80, noise=1.0, lenses=lenses)
+    found = found_in(capture)
+    assert found is not None
+    assert found.resting.all()
+    errors = np.log(found.rig.lenses.focals.mean(1) / focals)
+    assert np.abs(errors).max() < 0.1
+    assert np.abs(errors / found.deviations[:, 0]).max() < 4
+
+
+@pytest.mark.parametrize(
     ("azimuths", "moving", "config"),
     [
-        ([0.0, 80.0], (), {}),
+        ([0.0, 80.0], (0, 1), {}),
         ([0.0, 80.0, -120.0], (0, 1, 2), {}),
         ([0.0, 80.0, -120.0, 170.0], (1,), {}),
         ([0.0, 80.0, -120.0], (), {"cameras": "moving"}),
@@ -72,6 +94,6 @@ def test_three_static_cameras_are_settled_with_their_deviations() -> None:
 def test_the_rest_is_left_to_shapes(
     azimuths: list[float], moving: tuple[int, ...], config: dict[str, object]
 ) -> None:
-    """Two views, cameras that move, and what the user declared."""
+    """Cameras that move, and what the user declared."""
     capture = make_rig_capture(azimuths, frames=40, moving=moving)
     assert found_in(capture, FitConfig.model_validate(config)) is None
