@@ -49,13 +49,13 @@ def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Ste
     found = yield from geometry_of(problem, list(range(views)))
     if found is None or not found.resting.all():
         return None
+    hand = certainty([found.log_odds])
+    if hand < DECIDED or found.noise * problem.side > EXPLAINED * problem.size:
+        return None
     if views == 2:
         found = yield from scan_lenses(problem, found)
-    if found.noise * problem.side > EXPLAINED * problem.size:
-        return None
-    hand = certainty([found.log_odds])
     rig = static_rig(problem, found)
-    if hand < DECIDED or rig is None:
+    if rig is None:
         return None
     grouped = problem._replace(lens_groups=rig.lens_groups)
     frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, most).astype(np.int64))

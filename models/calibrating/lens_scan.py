@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from models.bundle.frame_evidence import log_evidence
 from models.calibrating.expectation_maximisation import learn
-from models.calibrating.handedness import DECIDED, certainty
 from models.calibrating.keypoint_rig import (
     lens_beliefs,
     lens_kinds,
@@ -122,7 +121,7 @@ class _Around(NamedTuple):
 def scan_lenses(problem: Problem, found: RestingRig) -> Steps[RestingRig]:
     """Return two static cameras with the focal lengths under which shapes are most alike.
 
-    `found` is what geometry alone gives. Where that leaves the handedness open, both are scanned.
+    `found` is what geometry alone gives of them, and their handedness.
 
     Raises
     ------
@@ -132,18 +131,9 @@ def scan_lenses(problem: Problem, found: RestingRig) -> Steps[RestingRig]:
     frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, FRAMES).astype(np.int64))
     sight = _sight(problem, found, frames)
     noise = np.full(2, found.noise)
-    hands = [found.best]
-    if certainty([found.log_odds]) < DECIDED:
-        hands.append(found.mirror)
-    peaks = []
-    for hand in hands:
-        points = robust_points(hand.rig, sight.points, noise)
-        peaks.append((yield from _peak(sight, Adjusted(hand.rig, points, noise))))
-    best = max(peaks, key=lambda each: each.trial.posterior)
-    if len(peaks) > 1:
-        other = peaks[1] if best is peaks[0] else peaks[0]
-        found = found._replace(log_odds=best.trial.evidence - other.trial.evidence)
-    return (yield from _settled(problem, found, sight, best))
+    points = robust_points(found.best.rig, sight.points, noise)
+    peak = yield from _peak(sight, Adjusted(found.best.rig, points, noise))
+    return (yield from _settled(problem, found, sight, peak))
 
 
 def _sight(problem: Problem, found: RestingRig, frames: NDArray[np.int64]) -> _Sight:

@@ -148,6 +148,10 @@ def calibrate_by_geometry(
     if part is not arranged.checked.problem:  # other lenses are better, and may move the cameras
         return None
     surely = deviations(part, best) if kept is None else kept
+    if (
+        len(surely) == 2 and arranged.kept is not None
+    ):  # what was scanned has other answers in sight
+        surely = np.maximum(surely, arranged.kept)
     found = _result(part, best, surely, reason, arranged.hand, None, misread, config)
     return found, structures_of_all(problem, best, settled.start)
 
@@ -173,12 +177,12 @@ def _refined(
 ) -> Steps[_Refined]:
     """Try other camera models, keypoints as they were detected, and bones, one after another."""
     refined = _Refined(*(yield from _with_likely_lenses(arranged, share)))
-    # Two settled views have the lenses of the evidence of shapes already.
-    by_evidence = refined.kept is not None and len(refined.kept) == 2
-    if noisy is not None and not by_evidence:
+    # Two settled views have the lenses of the evidence of shapes; only a skeleton adds to that.
+    settled = refined.kept is not None and len(refined.kept) == 2
+    if noisy is not None and (not settled or (edges is not None and len(edges) > 0)):
         refined = (yield from _by_detected(refined, noisy, edges)) or refined
     problem, best = refined.problem, refined.best
-    clear = best.noise < CLEAR * problem.size and (refined.kept is None or noisy is None)
+    clear = best.measured_noise < CLEAR * problem.size and (refined.kept is None or noisy is None)
     if not clear:
         return refined
     if refined.kept is not None:

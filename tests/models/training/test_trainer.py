@@ -263,7 +263,7 @@ def test_the_seed_decides_the_outcome(small: SyntheticCapture, small_prior: Fitt
 
 def test_progress_counts_to_the_end_and_the_error_falls(small: SyntheticCapture) -> None:
     seen: list[Progress] = []
-    config = QUICK.model_copy(update={"steps": 250})
+    config = QUICK.model_copy(update={"steps": 250, "cameras": "moving"})
     prior = fit(small.keypoints, config, on_progress=seen.append)
     trained = [progress.step for progress in seen if progress.stage == "training"]
     assert trained == list(range(1, 251))
