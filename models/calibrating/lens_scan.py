@@ -274,9 +274,9 @@ def _information(sight: _Sight, around: _Around, trials: list[Trial]) -> Float64
 def _worth(problem: Problem, noise: float) -> float:
     """Return what keypoints with this `noise` in pixels are worth; 1 if none was removed.
 
-    Removing noise makes keypoints of many frames err alike. If all did, together they would be worth
-    the square of the ratio of the noise that is left to what there was; on drawn rigs they are worth
-    the ratio.
+    Removing noise makes keypoints of many frames err alike. If all did, together they would be
+    worth the square of the ratio of the noise that is left to what there was. On drawn rigs they
+    are worth the ratio.
     """
     seen = problem.weights > 0
     removed = np.square(problem.detected - problem.keypoints)[seen].mean()
