@@ -28,8 +28,9 @@ from models.epipolar.pairs import Beliefs
 from models.epipolar.resting_rig import Explanation, RestingRig
 from models.epipolar.rig_adjustment import Adjusted, adjust_rig
 from models.epipolar.rig_certainty import FocalLikelihood, certainty_of
+from models.epipolar.rig_search import refocused
 from models.epipolar.robust_points import robust_points, robust_structures
-from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, Rigid, Seen, distances_of
+from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, Seen, distances_of
 from models.epipolar.view_graph import SharedPoints
 from models.numerics.steps import Steps
 
@@ -312,14 +313,6 @@ def _tried(sight: _Sight, at: Float64, near: Adjusted) -> Steps[Trial]:
     offsets = (at - _expected(sight.beliefs)) / PRIOR_SDS
     posterior = sight.worth * float(np.nansum(evidence)) - float(offsets @ offsets) / 2
     return Trial(at, cameras, shown, solution, evidence, posterior)
-
-
-def refocused(rig: Rigid, points: Float64, log_focals: Float64) -> Rigid:
-    """Give cameras other focal lengths, and go to where each sees the points (3, M) as large."""
-    centre = np.median(points, 1)
-    translations = rig.translations + rig.rotations @ centre
-    translations[:, 2] *= np.exp(log_focals - rig.log_focals)
-    return rig._replace(log_focals=log_focals, translations=translations)
 
 
 def _held(beliefs: Beliefs, log_focals: Float64) -> Beliefs:

@@ -182,9 +182,23 @@ def _refined(
     if noisy is not None and (not settled or (edges is not None and len(edges) > 0)):
         refined = (yield from _by_detected(refined, noisy, edges)) or refined
     problem, best = refined.problem, refined.best
-    clear = best.measured_noise < CLEAR * problem.size and (refined.kept is None or noisy is None)
-    if not clear:
+    # Of two views lenses are what lengths of bones say, also where the image is far larger than the
+    # subject and lens models leave more than the noise.
+    noise = best.measured_noise if settled else best.noise
+    if noise > CLEAR * problem.size or (refined.kept is not None and noisy is not None):
         return refined
+    try:
+        best = yield from _by_clear(refined)
+    except np.linalg.LinAlgError:  # they add nothing to what was settled
+        if refined.kept is None:
+            raise
+        return refined
+    return refined._replace(best=best, kept=None)
+
+
+def _by_clear(refined: _Refined) -> Steps[Solution]:
+    """Adjust cameras and shapes to clear keypoints, and to lengths that stay the same."""
+    problem, best = refined.problem, refined.best
     if refined.kept is not None:
         # Of clear keypoints shapes that repeat give more of a lens than two radial coefficients.
         best = yield from learn(problem, best)
@@ -192,7 +206,7 @@ def _refined(
         # The lens under which shapes look most alike need not be the true one, and with two views
         # it is not; with a wrong one, bones grow and shrink as they turn.
         best = yield from learn(problem, best, with_bones=True)
-    return refined._replace(best=best, kept=None)
+    return best
 
 
 def _leaves_lenses_to_shapes(refined: _Refined) -> bool:

@@ -124,6 +124,14 @@ def _with_other_lenses(
     return adjusted
 
 
+def refocused(rig: Rigid, points: Float64, log_focals: Float64) -> Rigid:
+    """Give cameras other focal lengths, and go to where each sees the points (3, M) as large."""
+    centre = np.median(points, 1)
+    translations = rig.translations + rig.rotations @ centre
+    translations[:, 2] *= np.exp(log_focals - rig.log_focals)
+    return rig._replace(log_focals=log_focals, translations=translations)
+
+
 def _nearer(
     rig: Rigid, points: Float64, seen: Seen, beliefs: Beliefs, least_noise: float
 ) -> Adjusted:
