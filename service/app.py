@@ -40,6 +40,7 @@ from service.http.operations import registered_schemas
 from service.http.rates import Rates
 from service.http.request_ids import Watched
 from service.http.websockets import WebSocketConnection
+from service.page.serving import serve_page
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
@@ -164,6 +165,7 @@ def create_app(settings: Settings) -> FastAPI:
     for module in RESOURCES:
         app.include_router(module.router)
     _show_documentation(app)
+    serve_page(app)
     errors.install(app)
     app.add_middleware(
         BodyLimit,

@@ -33,7 +33,7 @@ ROOMS = {
     "service": (
         ("settings",),
         ("http",),
-        ("wire",),
+        ("page", "wire"),
         ("realtime",),
         ("resources",),
         ("app",),

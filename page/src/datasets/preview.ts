@@ -1,0 +1,65 @@
+/** Draws the detected keypoints of one frame of a view. */
+
+import type { Capture } from "../data/take.ts";
+import { colourOf, readTheme } from "../parts/theme.ts";
+
+const MARGIN = 0.12;
+
+export function drawKeypoints(canvas: HTMLCanvasElement, capture: Capture, view: number): void {
+  const { keypoints, edges, sides } = capture;
+  const pixels = frameOf(capture, fullest(capture), view);
+  const xs = evens(pixels, 0);
+  const ys = evens(pixels, 1);
+  const context = canvas.getContext("2d");
+  if (context === null || xs.length === 0) return;
+  const ratio = Math.min(2, devicePixelRatio);
+  canvas.width = canvas.clientWidth * ratio;
+  canvas.height = canvas.clientHeight * ratio;
+  const theme = readTheme();
+  const [left, top] = [Math.min(...xs), Math.min(...ys)];
+  const [width, height] = [Math.max(...xs) - left || 1, Math.max(...ys) - top || 1];
+  const scale = (1 - 2 * MARGIN) * Math.min(canvas.width / width, canvas.height / height);
+  const place = (keypoint: number): [number, number] => [
+    canvas.width / 2 + scale * (pixels[2 * keypoint] - left - width / 2),
+    canvas.height / 2 + scale * (pixels[2 * keypoint + 1] - top - height / 2),
+  ];
+  context.strokeStyle = theme.quiet;
+  context.lineWidth = 1.5 * ratio;
+  context.beginPath();
+  for (const [a, b] of edges) {
+    if (Number.isNaN(pixels[2 * a] + pixels[2 * b])) continue;
+    context.moveTo(...place(a));
+    context.lineTo(...place(b));
+  }
+  context.stroke();
+  for (let keypoint = 0; keypoint < keypoints; keypoint++) {
+    if (Number.isNaN(pixels[2 * keypoint])) continue;
+    context.beginPath();
+    context.arc(...place(keypoint), 3 * ratio, 0, 7);
+    context.fillStyle = colourOf(theme, sides[keypoint]);
+    context.fill();
+  }
+}
+
+function frameOf({ detected, views, keypoints }: Capture, frame: number, view: number): Float32Array {
+  const first = 2 * (frame * views + view) * keypoints;
+  return detected.subarray(first, first + 2 * keypoints);
+}
+
+/** Returns the first frame, of some hundred, in which most keypoints are observed. */
+function fullest(capture: Capture): number {
+  const step = Math.max(1, Math.floor(capture.frames / 300));
+  const size = 2 * capture.views * capture.keypoints;
+  let best = 0;
+  let most = -1;
+  for (let frame = 0; frame < capture.frames; frame += step) {
+    const seen = capture.detected.subarray(frame * size, (frame + 1) * size);
+    const known = seen.reduce((sum, value) => sum + (Number.isNaN(value) ? 0 : 1), 0);
+    if (known > most) [best, most] = [frame, known];
+  }
+  return best;
+}
+
+function evens(pixels: Float32Array, offset: number): number[] {
+  return Array.from(pixels).filter((value, at) => at % 2 === offset && !Number.isNaN(value));
+}

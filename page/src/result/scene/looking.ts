@@ -1,0 +1,84 @@
+/** Where the viewer stands: around the subject, or in the place of a camera. */
+
+import { type Matrix4, type PerspectiveCamera, Vector3 } from "three";
+import type { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import type { Take } from "../../data/take.ts";
+import type { Box } from "../../science/extent.ts";
+
+/** Position and target, six numbers: what a link keeps. */
+export type Angle = number[];
+
+/** Returns a camera's image as a rectangle of a canvas (as large as fits), in pixels of it. */
+export function imageIn(
+  size: [number, number],
+  canvas: [number, number],
+): { x: number; y: number; scale: number } {
+  const scale = Math.min(canvas[0] / size[0], canvas[1] / size[1]);
+  return { x: (canvas[0] - scale * size[0]) / 2, y: (canvas[1] - scale * size[1]) / 2, scale };
+}
+
+/** Puts the viewer behind a view's lens, so that points are where its image has them. Distortion is
+ * left out: the scene is drawn by a pinhole. */
+export function lookThrough(
+  viewer: PerspectiveCamera,
+  pose: Matrix4,
+  take: Take,
+  frame: number,
+  view: number,
+  canvas: [number, number],
+): void {
+  const camera = frame * take.views + view;
+  const [fx, fy] = take.cameras.focals.subarray(2 * camera, 2 * camera + 2);
+  const [cx, cy] = take.cameras.principalPoints.subarray(2 * camera, 2 * camera + 2);
+  const { x, y, scale } = imageIn(take.imageSizes[view] ?? [2 * cx, 2 * cy], canvas);
+  viewer.matrixAutoUpdate = false;
+  viewer.matrix.copy(pose);
+  // The scene's camera looks along -z with y up, OpenCV's along z with y down.
+  for (const column of [1, 2]) {
+    for (let row = 0; row < 3; row++) viewer.matrix.elements[4 * column + row] *= -1;
+  }
+  viewer.matrixWorldNeedsUpdate = true;
+  viewer.updateMatrixWorld(true);
+  const near = viewer.near;
+  const perPixel = near / scale;
+  viewer.projectionMatrix.makePerspective(
+    ((-x - scale * cx) / fx) * perPixel,
+    ((canvas[0] - x - scale * cx) / fx) * perPixel,
+    ((y + scale * cy) / fy) * perPixel,
+    ((y + scale * cy - canvas[1]) / fy) * perPixel,
+    near,
+    viewer.far,
+  );
+  viewer.projectionMatrixInverse.copy(viewer.projectionMatrix).invert();
+}
+
+/** Has the viewer orbit again. */
+export function leaveCamera(viewer: PerspectiveCamera): void {
+  viewer.matrixAutoUpdate = true;
+  viewer.updateProjectionMatrix();
+}
+
+/** Places the viewer so that a box fills the picture, seen from where he stands or, at first, from
+ * a little above and to the side. */
+export function frameBox(viewer: PerspectiveCamera, controls: OrbitControls, box: Box, size: number): void {
+  const middle = new Vector3(...box.low).add(new Vector3(...box.high)).multiplyScalar(0.5);
+  const radius = Math.max(size / 2, new Vector3(...box.low).distanceTo(middle));
+  const upright = (viewer.fov / 360) * Math.PI;
+  const narrow = Math.atan(Math.tan(upright) * Math.min(1, viewer.aspect));
+  const away = (1.02 * radius) / Math.sin(narrow);
+  const direction = viewer.position.clone().sub(controls.target);
+  if (direction.lengthSq() === 0) direction.set(0.55, 0.32, 1);
+  controls.target.copy(middle);
+  viewer.position.copy(middle).addScaledVector(direction.normalize(), away);
+  controls.update();
+}
+
+export function angleOf(viewer: PerspectiveCamera, controls: OrbitControls): Angle {
+  return [...viewer.position.toArray(), ...controls.target.toArray()];
+}
+
+export function setAngle(viewer: PerspectiveCamera, controls: OrbitControls, angle: Angle): void {
+  viewer.position.fromArray(angle);
+  controls.target.fromArray(angle, 3);
+  controls.update();
+}

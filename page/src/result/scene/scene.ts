@@ -1,0 +1,201 @@
+/** The structure in its room, in three dimensions. */
+
+import {
+  DirectionalLight,
+  HemisphereLight,
+  PerspectiveCamera,
+  Scene,
+  Vector3,
+  WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import type { Take } from "../../data/take.ts";
+import type { Theme } from "../../parts/theme.ts";
+import { boxOf, subjectSize, type Box } from "../../science/extent.ts";
+import { createFloor } from "./floor.ts";
+import { createFrusta } from "./frusta.ts";
+import { angleOf, frameBox, leaveCamera, lookThrough, setAngle, type Angle } from "./looking.ts";
+import { createSkeleton } from "./skeleton.ts";
+import { createTrails, endsOf } from "./trails.ts";
+
+export interface Stage {
+  square: number; // side of a square of the floor, in the unit of the points
+  canvas: HTMLCanvasElement;
+  /** Draws a frame if it, the angle or anything else has changed since the last time. */
+  draw(frame: number): void;
+  paint(theme: Theme, selected: number | null): void;
+  showTrails(shown: boolean): void;
+  lookThrough(view: number | null): void;
+  frameSubject(): void;
+  frameCameras(): void;
+  angle(): Angle;
+  setAngle(angle: Angle): void;
+  orbit(right: number, up: number): void;
+  /** Where each camera is on the canvas, in CSS pixels; null if it is not on it. */
+  cameraPlaces(): ({ x: number; y: number } | null)[];
+  onLeaveCamera(listener: () => void): void;
+  close(): void;
+}
+
+/** Starts drawing on a canvas. Throws where the browser has no WebGL. */
+export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
+  const renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: true });
+  const scene = new Scene();
+  const viewer = new PerspectiveCamera(38, 1, 0.01, 100);
+  const controls = new OrbitControls(viewer, canvas);
+  controls.enableDamping = false;
+  controls.zoomSpeed = 1.4;
+  const box = boxOf(take.points, take.keypoints);
+  const size = subjectSize(take.points, take.keypoints);
+  viewer.near = size / 50;
+  viewer.far = size * 400;
+  const level = take.frame === "level" && box.low[1] > -0.2 * size && box.low[1] < 0.2 * size ? 0 : box.low[1];
+  const parts = {
+    skeleton: createSkeleton(take, size / 70),
+    trails: createTrails(take, size / 2),
+    floor: createFloor(box, size, level),
+    frusta: createFrusta(take, size / 3.2),
+  };
+  scene.add(parts.skeleton.group, parts.trails.lines, parts.floor.lines, parts.frusta.group);
+  addLights(scene);
+
+  let through: number | null = null;
+  let stale = true;
+  let drawn = -1;
+  let leave = () => {};
+  controls.addEventListener("change", () => {
+    stale = true;
+  });
+  controls.addEventListener("start", () => {
+    if (through === null) return;
+    stage.lookThrough(null);
+    leave();
+  });
+
+  const stage: Stage = {
+    square: parts.floor.square,
+    canvas,
+    draw(frame) {
+      const resized = fit(renderer, viewer, canvas);
+      if (!stale && !resized && frame === drawn) return;
+      parts.skeleton.show(frame, take.points);
+      parts.trails.show(frame);
+      parts.frusta.show(frame);
+      const pose = through === null ? null : parts.frusta.pose(frame, through);
+      if (pose !== null && through !== null) {
+        lookThrough(viewer, pose, take, frame, through, [canvas.clientWidth, canvas.clientHeight]);
+      } else leaveCamera(viewer);
+      renderer.render(scene, viewer);
+      stale = false;
+      drawn = frame;
+    },
+    paint(theme, selected) {
+      parts.skeleton.paint(theme, selected);
+      parts.trails.paint(theme, selected === null ? endsOf(take) : [selected]);
+      parts.floor.paint(theme);
+      parts.frusta.paint(theme, through);
+      stale = true;
+    },
+    showTrails(shown) {
+      parts.trails.lines.visible = shown;
+      stale = true;
+    },
+    lookThrough(view) {
+      through = view;
+      parts.frusta.group.visible = view === null;
+      stale = true;
+    },
+    frameSubject() {
+      fit(renderer, viewer, canvas);
+      frameBox(viewer, controls, box, size);
+      stale = true;
+    },
+    frameCameras() {
+      frameBox(viewer, controls, around(box, take, parts.frusta.pose), size);
+      stale = true;
+    },
+    angle: () => angleOf(viewer, controls),
+    setAngle(angle) {
+      setAngle(viewer, controls, angle);
+      stale = true;
+    },
+    orbit(right, up) {
+      turn(viewer, controls, right, up);
+      stale = true;
+    },
+    cameraPlaces() {
+      return Array.from({ length: take.views }, (_, view) => {
+        const pose = through === null && drawn >= 0 ? parts.frusta.pose(drawn, view) : null;
+        return pose === null ? null : placeOf(new Vector3().setFromMatrixPosition(pose), viewer, canvas);
+      });
+    },
+    onLeaveCamera(listener) {
+      leave = listener;
+    },
+    close() {
+      controls.dispose();
+      renderer.dispose();
+      renderer.forceContextLoss();
+    },
+  };
+  stage.frameSubject();
+  return stage;
+}
+
+function addLights(scene: Scene): void {
+  const key = new DirectionalLight(0xffffff, 1.6);
+  key.position.set(1, 3, 2);
+  scene.add(new HemisphereLight(0xffffff, 0x9aa0a8, 2.1), key);
+}
+
+/** Makes the drawing as large as its canvas is shown; tells whether anything changed. */
+function fit(renderer: WebGLRenderer, viewer: PerspectiveCamera, canvas: HTMLCanvasElement): boolean {
+  const ratio = Math.min(2, devicePixelRatio);
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  if (width === 0 || height === 0) return false;
+  if (canvas.width === Math.floor(width * ratio) && canvas.height === Math.floor(height * ratio)) return false;
+  renderer.setPixelRatio(ratio);
+  renderer.setSize(width, height, false);
+  viewer.aspect = width / height;
+  viewer.updateProjectionMatrix();
+  return true;
+}
+
+/** Turns the viewer about the target, by angles in radians. */
+function turn(viewer: PerspectiveCamera, controls: OrbitControls, right: number, up: number): void {
+  const arm = viewer.position.clone().sub(controls.target);
+  arm.applyAxisAngle(new Vector3(0, 1, 0), right);
+  const side = new Vector3(0, 1, 0).cross(arm).normalize();
+  const raised = arm.clone().applyAxisAngle(side, -up);
+  if (Math.abs(raised.clone().normalize().y) < 0.98) arm.copy(raised);
+  viewer.position.copy(controls.target).add(arm);
+  controls.update();
+}
+
+/** Returns the box around the subject and all cameras of the first frame that has them. */
+function around(
+  box: Box,
+  take: Take,
+  pose: (frame: number, view: number) => { elements: ArrayLike<number> } | null,
+): Box {
+  const low = [...box.low] as Box["low"];
+  const high = [...box.high] as Box["high"];
+  for (let view = 0; view < take.views; view++) {
+    for (let frame = 0; frame < take.frames; frame++) {
+      const place = pose(frame, view)?.elements;
+      if (place === undefined) continue;
+      for (let axis = 0; axis < 3; axis++) {
+        low[axis] = Math.min(low[axis], place[12 + axis]);
+        high[axis] = Math.max(high[axis], place[12 + axis]);
+      }
+      break;
+    }
+  }
+  return { low, high };
+}
+
+function placeOf(point: Vector3, viewer: PerspectiveCamera, canvas: HTMLCanvasElement) {
+  const seen = point.project(viewer);
+  if (seen.z > 1 || Math.abs(seen.x) > 1 || Math.abs(seen.y) > 1) return null;
+  return { x: ((seen.x + 1) / 2) * canvas.clientWidth, y: ((1 - seen.y) / 2) * canvas.clientHeight };
+}

@@ -1,0 +1,36 @@
+/** What the parts of the result screen share. */
+
+import { createContext } from "preact";
+import { useContext } from "preact/hooks";
+import type { ModelCameras, Fit, Model } from "../api/resources.ts";
+import type { Take } from "../data/take.ts";
+import type { Theme } from "../parts/theme.ts";
+import type { KeypointErrors } from "../science/errors.ts";
+import type { Loop } from "./loop.ts";
+import type { Player } from "./player.ts";
+
+export interface Show {
+  fit: Fit;
+  model: Model;
+  cameras: ModelCameras;
+  take: Take;
+  player: Player;
+  loop: Loop;
+  theme: Theme;
+  means: Float32Array; // (N,) pixels
+  worst: number[]; // frames, the worst first
+  errors: KeypointErrors;
+  errorsDone: boolean;
+  selected: number | null; // keypoint
+  select(keypoint: number | null): void;
+  through: number | null; // view
+  lookThrough(view: number | null): void;
+}
+
+export const ShowContext = createContext<Show | null>(null);
+
+export function useShow(): Show {
+  const show = useContext(ShowContext);
+  if (show === null) throw new Error("There is no result here.");
+  return show;
+}

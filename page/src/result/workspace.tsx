@@ -1,0 +1,194 @@
+/** The result screen: the structure, the views, the errors in time, and what was noticed. */
+
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import type { Fit } from "../api/resources.ts";
+import { rateOf } from "../data/take.ts";
+import type { Result } from "../data/loading.ts";
+import { FindingList } from "../parts/finding_list.tsx";
+import { Icon } from "../parts/icons.tsx";
+import { onThemeChange, readTheme } from "../parts/theme.ts";
+import { currentRoute, keepInAddress } from "../route.ts";
+import { frameErrors, keypointErrors } from "../science/errors.ts";
+import { worstFrames } from "../science/worst.ts";
+import { Exports } from "./exports.tsx";
+import { Figures } from "./figures.tsx";
+import { listenToKeys, SHORTCUTS } from "./keys.ts";
+import { createLoop } from "./loop.ts";
+import { createPlayer } from "./player.ts";
+import type { Stage } from "./scene/scene.ts";
+import { ShowContext, type Show } from "./show.ts";
+import { StagePanel } from "./stage_panel.tsx";
+import { Timeline } from "./timeline.tsx";
+import { Transport } from "./transport.tsx";
+import { ViewPanel } from "./view_panel.tsx";
+
+const WORST = 10; // frames that are marked
+
+export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
+  const { take, model, cameras } = result;
+  const [stage, setStage] = useState<Stage | null>(null);
+  const [theme, setTheme] = useState(readTheme);
+  const [selected, select] = useState<number | null>(null);
+  const [through, lookThrough] = useState<number | null>(null);
+  const [whole, setWhole] = useState(false);
+  const player = useMemo(
+    () => createPlayer(take.frames, rateOf(take).rate, Number(currentRoute().query.get("frame") ?? 0) || 0),
+    [take],
+  );
+  const loop = useMemo(() => createLoop(player), [player]);
+  const means = useMemo(() => frameErrors(take), [take]);
+  const worst = useMemo(() => worstFrames(means, WORST, Math.max(5, take.frames / 60)), [means]);
+  const { errors, done } = useKeypointErrors(take);
+  const stageNow = useRef<Stage | null>(null);
+  stageNow.current = stage;
+
+  useEffect(() => () => loop.close(), [loop]);
+  useEffect(() => onThemeChange(() => setTheme(readTheme())), []);
+  useEffect(
+    () => listenToKeys({ player, worst, views: take.views, stage: () => stageNow.current, lookThrough, select }),
+    [player, worst],
+  );
+  useEffect(() => {
+    const angle = currentRoute().query.get("angle")?.split(",").map(Number);
+    if (stage !== null && angle?.length === 6 && angle.every(Number.isFinite)) stage.setAngle(angle);
+  }, [stage]);
+
+  const show: Show = {
+    ...{ fit, model, cameras, take, player, loop, theme, means, worst, errors, errorsDone: done },
+    ...{ selected, select, through, lookThrough },
+  };
+  return (
+    <ShowContext.Provider value={show}>
+      <div class="result">
+        <div class="screens">
+          <StagePanel onStage={setStage} />
+          <section class="views" aria-label="Views" data-count={take.views}>
+            {take.viewNames.map((name, view) => (
+              <ViewPanel key={name} view={view} whole={whole} />
+            ))}
+          </section>
+        </div>
+        <section class="panel playing" aria-label="Time">
+          <Transport />
+          <Timeline />
+          <Legend whole={whole} setWhole={setWhole} />
+        </section>
+        <div class="facts-grid">
+          <section class="panel">
+            <h2>What was noticed</h2>
+            <FindingList
+              findings={fit.findings}
+              viewNames={take.viewNames}
+              keypointNames={take.names}
+              onFrame={(frame) => player.show(frame)}
+              onKeypoint={select}
+            />
+          </section>
+          <section class="panel">
+            <h2>Figures</h2>
+            <Figures />
+          </section>
+          <section class="panel">
+            <h2>Take it away</h2>
+            <Exports stage={stage} />
+            <CopyLink stage={stage} frame={() => player.frame} />
+            <Shortcuts />
+          </section>
+        </div>
+      </div>
+    </ShowContext.Provider>
+  );
+}
+
+/** Computes the errors of all keypoints in pieces, between which the browser may draw. */
+function useKeypointErrors(take: Result["take"]) {
+  const work = useMemo(() => keypointErrors(take), [take]);
+  const [done, setDone] = useState(false);
+  useEffect(() => {
+    let stopped = false;
+    const go = () => {
+      if (stopped) return;
+      if (work.next()) setDone(true);
+      else setTimeout(go);
+    };
+    setDone(false);
+    setTimeout(go, 100);
+    return () => {
+      stopped = true;
+    };
+  }, [work]);
+  return { errors: work.errors, done };
+}
+
+function Legend({ whole, setWhole }: { whole: boolean; setWhole: (whole: boolean) => void }) {
+  return (
+    <div class="legend quiet">
+      <span>
+        <i class="dot left" /> left
+      </span>
+      <span>
+        <i class="dot right" /> right
+      </span>
+      <span>
+        <i class="dot middle" /> neither
+      </span>
+      <span>
+        <i class="stroke projected" /> structure, projected
+      </span>
+      <span>
+        <i class="stroke bad" /> its distance from what was detected
+      </span>
+      <span>
+        <i class="cross">×</i> outlier
+      </span>
+      <label class="check">
+        <input type="checkbox" checked={whole} onChange={(event) => setWhole(event.currentTarget.checked)} />
+        views show whole images
+      </label>
+    </div>
+  );
+}
+
+function CopyLink({ stage, frame }: { stage: Stage | null; frame: () => number }) {
+  const [copied, setCopied] = useState(false);
+  const copy = async () => {
+    const query: Record<string, string> = { frame: `${frame()}` };
+    if (stage !== null) query.angle = stage.angle().map((value) => value.toPrecision(5)).join(",");
+    keepInAddress(query);
+    try {
+      await navigator.clipboard.writeText(location.href);
+      setCopied(true);
+      setTimeout(() => setCopied(false), 3000);
+    } catch {
+      setCopied(false); // not allowed here: the address bar has the link
+    }
+  };
+  return (
+    <div class="exports">
+      <span>A link to this frame and angle</span>
+      <span class="buttons">
+        <button onClick={() => void copy()}>
+          <Icon name={copied ? "check" : "link"} /> {copied ? "Copied" : "Copy link"}
+        </button>
+      </span>
+    </div>
+  );
+}
+
+function Shortcuts() {
+  return (
+    <details>
+      <summary>Keys</summary>
+      <dl class="keys">
+        {SHORTCUTS.map(([key, what]) => (
+          <div key={key}>
+            <dt>
+              <kbd>{key}</kbd>
+            </dt>
+            <dd>{what}</dd>
+          </div>
+        ))}
+      </dl>
+    </details>
+  );
+}
