@@ -51,8 +51,8 @@ def test_wheel_and_sdist_have_the_page_in_them(environment: Path, tmp_path: Path
     installed = environment / "fewview_server" / "service" / "page" / "built"
     assert built == {str(f.relative_to(installed)) for f in installed.rglob("*") if f.is_file()}
     (sdist,) = SdistBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"])
-    with tarfile.open(sdist) as archive:
-        packed = {name.partition("/")[2] for name in archive.getnames()}
+    with tarfile.open(sdist) as tarball:
+        packed = {name.partition("/")[2] for name in tarball.getnames()}
     assert {f"service/page/built/{name}" for name in built} <= packed
     assert not any("node_modules" in name for name in packed)
 

@@ -26,7 +26,7 @@ NOT_BUILT = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>Fewview</title>
 <h1>Fewview</h1>
 <p>The service runs, but its page was not built. In a clone of the repository
-<code>make page</code> builds it, which takes some packages from npm's registry; then load this again.
+<code>make page</code> builds it, with packages of the npm registry; then load this again.
 An installed wheel has the page in it.</p>
 <p>The API needs no page: <a href="docs">its documentation</a>.</p>
 </html>

@@ -1,6 +1,7 @@
 /** Draws the detected keypoints of one frame of a view. */
 
 import type { Capture } from "../data/take.ts";
+import { pixelRatio } from "../parts/canvas_size.ts";
 import { colourOf, readTheme } from "../parts/theme.ts";
 
 const MARGIN = 0.12;
@@ -12,7 +13,7 @@ export function drawKeypoints(canvas: HTMLCanvasElement, capture: Capture, view:
   const ys = evens(pixels, 1);
   const context = canvas.getContext("2d");
   if (context === null || xs.length === 0) return;
-  const ratio = Math.min(2, devicePixelRatio);
+  const ratio = pixelRatio();
   canvas.width = canvas.clientWidth * ratio;
   canvas.height = canvas.clientHeight * ratio;
   const theme = readTheme();

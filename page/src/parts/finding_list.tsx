@@ -30,8 +30,8 @@ export function FindingList({ findings, ...known }: { findings: Finding[] } & Kn
           <div>
             <strong>{words(finding.code)}</strong>
             <Where finding={finding} {...known} />
-            <p>{finding.effect}</p>
-            <p class="remedy">{finding.remedy}</p>
+            <p>{withCode(finding.effect)}</p>
+            <p class="remedy">{withCode(finding.remedy)}</p>
             <Evidence numbers={finding.evidence ?? {}} />
           </div>
         </li>
@@ -74,6 +74,11 @@ function Chip({ children, onClick }: { children: preact.ComponentChildren; onCli
       {children}
     </button>
   );
+}
+
+/** Shows as code what the words have between backticks. */
+function withCode(text: string) {
+  return text.split("`").map((part, index) => (index % 2 === 1 ? <code key={index}>{part}</code> : part));
 }
 
 function Evidence({ numbers }: { numbers: Record<string, number> }) {

@@ -1,9 +1,11 @@
 /** Numbers and moments as people read them. */
 
+const PLAIN = new Intl.NumberFormat("en", { maximumSignificantDigits: 6 });
+
 export function number(value: number | null | undefined, digits = 3): string {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const text = Math.abs(value) >= 1000 ? Math.round(value).toString() : value.toPrecision(digits);
-  return Number(text).toLocaleString("en", { maximumSignificantDigits: 6 });
+  return PLAIN.format(Number(text));
 }
 
 export function pixels(value: number | null | undefined): string {

@@ -6,8 +6,22 @@ import { LEFT_OUT, UNSEEN, type KeypointErrors } from "../science/errors.ts";
 type Rgb = [number, number, number];
 
 /** From no error to a large one: lightness alone tells them apart, whatever colours one sees. */
-const LIGHT: Rgb[] = [[238, 241, 245], [253, 224, 190], [248, 160, 90], [214, 72, 42], [122, 16, 32]];
-const DARK: Rgb[] = [[34, 39, 46], [84, 48, 44], [160, 62, 40], [236, 122, 48], [255, 226, 130]];
+const LIGHT: Rgb[] = [
+  [240, 243, 246],
+  [247, 234, 217],
+  [250, 202, 142],
+  [238, 132, 62],
+  [196, 52, 36],
+  [112, 12, 30],
+];
+const DARK: Rgb[] = [
+  [33, 38, 45],
+  [52, 46, 48],
+  [104, 56, 46],
+  [178, 76, 44],
+  [240, 140, 58],
+  [255, 232, 140],
+];
 
 /** Returns 256 colours as numbers of a canvas's pixels (ABGR). */
 export function heatColours(dark: boolean): Uint32Array {

@@ -1,6 +1,7 @@
 /** The errors of all frames: a band to scrub on, and below it keypoint x frame. */
 
 import { useEffect, useRef, useState } from "preact/hooks";
+import { keepSize } from "../parts/canvas_size.ts";
 import { number } from "../parts/format.ts";
 import { LEFT_OUT, UNSEEN } from "../science/errors.ts";
 import { quantile } from "../science/worst.ts";
@@ -16,7 +17,7 @@ export function Timeline() {
   const map = useRef<HTMLCanvasElement>(null);
   const scrubber = useRef<HTMLInputElement>(null);
   const cursor = useRef<HTMLDivElement>(null);
-  const [width, setWidth] = useState(0);
+  const [width, setWidth] = useState(0); // of the band, in its own pixels
   const [under, setUnder] = useState<{ frame: number; keypoint: number } | null>(null);
   const largest = Math.max(quantile(means, CLEAR), 1e-6);
   const largestOfKeypoints = errorsDone ? keypointLimit(errors.worst) : 1;
@@ -24,22 +25,15 @@ export function Timeline() {
   useEffect(() => {
     const canvas = band.current;
     if (canvas === null) return undefined;
-    const watcher = new ResizeObserver(() => setWidth(canvas.clientWidth));
-    watcher.observe(canvas);
-    return () => watcher.disconnect();
+    return keepSize(canvas, () => setWidth(canvas.width));
   }, []);
 
   useEffect(() => {
     const colours = heatColours(matchMedia("(prefers-color-scheme: dark)").matches);
-    const columns = Math.max(1, Math.round(width * Math.min(2, devicePixelRatio)));
     if (width === 0) return;
-    if (band.current !== null) {
-      band.current.width = columns;
-      band.current.height = Math.round(band.current.clientHeight * Math.min(2, devicePixelRatio));
-      drawBand(band.current, means, largest, colours);
-    }
+    if (band.current !== null) drawBand(band.current, means, largest, colours);
     if (map.current !== null && errorsDone) {
-      drawHeatMap(map.current, errors, take.keypoints, Math.min(columns, take.frames), largestOfKeypoints, theme, colours);
+      drawHeatMap(map.current, errors, take.keypoints, Math.min(width, take.frames), largestOfKeypoints, theme, colours);
     }
   }, [width, errorsDone, theme, take]);
 

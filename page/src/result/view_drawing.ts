@@ -1,18 +1,11 @@
 /** Draws what one view shows in a frame: detected keypoints, the structure projected over them. */
 
 import type { Take } from "../data/take.ts";
+import { pixelRatio } from "../parts/canvas_size.ts";
 import { colourOf, type Theme } from "../parts/theme.ts";
 import { OUTLIER } from "../science/errors.ts";
 import { project } from "../science/projection.ts";
-import { quantile } from "../science/worst.ts";
-
-/** A part of an image, in its pixels. */
-export interface Part {
-  x: number;
-  y: number;
-  width: number;
-  height: number;
-}
+import type { Part } from "./crop.ts";
 
 export interface ViewDrawing {
   draw(
@@ -32,7 +25,7 @@ export function createViewDrawing(take: Take, view: number): ViewDrawing {
   return {
     draw(context, frame, theme, part, selected, picture) {
       const { canvas } = context;
-      const ratio = Math.min(2, devicePixelRatio);
+      const ratio = pixelRatio();
       const scale = Math.min(canvas.width / part.width, canvas.height / part.height);
       const left = (canvas.width - scale * part.width) / 2 - scale * part.x;
       const top = (canvas.height - scale * part.height) / 2 - scale * part.y;
@@ -139,38 +132,4 @@ function sizeOf(picture: CanvasImageSource): [number, number] {
   if (picture instanceof HTMLImageElement) return [picture.naturalWidth, picture.naturalHeight];
   const sized = picture as HTMLCanvasElement;
   return [sized.width, sized.height];
-}
-
-/** Returns the part of a view's image in which the subject is, over all frames, with a margin. */
-export function subjectPart(take: Take, view: number): Part {
-  const xs: number[] = [];
-  const ys: number[] = [];
-  const step = Math.max(1, Math.floor(take.frames / 300));
-  for (let frame = 0; frame < take.frames; frame += step) {
-    const first = (frame * take.views + view) * take.keypoints;
-    for (let seen = first; seen < first + take.keypoints; seen++) {
-      if (Number.isNaN(take.detected[2 * seen])) continue;
-      xs.push(take.detected[2 * seen]);
-      ys.push(take.detected[2 * seen + 1]);
-    }
-  }
-  if (xs.length === 0) return imagePart(take, view);
-  const [left, right] = [quantile(xs, 0.003), quantile(xs, 0.997)];
-  const [top, bottom] = [quantile(ys, 0.003), quantile(ys, 0.997)];
-  const margin = 0.08 * Math.max(right - left, bottom - top, 1);
-  return {
-    x: left - margin,
-    y: top - margin,
-    width: right - left + 2 * margin,
-    height: bottom - top + 2 * margin,
-  };
-}
-
-/** Returns the whole image of a view; where its size is not known, what the lens suggests. */
-export function imagePart(take: Take, view: number): Part {
-  const size = take.imageSizes[view];
-  if (size !== null) return { x: 0, y: 0, width: size[0], height: size[1] };
-  const known = take.detected.filter((_, index) => Math.floor(index / (2 * take.keypoints)) % take.views === view);
-  const reach = quantile(known, 1) || 1;
-  return { x: 0, y: 0, width: reach, height: reach };
 }

@@ -1,13 +1,15 @@
 /** One view: its keypoints, the structure projected over them and, if one likes, the film below. */
 
 import { useEffect, useRef, useState } from "preact/hooks";
+import { keepSize } from "../parts/canvas_size.ts";
 import { number } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
+import { partsOf, type Crop } from "./crop.ts";
 import { openFilm, type Film } from "./film.ts";
 import { useShow } from "./show.ts";
-import { createViewDrawing, imagePart, subjectPart } from "./view_drawing.ts";
+import { createViewDrawing } from "./view_drawing.ts";
 
-export function ViewPanel({ view, whole }: { view: number; whole: boolean }) {
+export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
   const { take, player, loop, theme, selected, through, lookThrough } = useShow();
   const canvas = useRef<HTMLCanvasElement>(null);
   const error = useRef<HTMLSpanElement>(null);
@@ -17,21 +19,18 @@ export function ViewPanel({ view, whole }: { view: number; whole: boolean }) {
     const context = canvas.current?.getContext("2d") ?? null;
     if (context === null) return undefined;
     const drawing = createViewDrawing(take, view);
-    const part = whole ? imagePart(take, view) : subjectPart(take, view);
+    const partOf = partsOf(take, view, crop);
     return loop.add(() => {
-      fitToSize(context.canvas);
       const picture = film?.at(player.frame, player.rate) ?? null;
-      drawing.draw(context, player.frame, theme, part, selected, picture);
+      drawing.draw(context, player.frame, theme, partOf(player.frame), selected, picture);
       const pixels = take.viewErrors[player.frame * take.views + view];
       if (error.current !== null) error.current.textContent = `${number(pixels)} px`;
     });
-  }, [take, view, whole, theme, selected, loop, film]);
+  }, [take, view, crop, theme, selected, loop, film]);
 
   useEffect(() => {
     if (canvas.current === null) return undefined;
-    const watcher = new ResizeObserver(() => loop.wake());
-    watcher.observe(canvas.current);
-    return () => watcher.disconnect();
+    return keepSize(canvas.current, () => loop.wake());
   }, [loop]);
 
   useEffect(() => () => film?.close(), [film]);
@@ -68,14 +67,4 @@ export function ViewPanel({ view, whole }: { view: number; whole: boolean }) {
       <canvas ref={canvas} role="img" aria-label={`${name}: detected keypoints, and the structure projected`} />
     </figure>
   );
-}
-
-function fitToSize(canvas: HTMLCanvasElement): void {
-  const ratio = Math.min(2, devicePixelRatio);
-  const width = Math.round(canvas.clientWidth * ratio);
-  const height = Math.round(canvas.clientHeight * ratio);
-  if (canvas.width !== width || canvas.height !== height) {
-    canvas.width = width;
-    canvas.height = height;
-  }
 }

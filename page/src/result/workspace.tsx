@@ -5,11 +5,13 @@ import type { Fit } from "../api/resources.ts";
 import { rateOf } from "../data/take.ts";
 import type { Result } from "../data/loading.ts";
 import { FindingList } from "../parts/finding_list.tsx";
+import { number } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { onThemeChange, readTheme } from "../parts/theme.ts";
 import { currentRoute, keepInAddress } from "../route.ts";
 import { frameErrors, keypointErrors } from "../science/errors.ts";
 import { worstFrames } from "../science/worst.ts";
+import type { Crop } from "./crop.ts";
 import { Exports } from "./exports.tsx";
 import { Figures } from "./figures.tsx";
 import { listenToKeys, SHORTCUTS } from "./keys.ts";
@@ -30,7 +32,7 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
   const [theme, setTheme] = useState(readTheme);
   const [selected, select] = useState<number | null>(null);
   const [through, lookThrough] = useState<number | null>(null);
-  const [whole, setWhole] = useState(false);
+  const [crop, setCrop] = useState<Crop>("subject");
   const player = useMemo(
     () => createPlayer(take.frames, rateOf(take).rate, Number(currentRoute().query.get("frame") ?? 0) || 0),
     [take],
@@ -64,18 +66,19 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
           <StagePanel onStage={setStage} />
           <section class="views" aria-label="Views" data-count={take.views}>
             {take.viewNames.map((name, view) => (
-              <ViewPanel key={name} view={view} whole={whole} />
+              <ViewPanel key={name} view={view} crop={crop} />
             ))}
           </section>
         </div>
         <section class="panel playing" aria-label="Time">
           <Transport />
           <Timeline />
-          <Legend whole={whole} setWhole={setWhole} />
+          <Legend crop={crop} setCrop={setCrop} />
         </section>
         <div class="facts-grid">
           <section class="panel">
             <h2>What was noticed</h2>
+            <WorstFrames show={show} />
             <FindingList
               findings={fit.findings}
               viewNames={take.viewNames}
@@ -120,7 +123,7 @@ function useKeypointErrors(take: Result["take"]) {
   return { errors: work.errors, done };
 }
 
-function Legend({ whole, setWhole }: { whole: boolean; setWhole: (whole: boolean) => void }) {
+function Legend({ crop, setCrop }: { crop: Crop; setCrop: (crop: Crop) => void }) {
   return (
     <div class="legend quiet">
       <span>
@@ -142,10 +145,29 @@ function Legend({ whole, setWhole }: { whole: boolean; setWhole: (whole: boolean
         <i class="cross">×</i> outlier
       </span>
       <label class="check">
-        <input type="checkbox" checked={whole} onChange={(event) => setWhole(event.currentTarget.checked)} />
-        views show whole images
+        views show
+        <select value={crop} onChange={(event) => setCrop(event.currentTarget.value as Crop)}>
+          <option value="subject">the subject</option>
+          <option value="path">wherever it goes</option>
+          <option value="image">whole images</option>
+        </select>
       </label>
     </div>
+  );
+}
+
+/** The frames in which the structure fits least to what was detected. */
+function WorstFrames({ show: { worst, means, player } }: { show: Show }) {
+  if (worst.length === 0) return null;
+  return (
+    <p class="where worst-frames">
+      <span class="quiet">Look first at frame</span>
+      {worst.slice(0, 6).map((frame) => (
+        <button class="chip" key={frame} onClick={() => player.show(frame)}>
+          {frame} <span class="quiet">{number(means[frame])} px</span>
+        </button>
+      ))}
+    </p>
   );
 }
 

@@ -10,6 +10,7 @@ import {
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { Take } from "../../data/take.ts";
+import { keepSize, pixelRatio } from "../../parts/canvas_size.ts";
 import type { Theme } from "../../parts/theme.ts";
 import { boxOf, subjectSize, type Box } from "../../science/extent.ts";
 import { createFloor } from "./floor.ts";
@@ -76,14 +77,13 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
     square: parts.floor.square,
     canvas,
     draw(frame) {
-      const resized = fit(renderer, viewer, canvas);
-      if (!stale && !resized && frame === drawn) return;
+      if (!stale && frame === drawn) return;
       parts.skeleton.show(frame, take.points);
       parts.trails.show(frame);
       parts.frusta.show(frame);
       const pose = through === null ? null : parts.frusta.pose(frame, through);
       if (pose !== null && through !== null) {
-        lookThrough(viewer, pose, take, frame, through, [canvas.clientWidth, canvas.clientHeight]);
+        lookThrough(viewer, pose, take, frame, through, [canvas.width, canvas.height]);
       } else leaveCamera(viewer);
       renderer.render(scene, viewer);
       stale = false;
@@ -106,7 +106,6 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
       stale = true;
     },
     frameSubject() {
-      fit(renderer, viewer, canvas);
       frameBox(viewer, controls, box, size);
       stale = true;
     },
@@ -133,11 +132,15 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
       leave = listener;
     },
     close() {
+      stopFitting();
       controls.dispose();
       renderer.dispose();
       renderer.forceContextLoss();
     },
   };
+  const stopFitting = keepFitting(renderer, viewer, canvas, () => {
+    stale = true;
+  });
   stage.frameSubject();
   return stage;
 }
@@ -148,17 +151,23 @@ function addLights(scene: Scene): void {
   scene.add(new HemisphereLight(0xffffff, 0x9aa0a8, 2.1), key);
 }
 
-/** Makes the drawing as large as its canvas is shown; tells whether anything changed. */
-function fit(renderer: WebGLRenderer, viewer: PerspectiveCamera, canvas: HTMLCanvasElement): boolean {
-  const ratio = Math.min(2, devicePixelRatio);
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-  if (width === 0 || height === 0) return false;
-  if (canvas.width === Math.floor(width * ratio) && canvas.height === Math.floor(height * ratio)) return false;
-  renderer.setPixelRatio(ratio);
-  renderer.setSize(width, height, false);
-  viewer.aspect = width / height;
-  viewer.updateProjectionMatrix();
-  return true;
+/** Keeps the drawing as large as its canvas is shown; calls a function after a change. */
+function keepFitting(
+  renderer: WebGLRenderer,
+  viewer: PerspectiveCamera,
+  canvas: HTMLCanvasElement,
+  onSize: () => void,
+): () => void {
+  const fit = () => {
+    renderer.setViewport(0, 0, canvas.width, canvas.height);
+    viewer.aspect = canvas.width / canvas.height;
+    viewer.updateProjectionMatrix();
+    onSize();
+  };
+  canvas.width = Math.max(1, Math.round(canvas.clientWidth * pixelRatio()));
+  canvas.height = Math.max(1, Math.round(canvas.clientHeight * pixelRatio()));
+  fit();
+  return keepSize(canvas, fit);
 }
 
 /** Turns the viewer about the target, by angles in radians. */
@@ -197,5 +206,6 @@ function around(
 function placeOf(point: Vector3, viewer: PerspectiveCamera, canvas: HTMLCanvasElement) {
   const seen = point.project(viewer);
   if (seen.z > 1 || Math.abs(seen.x) > 1 || Math.abs(seen.y) > 1) return null;
-  return { x: ((seen.x + 1) / 2) * canvas.clientWidth, y: ((1 - seen.y) / 2) * canvas.clientHeight };
+  const [width, height] = [canvas.width / pixelRatio(), canvas.height / pixelRatio()];
+  return { x: ((seen.x + 1) / 2) * width, y: ((1 - seen.y) / 2) * height };
 }
