@@ -1,11 +1,12 @@
 /** How good the fit is, and what was estimated of the cameras. */
 
 import { count, number, percent, pixels } from "../parts/format.ts";
+import { distances } from "../science/aligning.ts";
 import { useShow } from "./show.ts";
 import { unitOf } from "./unit.ts";
 
 export function Figures() {
-  const { fit, model, cameras, take } = useShow();
+  const { fit, model, cameras, take, truth } = useShow();
   const rows: [string, string, string?][] = [
     ["Reprojection error", pixels(model.reprojection_error), "mean over the views of all frames"],
     ["Frames lifted", `${number(model.frames_lifted)} of ${number(take.frames)}`],
@@ -13,6 +14,11 @@ export function Figures() {
     ["Lengths", unitOf(fit)],
   ];
   if (cameras.noise) rows.splice(1, 0, ["Noise of keypoints", pixels(cameras.noise), "standard deviation"]);
+  if (truth !== null && take.frame !== "view") {
+    const off = distances(take.points, truth, take.keypoints).filter(Number.isFinite);
+    const mean = off.reduce((sum, value) => sum + value, 0) / Math.max(1, off.length);
+    rows.push(["Distance from the truth", number(mean), "all frames laid over it as one, in the unit shown"]);
+  }
   if (model.pa_mpjpe) {
     rows.push(["Error against the truth", number(model.pa_mpjpe), "PA-MPJPE, in the truth's unit"]);
   }

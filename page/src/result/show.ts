@@ -19,6 +19,7 @@ export interface Show {
   theme: Theme;
   means: Float32Array; // (N,) pixels
   worst: number[]; // frames, the worst first
+  truth: Float32Array | null; // (N, P, 3), laid over the structure
   errors: KeypointErrors;
   errorsDone: boolean;
   selected: number | null; // keypoint

@@ -20,6 +20,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
   const [stage, setStage] = useState<Stage | null>(null);
   const [trouble, setTrouble] = useState<string | null>(null);
   const [trails, setTrails] = useState(true);
+  const [truth, setTruth] = useState(false);
   const { take, player, loop, theme, selected, through, lookThrough } = show;
 
   useEffect(() => {
@@ -54,6 +55,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
   }, [stage, theme, selected, through]);
 
   useEffect(() => stage?.showTrails(trails), [stage, trails]);
+  useEffect(() => stage?.overlay(truth ? show.truth : null), [stage, truth, show.truth]);
 
   const turnByKey = (event: KeyboardEvent) => {
     const turn = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
@@ -97,6 +99,11 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
           <button aria-pressed={trails} onClick={() => setTrails(!trails)}>
             Trails
           </button>
+          {show.truth !== null && (
+            <button aria-pressed={truth} onClick={() => setTruth(!truth)} title="The ground truth, laid over all frames">
+              Truth
+            </button>
+          )}
           <button onClick={() => stage?.frameSubject()} title="F">
             Subject
           </button>

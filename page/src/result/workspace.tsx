@@ -9,6 +9,7 @@ import { number } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { onThemeChange, readTheme } from "../parts/theme.ts";
 import { currentRoute, keepInAddress } from "../route.ts";
+import { aligned } from "../science/aligning.ts";
 import { frameErrors, keypointErrors } from "../science/errors.ts";
 import { worstFrames } from "../science/worst.ts";
 import type { Crop } from "./crop.ts";
@@ -40,6 +41,10 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
   const loop = useMemo(() => createLoop(player), [player]);
   const means = useMemo(() => frameErrors(take), [take]);
   const worst = useMemo(() => worstFrames(means, WORST, Math.max(5, take.frames / 60)), [means]);
+  const truth = useMemo(
+    () => (take.truth === undefined ? null : aligned(take.truth, take.points, take.keypoints, take.frame === "view")),
+    [take],
+  );
   const { errors, done } = useKeypointErrors(take);
   const stageNow = useRef<Stage | null>(null);
   stageNow.current = stage;
@@ -56,7 +61,7 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
   }, [stage]);
 
   const show: Show = {
-    ...{ fit, model, cameras, take, player, loop, theme, means, worst, errors, errorsDone: done },
+    ...{ fit, model, cameras, take, player, loop, theme, means, worst, truth, errors, errorsDone: done },
     ...{ selected, select, through, lookThrough },
   };
   return (

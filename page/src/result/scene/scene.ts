@@ -26,6 +26,8 @@ export interface Stage {
   draw(frame: number): void;
   paint(theme: Theme, selected: number | null): void;
   showTrails(shown: boolean): void;
+  /** Lays other points (N, P, 3) over the structure, or takes them away. */
+  overlay(points: Float32Array | null): void;
   lookThrough(view: number | null): void;
   frameSubject(): void;
   frameCameras(): void;
@@ -53,14 +55,17 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
   const level = take.frame === "level" && box.low[1] > -0.2 * size && box.low[1] < 0.2 * size ? 0 : box.low[1];
   const parts = {
     skeleton: createSkeleton(take, size / 70),
+    ghost: createSkeleton(take, size / 80, true),
     trails: createTrails(take, size / 2),
     floor: createFloor(box, size, level),
     frusta: createFrusta(take, size / 3.2),
   };
-  scene.add(parts.skeleton.group, parts.trails.lines, parts.floor.lines, parts.frusta.group);
+  parts.ghost.group.visible = false;
+  scene.add(parts.skeleton.group, parts.ghost.group, parts.trails.lines, parts.floor.lines, parts.frusta.group);
   addLights(scene);
 
   let through: number | null = null;
+  let others: Float32Array | null = null;
   let stale = true;
   let drawn = -1;
   let leave = () => {};
@@ -79,6 +84,7 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
     draw(frame) {
       if (!stale && frame === drawn) return;
       parts.skeleton.show(frame, take.points);
+      if (others !== null) parts.ghost.show(frame, others);
       parts.trails.show(frame);
       parts.frusta.show(frame);
       const pose = through === null ? null : parts.frusta.pose(frame, through);
@@ -91,6 +97,7 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
     },
     paint(theme, selected) {
       parts.skeleton.paint(theme, selected);
+      parts.ghost.paint(theme, selected);
       parts.trails.paint(theme, selected === null ? endsOf(take) : [selected]);
       parts.floor.paint(theme);
       parts.frusta.paint(theme, through);
@@ -98,6 +105,11 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
     },
     showTrails(shown) {
       parts.trails.lines.visible = shown;
+      stale = true;
+    },
+    overlay(points) {
+      others = points;
+      parts.ghost.group.visible = points !== null;
       stale = true;
     },
     lookThrough(view) {

@@ -12,6 +12,7 @@ import {
 import type { Take } from "../../data/take.ts";
 import { colourOf, type Theme } from "../../parts/theme.ts";
 
+const GHOST = 0.4; // opacity
 const BONE = 0.45; // radius of a bone, as a share of a joint's
 
 export interface Skeleton {
@@ -20,10 +21,12 @@ export interface Skeleton {
   paint(theme: Theme, selected: number | null): void;
 }
 
-/** @param size radius of a joint, in the unit of the points */
-export function createSkeleton(take: Take, size: number): Skeleton {
-  const { keypoints, edges, sides } = take;
-  const material = new MeshLambertMaterial();
+/** @param size radius of a joint, in the unit of the points
+ * @param ghost whether it is another's structure, which is drawn pale and without sides */
+export function createSkeleton(take: Take, size: number, ghost = false): Skeleton {
+  const { keypoints, edges } = take;
+  const sides = ghost ? take.sides.map(() => 0) : take.sides;
+  const material = new MeshLambertMaterial(ghost ? { transparent: true, opacity: GHOST } : {});
   const joints = new InstancedMesh(new IcosahedronGeometry(1, 2), material, keypoints);
   const bones = new InstancedMesh(new CylinderGeometry(1, 1, 1, 10, 1, true), material, edges.length);
   for (const mesh of [joints, bones]) {
