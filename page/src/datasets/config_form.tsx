@@ -74,15 +74,17 @@ export function ConfigForm({
         ) : (
           <div class="fields advanced">
             {fields.map((field) => (
-              <label key={field.name}>
-                {words(field.name)}
+              <div class="field" key={field.name}>
+                <label for={`config-${field.name}`}>{words(field.name)}</label>
                 <Input
                   field={field}
                   text={texts[field.name] ?? ""}
                   onText={(text) => setTexts({ ...texts, [field.name]: text })}
                 />
-                <small class="quiet">{field.description}</small>
-              </label>
+                <small class="quiet" id={`about-${field.name}`}>
+                  {field.description}
+                </small>
+              </div>
             ))}
           </div>
         )}
@@ -92,9 +94,10 @@ export function ConfigForm({
 }
 
 function Input({ field, text, onText }: { field: Field; text: string; onText: (text: string) => void }) {
+  const named = { id: `config-${field.name}`, "aria-describedby": `about-${field.name}` };
   if (field.choices.length > 0) {
     return (
-      <select value={text} onChange={(event) => onText(event.currentTarget.value)}>
+      <select {...named} value={text} onChange={(event) => onText(event.currentTarget.value)}>
         <option value="">default: {field.standard}</option>
         {field.choices.map((choice) => (
           <option key={choice}>{choice}</option>
@@ -104,6 +107,7 @@ function Input({ field, text, onText }: { field: Field; text: string; onText: (t
   }
   return (
     <input
+      {...named}
       type="number"
       step={field.kind === "integer" ? 1 : "any"}
       placeholder={`default: ${field.standard}`}

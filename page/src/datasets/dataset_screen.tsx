@@ -80,12 +80,13 @@ export function DatasetScreen({ id }: { id: string }) {
           </button>
           <button
             disabled={busy}
-            onClick={() =>
+            onClick={() => {
+              if (!confirm(`Delete ${dataset.name}? Models that were fitted to it stay.`)) return;
               void attempt(async () => {
                 await deleteDataset(dataset.id);
                 goTo();
-              })
-            }
+              });
+            }}
           >
             Delete this dataset
           </button>

@@ -66,7 +66,9 @@ export function FitScreen({ id }: { id: string }) {
       <header class="title">
         <h1>{fit.name}</h1>
         <Status fit={fit} />
-        <span class="quiet id">{fit.id}</span>
+        <span class="quiet id">
+          {fit.id} · <a href={linkTo("datasets", fit.dataset_id)}>its dataset</a>
+        </span>
       </header>
       {trouble !== null && isGoingOn(fit) && (
         <p class="trouble" role="status">

@@ -3,7 +3,7 @@
 import { useEffect, useState } from "preact/hooks";
 import { followFit } from "../api/events.ts";
 import { listDatasets, listFits, type Dataset, type Fit } from "../api/resources.ts";
-import { count, duration, moment, number, percent, pixels } from "../parts/format.ts";
+import { count, duration, moment, number, percent } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { linkTo } from "../route.ts";
 import { isGoingOn } from "./fit_screen.tsx";
@@ -105,13 +105,11 @@ function FitRow({ fit, dataset }: { fit: Fit; dataset: Dataset | undefined }) {
 }
 
 function progressOf(fit: Fit): string {
-  const error = fit.progress?.reprojection_error;
   if (fit.status === "running" && fit.progress) {
     const left = fit.progress.seconds_left;
     return `${percent(fit.progress.step / Math.max(1, fit.progress.steps))}${left ? `, about ${duration(left)} left` : ""}`;
   }
-  if (fit.status === "succeeded") return `${pixels(error)} · ${moment(fit.finished_at ?? fit.created_at)}`;
-  return moment(fit.created_at);
+  return moment(fit.finished_at ?? fit.created_at);
 }
 
 export function captured(dataset: Dataset): string {
