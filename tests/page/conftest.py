@@ -32,7 +32,8 @@ class Watched:
     errors: list[str] = field(default_factory=list)
 
     def open(self, where: str = "") -> Page:
-        """Go to a screen of the page."""
+        """Load the page at one of its screens."""
+        self.page.goto("about:blank")  # else another part behind `#` would load nothing
         self.page.goto(f"{self.base}/{where}")
         return self.page
 
@@ -43,9 +44,11 @@ def browser() -> Iterator[Browser]:
         pytest.skip("chromium is not installed: apt-get install chromium")
     if not (BUILT / "index.html").exists():
         pytest.skip("the page was not built: `make page`, which needs npm's registry")
-    with sync_playwright() as playwright:
-        with playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE) as started:
-            yield started
+    with (
+        sync_playwright() as playwright,
+        playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE) as started,
+    ):
+        yield started
 
 
 @pytest.fixture(scope="module")

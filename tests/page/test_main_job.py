@@ -5,16 +5,17 @@ import re
 from pathlib import Path
 
 import numpy as np
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import FilePayload, Locator, Page, expect
 
 from tests.page.conftest import Watched, deeplabcut_files
 from tests.service.conftest import Live, wait_for
+
 
 def upload(page: Page, files: dict[str, bytes]) -> None:
     """Choose files, as those who drop them do, and send them."""
     page.set_input_files(
         ".drop input",
-        [{"name": name, "mimeType": "text/csv", "buffer": body} for name, body in files.items()],
+        [FilePayload(name=name, mimeType="text/csv", buffer=body) for name, body in files.items()],
     )
     page.get_by_role("button", name="Upload").click()
 
@@ -99,7 +100,7 @@ def look_at(page: Page) -> None:
 
     panel = page.locator("figure.view").first
     before = panel.screenshot()
-    photo = {"name": "photo.png", "mimeType": "image/png", "buffer": page.screenshot()}
+    photo = FilePayload(name="photo.png", mimeType="image/png", buffer=page.screenshot())
     panel.locator("input").set_input_files(photo)
     assert changed(panel, before)
 

@@ -1,0 +1,107 @@
+"""The page behind a proxy and with keys, in the hand and in the dark, and for who cannot see it."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, BrowserContext, ViewportSize, expect
+
+from models.capture.synthetic import synthetic_capture
+from tests.page.conftest import Watched, watch
+from tests.page.project import checked_out
+from tests.page.proxy import proxied
+from tests.service.conftest import BYTES, Live, to_npz
+
+SCREENS = ("", "#/datasets/new", "#/datasets/{dataset}", "#/fits/{fit}", "#/fits/{failed}")
+
+
+@pytest.fixture(scope="module")
+def stored(live: Live) -> dict[str, str]:
+    """Store a capture, a fit of it that succeeded, and one that failed."""
+    seen = synthetic_capture(frames=40, views=3, noise=1.0, hidden_keypoints=0.1, seed=5)
+    captures = {
+        "dataset": {"keypoints": seen.keypoints, "points3d": seen.points3d},
+        "empty": {"keypoints": np.full((3, 2, 5, 2), np.nan)},
+    }
+    ids = {}
+    for name, arrays in captures.items():
+        made = live.http.post(f"/datasets?name={name}", content=to_npz(**arrays), headers=BYTES)
+        assert made.status_code == 201, made.text
+        ids[name] = made.json()["id"]
+    for name, dataset in (("fit", ids["dataset"]), ("failed", ids["empty"])):
+        ids[name] = live.finished(live.fit(dataset)["id"])["id"]
+    return ids
+
+
+def test_behind_a_prefix_the_page_asks_for_a_key_and_keeps_it(
+    context: BrowserContext, live: Live, stored: dict[str, str]
+) -> None:
+    made = live.http.post("/keys", json={"name": "browser", "scopes": ["read"]}).json()
+    with proxied(live.url, "/lab/fewview") as base:
+        watched = watch(context.new_page(), base)
+        page = watched.open(f"#/fits/{stored['fit']}")
+        expect(page.get_by_role("heading", name="This service needs a key")).to_be_visible()
+        page.get_by_label("Key").fill("fewview_" + "x" * 43)
+        page.get_by_role("button", name="Go on").click()
+        expect(page.get_by_text("That key was refused")).to_be_visible()
+        page.get_by_label("Key").fill(made["token"])
+        page.get_by_role("button", name="Go on").click()
+        expect(page.get_by_role("region", name="Structure in 3D")).to_be_visible()
+        with page.expect_download() as saved:
+            page.get_by_role("button", name="npz").first.click()
+        with np.load(io.BytesIO(Path(saved.value.path()).read_bytes())) as arrays:
+            assert arrays["points3d"].shape == (40, 16, 3)
+        page.reload()
+        expect(page.get_by_role("region", name="Structure in 3D")).to_be_visible()
+        assert watched.foreign == []
+        assert all("401" in error for error in watched.errors), watched.errors
+
+
+def test_a_failed_fit_says_what_to_do(watched: Watched, stored: dict[str, str]) -> None:
+    page = watched.open(f"#/fits/{stored['failed']}")
+    expect(page.get_by_role("heading", name="This fit failed")).to_be_visible()
+    expect(page.get_by_text("Look at the dataset")).to_be_visible()
+    page.get_by_role("link", name="To its dataset, to fit it again").click()
+    expect(page.get_by_role("button", name="Start the fit")).to_be_visible()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_screen_fits_a_telephone(
+    browser: Browser, live: Live, stored: dict[str, str], scheme: Any
+) -> None:
+    size = ViewportSize(width=390, height=844)
+    with browser.new_context(viewport=size, color_scheme=scheme, has_touch=True) as context:
+        watched = watch(context.new_page(), live.url)
+        for screen in SCREENS:
+            page = watched.open(screen.format(**stored))
+            expect(page.get_by_role("heading", level=1)).to_be_visible()
+            if "{fit}" in screen:
+                expect(page.get_by_role("heading", name="Figures")).to_be_visible()
+            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"], screen
+        assert (watched.errors, watched.foreign) == ([], [])
+
+
+def test_nothing_keeps_the_page_from_who_cannot_see_it(
+    browser: Browser, live: Live, stored: dict[str, str], tmp_path: Path
+) -> None:
+    """Axe, which examines roles, names and contrast, has no serious objection."""
+    axe = checked_out(tmp_path) / "node_modules" / "axe-core" / "axe.min.js"
+    schemes: dict[Any, tuple[str, ...]] = {"light": SCREENS, "dark": SCREENS[3:4]}
+    for scheme, screens in schemes.items():
+        with browser.new_context(color_scheme=scheme, bypass_csp=True) as context:
+            watched = watch(context.new_page(), live.url)
+            for screen in screens:
+                page = watched.open(screen.format(**stored))
+                expect(page.get_by_role("heading", level=1)).to_be_visible()
+                if "{fit}" in screen:
+                    expect(page.get_by_role("heading", name="Figures")).to_be_visible()
+                page.add_script_tag(path=axe)
+                found = page.evaluate("axe.run()")
+                serious = [
+                    (each["id"], [node["html"] for node in each["nodes"]])
+                    for each in found["violations"]
+                    if each["impact"] in ("serious", "critical")
+                ]
+                assert serious == [], f"{screen} {scheme}"
