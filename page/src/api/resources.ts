@@ -18,6 +18,8 @@ interface Page<T> {
 const MOST = 50; // of a list at a time
 
 export const listFits = (cursor?: string) => listed<Fit>("fits", cursor);
+export const listFitsOf = (dataset: string) =>
+  askJson<Page<Fit>>(`fits?status=succeeded&limit=${MOST}&dataset_id=${encodeURIComponent(dataset)}`);
 export const listDatasets = (cursor?: string) => listed<Dataset>("datasets", cursor);
 export const getFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}`);
 export const getDataset = (id: string) => askJson<Dataset>(`datasets/${encodeURIComponent(id)}`);

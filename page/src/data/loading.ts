@@ -12,6 +12,7 @@ import {
 import { Refusal } from "../api/http.ts";
 import { readNpz } from "./npz.ts";
 import { readSafetensors } from "./safetensors.ts";
+import { needed } from "./tensor.ts";
 import { captureOf, takeOf, type Frame, type Take } from "./take.ts";
 
 export interface Result {
@@ -34,6 +35,12 @@ export async function loadResult(fit: Fit): Promise<Result> {
     model: await model,
     cameras,
   };
+}
+
+/** Returns the structures (N, P, 3) of another fit, and whether all are in one frame of reference. */
+export async function loadPoints(fit: Fit): Promise<{ points: Float32Array; inOneFrame: boolean }> {
+  const { bytes, frame } = await placedReconstruction(fit, await getCameras(fit.model_id ?? ""));
+  return { points: needed(readSafetensors(bytes), "points3d"), inOneFrame: frame !== "view" };
 }
 
 /** Returns the frames in the best frame of reference that there is. */

@@ -10,9 +10,7 @@ export function Progress({ fit, history, onFit }: { fit: Fit; history: Fit[]; on
   const progress = fit.progress;
   const share = progress ? progress.step / Math.max(1, progress.steps) : 0;
   const rows = history.flatMap(({ progress: each }) =>
-    each && each.reprojection_error !== null && each.reprojection_error !== undefined
-      ? [{ step: each.step, error: each.reprojection_error }]
-      : [],
+    each?.reprojection_error ? [{ step: each.step, error: each.reprojection_error }] : [],
   );
   return (
     <section class="panel progress-panel">

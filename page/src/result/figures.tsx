@@ -1,12 +1,13 @@
 /** How good the fit is, and what was estimated of the cameras. */
 
+import { Curve } from "../fits/curve.tsx";
 import { count, number, percent, pixels } from "../parts/format.ts";
 import { distances } from "../science/aligning.ts";
 import { useShow } from "./show.ts";
 import { unitOf } from "./unit.ts";
 
 export function Figures() {
-  const { fit, model, cameras, take, truth } = useShow();
+  const { fit, model, cameras, take, overlay } = useShow();
   const rows: [string, string, string?][] = [
     ["Reprojection error", pixels(model.reprojection_error), "mean over the views of all frames"],
     ["Frames lifted", `${number(model.frames_lifted)} of ${number(take.frames)}`],
@@ -14,10 +15,11 @@ export function Figures() {
     ["Lengths", unitOf(fit)],
   ];
   if (cameras.noise) rows.splice(1, 0, ["Noise of keypoints", pixels(cameras.noise), "standard deviation"]);
-  if (truth !== null && take.frame !== "view") {
-    const off = distances(take.points, truth, take.keypoints).filter(Number.isFinite);
+  if (overlay !== null) {
+    const off = distances(take.points, overlay.points, take.keypoints).filter(Number.isFinite);
     const mean = off.reduce((sum, value) => sum + value, 0) / Math.max(1, off.length);
-    rows.push(["Distance from the truth", number(mean), "all frames laid over it as one, in the unit shown"]);
+    const how = overlay.each ? "each frame on its own" : "all frames as one";
+    rows.push([`Distance from ${overlay.name}`, number(mean), `mean, moved onto it ${how}`]);
   }
   if (model.pa_mpjpe) {
     rows.push(["Error against the truth", number(model.pa_mpjpe), "PA-MPJPE, in the truth's unit"]);
@@ -39,12 +41,21 @@ export function Figures() {
         ))}
       </dl>
       <CameraTable />
+      {model.training_curve.length > 1 && (
+        <details class="training">
+          <summary>How the error fell</summary>
+          <Curve
+            steps={model.training_curve.at(-1)?.step ?? 1}
+            rows={model.training_curve.flatMap(({ step, reprojection_error: error }) => (error ? [{ step, error }] : []))}
+          />
+        </details>
+      )}
     </>
   );
 }
 
 function CameraTable() {
-  const { cameras, take, lookThrough } = useShow();
+  const { cameras, take, lookThrough, posed } = useShow();
   if (cameras.views.length === 0) return <p class="quiet">{cameras.reason}</p>;
   return (
     <>
@@ -64,9 +75,13 @@ function CameraTable() {
           {cameras.views.map((view) => (
             <tr key={view.index}>
               <th scope="row">
-                <button class="plain" onClick={() => lookThrough(view.index)}>
-                  {take.viewNames[view.index]}
-                </button>
+                {posed[view.index] ? (
+                  <button class="plain" onClick={() => lookThrough(view.index)}>
+                    {take.viewNames[view.index]}
+                  </button>
+                ) : (
+                  take.viewNames[view.index]
+                )}
               </th>
               <td>
                 {view.camera.replaceAll("_", " ")}, {view.resting ? "static" : "moving"}

@@ -7,6 +7,7 @@ import type { Take } from "../data/take.ts";
 import type { Theme } from "../parts/theme.ts";
 import type { KeypointErrors } from "../science/errors.ts";
 import type { Loop } from "./loop.ts";
+import type { Overlay } from "./overlay_choice.tsx";
 import type { Player } from "./player.ts";
 
 export interface Show {
@@ -19,7 +20,9 @@ export interface Show {
   theme: Theme;
   means: Float32Array; // (N,) pixels
   worst: number[]; // frames, the worst first
-  truth: Float32Array | null; // (N, P, 3), laid over the structure
+  overlay: Overlay | null;
+  setOverlay(overlay: Overlay | null): void;
+  posed: boolean[]; // views that have a perspective pose in some frame
   errors: KeypointErrors;
   errorsDone: boolean;
   selected: number | null; // keypoint

@@ -3,6 +3,7 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { number } from "../parts/format.ts";
 import type { Stage } from "./scene/scene.ts";
+import { OverlayChoice } from "./overlay_choice.tsx";
 import { createStage } from "./scene/scene.ts";
 import { unitOf } from "./unit.ts";
 import { useShow } from "./show.ts";
@@ -20,19 +21,20 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
   const [stage, setStage] = useState<Stage | null>(null);
   const [trouble, setTrouble] = useState<string | null>(null);
   const [trails, setTrails] = useState(true);
-  const [truth, setTruth] = useState(false);
+  const [following, setFollowing] = useState(false);
   const { take, player, loop, theme, selected, through, lookThrough } = show;
 
   useEffect(() => {
     if (canvas.current === null) return undefined;
     let made: Stage;
     try {
-      made = createStage(canvas.current, take);
+      made = createStage(canvas.current, take, player.frame);
     } catch {
       setTrouble("This browser draws nothing in three dimensions: it has no WebGL.");
       return undefined;
     }
     setStage(made);
+    setFollowing(made.walks);
     onStage(made);
     return () => {
       onStage(null);
@@ -55,7 +57,8 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
   }, [stage, theme, selected, through]);
 
   useEffect(() => stage?.showTrails(trails), [stage, trails]);
-  useEffect(() => stage?.overlay(truth ? show.truth : null), [stage, truth, show.truth]);
+  useEffect(() => stage?.follow(following), [stage, following]);
+  useEffect(() => stage?.overlay(show.overlay?.points ?? null), [stage, show.overlay]);
 
   const turnByKey = (event: KeyboardEvent) => {
     const turn = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
@@ -76,7 +79,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
       />
       <div class="labels" ref={labels}>
         {take.viewNames.map((name, view) => (
-          <button key={name} hidden onClick={() => lookThrough(view)} title={`Look through ${name}`}>
+          <button key={view} hidden onClick={() => lookThrough(view)} title={`Look through ${name}`}>
             {name}
           </button>
         ))}
@@ -93,15 +96,16 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
       </div>
       <div class="overlay bottom">
         <span class="scale quiet">
-          <i aria-hidden="true" /> square {stage === null ? "" : number(stage.square, 2)} {unitOf(show.fit)}
+          <i aria-hidden="true" /> square {stage === null ? "" : number(stage.square, 2)} · {unitOf(show.fit)}
         </span>
         <span class="buttons">
+          <OverlayChoice />
           <button aria-pressed={trails} onClick={() => setTrails(!trails)}>
             Trails
           </button>
-          {show.truth !== null && (
-            <button aria-pressed={truth} onClick={() => setTruth(!truth)} title="The ground truth, laid over all frames">
-              Truth
+          {stage?.walks && (
+            <button aria-pressed={following} onClick={() => setFollowing(!following)}>
+              Follow
             </button>
           )}
           <button onClick={() => stage?.frameSubject()} title="F">

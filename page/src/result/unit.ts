@@ -6,8 +6,8 @@ import type { Fit } from "../api/resources.ts";
  * not known; without one the structure's own size is the unit. */
 export function unitOf(fit: Fit): string {
   const config = fit.config;
-  if (config?.known_length) return "in the unit of the known length";
+  if (config?.known_length) return "unit of the known length";
   const posed = (config?.calibration ?? []).filter((camera) => camera?.translation);
-  if (posed.length > 1) return "in the unit of the calibration";
-  return "of no unit (no length was given)";
+  if (posed.length > 1) return "unit of the calibration";
+  return "no unit: no length was given";
 }

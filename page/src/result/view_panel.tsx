@@ -10,7 +10,7 @@ import { useShow } from "./show.ts";
 import { createViewDrawing } from "./view_drawing.ts";
 
 export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
-  const { take, player, loop, theme, selected, through, lookThrough } = useShow();
+  const { take, player, loop, theme, selected, through, lookThrough, posed } = useShow();
   const canvas = useRef<HTMLCanvasElement>(null);
   const error = useRef<HTMLSpanElement>(null);
   const [film, setFilm] = useState<Film | null>(null);
@@ -49,9 +49,13 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
       }}
     >
       <figcaption>
-        <button class="plain" onClick={() => lookThrough(through === view ? null : view)} title="Look through">
-          {name}
-        </button>
+        {posed[view] ? (
+          <button class="plain" onClick={() => lookThrough(through === view ? null : view)} title="Look through">
+            {name}
+          </button>
+        ) : (
+          <strong>{name}</strong>
+        )}
         <span class="quiet" ref={error} title="Mean reprojection error of this frame" />
         <label class="button small" title="A video or images of this view. They stay in this browser.">
           <Icon name="picture" />

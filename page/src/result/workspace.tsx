@@ -9,14 +9,15 @@ import { number } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { onThemeChange, readTheme } from "../parts/theme.ts";
 import { currentRoute, keepInAddress } from "../route.ts";
-import { aligned } from "../science/aligning.ts";
 import { frameErrors, keypointErrors } from "../science/errors.ts";
+import { WEAK } from "../science/projection.ts";
 import { worstFrames } from "../science/worst.ts";
 import type { Crop } from "./crop.ts";
 import { Exports } from "./exports.tsx";
 import { Figures } from "./figures.tsx";
 import { listenToKeys, SHORTCUTS } from "./keys.ts";
 import { createLoop } from "./loop.ts";
+import type { Overlay } from "./overlay_choice.tsx";
 import { createPlayer } from "./player.ts";
 import type { Stage } from "./scene/scene.ts";
 import { ShowContext, type Show } from "./show.ts";
@@ -32,7 +33,7 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
   const [stage, setStage] = useState<Stage | null>(null);
   const [theme, setTheme] = useState(readTheme);
   const [selected, select] = useState<number | null>(null);
-  const [through, lookThrough] = useState<number | null>(null);
+  const [through, setThrough] = useState<number | null>(null);
   const [crop, setCrop] = useState<Crop>("subject");
   const player = useMemo(
     () => createPlayer(take.frames, rateOf(take).rate, Number(currentRoute().query.get("frame") ?? 0) || 0),
@@ -41,10 +42,9 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
   const loop = useMemo(() => createLoop(player), [player]);
   const means = useMemo(() => frameErrors(take), [take]);
   const worst = useMemo(() => worstFrames(means, WORST, Math.max(5, take.frames / 60)), [means]);
-  const truth = useMemo(
-    () => (take.truth === undefined ? null : aligned(take.truth, take.points, take.keypoints, take.frame === "view")),
-    [take],
-  );
+  const [overlay, setOverlay] = useState<Overlay | null>(null);
+  const posed = useMemo(() => posedViews(take), [take]);
+  const lookThrough = (view: number | null) => setThrough(view === null || posed[view] ? view : null);
   const { errors, done } = useKeypointErrors(take);
   const stageNow = useRef<Stage | null>(null);
   stageNow.current = stage;
@@ -61,8 +61,8 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
   }, [stage]);
 
   const show: Show = {
-    ...{ fit, model, cameras, take, player, loop, theme, means, worst, truth, errors, errorsDone: done },
-    ...{ selected, select, through, lookThrough },
+    ...{ fit, model, cameras, take, player, loop, theme, means, worst, errors, errorsDone: done },
+    ...{ selected, select, through, lookThrough, posed, overlay, setOverlay },
   };
   return (
     <ShowContext.Provider value={show}>
@@ -106,6 +106,13 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
       </div>
     </ShowContext.Provider>
   );
+}
+
+function posedViews({ views, frames, cameras }: Result["take"]): boolean[] {
+  return Array.from({ length: views }, (_, view) => {
+    for (let frame = 0; frame < frames; frame++) if (cameras.models[frame * views + view] > WEAK) return true;
+    return false;
+  });
 }
 
 /** Computes the errors of all keypoints in pieces, between which the browser may draw. */

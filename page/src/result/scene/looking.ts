@@ -17,10 +17,10 @@ export function imageIn(
   return { x: (canvas[0] - scale * size[0]) / 2, y: (canvas[1] - scale * size[1]) / 2, scale };
 }
 
-/** Puts the viewer behind a view's lens, so that points are where its image has them. Distortion is
+/** Puts an eye behind a view's lens, so that points are where its image has them. Distortion is
  * left out: the scene is drawn by a pinhole. */
 export function lookThrough(
-  viewer: PerspectiveCamera,
+  eye: PerspectiveCamera,
   pose: Matrix4,
   take: Take,
   frame: number,
@@ -31,31 +31,25 @@ export function lookThrough(
   const [fx, fy] = take.cameras.focals.subarray(2 * camera, 2 * camera + 2);
   const [cx, cy] = take.cameras.principalPoints.subarray(2 * camera, 2 * camera + 2);
   const { x, y, scale } = imageIn(take.imageSizes[view] ?? [2 * cx, 2 * cy], canvas);
-  viewer.matrixAutoUpdate = false;
-  viewer.matrix.copy(pose);
+  eye.matrixAutoUpdate = false; // nobody turns it
+  eye.matrix.copy(pose);
   // The scene's camera looks along -z with y up, OpenCV's along z with y down.
   for (const column of [1, 2]) {
-    for (let row = 0; row < 3; row++) viewer.matrix.elements[4 * column + row] *= -1;
+    for (let row = 0; row < 3; row++) eye.matrix.elements[4 * column + row] *= -1;
   }
-  viewer.matrixWorldNeedsUpdate = true;
-  viewer.updateMatrixWorld(true);
-  const near = viewer.near;
+  eye.matrixWorldNeedsUpdate = true;
+  eye.updateMatrixWorld(true);
+  const near = eye.near;
   const perPixel = near / scale;
-  viewer.projectionMatrix.makePerspective(
+  eye.projectionMatrix.makePerspective(
     ((-x - scale * cx) / fx) * perPixel,
     ((canvas[0] - x - scale * cx) / fx) * perPixel,
     ((y + scale * cy) / fy) * perPixel,
     ((y + scale * cy - canvas[1]) / fy) * perPixel,
     near,
-    viewer.far,
+    eye.far,
   );
-  viewer.projectionMatrixInverse.copy(viewer.projectionMatrix).invert();
-}
-
-/** Has the viewer orbit again. */
-export function leaveCamera(viewer: PerspectiveCamera): void {
-  viewer.matrixAutoUpdate = true;
-  viewer.updateProjectionMatrix();
+  eye.projectionMatrixInverse.copy(eye.projectionMatrix).invert();
 }
 
 /** Places the viewer so that a box fills the picture, seen from where he stands or, at first, from
@@ -65,7 +59,7 @@ export function frameBox(viewer: PerspectiveCamera, controls: OrbitControls, box
   const radius = Math.max(size / 2, new Vector3(...box.low).distanceTo(middle));
   const upright = (viewer.fov / 360) * Math.PI;
   const narrow = Math.atan(Math.tan(upright) * Math.min(1, viewer.aspect));
-  const away = (1.02 * radius) / Math.sin(narrow);
+  const away = (0.86 * radius) / Math.sin(narrow);
   const direction = viewer.position.clone().sub(controls.target);
   if (direction.lengthSq() === 0) direction.set(0.55, 0.32, 1);
   controls.target.copy(middle);

@@ -14,8 +14,9 @@ import { keepSize, pixelRatio } from "../../parts/canvas_size.ts";
 import type { Theme } from "../../parts/theme.ts";
 import { boxOf, subjectSize, type Box } from "../../science/extent.ts";
 import { createFloor } from "./floor.ts";
+import { boxAbout, follow, middleOf, walks } from "./following.ts";
 import { createFrusta } from "./frusta.ts";
-import { angleOf, frameBox, leaveCamera, lookThrough, setAngle, type Angle } from "./looking.ts";
+import { angleOf, frameBox, lookThrough, setAngle, type Angle } from "./looking.ts";
 import { createSkeleton } from "./skeleton.ts";
 import { createTrails, endsOf } from "./trails.ts";
 
@@ -25,6 +26,9 @@ export interface Stage {
   /** Draws a frame if it, the angle or anything else has changed since the last time. */
   draw(frame: number): void;
   paint(theme: Theme, selected: number | null): void;
+  walks: boolean; // whether the subject walks so far that following it shows more
+  /** Goes along with the subject, or stays. */
+  follow(following: boolean): void;
   showTrails(shown: boolean): void;
   /** Lays other points (N, P, 3) over the structure, or takes them away. */
   overlay(points: Float32Array | null): void;
@@ -41,21 +45,22 @@ export interface Stage {
 }
 
 /** Starts drawing on a canvas. Throws where the browser has no WebGL. */
-export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
+export function createStage(canvas: HTMLCanvasElement, take: Take, firstFrame: number): Stage {
   const renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: true });
   const scene = new Scene();
   const viewer = new PerspectiveCamera(38, 1, 0.01, 100);
+  const eye = new PerspectiveCamera(); // in the place of a view's camera
   const controls = new OrbitControls(viewer, canvas);
   controls.enableDamping = false;
   controls.zoomSpeed = 1.4;
   const box = boxOf(take.points, take.keypoints);
   const size = subjectSize(take.points, take.keypoints);
-  viewer.near = size / 50;
-  viewer.far = size * 400;
+  viewer.near = eye.near = size / 50;
+  viewer.far = eye.far = size * 400;
   const level = take.frame === "level" && box.low[1] > -0.2 * size && box.low[1] < 0.2 * size ? 0 : box.low[1];
   const parts = {
     skeleton: createSkeleton(take, size / 70),
-    ghost: createSkeleton(take, size / 80, true),
+    ghost: createSkeleton(take, size / 52, true),
     trails: createTrails(take, size / 2),
     floor: createFloor(box, size, level),
     frusta: createFrusta(take, size / 3.2),
@@ -67,7 +72,9 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
   let through: number | null = null;
   let others: Float32Array | null = null;
   let stale = true;
-  let drawn = -1;
+  let following = walks(box, size);
+  let middle: Vector3 | null = null; // of the subject, when it was last looked at
+  let drawn = firstFrame;
   let leave = () => {};
   controls.addEventListener("change", () => {
     stale = true;
@@ -83,15 +90,20 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
     canvas,
     draw(frame) {
       if (!stale && frame === drawn) return;
+      if (following && through === null) {
+        const now = middleOf(take, frame);
+        if (now !== null && middle !== null && frame !== drawn) follow(viewer, controls, middle, now);
+        middle = now ?? middle;
+      }
       parts.skeleton.show(frame, take.points);
       if (others !== null) parts.ghost.show(frame, others);
       parts.trails.show(frame);
       parts.frusta.show(frame);
       const pose = through === null ? null : parts.frusta.pose(frame, through);
       if (pose !== null && through !== null) {
-        lookThrough(viewer, pose, take, frame, through, [canvas.width, canvas.height]);
-      } else leaveCamera(viewer);
-      renderer.render(scene, viewer);
+        lookThrough(eye, pose, take, frame, through, [canvas.width, canvas.height]);
+      }
+      renderer.render(scene, pose === null ? viewer : eye);
       stale = false;
       drawn = frame;
     },
@@ -102,6 +114,11 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
       parts.floor.paint(theme);
       parts.frusta.paint(theme, through);
       stale = true;
+    },
+    walks: following,
+    follow(along) {
+      following = along;
+      middle = null;
     },
     showTrails(shown) {
       parts.trails.lines.visible = shown;
@@ -118,7 +135,9 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
       stale = true;
     },
     frameSubject() {
-      frameBox(viewer, controls, box, size);
+      const about = following ? middleOf(take, drawn) : null;
+      frameBox(viewer, controls, about === null ? box : boxAbout(about, size), size);
+      middle = about;
       stale = true;
     },
     frameCameras() {
@@ -136,7 +155,7 @@ export function createStage(canvas: HTMLCanvasElement, take: Take): Stage {
     },
     cameraPlaces() {
       return Array.from({ length: take.views }, (_, view) => {
-        const pose = through === null && drawn >= 0 ? parts.frusta.pose(drawn, view) : null;
+        const pose = through === null ? parts.frusta.pose(drawn, view) : null;
         return pose === null ? null : placeOf(new Vector3().setFromMatrixPosition(pose), viewer, canvas);
       });
     },

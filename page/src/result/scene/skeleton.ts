@@ -12,7 +12,7 @@ import {
 import type { Take } from "../../data/take.ts";
 import { colourOf, type Theme } from "../../parts/theme.ts";
 
-const GHOST = 0.4; // opacity
+const GHOST = 0.3; // opacity
 const BONE = 0.45; // radius of a bone, as a share of a joint's
 
 export interface Skeleton {
@@ -22,11 +22,10 @@ export interface Skeleton {
 }
 
 /** @param size radius of a joint, in the unit of the points
- * @param ghost whether it is another's structure, which is drawn pale and without sides */
+ * @param ghost whether it is another's structure, which is drawn as a pale hull */
 export function createSkeleton(take: Take, size: number, ghost = false): Skeleton {
-  const { keypoints, edges } = take;
-  const sides = ghost ? take.sides.map(() => 0) : take.sides;
-  const material = new MeshLambertMaterial(ghost ? { transparent: true, opacity: GHOST } : {});
+  const { keypoints, edges, sides } = take;
+  const material = new MeshLambertMaterial(ghost ? { transparent: true, opacity: GHOST, depthWrite: false } : {});
   const joints = new InstancedMesh(new IcosahedronGeometry(1, 2), material, keypoints);
   const bones = new InstancedMesh(new CylinderGeometry(1, 1, 1, 10, 1, true), material, edges.length);
   for (const mesh of [joints, bones]) {
@@ -55,12 +54,13 @@ export function createSkeleton(take: Take, size: number, ghost = false): Skeleto
       chosen = selected;
       const colour = new Color();
       for (let keypoint = 0; keypoint < keypoints; keypoint++) {
-        const name = keypoint === selected ? theme.accent : colourOf(theme, sides[keypoint]);
+        const plain = ghost ? theme.accent : colourOf(theme, sides[keypoint]);
+        const name = keypoint === selected ? theme.accent : plain;
         joints.setColorAt(keypoint, colour.set(name));
       }
       edges.forEach(([a, b], edge) => {
         const side = sides[a] || sides[b]; // a bone from the trunk belongs to its limb
-        bones.setColorAt(edge, colour.set(colourOf(theme, side)));
+        bones.setColorAt(edge, colour.set(ghost ? theme.accent : colourOf(theme, side)));
       });
       for (const mesh of [joints, bones]) {
         if (mesh.instanceColor !== null) mesh.instanceColor.needsUpdate = true;
