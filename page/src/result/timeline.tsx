@@ -10,6 +10,8 @@ import { useShow } from "./show.ts";
 
 const CLEAR = 0.99; // of the errors are within the colours; larger ones have the last colour
 
+const USUAL = 2.5; // times the median: so a capture whose frames are all alike does not look alarming
+
 export function Timeline() {
   const show = useShow();
   const { take, player, loop, means, worst, errors, errorsDone, theme, select, selected } = show;
@@ -19,7 +21,7 @@ export function Timeline() {
   const cursor = useRef<HTMLDivElement>(null);
   const [width, setWidth] = useState(0); // of the band, in its own pixels
   const [under, setUnder] = useState<{ frame: number; keypoint: number } | null>(null);
-  const largest = Math.max(quantile(means, CLEAR), 1e-6);
+  const largest = Math.max(quantile(means, CLEAR), USUAL * quantile(means, 0.5), 1e-6);
   const largestOfKeypoints = errorsDone ? keypointLimit(errors.worst) : 1;
 
   useEffect(() => {

@@ -52,18 +52,31 @@ export function lookThrough(
   eye.projectionMatrixInverse.copy(eye.projectionMatrix).invert();
 }
 
-/** Places the viewer so that a box fills the picture, seen from where he stands or, at first, from
- * a little above and to the side. */
-export function frameBox(viewer: PerspectiveCamera, controls: OrbitControls, box: Box, size: number): void {
+const MARGIN = 1.06; // of the distance that just shows all of a box
+
+/** Places the viewer so that a box just fits into the picture, seen from where he stands or, at
+ * first, from a little above and to the side. */
+export function frameBox(viewer: PerspectiveCamera, controls: OrbitControls, box: Box): void {
   const middle = new Vector3(...box.low).add(new Vector3(...box.high)).multiplyScalar(0.5);
-  const radius = Math.max(size / 2, new Vector3(...box.low).distanceTo(middle));
-  const upright = (viewer.fov / 360) * Math.PI;
-  const narrow = Math.atan(Math.tan(upright) * Math.min(1, viewer.aspect));
-  const away = (0.86 * radius) / Math.sin(narrow);
-  const direction = viewer.position.clone().sub(controls.target);
-  if (direction.lengthSq() === 0) direction.set(0.55, 0.32, 1);
+  const back = viewer.position.clone().sub(controls.target);
+  if (back.lengthSq() === 0) back.set(0.55, 0.32, 1);
+  back.normalize();
+  const right = new Vector3(0, 1, 0).cross(back).normalize();
+  const up = back.clone().cross(right);
+  const upright = Math.tan((viewer.fov / 360) * Math.PI);
+  const level = upright * viewer.aspect;
+  let away = 0;
+  for (let corner = 0; corner < 8; corner++) {
+    const at = new Vector3(
+      (corner & 1 ? box.high : box.low)[0],
+      (corner & 2 ? box.high : box.low)[1],
+      (corner & 4 ? box.high : box.low)[2],
+    ).sub(middle);
+    const reach = Math.max(Math.abs(at.dot(right)) / level, Math.abs(at.dot(up)) / upright);
+    away = Math.max(away, at.dot(back) + reach);
+  }
   controls.target.copy(middle);
-  viewer.position.copy(middle).addScaledVector(direction.normalize(), away);
+  viewer.position.copy(middle).addScaledVector(back, MARGIN * away);
   controls.update();
 }
 

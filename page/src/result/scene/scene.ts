@@ -136,12 +136,12 @@ export function createStage(canvas: HTMLCanvasElement, take: Take, firstFrame: n
     },
     frameSubject() {
       const about = following ? middleOf(take, drawn) : null;
-      frameBox(viewer, controls, about === null ? box : boxAbout(about, size), size);
+      frameBox(viewer, controls, about === null ? box : boxAbout(about, 0.9 * size));
       middle = about;
       stale = true;
     },
     frameCameras() {
-      frameBox(viewer, controls, around(box, take, parts.frusta.pose), size);
+      frameBox(viewer, controls, around(box, take, parts.frusta.pose));
       stale = true;
     },
     angle: () => angleOf(viewer, controls),
