@@ -21,6 +21,7 @@ export const listFits = (cursor?: string) => listed<Fit>("fits", cursor);
 export const listFitsOf = (dataset: string) =>
   askJson<Page<Fit>>(`fits?status=succeeded&limit=${MOST}&dataset_id=${encodeURIComponent(dataset)}`);
 export const listDatasets = (cursor?: string) => listed<Dataset>("datasets", cursor);
+export const listModels = () => listed<Schemas["ModelSummary"]>("models");
 export const getFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}`);
 export const getDataset = (id: string) => askJson<Dataset>(`datasets/${encodeURIComponent(id)}`);
 export const getModel = (id: string) => askJson<Model>(`models/${encodeURIComponent(id)}`);

@@ -64,7 +64,7 @@ export function NewScreen() {
           </label>
           <div class="pair">
             <label>
-              Image width <small class="quiet">px, if all are alike</small>
+              Image width <small class="quiet">px, if those of all files are alike</small>
               <input
                 type="number"
                 min={1}

@@ -2,8 +2,8 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { followFit } from "../api/events.ts";
-import { listDatasets, listFits, type Dataset, type Fit } from "../api/resources.ts";
-import { count, duration, moment, number, percent } from "../parts/format.ts";
+import { listDatasets, listFits, listModels, type Dataset, type Fit } from "../api/resources.ts";
+import { count, duration, moment, number, percent, pixels } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { linkTo } from "../route.ts";
 import { isGoingOn } from "./fit_screen.tsx";
@@ -13,15 +13,17 @@ export function FitsScreen() {
   const [fits, setFits] = useState<Fit[] | null>(null);
   const [datasets, setDatasets] = useState<Dataset[]>([]);
   const [next, setNext] = useState<string | null>(null);
+  const [errors, setErrors] = useState(new Map<string, number>()); // pixels, by model
   const [trouble, setTrouble] = useState<string | null>(null);
 
   useEffect(() => {
     document.title = "Fits · Fewview";
-    Promise.all([listFits(), listDatasets()]).then(
-      ([found, sets]) => {
+    Promise.all([listFits(), listDatasets(), listModels()]).then(
+      ([found, sets, models]) => {
         setFits(found.items);
         setNext(found.next_cursor ?? null);
         setDatasets(sets.items);
+        setErrors(new Map(models.items.flatMap((model) => (model.reprojection_error ? [[model.id, model.reprojection_error]] : []))));
       },
       (error: Error) => setTrouble(error.message),
     );
@@ -57,7 +59,11 @@ export function FitsScreen() {
       <ul class="list">
         {fits?.map((fit) => (
           <li key={fit.id}>
-            <FitRow fit={fit} dataset={datasets.find((dataset) => dataset.id === fit.dataset_id)} />
+            <FitRow
+              fit={fit}
+              dataset={datasets.find((dataset) => dataset.id === fit.dataset_id)}
+              error={errors.get(fit.model_id ?? "")}
+            />
           </li>
         ))}
       </ul>
@@ -82,7 +88,13 @@ export function FitsScreen() {
   );
 }
 
-function FitRow({ fit, dataset }: { fit: Fit; dataset: Dataset | undefined }) {
+interface RowProps {
+  fit: Fit;
+  dataset: Dataset | undefined;
+  error: number | undefined; // pixels
+}
+
+function FitRow({ fit, dataset, error }: RowProps) {
   const warnings = fit.findings.filter((finding) => finding.severity === "warning").length;
   return (
     <a class="panel row" href={linkTo("fits", fit.id)}>
@@ -95,6 +107,7 @@ function FitRow({ fit, dataset }: { fit: Fit; dataset: Dataset | undefined }) {
             <Icon name="warning" /> {count(warnings, "warning")}
           </span>
         )}
+        {error !== undefined && <span>{pixels(error)}</span>}
         <span class="quiet">{progressOf(fit)}</span>
       </span>
       {isGoingOn(fit) && fit.progress && (

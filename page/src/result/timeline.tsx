@@ -1,6 +1,6 @@
 /** The errors of all frames: a band to scrub on, and below it keypoint x frame. */
 
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { keepSize } from "../parts/canvas_size.ts";
 import { number } from "../parts/format.ts";
 import { LEFT_OUT, UNSEEN } from "../science/errors.ts";
@@ -21,8 +21,11 @@ export function Timeline() {
   const cursor = useRef<HTMLDivElement>(null);
   const [width, setWidth] = useState(0); // of the band, in its own pixels
   const [under, setUnder] = useState<{ frame: number; keypoint: number } | null>(null);
-  const largest = Math.max(quantile(means, CLEAR), USUAL * quantile(means, 0.5), 1e-6);
-  const largestOfKeypoints = errorsDone ? keypointLimit(errors.worst) : 1;
+  const largest = useMemo(
+    () => Math.max(quantile(means, CLEAR), USUAL * quantile(means, 0.5), 1e-6),
+    [means],
+  );
+  const largestOfKeypoints = useMemo(() => (errorsDone ? keypointLimit(errors.worst) : 1), [errors, errorsDone]);
 
   useEffect(() => {
     const canvas = band.current;

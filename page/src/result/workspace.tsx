@@ -78,7 +78,7 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
         <section class="panel playing" aria-label="Time">
           <Transport />
           <Timeline />
-          <Legend crop={crop} setCrop={setCrop} />
+          <Legend show={show} crop={crop} setCrop={setCrop} />
         </section>
         <div class="facts-grid">
           <section class="panel">
@@ -135,7 +135,7 @@ function useKeypointErrors(take: Result["take"]) {
   return { errors: work.errors, done };
 }
 
-function Legend({ crop, setCrop }: { crop: Crop; setCrop: (crop: Crop) => void }) {
+function Legend({ show, crop, setCrop }: { show: Show; crop: Crop; setCrop: (crop: Crop) => void }) {
   return (
     <div class="legend quiet">
       <span>
@@ -156,6 +156,20 @@ function Legend({ crop, setCrop }: { crop: Crop; setCrop: (crop: Crop) => void }
       <span>
         <i class="cross">×</i> outlier
       </span>
+      <label class="check last">
+        mark
+        <select
+          value={show.selected ?? ""}
+          onChange={({ currentTarget: { value } }) => show.select(value === "" ? null : Number(value))}
+        >
+          <option value="">no keypoint</option>
+          {show.take.names.map((name, keypoint) => (
+            <option key={keypoint} value={keypoint}>
+              {name}
+            </option>
+          ))}
+        </select>
+      </label>
       <label class="check">
         views show
         <select value={crop} onChange={(event) => setCrop(event.currentTarget.value as Crop)}>
