@@ -1,7 +1,7 @@
 """Take the pictures of README with the machine's own chromium: `python page/pictures.py`.
 
-Fits the example capture with a service of its own, which takes a minute or two, and shows the result
-on the page. Writes `docs/pictures/`.
+Fits the example capture with a service of its own, which takes a minute or two, and shows the
+result on the page. Writes `docs/pictures/`.
 """
 
 import io

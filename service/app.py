@@ -46,6 +46,7 @@ from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
 from service.resources import (
     aliases,
+    animations,
     audit,
     captures,
     datasets,
@@ -78,6 +79,7 @@ RESOURCES = (
     captures,
     fits,
     reconstructions,
+    animations,
     models,
     aliases,
     lifts,

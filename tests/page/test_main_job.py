@@ -113,6 +113,9 @@ def take_away(page: Page) -> None:
     with np.load(io.BytesIO(Path(saved.value.path()).read_bytes())) as arrays:
         assert arrays["points3d"].shape == (60, 16, 3)
     with page.expect_download() as saved:
+        exports.get_by_role("button", name="TRC").click()
+    assert Path(saved.value.path()).read_text().splitlines()[2].split("\t")[4] == "m"
+    with page.expect_download() as saved:
         exports.get_by_role("button", name="PNG").click()
     assert Path(saved.value.path()).read_bytes().startswith(b"\x89PNG")
 

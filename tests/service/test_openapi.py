@@ -126,6 +126,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "delete_model",
         "delete_models",
         "delete_webhook",
+        "download_animation",
         "download_capture",
         "download_network",
         "download_weights",

@@ -6,12 +6,22 @@ import { Icon } from "../parts/icons.tsx";
 import { record } from "./recording.ts";
 import type { Stage } from "./scene/scene.ts";
 import { useShow } from "./show.ts";
+import { hasUnit } from "./unit.ts";
+
+const ANIMATIONS = [
+  ["TRC", "trc", ".trc"],
+  ["C3D", "c3d", ".c3d"],
+  ["BVH", "bvh", ".bvh"],
+  ["glTF", "glb", ".glb"],
+  ["CSV", "csv", ".csv"],
+] as const;
 
 type Entry = [label: string, path: string, file: string];
 
 export function Exports({ stage }: { stage: Stage | null }) {
   const { fit, model, cameras, take } = useShow();
   const [trouble, setTrouble] = useState<string | null>(null);
+  const [unit, setUnit] = useState(hasUnit(fit) ? "m" : "");
   const room = { level: "&frame=room&up=auto", camera: "&frame=room", view: "" }[take.frame];
   const structures = (format: string, suffix: string): Entry => [
     suffix,
@@ -21,6 +31,14 @@ export function Exports({ stage }: { stage: Stage | null }) {
   const of = (kind: string) => `models/${model.id}/${kind}`;
   const groups: [string, Entry[]][] = [
     ["Structures and cameras of every frame", [structures("npz", "npz"), structures("safetensors", "safetensors"), structures("json", "json")]],
+    [
+      "Animation, for other tools",
+      ANIMATIONS.map(([label, format, suffix]) => [
+        label,
+        `fits/${fit.id}/animation?format=${format}${room}${unit === "" ? "" : `&unit=${unit}`}`,
+        `${fit.id}${suffix}`,
+      ]),
+    ],
     [
       "Cameras, as a calibration",
       cameras.views.length === 0
@@ -46,11 +64,16 @@ export function Exports({ stage }: { stage: Stage | null }) {
       {groups.map(([title, entries]) =>
         entries.length === 0 ? null : (
           <div class="exports" key={title}>
-            <span>{title}</span>
+            <span>
+              {title}
+              {title.startsWith("Animation") && <UnitChoice unit={unit} setUnit={setUnit} />}
+            </span>
             <span class="buttons">
               {entries.map(([label, path, file]) => (
                 <button
                   key={label}
+                  disabled={label === "TRC" && unit === ""}
+                  title={label === "TRC" && unit === "" ? "TRC names the unit: choose it" : undefined}
                   onClick={() => {
                     setTrouble(null);
                     download(path, file).catch((error: Error) => setTrouble(error.message));
@@ -70,6 +93,20 @@ export function Exports({ stage }: { stage: Stage | null }) {
         </p>
       )}
     </>
+  );
+}
+
+/** The unit of the lengths that the fit was given, which nobody states but who gave them. */
+function UnitChoice({ unit, setUnit }: { unit: string; setUnit: (unit: string) => void }) {
+  return (
+    <label>
+      , its unit
+      <select value={unit} onChange={(event) => setUnit(event.currentTarget.value)}>
+        <option value="">unknown</option>
+        <option value="m">m</option>
+        <option value="mm">mm</option>
+      </select>
+    </label>
   );
 }
 
