@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, ViewportSize, expect
+from scipy.spatial.transform import Rotation
 
-from models.capture.synthetic import synthetic_capture
-from tests.page.conftest import Watched, watch
+from tests.models.walk import film, walk
+from tests.page.conftest import JOINTS, Watched, watch
 from tests.page.project import checked_out
 from tests.page.proxy import proxied
-from tests.service.conftest import BYTES, Live, to_npz
+from tests.service.conftest import BYTES, Live, to_npz, wait_for
 
 SCREENS = ("", "#/datasets/new", "#/datasets/{dataset}", "#/fits/{fit}", "#/fits/{failed}")
 
@@ -20,9 +21,15 @@ SCREENS = ("", "#/datasets/new", "#/datasets/{dataset}", "#/fits/{fit}", "#/fits
 @pytest.fixture(scope="module")
 def stored(live: Live) -> dict[str, str]:
     """Store a capture, a fit of it that succeeded, and one that failed."""
-    seen = synthetic_capture(frames=40, views=3, noise=1.0, hidden_keypoints=0.1, seed=5)
-    captures = {
-        "dataset": {"keypoints": seen.keypoints, "points3d": seen.points3d},
+    moments = 2.0 * np.arange(40)
+    names = [*JOINTS, *(f"k{index}" for index in range(len(JOINTS), 16))]
+    captures: dict[str, dict[str, Any]] = {
+        "dataset": {
+            "keypoints": film([10, 130, 250], moments, noise=1),
+            "points3d": walk(moments),
+            "keypoint_names": np.array(names),
+            "fps": 50.0,
+        },
         "empty": {"keypoints": np.full((3, 2, 5, 2), np.nan)},
     }
     ids = {}
@@ -30,8 +37,10 @@ def stored(live: Live) -> dict[str, str]:
         made = live.http.post(f"/datasets?name={name}", content=to_npz(**arrays), headers=BYTES)
         assert made.status_code == 201, made.text
         ids[name] = made.json()["id"]
+    length = {"keypoints": [0, 2], "length": 0.5}
     for name, dataset in (("fit", ids["dataset"]), ("failed", ids["empty"])):
-        ids[name] = live.finished(live.fit(dataset)["id"])["id"]
+        made = live.fit(dataset, cameras="static", known_length=length)
+        ids[name] = live.finished(made["id"])["id"]
     return ids
 
 
@@ -57,6 +66,47 @@ def test_behind_a_prefix_the_page_asks_for_a_key_and_keeps_it(
         expect(page.get_by_role("region", name="Structure in 3D")).to_be_visible()
         assert watched.foreign == []
         assert all("401" in error for error in watched.errors), watched.errors
+
+
+def test_static_cameras_are_shown_in_their_room_and_looked_through(
+    watched: Watched, stored: dict[str, str]
+) -> None:
+    page = watched.open(f"#/fits/{stored['fit']}?frame=20")
+    expect(page.get_by_text("In the room: y up")).to_be_visible()
+    expect(page.get_by_text("unit of the known length").first).to_be_visible()
+    page.keyboard.press("c")
+    labels = page.locator(".labels button")
+    expect(labels.first).to_be_visible()
+    assert labels.count() == 3
+    labels.nth(1).click()
+    expect(page.get_by_role("button", name="Through view 1")).to_be_visible()
+    expect(labels.first).to_be_hidden()
+    page.locator(".stage canvas").drag_to(page.locator(".stage canvas"), force=True)
+    expect(page.get_by_role("button", name="Through view 1")).to_have_count(0)
+    page.get_by_label("mark").select_option("l_knee")
+    expect(page.get_by_text("l_knee is marked in all views")).to_be_visible()
+
+
+def test_the_truth_is_laid_over_the_structure(
+    watched: Watched, live: Live, stored: dict[str, str]
+) -> None:
+    page = watched.open(f"#/fits/{stored['fit']}")
+    stage = page.locator(".stage canvas")
+    expect(stage).to_be_visible()
+    before = stage.screenshot()
+    page.get_by_label("Laid over the structure").select_option("the ground truth")
+    wait_for(lambda: stage.screenshot() != before, "a drawing of both", 30)
+    shown = page.locator(".figures div", has_text="Distance from the truth").locator("dd")
+    url = f"/fits/{stored['fit']}/reconstruction?frame=room&up=auto&format=npz"
+    with np.load(io.BytesIO(live.http.get(url).content)) as arrays:
+        found = arrays["points3d"].reshape(-1, 3).astype(np.float64)
+    truth = walk(2.0 * np.arange(40)).reshape(-1, 3)
+    known = np.isfinite(found).all(1)
+    found, truth = (each[known] - each[known].mean(0) for each in (found, truth))
+    turn, _ = Rotation.align_vectors(found, truth)
+    off = found - turn.apply(truth) * np.linalg.norm(found) / np.linalg.norm(truth)
+    mean = float(np.linalg.norm(off, axis=1).mean())
+    assert float(shown.inner_text().split()[0]) == pytest.approx(mean, rel=0.01)
 
 
 def test_a_failed_fit_says_what_to_do(watched: Watched, stored: dict[str, str]) -> None:
