@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { aligned, distances } from "../src/science/aligning.ts";
-import { roundLength } from "../src/science/extent.ts";
+import { boxOf, roundLength, subjectSize, usualStep } from "../src/science/extent.ts";
 import { sidesOf } from "../src/science/sides.ts";
 import { quantile, worstFrames } from "../src/science/worst.ts";
 import { seeded } from "./helpers.ts";
@@ -49,6 +49,20 @@ test("lengths are rounded to those that people count in", () => {
   ]) {
     assert.ok(Math.abs(roundLength(length) / round - 1) < 1e-9, `${length}`);
   }
+});
+
+test("sizes, boxes and steps are those of most frames", () => {
+  // Two points a unit apart that go 0.1 along x a frame; one frame is missing, one far astray.
+  const frames = 300;
+  const points = new Float32Array(frames * 6);
+  for (let frame = 0; frame < frames; frame++) points.set([0.1 * frame, 0, 0, 0.1 * frame, 1, 0], 6 * frame);
+  points.fill(NaN, 60, 66);
+  points.fill(1e6, 120, 126);
+  assert.ok(Math.abs(subjectSize(points, 2) - 1) < 1e-5);
+  assert.ok(Math.abs(usualStep(points, 2) - 0.1) < 1e-5);
+  const { low, high } = boxOf(points, 2);
+  assert.ok(low[0] >= 0 && low[0] < 1 && high[0] > 28 && high[0] <= 30);
+  assert.deepEqual([low[1], high[1]], [0, 1]);
 });
 
 test("points that were turned, scaled and shifted are laid over each other again", () => {

@@ -35,6 +35,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
     }
     setStage(made);
     setFollowing(made.walks);
+    setTrails(made.flows);
     onStage(made);
     return () => {
       onStage(null);

@@ -43,6 +43,27 @@ export function subjectSize(points: Float32Array, keypoints: number): number {
   return quantile(diagonals, 0.5) || 1;
 }
 
+/** Returns how far keypoints go from one frame to the next, in most frames. */
+export function usualStep(points: Float32Array, keypoints: number): number {
+  const size = 3 * keypoints;
+  const steps = sampled(points.length / size - 1).map((frame) => {
+    let [sum, count] = [0, 0];
+    for (let at = frame * size; at < (frame + 1) * size; at += 3) {
+      const step = Math.hypot(
+        points[at + size] - points[at],
+        points[at + size + 1] - points[at + 1],
+        points[at + size + 2] - points[at + 2],
+      );
+      if (step === step) {
+        sum += step;
+        count++;
+      }
+    }
+    return sum / count;
+  });
+  return quantile(steps, 0.5);
+}
+
 /** Returns the length near to `length` that people count in: 1, 2 or 5 times a power of ten. */
 export function roundLength(length: number): number {
   const power = 10 ** Math.floor(Math.log10(length));

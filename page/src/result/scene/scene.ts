@@ -12,7 +12,7 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { Take } from "../../data/take.ts";
 import { keepSize, pixelRatio } from "../../parts/canvas_size.ts";
 import type { Theme } from "../../parts/theme.ts";
-import { boxOf, subjectSize, type Box } from "../../science/extent.ts";
+import { boxOf, subjectSize, usualStep, type Box } from "../../science/extent.ts";
 import { createFloor } from "./floor.ts";
 import { boxAbout, follow, middleOf, walks } from "./following.ts";
 import { createFrusta } from "./frusta.ts";
@@ -20,12 +20,15 @@ import { angleOf, frameBox, lookThrough, setAngle, type Angle } from "./looking.
 import { createSkeleton } from "./skeleton.ts";
 import { createTrails, endsOf } from "./trails.ts";
 
+const FLOWING = 12; // a step of frames that follow each other is less than this part of the subject
+
 export interface Stage {
   square: number; // side of a square of the floor, in the unit of the points
   canvas: HTMLCanvasElement;
   /** Draws a frame if it, the angle or anything else has changed since the last time. */
   draw(frame: number): void;
   paint(theme: Theme, selected: number | null): void;
+  flows: boolean; // whether frames follow each other so closely that trails say something
   walks: boolean; // whether the subject walks so far that following it shows more
   /** Goes along with the subject, or stays. */
   follow(following: boolean): void;
@@ -115,6 +118,7 @@ export function createStage(canvas: HTMLCanvasElement, take: Take, firstFrame: n
       parts.frusta.paint(theme, through);
       stale = true;
     },
+    flows: usualStep(take.points, take.keypoints) < size / FLOWING,
     walks: following,
     follow(along) {
       following = along;
