@@ -2,9 +2,10 @@
 
 import logging
 from datetime import UTC, datetime
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
-from fastapi import APIRouter, Request, Response, status
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import Finding, log_findings
@@ -29,47 +30,49 @@ from service.resources.dataset_bodies import (
 )
 from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
-from service.wire.schemas import Name
+from service.wire.representations import JSON
+from service.wire.schemas import Name, Vector2
 from service.wire.skeletons import Skeleton
 from store import datasets, lookup, records
+from store.capture import Capture
 from store.labels import labels_of
 
 logger = logging.getLogger(__name__)
 router = APIRouter(prefix="/datasets", tags=["datasets"])
 
 
-class Dataset(BaseModel):
-    """A stored capture."""
+_DESCRIBED: dict[str, Any] = {
+    "name": "macaque, morning session",
+    "frames": 3309,
+    "views": 3,
+    "keypoints": 13,
+    "missing_fraction": [0.61, 0.66, 0.65],
+    "has_confidence": True,
+    "has_ground_truth": False,
+    "checksum": f"sha256:{'5e88' * 16}",
+    "skeleton": None,
+    "view_names": ["left", "right", "top"],
+    "image_sizes": None,
+    "fps": 50.0,
+    "has_times": False,
+    "tags": ["pilot"],
+    "metadata": {"subject": "M7"},
+    "notes": ["read as DeepLabCut CSV"],
+    "findings": EXAMPLE_FINDINGS,
+}
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "example": {
-                "id": "ds_01m7yspdypmt22jq6npfg62xe5",
-                "name": "macaque, morning session",
-                "created_at": "2026-03-01T09:30:00Z",
-                "frames": 3309,
-                "views": 3,
-                "keypoints": 13,
-                "missing_fraction": [0.61, 0.66, 0.65],
-                "has_confidence": True,
-                "has_ground_truth": False,
-                "checksum": f"sha256:{'5e88' * 16}",
-                "skeleton": None,
-                "view_names": ["left", "right", "top"],
-                "image_sizes": None,
-                "fps": 50.0,
-                "has_times": False,
-                "tags": ["pilot"],
-                "metadata": {"subject": "M7"},
-                "notes": ["read as DeepLabCut CSV"],
-                "findings": EXAMPLE_FINDINGS,
-            }
-        }
-    )
+
+class DatasetStored(BaseModel):
+    """What a dataset has once it is stored."""
 
     id: str
-    name: str
     created_at: datetime
+
+
+class DatasetFacts(BaseModel):
+    """What is known of a capture, stored or not."""
+
+    name: str
     frames: int
     views: int
     keypoints: int = Field(description="Keypoints per view.")
@@ -93,31 +96,79 @@ class Dataset(BaseModel):
     )
     findings: Findings
 
+    @staticmethod
+    def _known(record: records.Dataset) -> dict[str, Any]:
+        return {
+            "name": record.name,
+            "frames": record.frames,
+            "views": record.views,
+            "keypoints": record.keypoints,
+            "missing_fraction": [
+                round(1 - seen / (record.frames * record.keypoints), 6) for seen in record.observed
+            ],
+            "has_confidence": record.confidence,
+            "has_ground_truth": record.ground_truth,
+            "checksum": f"sha256:{record.checksum}",
+            "skeleton": Skeleton.model_validate(record.skeleton) if record.skeleton else None,
+            "view_names": record.view_names,
+            "image_sizes": record.image_sizes,
+            "fps": record.fps,
+            "has_times": record.last_times is not None,
+            **labels_of(record),
+            "notes": record.notes or [],
+            "findings": [Finding.model_validate(finding) for finding in record.findings or []],
+        }
+
+
+class Dataset(DatasetFacts, DatasetStored):
+    """A stored capture."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                "created_at": "2026-03-01T09:30:00Z",
+                **_DESCRIBED,
+            }
+        }
+    )
+
     @classmethod
     def of(cls, record: records.Dataset) -> Self:
         """Return the wire form of a record."""
-        return cls(
-            id=record.id,
-            name=record.name,
-            created_at=datetime.fromtimestamp(record.created_at, UTC),
-            frames=record.frames,
-            views=record.views,
-            keypoints=record.keypoints,
-            missing_fraction=[
-                round(1 - seen / (record.frames * record.keypoints), 6) for seen in record.observed
-            ],
-            has_confidence=record.confidence,
-            has_ground_truth=record.ground_truth,
-            checksum=f"sha256:{record.checksum}",
-            skeleton=Skeleton.model_validate(record.skeleton) if record.skeleton else None,
-            view_names=record.view_names,
-            image_sizes=record.image_sizes,
-            fps=record.fps,
-            has_times=record.last_times is not None,
-            **labels_of(record),
-            notes=record.notes or [],
-            findings=[Finding.model_validate(finding) for finding in record.findings or []],
-        )
+        created_at = datetime.fromtimestamp(record.created_at, UTC)
+        return cls(id=record.id, created_at=created_at, **cls._known(record))
+
+
+class DatasetPreview(DatasetFacts):
+    """What a capture would be as a dataset; nothing was stored."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                **_DESCRIBED,
+                "frame": 12,
+                "frame_keypoints": [[[512.0, 200.5], None], [[301.0, 190.0], [322.5, 251.0]]],
+            }
+        }
+    )
+
+    frame: int = Field(description="The first of the frames that show most keypoints.")
+    frame_keypoints: list[list[Vector2 | None]] = Field(
+        description="Keypoints of this frame: views x keypoints x (x, y), pixels, null where not "
+        "observed."
+    )
+
+    @classmethod
+    def of(cls, record: records.Dataset, capture: Capture) -> Self:
+        """Return the wire form of what would be stored."""
+        there = np.isfinite(capture.keypoints[..., 0])
+        frame = int(there.sum(axis=(1, 2)).argmax())
+        shown = [
+            [point.tolist() if known else None for point, known in zip(view, seen, strict=True)]
+            for view, seen in zip(capture.keypoints[frame], there[frame], strict=True)
+        ]
+        return cls(frame=frame, frame_keypoints=shown, **cls._known(record))
 
 
 class DatasetPage(Page[Dataset]):
@@ -129,7 +180,9 @@ class DatasetPage(Page[Dataset]):
 @router.post(
     "",
     status_code=status.HTTP_201_CREATED,
-    responses=problems(*BODY_PROBLEMS, "idempotency_key_reused"),
+    response_model=Dataset,
+    responses=problems(*BODY_PROBLEMS, "idempotency_key_reused")
+    | {200: {"model": DatasetPreview, "description": "With `dry_run`: what would be stored."}},
     openapi_extra=request_body(
         DatasetCreate,
         form=DatasetForm,
@@ -147,14 +200,20 @@ def create_dataset(
     request: Request,
     response: Response,
     name: Name | None = None,
+    dry_run: Annotated[
+        bool, Query(description="Store nothing: answer what was understood, with a frame of it.")
+    ] = False,
     idempotency_key: IdempotencyHeader = None,
-) -> Dataset:
+) -> Any:
     """Store a capture.
 
     `name` in the query names a capture that comes as raw bytes. Files of detectors come in a form,
     as `files`, one for each camera; `notes` of the answer say what was understood.
     """
     capture, description = read_new(upload, settings, name)
+    if dry_run:
+        preview = DatasetPreview.of(datasets.described(store, capture, description), capture)
+        return Response(preview.model_dump_json(), media_type=JSON)
     record = datasets.create(
         store,
         capture,
