@@ -12,12 +12,15 @@ from tests.service.conftest import Live, wait_for
 
 
 def upload(page: Page, files: dict[str, bytes]) -> None:
-    """Choose files, as those who drop them do, and send them."""
+    """Choose files, as those who drop them do; look at what was understood, and store that."""
     page.set_input_files(
         ".drop input",
         [FilePayload(name=name, mimeType="text/csv", buffer=body) for name, body in files.items()],
     )
-    page.get_by_role("button", name="Upload").click()
+    understood = page.get_by_role("region", name="What was understood")
+    expect(understood).to_contain_text("60 frames, 3 views, 16 keypoints. Nothing is stored yet.")
+    expect(understood.locator("canvas")).to_have_count(3)
+    page.get_by_role("button", name="Store this capture").click()
 
 
 def fit_quickly(page: Page) -> None:

@@ -5,6 +5,7 @@ import type { components } from "./openapi.d.ts";
 
 type Schemas = components["schemas"];
 export type Dataset = Schemas["Dataset"];
+export type DatasetPreview = Schemas["DatasetPreview"];
 export type Fit = Schemas["Fit"];
 export type Model = Schemas["Model"];
 export type ModelCameras = Schemas["ModelCameras"];

@@ -1,21 +1,21 @@
 /** What was understood of a capture, and the fit that can be made of it. */
 
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import { createFit, deleteDataset, getCapture, getDataset, type Dataset } from "../api/resources.ts";
 import { readNpz } from "../data/npz.ts";
-import { captureOf, type Capture } from "../data/take.ts";
+import { captureOf } from "../data/take.ts";
 import { captured } from "../fits/fits_screen.tsx";
-import { FindingList } from "../parts/finding_list.tsx";
-import { percent } from "../parts/format.ts";
 import { goTo } from "../route.ts";
 import { ConfigForm } from "./config_form.tsx";
-import { drawKeypoints } from "./preview.ts";
+import { fullestFrame, type Drawn } from "./preview.ts";
+import { Understood } from "./understood.tsx";
 
 export function DatasetScreen({ id }: { id: string }) {
   const [dataset, setDataset] = useState<Dataset | null>(null);
   const [trouble, setTrouble] = useState<string | null>(null);
   const [config, setConfig] = useState<Record<string, unknown>>({});
   const [busy, setBusy] = useState(false);
+  const [frame, setFrame] = useState<Drawn | null>(null);
   useEffect(() => {
     getDataset(id).then(
       (found) => {
@@ -23,6 +23,10 @@ export function DatasetScreen({ id }: { id: string }) {
         document.title = `${found.name} · Fewview`;
       },
       (error: Error) => setTrouble(error.message),
+    );
+    getCapture(id).then(
+      (bytes) => setFrame(fullestFrame(captureOf(readNpz(bytes)))),
+      () => {}, // the words do without
     );
   }, [id]);
   const attempt = async (work: () => Promise<void>) => {
@@ -40,19 +44,7 @@ export function DatasetScreen({ id }: { id: string }) {
       </header>
       <section class="panel">
         <h2>What was understood</h2>
-        {dataset.notes.length > 0 && (
-          <ul class="notes">
-            {dataset.notes.map((note) => (
-              <li key={note}>{note}</li>
-            ))}
-          </ul>
-        )}
-        <Preview dataset={dataset} />
-        <FindingList
-          findings={dataset.findings}
-          viewNames={dataset.view_names ?? undefined}
-          keypointNames={dataset.skeleton?.keypoint_names ?? undefined}
-        />
+        <Understood facts={dataset} frame={frame} />
       </section>
       <section class="panel">
         <h2>Fit it</h2>
@@ -93,37 +85,5 @@ export function DatasetScreen({ id }: { id: string }) {
         </div>
       </section>
     </main>
-  );
-}
-
-/** The first frame in which most keypoints are seen, as each view shows it. */
-function Preview({ dataset }: { dataset: Dataset }) {
-  const [capture, setCapture] = useState<Capture | null>(null);
-  const holder = useRef<HTMLDivElement>(null);
-  useEffect(() => {
-    let current = true;
-    getCapture(dataset.id).then(
-      (bytes) => current && setCapture(captureOf(readNpz(bytes))),
-      () => {}, // the words above and below do without
-    );
-    return () => {
-      current = false;
-    };
-  }, [dataset.id]);
-  useEffect(() => {
-    if (capture === null || holder.current === null) return;
-    [...holder.current.querySelectorAll("canvas")].forEach((canvas, view) => drawKeypoints(canvas, capture, view));
-  }, [capture]);
-  return (
-    <div class="previews" ref={holder}>
-      {dataset.missing_fraction.map((missing, view) => (
-        <figure key={view}>
-          <canvas role="img" aria-label={`A frame of view ${view}`} />
-          <figcaption>
-            {dataset.view_names?.[view] ?? `view ${view}`} <span class="quiet">{percent(1 - missing)} observed</span>
-          </figcaption>
-        </figure>
-      ))}
-    </div>
   );
 }

@@ -3,12 +3,19 @@
 import type { Capture } from "../data/take.ts";
 import { pixelRatio } from "../parts/canvas_size.ts";
 import { colourOf, readTheme } from "../parts/theme.ts";
+import type { Side } from "../science/sides.ts";
 
 const MARGIN = 0.12;
 
-export function drawKeypoints(canvas: HTMLCanvasElement, capture: Capture, view: number): void {
-  const { keypoints, edges, sides } = capture;
-  const pixels = frameOf(capture, fullest(capture), view);
+/** One frame of all views, and how it is drawn. */
+export interface Drawn {
+  views: Float32Array[]; // (P, 2) pixels each, NaN where not observed
+  edges: [number, number][];
+  sides: Side[];
+}
+
+export function drawKeypoints(canvas: HTMLCanvasElement, { views, edges, sides }: Drawn, view: number): void {
+  const pixels = views[view];
   const xs = evens(pixels, 0);
   const ys = evens(pixels, 1);
   const context = canvas.getContext("2d");
@@ -33,32 +40,29 @@ export function drawKeypoints(canvas: HTMLCanvasElement, capture: Capture, view:
     context.lineTo(...place(b));
   }
   context.stroke();
-  for (let keypoint = 0; keypoint < keypoints; keypoint++) {
+  for (let keypoint = 0; keypoint < pixels.length / 2; keypoint++) {
     if (Number.isNaN(pixels[2 * keypoint])) continue;
     context.beginPath();
     context.arc(...place(keypoint), 3 * ratio, 0, 7);
-    context.fillStyle = colourOf(theme, sides[keypoint]);
+    context.fillStyle = colourOf(theme, sides[keypoint] ?? 0);
     context.fill();
   }
 }
 
-function frameOf({ detected, views, keypoints }: Capture, frame: number, view: number): Float32Array {
-  const first = 2 * (frame * views + view) * keypoints;
-  return detected.subarray(first, first + 2 * keypoints);
-}
-
 /** Returns the first frame, of some hundred, in which most keypoints are observed. */
-function fullest(capture: Capture): number {
-  const step = Math.max(1, Math.floor(capture.frames / 300));
-  const size = 2 * capture.views * capture.keypoints;
+export function fullestFrame(capture: Capture): Drawn {
+  const { frames, views, keypoints, detected, edges, sides } = capture;
+  const step = Math.max(1, Math.floor(frames / 300));
+  const size = 2 * keypoints;
   let best = 0;
   let most = -1;
-  for (let frame = 0; frame < capture.frames; frame += step) {
-    const seen = capture.detected.subarray(frame * size, (frame + 1) * size);
+  for (let frame = 0; frame < frames; frame += step) {
+    const seen = detected.subarray(frame * views * size, (frame + 1) * views * size);
     const known = seen.reduce((sum, value) => sum + (Number.isNaN(value) ? 0 : 1), 0);
     if (known > most) [best, most] = [frame, known];
   }
-  return best;
+  const starts = Array.from({ length: views }, (_, view) => (best * views + view) * size);
+  return { views: starts.map((start) => detected.subarray(start, start + size)), edges, sides };
 }
 
 function evens(pixels: Float32Array, offset: number): number[] {

@@ -2,7 +2,7 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { followFit } from "../api/events.ts";
-import { listDatasets, listFits, listModels, type Dataset, type Fit } from "../api/resources.ts";
+import { listDatasets, listFits, listModels, type Dataset, type DatasetPreview, type Fit } from "../api/resources.ts";
 import { count, duration, moment, number, percent, pixels } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { linkTo } from "../route.ts";
@@ -125,7 +125,7 @@ function progressOf(fit: Fit): string {
   return moment(fit.finished_at ?? fit.created_at);
 }
 
-export function captured(dataset: Dataset): string {
+export function captured(dataset: Dataset | DatasetPreview): string {
   const rate = dataset.fps ? ` at ${number(dataset.fps)} frames/s` : "";
   return `${count(dataset.frames, "frame")}${rate}, ${count(dataset.views, "view")}, ${count(dataset.keypoints, "keypoint")}`;
 }
