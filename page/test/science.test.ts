@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { aligned, distances } from "../src/science/aligning.ts";
 import { boxOf, roundLength, subjectSize, usualStep } from "../src/science/extent.ts";
+import { frameFindings } from "../src/science/frame_findings.ts";
 import { sidesOf } from "../src/science/sides.ts";
 import { quantile, worstFrames } from "../src/science/worst.ts";
 import { seeded } from "./helpers.ts";
@@ -112,3 +113,16 @@ function rotated([w, x, y, z]: number[], v: number[]): number[] {
   const u = cross([x, y, z], t);
   return v.map((value, i) => value + w * t[i] + u[i]);
 }
+
+test("bits of frames become findings with ranges", () => {
+  const found = frameFindings([0, 2, 2, 0, 3, 8, 0, 2]);
+  assert.deepEqual(
+    found.map(({ code, frames }) => [code, frames]),
+    [
+      ["rig_not_used", [[4, 4]]],
+      ["frame_unlike_fit", [[1, 2], [4, 4], [7, 7]]],
+      ["not_in_room", [[5, 5]]],
+    ],
+  );
+  assert.deepEqual(frameFindings([0, 0]), []);
+});

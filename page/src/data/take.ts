@@ -30,6 +30,7 @@ export interface Take extends Capture {
   cameras: Cameras;
   outlierProbability?: Float32Array; // (N, K, P)
   viewErrors: Float32Array; // (N, K) pixels
+  frameBits: ArrayLike<number>; // (N,) what was noticed of each frame, a bit a code
   frame: Frame;
 }
 
@@ -81,6 +82,7 @@ export function takeOf(capture: Capture, file: Map<string, Tensor>, frame: Frame
     cameras,
     outlierProbability: floats(file, "outlier_probability"),
     viewErrors: needed(file, "reprojection_errors"),
+    frameBits: file.get("findings")?.data ?? [],
     frame,
   };
   if (frame === "camera") yPointsUp(take);

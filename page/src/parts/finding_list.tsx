@@ -31,7 +31,7 @@ export function FindingList({ findings, ...known }: { findings: Finding[] } & Kn
             <strong>{words(finding.code)}</strong>
             <Where finding={finding} {...known} />
             <p>{withCode(finding.effect)}</p>
-            <p class="remedy">{withCode(finding.remedy)}</p>
+            {finding.remedy !== "" && <p class="remedy">{withCode(finding.remedy)}</p>}
             <Evidence numbers={finding.evidence ?? {}} />
           </div>
         </li>

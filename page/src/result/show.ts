@@ -2,7 +2,7 @@
 
 import { createContext } from "preact";
 import { useContext } from "preact/hooks";
-import type { ModelCameras, Fit, Model } from "../api/resources.ts";
+import type { Finding, Fit, Model, ModelCameras } from "../api/resources.ts";
 import type { Take } from "../data/take.ts";
 import type { Theme } from "../parts/theme.ts";
 import type { KeypointErrors } from "../science/errors.ts";
@@ -19,6 +19,7 @@ export interface Show {
   loop: Loop;
   theme: Theme;
   means: Float32Array; // (N,) pixels
+  findings: Finding[]; // of the fit and of its frames
   worst: number[]; // frames, the worst first
   overlay: Overlay | null;
   setOverlay(overlay: Overlay | null): void;

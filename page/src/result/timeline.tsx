@@ -2,7 +2,7 @@
 
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { keepSize } from "../parts/canvas_size.ts";
-import { number } from "../parts/format.ts";
+import { number, words } from "../parts/format.ts";
 import { LEFT_OUT, UNSEEN } from "../science/errors.ts";
 import { quantile } from "../science/worst.ts";
 import { drawBand, drawHeatMap, heatColours } from "./heat.ts";
@@ -98,6 +98,7 @@ export function Timeline() {
             ))}
           </div>
         </div>
+        <Ranges />
         <div
           class="map"
           style={{ height: `${mapHeight(take.keypoints)}px` }}
@@ -131,6 +132,29 @@ export function Timeline() {
           <i class="swatch outlier" /> outlier, left out <i class="swatch unseen-cell" /> not observed
         </span>
       </div>
+    </div>
+  );
+}
+
+/** The frames that findings concern, as a strip between band and heat map. */
+function Ranges() {
+  const { findings, take, player } = useShow();
+  const concerned = findings.flatMap(({ code, severity, frames }) =>
+    ((frames ?? []) as [number, number][]).map((range) => ({ code, severity, range })),
+  );
+  if (concerned.length === 0) return null;
+  return (
+    <div class="ranges">
+      {concerned.map(({ code, severity, range: [first, last] }, index) => (
+        <button
+          key={index}
+          class={severity}
+          style={{ left: `${(100 * first) / take.frames}%`, width: `${(100 * (last - first + 1)) / take.frames}%` }}
+          onClick={() => player.show(first)}
+          aria-label={`${words(code)}: frames ${first} to ${last}`}
+          title={`${words(code)}: frames ${first} to ${last}`}
+        />
+      ))}
     </div>
   );
 }

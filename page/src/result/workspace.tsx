@@ -10,6 +10,7 @@ import { Icon } from "../parts/icons.tsx";
 import { onThemeChange, readTheme } from "../parts/theme.ts";
 import { currentRoute, keepInAddress } from "../route.ts";
 import { frameErrors, keypointErrors } from "../science/errors.ts";
+import { frameFindings } from "../science/frame_findings.ts";
 import { WEAK } from "../science/projection.ts";
 import { worstFrames } from "../science/worst.ts";
 import type { Crop } from "./crop.ts";
@@ -45,6 +46,10 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
   const [overlay, setOverlay] = useState<Overlay | null>(null);
   const posed = useMemo(() => posedViews(take), [take]);
   const lookThrough = (view: number | null) => setThrough(view === null || posed[view] ? view : null);
+  const findings = useMemo(() => {
+    const known = new Set(fit.findings.map((finding) => finding.code));
+    return [...fit.findings, ...frameFindings(take.frameBits).filter((finding) => !known.has(finding.code))];
+  }, [fit, take]);
   const { errors, done } = useKeypointErrors(take);
   const stageNow = useRef<Stage | null>(null);
   stageNow.current = stage;
@@ -61,7 +66,7 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
   }, [stage]);
 
   const show: Show = {
-    ...{ fit, model, cameras, take, player, loop, theme, means, worst, errors, errorsDone: done },
+    ...{ fit, model, cameras, take, player, loop, theme, means, worst, findings, errors, errorsDone: done },
     ...{ selected, select, through, lookThrough, posed, overlay, setOverlay },
   };
   return (
@@ -85,7 +90,7 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
             <h2>What was noticed</h2>
             <WorstFrames show={show} />
             <FindingList
-              findings={fit.findings}
+              findings={findings}
               viewNames={take.viewNames}
               keypointNames={take.names}
               onFrame={(frame) => player.show(frame)}
