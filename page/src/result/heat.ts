@@ -23,6 +23,10 @@ const DARK: Rgb[] = [
   [255, 232, 140],
 ];
 
+export function isDark(): boolean {
+  return matchMedia("(prefers-color-scheme: dark)").matches;
+}
+
 /** Returns 256 colours as numbers of a canvas's pixels (ABGR). */
 export function heatColours(dark: boolean): Uint32Array {
   const stops = dark ? DARK : LIGHT;

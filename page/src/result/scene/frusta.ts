@@ -3,7 +3,6 @@
 import {
   BufferAttribute,
   BufferGeometry,
-  Color,
   Group,
   LineBasicMaterial,
   LineSegments,
@@ -16,7 +15,7 @@ import type { Theme } from "../../parts/theme.ts";
 export interface Frusta {
   group: Group;
   show(frame: number): void;
-  paint(theme: Theme, chosen: number | null): void;
+  paint(theme: Theme): void;
   /** The pose of a view: from its own axes (OpenCV's) to the scene's; null where there is none. */
   pose(frame: number, view: number): Matrix4 | null;
 }
@@ -25,8 +24,9 @@ export interface Frusta {
 export function createFrusta(take: Take, depth: number): Frusta {
   const { views, cameras } = take;
   const group = new Group();
+  const material = new LineBasicMaterial();
   const shown = Array.from({ length: views }, (_, view) => {
-    const lines = new LineSegments(pyramid(take, view, depth), new LineBasicMaterial());
+    const lines = new LineSegments(pyramid(take, view, depth), material);
     lines.matrixAutoUpdate = false;
     lines.frustumCulled = false;
     group.add(lines);
@@ -62,11 +62,8 @@ export function createFrusta(take: Take, depth: number): Frusta {
         }
       });
     },
-    paint(theme, chosen) {
-      shown.forEach((lines, view) => {
-        const colour = new Color(view === chosen ? theme.accent : theme.quiet);
-        (lines.material as LineBasicMaterial).color.copy(colour);
-      });
+    paint(theme) {
+      material.color.set(theme.quiet);
     },
   };
 }

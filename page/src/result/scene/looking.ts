@@ -89,3 +89,36 @@ export function setAngle(viewer: PerspectiveCamera, controls: OrbitControls, ang
   controls.target.fromArray(angle, 3);
   controls.update();
 }
+
+/** Turns the viewer about the target, by angles in radians. */
+export function turn(viewer: PerspectiveCamera, controls: OrbitControls, right: number, up: number): void {
+  const arm = viewer.position.clone().sub(controls.target);
+  arm.applyAxisAngle(new Vector3(0, 1, 0), right);
+  const side = new Vector3(0, 1, 0).cross(arm).normalize();
+  const raised = arm.clone().applyAxisAngle(side, -up);
+  if (Math.abs(raised.clone().normalize().y) < 0.98) arm.copy(raised);
+  viewer.position.copy(controls.target).add(arm);
+  controls.update();
+}
+
+/** Returns the box around the subject and each camera, as the first frame that has it shows it. */
+export function boxWithCameras(
+  box: Box,
+  take: Take,
+  poseOf: (frame: number, view: number) => Matrix4 | null,
+): Box {
+  const low = [...box.low] as Box["low"];
+  const high = [...box.high] as Box["high"];
+  for (let view = 0; view < take.views; view++) {
+    for (let frame = 0; frame < take.frames; frame++) {
+      const place = poseOf(frame, view)?.elements;
+      if (place === undefined) continue;
+      for (let axis = 0; axis < 3; axis++) {
+        low[axis] = Math.min(low[axis], place[12 + axis]);
+        high[axis] = Math.max(high[axis], place[12 + axis]);
+      }
+      break;
+    }
+  }
+  return { low, high };
+}
