@@ -1,6 +1,6 @@
 # docker build -t fewview .
 # With CUDA, ten times the size: docker build --build-arg TORCH=cu130 -t fewview .
-FROM node:24-trixie-slim AS page
+FROM node:24.19.0-trixie-slim AS page
 WORKDIR /src/page
 COPY page ./
 RUN npm ci --omit=dev --ignore-scripts && node build.mjs /src/built

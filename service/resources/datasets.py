@@ -2,10 +2,9 @@
 
 import logging
 from datetime import UTC, datetime
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
-import numpy as np
-from fastapi import APIRouter, Query, Request, Response, status
+from fastapi import APIRouter, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import Finding, log_findings
@@ -30,18 +29,16 @@ from service.resources.dataset_bodies import (
 )
 from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
-from service.wire.representations import JSON
-from service.wire.schemas import Name, Vector2
+from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
 from store import datasets, lookup, records
-from store.capture import Capture
 from store.labels import labels_of
 
 logger = logging.getLogger(__name__)
 router = APIRouter(prefix="/datasets", tags=["datasets"])
 
 
-_DESCRIBED: dict[str, Any] = {
+DESCRIBED: dict[str, Any] = {
     "name": "macaque, morning session",
     "frames": 3309,
     "views": 3,
@@ -97,7 +94,8 @@ class DatasetFacts(BaseModel):
     findings: Findings
 
     @staticmethod
-    def _known(record: records.Dataset) -> dict[str, Any]:
+    def known(record: records.Dataset) -> dict[str, Any]:
+        """Return these of a record, stored or not."""
         return {
             "name": record.name,
             "frames": record.frames,
@@ -128,7 +126,7 @@ class Dataset(DatasetFacts, DatasetStored):
             "example": {
                 "id": "ds_01m7yspdypmt22jq6npfg62xe5",
                 "created_at": "2026-03-01T09:30:00Z",
-                **_DESCRIBED,
+                **DESCRIBED,
             }
         }
     )
@@ -137,38 +135,7 @@ class Dataset(DatasetFacts, DatasetStored):
     def of(cls, record: records.Dataset) -> Self:
         """Return the wire form of a record."""
         created_at = datetime.fromtimestamp(record.created_at, UTC)
-        return cls(id=record.id, created_at=created_at, **cls._known(record))
-
-
-class DatasetPreview(DatasetFacts):
-    """What a capture would be as a dataset; nothing was stored."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "example": {
-                **_DESCRIBED,
-                "frame": 12,
-                "frame_keypoints": [[[512.0, 200.5], None], [[301.0, 190.0], [322.5, 251.0]]],
-            }
-        }
-    )
-
-    frame: int = Field(description="The first of the frames that show most keypoints.")
-    frame_keypoints: list[list[Vector2 | None]] = Field(
-        description="Keypoints of this frame: views x keypoints x (x, y), pixels, null where not "
-        "observed."
-    )
-
-    @classmethod
-    def of(cls, record: records.Dataset, capture: Capture) -> Self:
-        """Return the wire form of what would be stored."""
-        there = np.isfinite(capture.keypoints[..., 0])
-        frame = int(there.sum(axis=(1, 2)).argmax())
-        shown = [
-            [point.tolist() if known else None for point, known in zip(view, seen, strict=True)]
-            for view, seen in zip(capture.keypoints[frame], there[frame], strict=True)
-        ]
-        return cls(frame=frame, frame_keypoints=shown, **cls._known(record))
+        return cls(id=record.id, created_at=created_at, **cls.known(record))
 
 
 class DatasetPage(Page[Dataset]):
@@ -177,21 +144,22 @@ class DatasetPage(Page[Dataset]):
     model_config = page_of(Dataset)
 
 
+NEW_DATASET = request_body(
+    DatasetCreate,
+    form=DatasetForm,
+    files="What a detector wrote, one file for each camera: CSV, H5, JSON of the formats of "
+    "docs/files.md; a zip file for a folder of JSON files.",
+    binary="An .npz or safetensors file with `keypoints` and optionally `confidence`, "
+    "`points3d`, `times`, `fps`, `keypoint_names` (npz only), `edges`, `image_sizes`; others "
+    "are ignored.",
+)
+
+
 @router.post(
     "",
     status_code=status.HTTP_201_CREATED,
-    response_model=Dataset,
-    responses=problems(*BODY_PROBLEMS, "idempotency_key_reused")
-    | {200: {"model": DatasetPreview, "description": "With `dry_run`: what would be stored."}},
-    openapi_extra=request_body(
-        DatasetCreate,
-        form=DatasetForm,
-        files="What a detector wrote, one file for each camera: CSV, H5, JSON of the formats of "
-        "docs/files.md; a zip file for a folder of JSON files.",
-        binary="An .npz or safetensors file with `keypoints` and optionally `confidence`, "
-        "`points3d`, `times`, `fps`, `keypoint_names` (npz only), `edges`, `image_sizes`; others "
-        "are ignored.",
-    ),
+    responses=problems(*BODY_PROBLEMS, "idempotency_key_reused"),
+    openapi_extra=NEW_DATASET,
 )
 def create_dataset(
     upload: FilesBody,
@@ -200,20 +168,14 @@ def create_dataset(
     request: Request,
     response: Response,
     name: Name | None = None,
-    dry_run: Annotated[
-        bool, Query(description="Store nothing: answer what was understood, with a frame of it.")
-    ] = False,
     idempotency_key: IdempotencyHeader = None,
-) -> Any:
+) -> Dataset:
     """Store a capture.
 
     `name` in the query names a capture that comes as raw bytes. Files of detectors come in a form,
     as `files`, one for each camera; `notes` of the answer say what was understood.
     """
     capture, description = read_new(upload, settings, name)
-    if dry_run:
-        preview = DatasetPreview.of(datasets.described(store, capture, description), capture)
-        return Response(preview.model_dump_json(), media_type=JSON)
     record = datasets.create(
         store,
         capture,

@@ -19,7 +19,7 @@ export function upload(...sent: Sent): Promise<Dataset> {
 
 /** Returns what is understood of files, of which nothing is stored. */
 export function lookAt(...sent: Sent): Promise<DatasetPreview> {
-  return send<DatasetPreview>("datasets?dry_run=true", ...sent);
+  return send<DatasetPreview>("previews", ...sent);
 }
 
 type Sent = [files: File[], description: Description, onProgress: (share: number) => void, signal: AbortSignal];
