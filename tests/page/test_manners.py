@@ -15,18 +15,18 @@ from tests.page.project import checked_out
 from tests.page.proxy import proxied
 from tests.service.conftest import BYTES, Live, to_npz, wait_for
 
+MOMENTS = np.arange(0, 80, 2, dtype=np.float64)  # of the frames
 SCREENS = ("", "#/datasets/new", "#/datasets/{dataset}", "#/fits/{fit}", "#/fits/{failed}")
 
 
 @pytest.fixture(scope="module")
 def stored(live: Live) -> dict[str, str]:
     """Store a capture, a fit of it that succeeded, and one that failed."""
-    moments = 2.0 * np.arange(40)
     names = [*JOINTS, *(f"k{index}" for index in range(len(JOINTS), 16))]
     captures: dict[str, dict[str, Any]] = {
         "dataset": {
-            "keypoints": film([10, 130, 250], moments, noise=1),
-            "points3d": walk(moments),
+            "keypoints": film([10, 130, 250], MOMENTS, noise=1),
+            "points3d": walk(MOMENTS),
             "keypoint_names": np.array(names),
             "fps": 50.0,
         },
@@ -39,8 +39,8 @@ def stored(live: Live) -> dict[str, str]:
         ids[name] = made.json()["id"]
     length = {"keypoints": [0, 2], "length": 0.5}
     for name, dataset in (("fit", ids["dataset"]), ("failed", ids["empty"])):
-        made = live.fit(dataset, cameras="static", known_length=length)
-        ids[name] = live.finished(made["id"])["id"]
+        fit = live.fit(dataset, cameras="static", known_length=length)
+        ids[name] = live.finished(fit["id"])["id"]
     return ids
 
 
@@ -100,7 +100,7 @@ def test_the_truth_is_laid_over_the_structure(
     url = f"/fits/{stored['fit']}/reconstruction?frame=room&up=auto&format=npz"
     with np.load(io.BytesIO(live.http.get(url).content)) as arrays:
         found = arrays["points3d"].reshape(-1, 3).astype(np.float64)
-    truth = walk(2.0 * np.arange(40)).reshape(-1, 3)
+    truth = walk(MOMENTS).reshape(-1, 3)
     known = np.isfinite(found).all(1)
     found, truth = (each[known] - each[known].mean(0) for each in (found, truth))
     turn, _ = Rotation.align_vectors(found, truth)
