@@ -62,7 +62,8 @@ def live(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 @pytest.fixture
 def context(browser: Browser) -> Iterator[BrowserContext]:
-    with browser.new_context(viewport={"width": 1280, "height": 900}) as made:
+    # The larger it is, the longer a processor draws.
+    with browser.new_context(viewport={"width": 1000, "height": 700}) as made:
         made.set_default_timeout(30_000)
         yield made
 

@@ -7,18 +7,28 @@ from pathlib import Path
 import pytest
 
 from tests.node import NODE, NPM
+from tests.sharing import made_once
 
 ROOT = Path(__file__).parents[2]
 
 
-def checked_out(folder: Path) -> Path:
-    """Copy the sources and install what the lockfile names; skip where that cannot be had."""
+def checked_out(folders: pytest.TempPathFactory) -> Path:
+    """Return the copy that all test processes of a run share; skip where it cannot be made."""
+
+    def make() -> bytes:
+        return str(_installed(folders.mktemp("page"))).encode()
+
+    return Path(made_once(folders, "page", make).decode())
+
+
+def _installed(folder: Path) -> Path:
+    """Copy the sources and install what the lockfile names."""
     page = folder / "page"
     shutil.copytree(ROOT / "page", page, ignore=shutil.ignore_patterns("node_modules"))
     (folder / "docs").mkdir()
     shutil.copy(ROOT / "docs" / "openapi.json", folder / "docs")
     done = subprocess.run(
-        [*NPM, "ci", "--ignore-scripts"],
+        [*NPM, "ci", "--ignore-scripts", "--prefer-offline"],
         cwd=page,
         capture_output=True,
         text=True,

@@ -1,6 +1,9 @@
 """The page behind a proxy and with keys, in the hand and in the dark, and for who cannot see it."""
 
 import io
+import json
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +16,38 @@ from tests.models.walk import film, walk
 from tests.page.conftest import JOINTS, Watched, watch
 from tests.page.project import checked_out
 from tests.page.proxy import proxied
-from tests.service.conftest import BYTES, Live, to_npz, wait_for
+from tests.service.conftest import (
+    BYTES,
+    Live,
+    kill_service,
+    start_service,
+    to_npz,
+    wait_for,
+)
+from tests.sharing import made_once
 
 MOMENTS = np.arange(0, 80, 2, dtype=np.float64)  # of the frames
 SCREENS = ("", "#/datasets/new", "#/datasets/{dataset}", "#/fits/{fit}", "#/fits/{failed}")
 
 
 @pytest.fixture(scope="module")
-def stored(live: Live) -> dict[str, str]:
-    """Store a capture, a fit of it that succeeded, and one that failed."""
+def stored(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Return identifiers and data folder of what is stored: by the first of the test processes."""
+
+    def make() -> bytes:
+        folder = tmp_path_factory.mktemp("prepared")
+        live = start_service(folder / "data")
+        try:
+            return json.dumps({"folder": str(folder / "data"), **store(live)}).encode()
+        finally:
+            kill_service(live)
+
+    made: dict[str, str] = json.loads(made_once(tmp_path_factory, "page-data", make))
+    return made
+
+
+def store(live: Live) -> dict[str, str]:
+    """Store a capture, a fit of it that succeeds, and one that fails."""
     names = [*JOINTS, *(f"k{index}" for index in range(len(JOINTS), 16))]
     captures: dict[str, dict[str, Any]] = {
         "dataset": {
@@ -42,6 +68,18 @@ def stored(live: Live) -> dict[str, str]:
         fit = live.fit(dataset, cameras="static", known_length=length)
         ids[name] = live.finished(fit["id"])["id"]
     return ids
+
+
+@pytest.fixture(scope="module")
+def live(stored: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    """Serve a copy of what is stored."""
+    data = tmp_path_factory.mktemp("page") / "data"
+    shutil.copytree(stored["folder"], data, ignore=shutil.ignore_patterns("*.sock"))
+    service = start_service(data)
+    try:
+        yield service
+    finally:
+        kill_service(service)
 
 
 def test_behind_a_prefix_the_page_asks_for_a_key_and_keeps_it(
@@ -134,10 +172,13 @@ def test_every_screen_fits_a_telephone(
 
 
 def test_nothing_keeps_the_page_from_who_cannot_see_it(
-    browser: Browser, live: Live, stored: dict[str, str], tmp_path: Path
+    browser: Browser,
+    live: Live,
+    stored: dict[str, str],
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     """Axe, which examines roles, names and contrast, has no serious objection."""
-    axe = checked_out(tmp_path) / "node_modules" / "axe-core" / "axe.min.js"
+    axe = checked_out(tmp_path_factory) / "node_modules" / "axe-core" / "axe.min.js"
     schemes: dict[Any, tuple[str, ...]] = {"light": SCREENS, "dark": SCREENS[3:4]}
     for scheme, screens in schemes.items():
         with browser.new_context(color_scheme=scheme, bypass_csp=True) as context:

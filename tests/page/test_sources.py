@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return checked_out(tmp_path_factory.mktemp("page"))
+    return checked_out(tmp_path_factory)
 
 
 def test_types_agree_with_the_openapi_document(page: Path) -> None:
