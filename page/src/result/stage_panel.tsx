@@ -1,12 +1,10 @@
 /** The structure in three dimensions, with the cameras' names on it. */
 
 import { useEffect, useRef, useState } from "preact/hooks";
-import { number } from "../parts/format.ts";
 import type { Stage } from "./scene/scene.ts";
-import { OverlayChoice } from "./overlay_choice.tsx";
 import { createStage } from "./scene/scene.ts";
-import { unitOf } from "./unit.ts";
 import { useShow } from "./show.ts";
+import { StageControls } from "./stage_controls.tsx";
 
 const FRAMES = {
   level: "In the room: y up, on the floor where feet are named.",
@@ -20,8 +18,6 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
   const labels = useRef<HTMLDivElement>(null);
   const [stage, setStage] = useState<Stage | null>(null);
   const [trouble, setTrouble] = useState<string | null>(null);
-  const [trails, setTrails] = useState(true);
-  const [following, setFollowing] = useState(false);
   const { take, player, loop, theme, selected, through, lookThrough } = show;
 
   useEffect(() => {
@@ -34,8 +30,6 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
       return undefined;
     }
     setStage(made);
-    setFollowing(made.walks);
-    setTrails(made.flows);
     onStage(made);
     return () => {
       onStage(null);
@@ -57,8 +51,6 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
     stage?.paint(theme, selected);
   }, [stage, theme, selected, through]);
 
-  useEffect(() => stage?.showTrails(trails), [stage, trails]);
-  useEffect(() => stage?.follow(following), [stage, following]);
   useEffect(() => stage?.overlay(show.overlay?.points ?? null), [stage, show.overlay]);
 
   const turnByKey = (event: KeyboardEvent) => {
@@ -95,28 +87,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
           </button>
         )}
       </div>
-      <div class="overlay bottom">
-        <span class="scale quiet">
-          <i aria-hidden="true" /> square {stage === null ? "" : number(stage.square, 2)} · {unitOf(show.fit)}
-        </span>
-        <span class="buttons">
-          <OverlayChoice />
-          <button aria-pressed={trails} onClick={() => setTrails(!trails)}>
-            Trails
-          </button>
-          {stage?.walks && (
-            <button aria-pressed={following} onClick={() => setFollowing(!following)}>
-              Follow
-            </button>
-          )}
-          <button onClick={() => stage?.frameSubject()} title="F">
-            Subject
-          </button>
-          <button onClick={() => stage?.frameCameras()} title="C" disabled={take.frame === "view"}>
-            Cameras
-          </button>
-        </span>
-      </div>
+      <StageControls stage={stage} />
     </section>
   );
 }
