@@ -1,5 +1,10 @@
 # docker build -t fewview .
 # With CUDA, ten times the size: docker build --build-arg TORCH=cu130 -t fewview .
+FROM node:24.19.0-trixie-slim AS page
+WORKDIR /src/page
+COPY page ./
+RUN npm ci --omit=dev --ignore-scripts && node build.mjs /src/built
+
 FROM python:3.12.12-slim-trixie AS build
 RUN python -m venv /opt/fewview
 ENV PATH=/opt/fewview/bin:$PATH PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
@@ -17,6 +22,8 @@ COPY models models
 COPY store store
 COPY worker worker
 COPY service service
+COPY page page
+COPY --from=page /src/built service/page/built
 RUN pip install --no-deps --no-build-isolation --no-index ./client . && pip check
 # Machine code for any processor of this architecture, beside the package: every user may read it.
 ENV NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=

@@ -6,6 +6,7 @@
 # make performance   write all figures of docs/performance.md anew
 # make fuzz   send up to 5,000 generated requests to a running service (schemathesis)
 # make serve  set up, then run the service on http://127.0.0.1:8000
+# make page   build the page that the service shows at its address; demo, serve and test do so too
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -15,22 +16,22 @@ IMAGE_SIZE ?=
 # Python may keep what it compiles of each module: dozens of processes import the same ones.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test tests check changed lint types fuzz serve openapi lock benchmark fidelity performance clean
+.PHONY: demo page test tests check changed lint types fuzz serve openapi lock benchmark fidelity performance clean
 
-demo: .venv/compiled
+demo: .venv/compiled .venv/page
 	$(BIN)/python examples/demo.py $(if $(CAPTURE),"$(CAPTURE)")
 
 test: lint
 	$(MAKE) --jobs 2 types tests
 
 # Three tests at a time: many wait for processes, so two cores are busy.
-tests: .venv/compiled
+tests: .venv/compiled .venv/page
 	$(BIN)/pytest --numprocesses 3 --dist worksteal
 
 check: lint
 	$(MAKE) --jobs 2 --output-sync types changed
 
-changed: .venv/ready
+changed: .venv/ready .venv/page
 	rooms=$$($(BIN)/python tests/rooms_changed.py) && if [ -z "$$rooms" ]; \
 	then echo "No file that has tests was changed."; \
 	else $(BIN)/pytest --numprocesses 2 --dist worksteal tests/test_floors.py $$rooms; fi
@@ -45,7 +46,7 @@ types: .venv/ready
 fuzz: .venv/compiled
 	$(BIN)/python -P -m tests.fuzz $(ARGUMENTS)
 
-serve: .venv/compiled
+serve: .venv/compiled .venv/page
 	$(BIN)/fewview serve
 
 benchmark: .venv/ready
@@ -95,5 +96,11 @@ lock:
 	$(BIN)/fewview precompile
 	touch $@
 
+# Where node or its packages cannot be had this prints why; all else works, and the next call tries
+# again.
+page: .venv/page
+.venv/page: .venv/ready $(shell find page -name node_modules -prune -o -type f -print)
+	@$(BIN)/python page/build.py && touch $@ || true
+
 clean:
-	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv build dist page/node_modules service/page/built *.egg-info .mypy_cache .ruff_cache .pytest_cache

@@ -30,7 +30,7 @@ from fewview.embedded import ServiceError, running_service
 from numpy.typing import NDArray
 from picture import Array, Scene, draw
 from safetensors.numpy import load
-from screen import ProgressDisplay, console, number, show, show_cameras, show_findings
+from screen import ProgressDisplay, console, number, page_of, show, show_cameras, show_findings
 
 from models.capture.metrics import Accuracy, pa_mpjpe, pck, procrustes_by_size
 
@@ -39,7 +39,8 @@ SEED = 0
 CHUNK = 1000  # frames in one request
 SINGLE_LIFTS = 300  # requests that are timed, after WARM_UP that are not
 WARM_UP = 30
-BYTES = "application/octet-stream"  # a body of .npz or safetensors; as Accept: safetensors
+DATA = "data"  # of the service, in the output folder: `fewview serve` shows it afterwards
+BYTES = "application/octet-stream"  # bodies of .npz or safetensors; as Accept: safetensors
 QUANTILES = {"a good frame": 0.1, "a middling frame": 0.5, "a bad frame": 0.9}
 
 Lifted = dict[str, NDArray[Any]]  # the arrays of a lift, by name
@@ -63,7 +64,7 @@ def main() -> None:
     arguments = parse_arguments()
     try:
         capture = read_capture(arguments.capture)
-        with running_service() as address:
+        with running_service(data=arguments.output / DATA) as address:
             figures = run(address, capture, arguments)
     except CaptureError as error:
         fail(2, f"{arguments.capture}: {error}")
@@ -93,7 +94,7 @@ def parse_arguments() -> argparse.Namespace:
     )
     parser.add_argument("--steps", type=int, help="optimiser steps of the fit; fewer are faster")
     parser.add_argument(
-        "--output", type=Path, default=Path("demo-output"), help="for pictures: %(default)s"
+        "--output", type=Path, default=Path("demo-output"), help="for what comes: %(default)s"
     )
     return parser.parse_args()
 
@@ -102,9 +103,8 @@ def run(address: str, capture: Capture, arguments: argparse.Namespace) -> dict[s
     """Take a capture through the whole service; return the figures."""
     seen, unseen = hold_out(capture, HELD_OUT, SEED)
     threshold = pck_threshold(capture)
-    config = {"pck_threshold": threshold}
-    if arguments.steps is not None:
-        config["steps"] = arguments.steps
+    given = {} if arguments.steps is None else {"steps": arguments.steps}
+    config = {"pck_threshold": threshold, **given}
     # One client is one pool of connections, which stay open between requests.
     with httpx2.Client(base_url=address, timeout=120, trust_env=False) as client:
         console.print(f"Fewview at {address}, capture {arguments.capture.name}")
@@ -138,6 +138,7 @@ def run(address: str, capture: Capture, arguments: argparse.Namespace) -> dict[s
         "steps": fit["config"]["steps"],
     }
     figures["picture"] = str(draw_some(fitted, new, figures, arguments.output))
+    figures["page"] = page_of(fit["id"], arguments.output / DATA)
     show(figures)
     return figures
 

@@ -1,6 +1,8 @@
 """What the demo shows on the screen: progress, cameras, figures."""
 
+import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -99,9 +101,18 @@ def show(figures: dict[str, Any]) -> None:
     table.add_row("lift of one frame, 99 in 100 (ms)", "", number(figures["lift_ms_p99"]))
     console.print(table)
     console.print(f"Picture: {figures['picture']}", soft_wrap=True)
+    console.print(f"See it move: {figures['page']}", soft_wrap=True)
     ours, theirs = figures["pa_mpjpe"], figures["pa_mpjpe_by_service"]
     if ours is not None and not np.isclose(ours, theirs or np.nan, rtol=1e-3):
         console.print(f"[red]The service itself says PA-MPJPE {theirs}, not {ours}[/red]")
+
+
+def page_of(fit_id: str, data: Path) -> str:
+    """Return how a fit is seen on the page: the command that serves it, and its address there."""
+    program = Path(sys.executable).with_name("fewview")
+    here = Path.cwd()
+    shown = program.relative_to(here) if program.is_relative_to(here) else program
+    return f"{shown} serve --data-dir {data}, then open http://127.0.0.1:8000/#/fits/{fit_id}"
 
 
 def number(value: float | None) -> str:

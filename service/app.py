@@ -40,11 +40,13 @@ from service.http.operations import registered_schemas
 from service.http.rates import Rates
 from service.http.request_ids import Watched
 from service.http.websockets import WebSocketConnection
+from service.page.serving import serve_page
 from service.realtime import lift, stream
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
 from service.resources import (
     aliases,
+    animations,
     audit,
     captures,
     datasets,
@@ -55,6 +57,7 @@ from service.resources import (
     lifts,
     metrics,
     models,
+    previews,
     queues,
     reconstructions,
     webhooks,
@@ -74,9 +77,11 @@ RESOURCES = (
     lift,
     stream,
     datasets,
+    previews,
     captures,
     fits,
     reconstructions,
+    animations,
     models,
     aliases,
     lifts,
@@ -164,6 +169,7 @@ def create_app(settings: Settings) -> FastAPI:
     for module in RESOURCES:
         app.include_router(module.router)
     _show_documentation(app)
+    serve_page(app)
     errors.install(app)
     app.add_middleware(
         BodyLimit,

@@ -52,33 +52,12 @@ def create(
     if earlier is not None:
         return get(store, Dataset, earlier)
     key, size = _put_chunk(store, dataset_id, capture)
-    findings = dataset_findings.of_new(capture, description.image_sizes)
+    dataset = described(store, capture, description)
+    dataset.id, dataset.stored_bytes = dataset_id, size
     with discarded_if_full(store, key), store.writing() as session:
         earlier = claim(session, idempotency, dataset_id)
         if earlier is None:
             check_space(session, size)
-            dataset = Dataset(
-                id=dataset_id,
-                name=description.name,
-                created_at=time.time(),
-                frames=capture.frames,
-                views=capture.keypoints.shape[1],
-                keypoints=capture.keypoints.shape[2],
-                observed=capture.observed(),
-                confidence=capture.confidence is not None,
-                ground_truth=capture.points3d is not None,
-                checksum=extend_checksum("", capture),
-                skeleton=description.skeleton,
-                view_names=description.view_names,
-                image_sizes=description.image_sizes,
-                fps=description.fps,
-                last_times=_last_times(capture),
-                notes=description.notes,
-                findings=findings,
-                stored_bytes=size,
-                **owned_by(store.author),
-                **description.labels.columns(),
-            )
             session.add(dataset)
             session.flush()
             session.add(Chunk(dataset_id=dataset_id, first_frame=0, frames=capture.frames, key=key))
@@ -87,6 +66,30 @@ def create(
         discard(store, key)
         return get(store, Dataset, earlier)
     return dataset
+
+
+def described(store: Store, capture: Capture, description: Description) -> Dataset:
+    """Return the record that a capture would have; nothing is stored, and it has no identifier."""
+    return Dataset(
+        name=description.name,
+        created_at=time.time(),
+        frames=capture.frames,
+        views=capture.keypoints.shape[1],
+        keypoints=capture.keypoints.shape[2],
+        observed=capture.observed(),
+        confidence=capture.confidence is not None,
+        ground_truth=capture.points3d is not None,
+        checksum=extend_checksum("", capture),
+        skeleton=description.skeleton,
+        view_names=description.view_names,
+        image_sizes=description.image_sizes,
+        fps=description.fps,
+        last_times=_last_times(capture),
+        notes=description.notes,
+        findings=dataset_findings.of_new(capture, description.image_sizes),
+        **owned_by(store.author),
+        **description.labels.columns(),
+    )
 
 
 def append(

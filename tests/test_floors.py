@@ -33,7 +33,7 @@ ROOMS = {
     "service": (
         ("settings",),
         ("http",),
-        ("wire",),
+        ("page", "wire"),
         ("realtime",),
         ("resources",),
         ("app",),
@@ -174,6 +174,8 @@ def test_the_client_knows_no_floor_and_is_known_for_its_cameras_and_rooms_alone(
         used = {parts(name) for name in imports(module) if parts(name)[0] == CLIENT}
         known = {"calibration", "capture", "errors", "evaluation", "moments", "readers"}
         allowed = known | {"reading_options"} if module.startswith("service.wire.") else set()
+        if module == "service.wire.animations":
+            allowed = {"animation", "errors", "writers"}
         if module == "worker.rooms":
             allowed = {"placing", "room"}
         if module == "service.http.peers":

@@ -2,13 +2,16 @@
 
 import os
 import subprocess
+import tarfile
 import zipfile
 from email import message_from_bytes
 from pathlib import Path
 
 import pytest
+from hatchling.builders.sdist import SdistBuilder
 from hatchling.builders.wheel import WheelBuilder
 
+from service.page.serving import BUILT
 from tests.service.conftest import kill_service, start_service
 from worker.process import python
 
@@ -23,7 +26,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (wheel,) = WheelBuilder(str(ROOT)).build(directory=str(folder / "dist"), versions=["standard"])
     packages = folder / "packages"
     with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(packages)
+        archive.extractall(packages)  # noqa: S202 (our own)
     for floor in FLOORS:
         (packages / f"{floor}.py").write_text("raise RuntimeError('not a part of Fewview')\n")
     return packages
@@ -39,6 +42,19 @@ def test_the_wheel_claims_one_import_name(environment: Path) -> None:
     installed = {file.relative_to(environment / "fewview_server") for file in _sources(environment)}
     written = {file.relative_to(ROOT) for floor in FLOORS for file in (ROOT / floor).rglob("*.py")}
     assert written <= installed
+
+
+def test_wheel_and_sdist_have_the_page_in_them(environment: Path, tmp_path: Path) -> None:
+    if not (BUILT / "index.html").exists():
+        pytest.skip("the page was not built: `make page`, which needs npm's registry")
+    built = {str(file.relative_to(BUILT)) for file in BUILT.rglob("*") if file.is_file()}
+    installed = environment / "fewview_server" / "service" / "page" / "built"
+    assert built == {str(f.relative_to(installed)) for f in installed.rglob("*") if f.is_file()}
+    (sdist,) = SdistBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"])
+    with tarfile.open(sdist) as tarball:
+        packed = {name.partition("/")[2] for name in tarball.getnames()}
+    assert {f"service/page/built/{name}" for name in built} <= packed
+    assert not any("node_modules" in name for name in packed)
 
 
 def test_a_service_of_the_wheel_runs_its_own_modules(environment: Path, tmp_path: Path) -> None:

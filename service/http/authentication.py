@@ -15,6 +15,7 @@ from service.settings import Settings, is_loopback
 from store import access_keys
 
 PROBES = ("/health/live", "/health/ready")  # which balancers ask without a key
+PAGE_FILES = "/page"  # below it lies what the page at / is made of
 FORWARDED = (b"forwarded", b"x-forwarded-for")
 SUBPROTOCOL = "fewview"  # of a WebSocket whose client names its key in another subprotocol
 BEARER_SUBPROTOCOL = "bearer."
@@ -46,7 +47,7 @@ class Authentication:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
-        if scope["type"] in ("http", "websocket") and scope["path"] not in self._probes:
+        if scope["type"] in ("http", "websocket") and not self._needs_no_key(scope):
             try:
                 caller = await self._let_in(scope)
             except ApiError as error:
@@ -54,6 +55,9 @@ class Authentication:
                 return
             scope.setdefault("state", {})["caller"] = caller
         await self._app(scope, receive, send)
+
+    def _needs_no_key(self, scope: Scope) -> bool:
+        return scope["path"] in self._probes or _is_of_page(scope)
 
     async def _let_in(self, scope: Scope) -> Caller:
         """Return who sends a request that is allowed; raise ``ApiError`` for any other."""
@@ -93,6 +97,12 @@ def needed(method: str, path: str) -> access_keys.Scope:
     if method in ("GET", "HEAD", "OPTIONS"):
         return "read"
     return "delete" if method == "DELETE" else "write"
+
+
+def _is_of_page(scope: Scope) -> bool:
+    """Whether a request is for the page, which asks for a key itself and holds nobody's data."""
+    path, reads = scope["path"], scope.get("method") in ("GET", "HEAD")
+    return reads and (path == "/" or path.startswith(f"{PAGE_FILES}/"))
 
 
 def subprotocol_of(connection: HTTPConnection) -> str | None:

@@ -357,6 +357,7 @@ def _announce(settings: Settings, address: str, workers: int, *, embedded: bool)
     kind = "embedded Valkey" if embedded else "yours"
     logs.say(
         f"Fewview {version('fewview-server')}\n"
+        f"  page     {address}\n"
         f"  API      {address}  (documentation: {address}/docs)\n"
         f"  queue    {shown(settings.redis_url)}  ({kind})\n"
         f"  records  {shown(settings.resolved_database_url)}\n"

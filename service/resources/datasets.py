@@ -38,38 +38,38 @@ logger = logging.getLogger(__name__)
 router = APIRouter(prefix="/datasets", tags=["datasets"])
 
 
-class Dataset(BaseModel):
-    """A stored capture."""
+DESCRIBED: dict[str, Any] = {
+    "name": "macaque, morning session",
+    "frames": 3309,
+    "views": 3,
+    "keypoints": 13,
+    "missing_fraction": [0.61, 0.66, 0.65],
+    "has_confidence": True,
+    "has_ground_truth": False,
+    "checksum": f"sha256:{'5e88' * 16}",
+    "skeleton": None,
+    "view_names": ["left", "right", "top"],
+    "image_sizes": None,
+    "fps": 50.0,
+    "has_times": False,
+    "tags": ["pilot"],
+    "metadata": {"subject": "M7"},
+    "notes": ["read as DeepLabCut CSV"],
+    "findings": EXAMPLE_FINDINGS,
+}
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "example": {
-                "id": "ds_01m7yspdypmt22jq6npfg62xe5",
-                "name": "macaque, morning session",
-                "created_at": "2026-03-01T09:30:00Z",
-                "frames": 3309,
-                "views": 3,
-                "keypoints": 13,
-                "missing_fraction": [0.61, 0.66, 0.65],
-                "has_confidence": True,
-                "has_ground_truth": False,
-                "checksum": f"sha256:{'5e88' * 16}",
-                "skeleton": None,
-                "view_names": ["left", "right", "top"],
-                "image_sizes": None,
-                "fps": 50.0,
-                "has_times": False,
-                "tags": ["pilot"],
-                "metadata": {"subject": "M7"},
-                "notes": ["read as DeepLabCut CSV"],
-                "findings": EXAMPLE_FINDINGS,
-            }
-        }
-    )
+
+class DatasetStored(BaseModel):
+    """What a dataset has once it is stored."""
 
     id: str
-    name: str
     created_at: datetime
+
+
+class DatasetFacts(BaseModel):
+    """What is known of a capture, stored or not."""
+
+    name: str
     frames: int
     views: int
     keypoints: int = Field(description="Keypoints per view.")
@@ -93,31 +93,49 @@ class Dataset(BaseModel):
     )
     findings: Findings
 
+    @staticmethod
+    def known(record: records.Dataset) -> dict[str, Any]:
+        """Return these of a record, stored or not."""
+        return {
+            "name": record.name,
+            "frames": record.frames,
+            "views": record.views,
+            "keypoints": record.keypoints,
+            "missing_fraction": [
+                round(1 - seen / (record.frames * record.keypoints), 6) for seen in record.observed
+            ],
+            "has_confidence": record.confidence,
+            "has_ground_truth": record.ground_truth,
+            "checksum": f"sha256:{record.checksum}",
+            "skeleton": Skeleton.model_validate(record.skeleton) if record.skeleton else None,
+            "view_names": record.view_names,
+            "image_sizes": record.image_sizes,
+            "fps": record.fps,
+            "has_times": record.last_times is not None,
+            **labels_of(record),
+            "notes": record.notes or [],
+            "findings": [Finding.model_validate(finding) for finding in record.findings or []],
+        }
+
+
+class Dataset(DatasetFacts, DatasetStored):
+    """A stored capture."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                "created_at": "2026-03-01T09:30:00Z",
+                **DESCRIBED,
+            }
+        }
+    )
+
     @classmethod
     def of(cls, record: records.Dataset) -> Self:
         """Return the wire form of a record."""
-        return cls(
-            id=record.id,
-            name=record.name,
-            created_at=datetime.fromtimestamp(record.created_at, UTC),
-            frames=record.frames,
-            views=record.views,
-            keypoints=record.keypoints,
-            missing_fraction=[
-                round(1 - seen / (record.frames * record.keypoints), 6) for seen in record.observed
-            ],
-            has_confidence=record.confidence,
-            has_ground_truth=record.ground_truth,
-            checksum=f"sha256:{record.checksum}",
-            skeleton=Skeleton.model_validate(record.skeleton) if record.skeleton else None,
-            view_names=record.view_names,
-            image_sizes=record.image_sizes,
-            fps=record.fps,
-            has_times=record.last_times is not None,
-            **labels_of(record),
-            notes=record.notes or [],
-            findings=[Finding.model_validate(finding) for finding in record.findings or []],
-        )
+        created_at = datetime.fromtimestamp(record.created_at, UTC)
+        return cls(id=record.id, created_at=created_at, **cls.known(record))
 
 
 class DatasetPage(Page[Dataset]):
@@ -126,19 +144,22 @@ class DatasetPage(Page[Dataset]):
     model_config = page_of(Dataset)
 
 
+NEW_DATASET = request_body(
+    DatasetCreate,
+    form=DatasetForm,
+    files="What a detector wrote, one file for each camera: CSV, H5, JSON of the formats of "
+    "docs/files.md; a zip file for a folder of JSON files.",
+    binary="An .npz or safetensors file with `keypoints` and optionally `confidence`, "
+    "`points3d`, `times`, `fps`, `keypoint_names` (npz only), `edges`, `image_sizes`; others "
+    "are ignored.",
+)
+
+
 @router.post(
     "",
     status_code=status.HTTP_201_CREATED,
     responses=problems(*BODY_PROBLEMS, "idempotency_key_reused"),
-    openapi_extra=request_body(
-        DatasetCreate,
-        form=DatasetForm,
-        files="What a detector wrote, one file for each camera: CSV, H5, JSON of the formats of "
-        "docs/files.md; a zip file for a folder of JSON files.",
-        binary="An .npz or safetensors file with `keypoints` and optionally `confidence`, "
-        "`points3d`, `times`, `fps`, `keypoint_names` (npz only), `edges`, `image_sizes`; others "
-        "are ignored.",
-    ),
+    openapi_extra=NEW_DATASET,
 )
 def create_dataset(
     upload: FilesBody,

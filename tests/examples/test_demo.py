@@ -12,6 +12,7 @@ import pytest
 
 from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from tests import fork_server
+from tests.service.conftest import kill_service, start_service
 from worker.process import python
 
 DEMO = Path(__file__).parents[2] / "examples" / "demo.py"
@@ -77,6 +78,7 @@ def test_shows_figures_and_a_picture_and_leaves_nothing_behind(tmp_path: Path) -
 
     figures = json.loads(done.stdout.splitlines()[-1])
     assert figures["capture"] == "figure.npz"
+    assert f"See it move: {figures['page']}" in done.stdout
     assert (figures["frames"], figures["views"], figures["keypoints"]) == (40, 3, 16)
     assert figures["frames_unseen"] == 4
     assert figures["missing_fraction"] == pytest.approx(np.isnan(capture.keypoints).mean())
@@ -109,6 +111,12 @@ def test_needs_neither_truth_nor_edges(tmp_path: Path) -> None:
     assert figures["pa_mpjpe_unseen"] is None
     assert figures["pck"] is None
     assert Path(figures["picture"]).exists()
+    command, _, address = figures["page"].partition(", then open ")
+    live = start_service(tmp_path / command.partition("--data-dir ")[2])
+    try:
+        assert live.get(f"/fits/{address.rpartition('/')[2]}")["status"] == "succeeded"
+    finally:
+        kill_service(live)
 
 
 def test_says_what_was_expected_of_a_bad_file(tmp_path: Path) -> None:

@@ -95,6 +95,14 @@ def ask(api: TestClient, method: str, path: str, headers: dict[str, str]) -> Any
     return api.request(method, path, headers=headers)
 
 
+def test_the_page_itself_needs_no_key(stranger: TestClient) -> None:
+    assert stranger.get("/").status_code == 200
+    assert stranger.head("/").status_code == 200
+    assert stranger.get("/page/none.js").status_code == 404
+    for method, path in (("post", "/"), ("get", "/page"), ("get", "/fits"), ("get", "/pages")):
+        assert stranger.request(method, path).status_code == 401, path
+
+
 def test_every_route_is_closed_to_who_has_no_key_in_force(
     stranger: TestClient, key: MakeKey
 ) -> None:

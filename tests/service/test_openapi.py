@@ -34,6 +34,7 @@ from service.resources import (
     lifts,
     lists,
     models,
+    previews,
     queues,
     reconstructions,
     webhooks,
@@ -43,6 +44,7 @@ from tests.service.conftest import CONFIG, Live, frames_of, to_npz
 # Where the forms of answers are.
 MODULES = (
     datasets,
+    previews,
     evaluations,
     fits,
     reconstructions,
@@ -126,6 +128,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "delete_model",
         "delete_models",
         "delete_webhook",
+        "download_animation",
         "download_capture",
         "download_network",
         "download_weights",
@@ -153,6 +156,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "list_queues",
         "list_webhook_deliveries",
         "list_webhooks",
+        "preview_dataset",
         "revoke_key",
         "set_alias",
         "stream_fit_events",

@@ -176,7 +176,7 @@ def test_the_image_installs_what_is_locked() -> None:
     """Of exact versions, which pyproject.toml allows, with digests; torch is named by itself."""
     dockerfile = (ROOT / "Dockerfile").read_text()
     assert all(
-        re.fullmatch(r"python:\d+\.\d+\.\d+-slim-\w+", image)
+        re.fullmatch(r"(python:\d+\.\d+\.\d+-slim-\w+|node:\d+\.\d+\.\d+-\w+-slim)", image)
         for image in re.findall(r"^FROM (\S+)", dockerfile, re.MULTILINE)
     )
     installs = re.findall(r"pip install (.*)", dockerfile)

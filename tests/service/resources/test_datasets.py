@@ -63,6 +63,39 @@ def reference(
     return made
 
 
+def test_a_preview_says_what_would_be_stored(
+    api: TestClient, arrays: dict[str, Any], description: dict[str, Any], unchanged: None
+) -> None:
+    keypoints = arrays["keypoints"].copy()
+    keypoints[:, 1, :3] = np.nan
+    keypoints[7] = np.arange(3 * 16 * 2).reshape(3, 16, 2)  # all of it is seen
+    keypoints[3, 1, 2] = np.nan
+    body = {**description, "keypoints": frames_of(keypoints)}
+    shown = api.post("/previews", content=orjson.dumps(body), headers=JSON)
+    assert shown.status_code == 200
+    preview = shown.json()
+    assert (preview["frame"], preview["frame_keypoints"]) == (7, keypoints[7].tolist())
+    assert preview.items() >= description.items()
+    assert "id" not in preview
+    assert preview["findings"], "a keypoint that is seen nowhere but once"
+    empty = to_npz(keypoints=np.full((2, 2, 4, 2), np.nan))
+    nothing = api.post("/previews", content=empty, headers=BYTES).json()
+    assert nothing["frame_keypoints"] == [[None] * 4] * 2
+    wrong = body | {"fps": -1}
+    refused = api.post("/previews", content=orjson.dumps(wrong), headers=JSON)
+    problem(refused, 422, "invalid_input", "/fps")
+
+
+def test_what_a_preview_says_is_stored(
+    api: TestClient, arrays: dict[str, Any], description: dict[str, Any]
+) -> None:
+    body = orjson.dumps({**description, "keypoints": frames_of(arrays["keypoints"])})
+    shown = api.post("/previews", content=body, headers=JSON).json()
+    made = api.post("/datasets", content=body, headers=JSON).json()
+    stored = {name: value for name, value in made.items() if name not in ("id", "created_at")}
+    assert shown.items() >= stored.items()
+
+
 def test_a_dataset_is_described(
     api: TestClient,
     reference: dict[str, Any],

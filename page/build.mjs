@@ -1,0 +1,41 @@
+// Writes what the service serves: index.html, and the files it names by a digest of their content.
+import { createHash } from "node:crypto";
+import { mkdir, readFile, rename, rm, writeFile } from "node:fs/promises";
+import { basename, join } from "node:path";
+import { build } from "esbuild";
+
+const output = process.argv[2];
+const fresh = `${output}.new`;
+const files = join(fresh, "page");
+
+await rm(fresh, { recursive: true, force: true });
+await mkdir(files, { recursive: true });
+const { metafile } = await build({
+  entryPoints: ["src/main.tsx"],
+  outdir: files,
+  bundle: true,
+  splitting: true,
+  format: "esm",
+  target: "es2022",
+  minify: true,
+  legalComments: "eof",
+  jsx: "automatic",
+  jsxImportSource: "preact",
+  entryNames: "[name]-[hash]",
+  chunkNames: "[name]-[hash]",
+  alias: { react: "preact/compat" },
+  metafile: true,
+  logLevel: "warning",
+});
+const icon = await readFile("icon.svg");
+const iconName = `icon-${createHash("sha256").update(icon).digest("hex").slice(0, 8)}.svg`;
+await writeFile(join(files, iconName), icon);
+
+const [script, entry] = Object.entries(metafile.outputs).find(([, each]) => each.entryPoint === "src/main.tsx");
+const index = (await readFile("index.html", "utf8"))
+  .replace("SCRIPT", basename(script))
+  .replace("STYLE", basename(entry.cssBundle))
+  .replace("ICON", iconName);
+await writeFile(join(fresh, "index.html"), index);
+await rm(output, { recursive: true, force: true });
+await rename(fresh, output);

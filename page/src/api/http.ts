@@ -1,0 +1,74 @@
+/** Requests to the service that this page came from, under whatever prefix a proxy gives it. */
+
+import { askForKey, currentKey } from "./key.ts";
+
+interface Problem {
+  title?: string;
+  detail?: string;
+  code?: string;
+  errors?: { pointer: string; detail: string }[];
+}
+
+/** An answer that says why not, in the service's own words. */
+export class Refusal extends Error {
+  readonly status: number;
+  readonly code: string;
+
+  constructor(status: number, problem: Problem) {
+    const reasons = (problem.errors ?? []).map((each) => `${each.pointer}: ${each.detail}`);
+    super(reasons.join("; ") || problem.detail || problem.title || `The service answered ${status}.`);
+    this.status = status;
+    this.code = problem.code ?? "";
+  }
+}
+
+export function addressOf(path: string): string {
+  return new URL(path, document.baseURI).href;
+}
+
+export function keyHeader(): Record<string, string> {
+  const key = currentKey();
+  return key === null ? {} : { Authorization: `Bearer ${key}` };
+}
+
+/** Returns the answer to a request; throws `Refusal` for any that is not a success. */
+export async function ask(path: string, init: RequestInit = {}): Promise<Response> {
+  let response: Response;
+  try {
+    response = await fetch(addressOf(path), {
+      ...init,
+      headers: { ...keyHeader(), ...(init.headers as Record<string, string> | undefined) },
+    });
+  } catch (error) {
+    if (error instanceof DOMException && error.name === "AbortError") throw error;
+    throw new Refusal(0, { detail: "The service does not answer. Is it running?" });
+  }
+  if (response.ok) return response;
+  throw refusalOf(response.status, await response.text());
+}
+
+/** Returns the error of an answer's status and text; a missing key is asked for. */
+export function refusalOf(status: number, text: string): Refusal {
+  if (status === 401) askForKey();
+  try {
+    return new Refusal(status, JSON.parse(text) as Problem);
+  } catch {
+    return new Refusal(status, {});
+  }
+}
+
+export async function askJson<T>(path: string, init?: RequestInit): Promise<T> {
+  return (await (await ask(path, init)).json()) as T;
+}
+
+export async function askBytes(path: string): Promise<ArrayBuffer> {
+  return (await ask(path)).arrayBuffer();
+}
+
+export function sendJson<T>(path: string, body: unknown, method = "POST"): Promise<T> {
+  return askJson<T>(path, {
+    method,
+    body: JSON.stringify(body),
+    headers: { "Content-Type": "application/json" },
+  });
+}

@@ -1,0 +1,43 @@
+/** The service's resources that the page shows, in the types of its OpenAPI document. */
+
+import { ask, askBytes, askJson, sendJson } from "./http.ts";
+import type { components } from "./openapi.d.ts";
+
+type Schemas = components["schemas"];
+export type Dataset = Schemas["Dataset"];
+export type DatasetPreview = Schemas["DatasetPreview"];
+export type Fit = Schemas["Fit"];
+export type Model = Schemas["Model"];
+export type ModelCameras = Schemas["ModelCameras"];
+export type Finding = Schemas["Finding"];
+
+interface Page<T> {
+  items: T[];
+  next_cursor?: string | null;
+}
+
+const MOST = 50; // of a list at a time
+
+export const listFits = (cursor?: string) => listed<Fit>("fits", cursor);
+export const listFitsOf = (dataset: string) =>
+  askJson<Page<Fit>>(`fits?status=succeeded&limit=${MOST}&dataset_id=${encodeURIComponent(dataset)}`);
+export const listDatasets = (cursor?: string) => listed<Dataset>("datasets", cursor);
+export const listModels = () => listed<Schemas["ModelSummary"]>("models");
+export const getFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}`);
+export const getDataset = (id: string) => askJson<Dataset>(`datasets/${encodeURIComponent(id)}`);
+export const getModel = (id: string) => askJson<Model>(`models/${encodeURIComponent(id)}`);
+export const getCameras = (id: string) =>
+  askJson<ModelCameras>(`models/${encodeURIComponent(id)}/cameras`);
+export const getCapture = (id: string) => askBytes(`datasets/${encodeURIComponent(id)}/capture`);
+export const getReconstruction = (fit: string, query: string) =>
+  askBytes(`fits/${encodeURIComponent(fit)}/reconstruction?format=safetensors${query}`);
+export const createFit = (body: object) => sendJson<Fit>("fits", body);
+export const cancelFit = (id: string) =>
+  askJson<Fit>(`fits/${encodeURIComponent(id)}/cancel`, { method: "POST" });
+export const deleteDataset = (id: string) =>
+  ask(`datasets/${encodeURIComponent(id)}`, { method: "DELETE" });
+
+function listed<T>(kind: string, cursor?: string): Promise<Page<T>> {
+  const next = cursor === undefined ? "" : `&cursor=${encodeURIComponent(cursor)}`;
+  return askJson<Page<T>>(`${kind}?limit=${MOST}${next}`);
+}

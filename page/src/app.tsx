@@ -1,0 +1,107 @@
+/** The page: which screen is shown, and the key that the service may ask for. */
+
+import { useEffect, useState } from "preact/hooks";
+import { keepKey, onKeyNeeded } from "./api/key.ts";
+import { DatasetScreen } from "./datasets/dataset_screen.tsx";
+import { NewScreen } from "./datasets/new_screen.tsx";
+import { FitScreen } from "./fits/fit_screen.tsx";
+import { FitsScreen } from "./fits/fits_screen.tsx";
+import { currentRoute, linkTo } from "./route.ts";
+
+export function App() {
+  const [path, setPath] = useState(() => currentRoute().path);
+  const [keyNeeded, setKeyNeeded] = useState(false);
+  const [tries, setTries] = useState(0);
+  useEffect(() => {
+    const go = () => setPath(currentRoute().path);
+    window.addEventListener("hashchange", go);
+    return () => window.removeEventListener("hashchange", go);
+  }, []);
+  useEffect(() => onKeyNeeded(() => setKeyNeeded(true)), []);
+  return (
+    <>
+      <nav class="bar" aria-label="Fewview">
+        <a class="brand" href={linkTo()}>
+          <svg viewBox="0 0 24 24" aria-hidden="true">
+            <path d="M3 7l7 4v8l-7-4zM21 7l-7 4v8l7-4zM12 3l5 3-5 3-5-3z" />
+          </svg>
+          Fewview
+        </a>
+        <a href={linkTo()} aria-current={path.length === 0 || path[0] === "fits" ? "page" : undefined}>
+          Fits
+        </a>
+        <a href={linkTo("datasets", "new")} aria-current={path[0] === "datasets" ? "page" : undefined}>
+          New capture
+        </a>
+        <a class="docs" href="docs">
+          API
+        </a>
+      </nav>
+      {keyNeeded ? (
+        <KeyForm
+          tried={tries > 0}
+          onKey={(key) => {
+            keepKey(key);
+            setTries(tries + 1);
+            setKeyNeeded(false);
+          }}
+        />
+      ) : (
+        <Screen key={`${tries} ${path.join("/")}`} path={path} />
+      )}
+    </>
+  );
+}
+
+function Screen({ path }: { path: string[] }) {
+  const [kind, id] = path;
+  if (kind === "fits" && id !== undefined) return <FitScreen id={id} />;
+  if (kind === "datasets" && id === "new") return <NewScreen />;
+  if (kind === "datasets" && id !== undefined) return <DatasetScreen id={id} />;
+  if (kind === undefined || kind === "fits") return <FitsScreen />;
+  return (
+    <main>
+      <div class="panel empty">
+        <h2>There is nothing here</h2>
+        <a class="button" href={linkTo()}>
+          All fits
+        </a>
+      </div>
+    </main>
+  );
+}
+
+function KeyForm({ tried, onKey }: { tried: boolean; onKey: (key: string) => void }) {
+  const [key, setKey] = useState("");
+  return (
+    <main>
+      <form
+        class="panel key-form"
+        onSubmit={(event) => {
+          event.preventDefault();
+          if (key.trim() !== "") onKey(key.trim());
+        }}
+      >
+        <h1>This service needs a key</h1>
+        <p>
+          {tried ? "That key was refused: it is unknown, expired or revoked. " : ""}
+          Who keeps the service makes one with <code>fewview key create</code>. It stays in this tab, and is forgotten
+          when you close it.
+        </p>
+        <label>
+          Key
+          <input
+            type="password"
+            autocomplete="off"
+            value={key}
+            onInput={(event) => setKey(event.currentTarget.value)}
+            autofocus
+          />
+        </label>
+        <button class="primary" disabled={key.trim() === ""}>
+          Go on
+        </button>
+      </form>
+    </main>
+  );
+}

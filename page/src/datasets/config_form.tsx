@@ -1,0 +1,118 @@
+/** What a fit can be given. The advanced fields come from the schema of `FitConfig`, with its words. */
+
+import { useEffect, useState } from "preact/hooks";
+import { askJson } from "../api/http.ts";
+import type { Dataset } from "../api/resources.ts";
+import { words } from "../parts/format.ts";
+import { fieldsOf, valueOf, type Field } from "./config_fields.ts";
+
+export function ConfigForm({
+  dataset,
+  onChange,
+}: {
+  dataset: Dataset;
+  onChange: (config: Record<string, unknown>) => void;
+}) {
+  const [texts, setTexts] = useState<Record<string, string>>({});
+  const [length, setLength] = useState({ from: "", to: "", length: "" });
+  const [fields, setFields] = useState<Field[] | null>(null);
+  const names = dataset.skeleton?.keypoint_names ?? Array.from({ length: dataset.keypoints }, (_, index) => `${index}`);
+
+  useEffect(() => {
+    const config: Record<string, unknown> = {};
+    for (const field of fields ?? []) {
+      const value = valueOf(field, texts[field.name] ?? "");
+      if (value !== undefined) config[field.name] = value;
+    }
+    if (length.from !== "" && length.to !== "" && length.length !== "") {
+      config.known_length = { keypoints: [Number(length.from), Number(length.to)], length: Number(length.length) };
+    }
+    onChange(config);
+  }, [texts, length, fields]);
+
+  const open = async (event: Event) => {
+    if (!(event.currentTarget as HTMLDetailsElement).open || fields !== null) return;
+    setFields(fieldsOf(await askJson("openapi.json")));
+  };
+  const choices = names.map((name, index) => (
+    <option key={index} value={index}>
+      {name}
+    </option>
+  ));
+  return (
+    <div class="config">
+      <fieldset class="known-length">
+        <legend>
+          A length that you know <small class="quiet">gives the structures a unit; may be left out</small>
+        </legend>
+        from
+        <select aria-label="From keypoint" value={length.from} onChange={(e) => setLength({ ...length, from: e.currentTarget.value })}>
+          <option value="">–</option>
+          {choices}
+        </select>
+        to
+        <select aria-label="To keypoint" value={length.to} onChange={(e) => setLength({ ...length, to: e.currentTarget.value })}>
+          <option value="">–</option>
+          {choices}
+        </select>
+        is
+        <input
+          aria-label="Length, in metres for instance"
+          type="number"
+          min={0}
+          step="any"
+          placeholder="0.42"
+          value={length.length}
+          onInput={(e) => setLength({ ...length, length: e.currentTarget.value })}
+        />
+        <span class="quiet">in metres, say: it is the unit of all that comes out</span>
+      </fieldset>
+      <details onToggle={(event) => void open(event)}>
+        <summary>Advanced</summary>
+        {fields === null ? (
+          <p class="quiet">Loading …</p>
+        ) : (
+          <div class="fields advanced">
+            {fields.map((field) => (
+              <div class="field" key={field.name}>
+                <label for={`config-${field.name}`}>{words(field.name)}</label>
+                <Input
+                  field={field}
+                  text={texts[field.name] ?? ""}
+                  onText={(text) => setTexts({ ...texts, [field.name]: text })}
+                />
+                <small class="quiet" id={`about-${field.name}`}>
+                  {field.description}
+                </small>
+              </div>
+            ))}
+          </div>
+        )}
+      </details>
+    </div>
+  );
+}
+
+function Input({ field, text, onText }: { field: Field; text: string; onText: (text: string) => void }) {
+  const named = { id: `config-${field.name}`, "aria-describedby": `about-${field.name}` };
+  if (field.choices.length > 0) {
+    return (
+      <select {...named} value={text} onChange={(event) => onText(event.currentTarget.value)}>
+        <option value="">default: {field.standard}</option>
+        {field.choices.map((choice) => (
+          <option key={choice}>{choice}</option>
+        ))}
+      </select>
+    );
+  }
+  return (
+    <input
+      {...named}
+      type="number"
+      step={field.kind === "integer" ? 1 : "any"}
+      placeholder={`default: ${field.standard}`}
+      value={text}
+      onInput={(event) => onText(event.currentTarget.value)}
+    />
+  );
+}

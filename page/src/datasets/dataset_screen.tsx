@@ -1,0 +1,89 @@
+/** What was understood of a capture, and the fit that can be made of it. */
+
+import { useEffect, useState } from "preact/hooks";
+import { createFit, deleteDataset, getCapture, getDataset, type Dataset } from "../api/resources.ts";
+import { readNpz } from "../data/npz.ts";
+import { captureOf } from "../data/take.ts";
+import { captured } from "../fits/fits_screen.tsx";
+import { goTo } from "../route.ts";
+import { ConfigForm } from "./config_form.tsx";
+import { fullestFrame, type Drawn } from "./preview.ts";
+import { Understood } from "./understood.tsx";
+
+export function DatasetScreen({ id }: { id: string }) {
+  const [dataset, setDataset] = useState<Dataset | null>(null);
+  const [trouble, setTrouble] = useState<string | null>(null);
+  const [config, setConfig] = useState<Record<string, unknown>>({});
+  const [busy, setBusy] = useState(false);
+  const [frame, setFrame] = useState<Drawn | null>(null);
+  useEffect(() => {
+    getDataset(id).then(
+      (found) => {
+        setDataset(found);
+        document.title = `${found.name} · Fewview`;
+      },
+      (error: Error) => setTrouble(error.message),
+    );
+    getCapture(id).then(
+      (bytes) => setFrame(fullestFrame(captureOf(readNpz(bytes)))),
+      () => {}, // the words do without
+    );
+  }, [id]);
+  const attempt = async (work: () => Promise<void>) => {
+    setBusy(true);
+    setTrouble(null);
+    await work().catch((error: Error) => setTrouble(error.message));
+    setBusy(false);
+  };
+  if (dataset === null) return <main>{trouble === null ? <p class="quiet">Loading …</p> : <p class="trouble">{trouble}</p>}</main>;
+  return (
+    <main>
+      <header class="title">
+        <h1>{dataset.name}</h1>
+        <span class="quiet">{captured(dataset)}</span>
+      </header>
+      <section class="panel">
+        <h2>What was understood</h2>
+        <Understood facts={dataset} frame={frame} />
+      </section>
+      <section class="panel">
+        <h2>Fit it</h2>
+        <p>
+          The defaults suit most captures. A minute or two for a thousand frames; you may close the page meanwhile.
+        </p>
+        <ConfigForm dataset={dataset} onChange={setConfig} />
+        {trouble !== null && (
+          <p class="trouble" role="alert">
+            {trouble}
+          </p>
+        )}
+        <div class="buttons">
+          <button
+            class="primary"
+            disabled={busy}
+            onClick={() =>
+              void attempt(async () => {
+                const fit = await createFit({ dataset_id: dataset.id, name: dataset.name, config });
+                goTo("fits", fit.id);
+              })
+            }
+          >
+            Start the fit
+          </button>
+          <button
+            disabled={busy}
+            onClick={() => {
+              if (!confirm(`Delete ${dataset.name}? Models that were fitted to it stay.`)) return;
+              void attempt(async () => {
+                await deleteDataset(dataset.id);
+                goTo();
+              });
+            }}
+          >
+            Delete this dataset
+          </button>
+        </div>
+      </section>
+    </main>
+  );
+}

@@ -1,0 +1,70 @@
+/** Draws the detected keypoints of one frame of a view. */
+
+import type { Capture } from "../data/take.ts";
+import { pixelRatio } from "../parts/canvas_size.ts";
+import { colourOf, readTheme } from "../parts/theme.ts";
+import type { Side } from "../science/sides.ts";
+
+const MARGIN = 0.12;
+
+/** One frame of all views, and how it is drawn. */
+export interface Drawn {
+  views: Float32Array[]; // (P, 2) pixels each, NaN where not observed
+  edges: [number, number][];
+  sides: Side[];
+}
+
+export function drawKeypoints(canvas: HTMLCanvasElement, { views, edges, sides }: Drawn, view: number): void {
+  const pixels = views[view];
+  const xs = evens(pixels, 0);
+  const ys = evens(pixels, 1);
+  const context = canvas.getContext("2d");
+  if (context === null || xs.length === 0) return;
+  const ratio = pixelRatio();
+  canvas.width = canvas.clientWidth * ratio;
+  canvas.height = canvas.clientHeight * ratio;
+  const theme = readTheme();
+  const [left, top] = [Math.min(...xs), Math.min(...ys)];
+  const [width, height] = [Math.max(...xs) - left || 1, Math.max(...ys) - top || 1];
+  const scale = (1 - 2 * MARGIN) * Math.min(canvas.width / width, canvas.height / height);
+  const place = (keypoint: number): [number, number] => [
+    canvas.width / 2 + scale * (pixels[2 * keypoint] - left - width / 2),
+    canvas.height / 2 + scale * (pixels[2 * keypoint + 1] - top - height / 2),
+  ];
+  context.strokeStyle = theme.quiet;
+  context.lineWidth = 1.5 * ratio;
+  context.beginPath();
+  for (const [a, b] of edges) {
+    if (Number.isNaN(pixels[2 * a] + pixels[2 * b])) continue;
+    context.moveTo(...place(a));
+    context.lineTo(...place(b));
+  }
+  context.stroke();
+  for (let keypoint = 0; keypoint < pixels.length / 2; keypoint++) {
+    if (Number.isNaN(pixels[2 * keypoint])) continue;
+    context.beginPath();
+    context.arc(...place(keypoint), 3 * ratio, 0, 7);
+    context.fillStyle = colourOf(theme, sides[keypoint] ?? 0);
+    context.fill();
+  }
+}
+
+/** Returns the first frame, of some hundred, in which most keypoints are observed. */
+export function fullestFrame(capture: Capture): Drawn {
+  const { frames, views, keypoints, detected, edges, sides } = capture;
+  const step = Math.max(1, Math.floor(frames / 300));
+  const size = 2 * keypoints;
+  let best = 0;
+  let most = -1;
+  for (let frame = 0; frame < frames; frame += step) {
+    const seen = detected.subarray(frame * views * size, (frame + 1) * views * size);
+    const known = seen.reduce((sum, value) => sum + (Number.isNaN(value) ? 0 : 1), 0);
+    if (known > most) [best, most] = [frame, known];
+  }
+  const starts = Array.from({ length: views }, (_, view) => (best * views + view) * size);
+  return { views: starts.map((start) => detected.subarray(start, start + size)), edges, sides };
+}
+
+function evens(pixels: Float32Array, offset: number): number[] {
+  return Array.from(pixels).filter((value, at) => at % 2 === offset && !Number.isNaN(value));
+}

@@ -1,0 +1,52 @@
+/** Has the service look at files, again whenever they or what is known of them changes. */
+
+import { useEffect, useState } from "preact/hooks";
+import type { DatasetPreview } from "../api/resources.ts";
+import { sidesOf } from "../science/sides.ts";
+import type { Drawn } from "./preview.ts";
+import { lookAt, type Description } from "./upload.ts";
+
+export type Look =
+  | { state: "none" }
+  | { state: "sending"; share: number }
+  | { state: "refused"; reason: string }
+  | { state: "seen"; preview: DatasetPreview; drawn: Drawn };
+
+const PAUSE_MS = 500; // after the last key that was typed
+
+export function useLook(files: File[], description: Description): Look {
+  const [look, setLook] = useState<Look>({ state: "none" });
+  const { fps, width, height } = description;
+  useEffect(() => {
+    if (files.length === 0) {
+      setLook({ state: "none" });
+      return undefined;
+    }
+    const stop = new AbortController();
+    const put = (next: Look) => {
+      if (!stop.signal.aborted) setLook(next);
+    };
+    const begin = () => {
+      put({ state: "sending", share: 0 });
+      lookAt(files, description, (share) => put({ state: "sending", share }), stop.signal).then(
+        (preview) => put({ state: "seen", preview, drawn: drawnOf(preview) }),
+        (error: Error) => put({ state: "refused", reason: error.message }),
+      );
+    };
+    const timer = setTimeout(begin, PAUSE_MS);
+    return () => {
+      clearTimeout(timer);
+      stop.abort();
+    };
+  }, [files, fps, width, height]);
+  return look;
+}
+
+function drawnOf({ frame_keypoints: views, skeleton, keypoints }: DatasetPreview): Drawn {
+  const names = skeleton?.keypoint_names ?? [];
+  return {
+    views: views.map((points) => Float32Array.from(points.flatMap((point) => point ?? [NaN, NaN]))),
+    edges: (skeleton?.edges ?? []) as [number, number][],
+    sides: names.length === keypoints ? sidesOf(names) : [],
+  };
+}

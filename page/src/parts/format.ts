@@ -1,0 +1,44 @@
+/** Numbers and moments as people read them. */
+
+const PLAIN = new Intl.NumberFormat("en", { maximumSignificantDigits: 6 });
+
+export function number(value: number | null | undefined, digits = 3): string {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  const text = Math.abs(value) >= 1000 ? Math.round(value).toString() : value.toPrecision(digits);
+  return PLAIN.format(Number(text));
+}
+
+export function pixels(value: number | null | undefined): string {
+  return `${number(value)} px`;
+}
+
+export function percent(share: number): string {
+  return `${(100 * share).toFixed(share > 0 && share < 0.1 ? 1 : 0)} %`;
+}
+
+export function count(many: number, word: string): string {
+  return `${many.toLocaleString("en")} ${word}${many === 1 ? "" : "s"}`;
+}
+
+export function moment(iso: string): string {
+  return new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" });
+}
+
+export function duration(seconds: number): string {
+  if (seconds < 90) return `${Math.round(seconds)} s`;
+  const minutes = Math.round(seconds / 60);
+  return minutes < 90 ? `${minutes} min` : `${(minutes / 60).toFixed(1)} h`;
+}
+
+export function bytes(size: number): string {
+  const units = ["B", "KB", "MB", "GB"];
+  let at = 0;
+  for (; size >= 1000 && at < units.length - 1; at++) size /= 1000;
+  return `${size.toFixed(at > 0 && size < 10 ? 1 : 0)} ${units[at]}`;
+}
+
+/** Returns the words of a name that code uses: `frame_unlike_fit` is "Frame unlike fit". */
+export function words(name: string): string {
+  const text = name.replaceAll("_", " ");
+  return text[0].toUpperCase() + text.slice(1);
+}

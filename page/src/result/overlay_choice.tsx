@@ -1,0 +1,61 @@
+/** What is laid over the structure, pale: the ground truth, or what another fit made of the dataset. */
+
+import { useEffect, useState } from "preact/hooks";
+import { getFit, listFitsOf, type Fit } from "../api/resources.ts";
+import { loadPoints } from "../data/loading.ts";
+import { aligned } from "../science/aligning.ts";
+import { useShow } from "./show.ts";
+
+export interface Overlay {
+  name: string;
+  points: Float32Array; // (N, P, 3), moved onto the structure
+  each: boolean; // whether each frame was moved on its own, not all as one
+}
+
+const NONE = "";
+const TRUTH = "truth";
+
+export function OverlayChoice() {
+  const { fit, take, overlay, setOverlay } = useShow();
+  const [others, setOthers] = useState<Fit[]>([]);
+  const [chosen, setChosen] = useState(NONE);
+  const [trouble, setTrouble] = useState(false);
+  useEffect(() => {
+    listFitsOf(fit.dataset_id).then(
+      (page) => setOthers(page.items.filter((other) => other.id !== fit.id && other.model_id)),
+      () => setOthers([]),
+    );
+  }, [fit.id]);
+  if (others.length === 0 && take.truth === undefined) return null;
+
+  const lay = async (choice: string) => {
+    setChosen(choice);
+    setTrouble(false);
+    if (choice === NONE) return setOverlay(null);
+    try {
+      const name = choice === TRUTH ? "the truth" : (others.find((other) => other.id === choice)?.name ?? choice);
+      const truth = { points: take.truth ?? new Float32Array(), inOneFrame: true };
+      const { points, inOneFrame } = choice === TRUTH ? truth : await loadPoints(await getFit(choice));
+      const each = take.frame === "view" || !inOneFrame;
+      setOverlay({ name, each, points: aligned(points, take.points, take.keypoints, each) });
+    } catch {
+      setTrouble(true);
+    }
+  };
+  return (
+    <select
+      aria-label="Laid over the structure"
+      value={chosen}
+      data-state={overlay === null ? "none" : "shown"}
+      onChange={(event) => void lay(event.currentTarget.value)}
+    >
+      <option value={NONE}>{trouble ? "cannot be loaded" : "compare with …"}</option>
+      {take.truth !== undefined && <option value={TRUTH}>the ground truth</option>}
+      {others.map((other) => (
+        <option key={other.id} value={other.id}>
+          {other.name} ({other.id.slice(-6)})
+        </option>
+      ))}
+    </select>
+  );
+}

@@ -1,0 +1,127 @@
+/** Joints and bones of one frame, drawn with two calls however many there are. */
+
+import {
+  Color,
+  CylinderGeometry,
+  DynamicDrawUsage,
+  Group,
+  IcosahedronGeometry,
+  InstancedMesh,
+  MeshLambertMaterial,
+} from "three";
+import type { Take } from "../../data/take.ts";
+import { colourOf, type Theme } from "../../parts/theme.ts";
+
+const GHOST = 0.3; // opacity
+const BONE = 0.45; // radius of a bone, as a share of a joint's
+
+export interface Skeleton {
+  group: Group;
+  show(frame: number, points: Float32Array): void;
+  paint(theme: Theme, selected: number | null): void;
+}
+
+/** @param size radius of a joint, in the unit of the points
+ * @param ghost whether it is another's structure, which is drawn as a pale hull */
+export function createSkeleton(take: Take, size: number, ghost = false): Skeleton {
+  const { keypoints, edges, sides } = take;
+  const material = new MeshLambertMaterial(ghost ? { transparent: true, opacity: GHOST, depthWrite: false } : {});
+  const joints = new InstancedMesh(new IcosahedronGeometry(1, 2), material, keypoints);
+  const bones = new InstancedMesh(new CylinderGeometry(1, 1, 1, 10, 1, true), material, edges.length);
+  for (const mesh of [joints, bones]) {
+    mesh.instanceMatrix.setUsage(DynamicDrawUsage);
+    mesh.frustumCulled = false;
+  }
+  const group = new Group().add(joints, bones);
+  let chosen: number | null = null;
+
+  return {
+    group,
+    show(frame, points) {
+      const first = 3 * keypoints * frame;
+      const spheres = joints.instanceMatrix.array;
+      for (let keypoint = 0; keypoint < keypoints; keypoint++) {
+        const radius = keypoint === chosen ? 1.9 * size : size;
+        writeSphere(spheres, 16 * keypoint, points, first + 3 * keypoint, radius);
+      }
+      const cylinders = bones.instanceMatrix.array;
+      edges.forEach(([a, b], edge) => {
+        writeCylinder(cylinders, 16 * edge, points, first + 3 * a, first + 3 * b, BONE * size);
+      });
+      joints.instanceMatrix.needsUpdate = bones.instanceMatrix.needsUpdate = true;
+    },
+    paint(theme, selected) {
+      chosen = selected;
+      const colour = new Color();
+      for (let keypoint = 0; keypoint < keypoints; keypoint++) {
+        const plain = ghost ? theme.accent : colourOf(theme, sides[keypoint]);
+        const name = keypoint === selected ? theme.accent : plain;
+        joints.setColorAt(keypoint, colour.set(name));
+      }
+      edges.forEach(([a, b], edge) => {
+        const side = sides[a] || sides[b]; // a bone from the trunk belongs to its limb
+        bones.setColorAt(edge, colour.set(ghost ? theme.accent : colourOf(theme, side)));
+      });
+      for (const mesh of [joints, bones]) {
+        if (mesh.instanceColor !== null) mesh.instanceColor.needsUpdate = true;
+      }
+    },
+  };
+}
+
+/** Writes the matrix of a sphere; one without a place has no size. */
+function writeSphere(
+  into: Float32Array | ArrayLike<number>,
+  at: number,
+  points: Float32Array,
+  point: number,
+  radius: number,
+): void {
+  const matrix = into as Float32Array;
+  const x = points[point];
+  const known = x === x; // not NaN
+  const size = known ? radius : 0;
+  matrix.fill(0, at, at + 16);
+  matrix[at] = matrix[at + 5] = matrix[at + 10] = size;
+  matrix[at + 12] = known ? x : 0;
+  matrix[at + 13] = known ? points[point + 1] : 0;
+  matrix[at + 14] = known ? points[point + 2] : 0;
+  matrix[at + 15] = 1;
+}
+
+/** Writes the matrix that leads the unit cylinder along y from one point to another. */
+function writeCylinder(
+  into: Float32Array | ArrayLike<number>,
+  at: number,
+  points: Float32Array,
+  a: number,
+  b: number,
+  radius: number,
+): void {
+  const matrix = into as Float32Array;
+  const dx = points[b] - points[a];
+  const dy = points[b + 1] - points[a + 1];
+  const dz = points[b + 2] - points[a + 2];
+  const length = Math.sqrt(dx * dx + dy * dy + dz * dz);
+  matrix.fill(0, at, at + 16);
+  matrix[at + 15] = 1;
+  if (!(length > 0)) return; // NaN, or no length
+  // Two directions across the bone: (dy, -dx, 0) or, along z, (0, dz, -dy).
+  const flat = Math.abs(dz) < 0.9 * length;
+  const across = flat ? Math.sqrt(dx * dx + dy * dy) : Math.sqrt(dy * dy + dz * dz);
+  const ux = flat ? dy / across : 0;
+  const uy = flat ? -dx / across : dz / across;
+  const uz = flat ? 0 : -dy / across;
+  matrix[at] = radius * ux;
+  matrix[at + 1] = radius * uy;
+  matrix[at + 2] = radius * uz;
+  matrix[at + 4] = dx;
+  matrix[at + 5] = dy;
+  matrix[at + 6] = dz;
+  matrix[at + 8] = (radius * (uy * dz - uz * dy)) / length;
+  matrix[at + 9] = (radius * (uz * dx - ux * dz)) / length;
+  matrix[at + 10] = (radius * (ux * dy - uy * dx)) / length;
+  matrix[at + 12] = points[a] + dx / 2;
+  matrix[at + 13] = points[a + 1] + dy / 2;
+  matrix[at + 14] = points[a + 2] + dz / 2;
+}

@@ -1,0 +1,103 @@
+/** The structure in three dimensions, with the cameras' names on it. */
+
+import { useEffect, useRef, useState } from "preact/hooks";
+import type { Stage } from "./scene/scene.ts";
+import { createStage } from "./scene/scene.ts";
+import { useShow } from "./show.ts";
+import { StageControls } from "./stage_controls.tsx";
+
+const FRAMES = {
+  level: "In the room: y up, on the floor where feet are named.",
+  camera: "In the axes of the first static camera, turned upright.",
+  view: "Each frame in the axes of its first view: no camera is known to be static.",
+} as const;
+
+export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void }) {
+  const show = useShow();
+  const canvas = useRef<HTMLCanvasElement>(null);
+  const labels = useRef<HTMLDivElement>(null);
+  const [stage, setStage] = useState<Stage | null>(null);
+  const [trouble, setTrouble] = useState<string | null>(null);
+  const { take, player, loop, theme, selected, through, lookThrough } = show;
+
+  useEffect(() => {
+    if (canvas.current === null) return undefined;
+    let made: Stage;
+    try {
+      made = createStage(canvas.current, take, player.frame);
+    } catch {
+      setTrouble("This browser draws nothing in three dimensions: it has no WebGL.");
+      return undefined;
+    }
+    setStage(made);
+    onStage(made);
+    return () => {
+      onStage(null);
+      made.close();
+    };
+  }, [take]);
+
+  useEffect(() => {
+    if (stage === null) return undefined;
+    stage.onLeaveCamera(() => lookThrough(null));
+    return loop.addAlways(() => {
+      stage.draw(player.frame);
+      placeLabels(stage, labels.current);
+    });
+  }, [stage, loop]);
+
+  useEffect(() => {
+    stage?.lookThrough(through);
+    stage?.paint(theme, selected);
+  }, [stage, theme, selected, through]);
+
+  useEffect(() => stage?.overlay(show.overlay?.points ?? null), [stage, show.overlay]);
+
+  const turnByKey = (event: KeyboardEvent) => {
+    const turn = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+    if (turn === undefined || stage === null) return;
+    event.preventDefault();
+    event.stopPropagation();
+    stage.orbit(0.1 * turn[0], 0.1 * turn[1]);
+  };
+
+  return (
+    <section class="panel stage" aria-label="Structure in 3D">
+      <canvas
+        ref={canvas}
+        tabIndex={0}
+        role="img"
+        aria-label={`3D structure, ${take.keypoints} keypoints. Drag or use the arrow keys to turn it.`}
+        onKeyDown={turnByKey}
+      />
+      <div class="labels" ref={labels}>
+        {take.viewNames.map((name, view) => (
+          <button key={view} hidden onClick={() => lookThrough(view)} title={`Look through ${name}`}>
+            {name}
+          </button>
+        ))}
+      </div>
+      {trouble !== null && <p class="trouble">{trouble}</p>}
+      <div class="overlay top">
+        {through === null ? (
+          <span class="quiet">{FRAMES[take.frame]}</span>
+        ) : (
+          <button onClick={() => lookThrough(null)}>
+            Through {take.viewNames[through]} · leave <kbd>Esc</kbd>
+          </button>
+        )}
+      </div>
+      <StageControls stage={stage} />
+    </section>
+  );
+}
+
+function placeLabels(stage: Stage, labels: HTMLDivElement | null): void {
+  if (labels === null) return;
+  stage.cameraPlaces().forEach((place, view) => {
+    const label = labels.children[view] as HTMLElement | undefined;
+    if (label === undefined) return;
+    if (label.hidden !== (place === null)) label.hidden = place === null;
+    if (place !== null) label.style.transform = `translate(${Math.round(place.x)}px, ${Math.round(place.y)}px)`;
+  });
+}

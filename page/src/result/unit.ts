@@ -1,0 +1,16 @@
+/** The unit of a fit's structures. */
+
+import type { Fit } from "../api/resources.ts";
+
+/** Returns what lengths are counted in. Which unit a given length has nobody states, so its name is
+ * not known; without one the structure's own size is the unit. */
+export function unitOf(fit: Fit): string {
+  if (fit.config?.known_length) return "unit of the known length";
+  return hasUnit(fit) ? "unit of the calibration" : "no unit: no length was given";
+}
+
+/** Tells whether lengths were given to a fit: one of the subject, or the poses of two cameras. */
+export function hasUnit(fit: Fit): boolean {
+  const posed = (fit.config?.calibration ?? []).filter((camera) => camera?.translation);
+  return Boolean(fit.config?.known_length) || posed.length > 1;
+}

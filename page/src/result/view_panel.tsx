@@ -1,0 +1,74 @@
+/** One view: its keypoints, the structure projected over them and, if one likes, the film below. */
+
+import { useEffect, useRef, useState } from "preact/hooks";
+import { keepSize } from "../parts/canvas_size.ts";
+import { number } from "../parts/format.ts";
+import { Icon } from "../parts/icons.tsx";
+import { partsOf, type Crop } from "./crop.ts";
+import { openFilm, type Film } from "./film.ts";
+import { useShow } from "./show.ts";
+import { createViewDrawing } from "./view_drawing.ts";
+
+export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
+  const { take, player, loop, theme, selected, through, lookThrough, posed } = useShow();
+  const canvas = useRef<HTMLCanvasElement>(null);
+  const error = useRef<HTMLSpanElement>(null);
+  const [film, setFilm] = useState<Film | null>(null);
+
+  useEffect(() => {
+    const context = canvas.current?.getContext("2d") ?? null;
+    if (context === null) return undefined;
+    const drawing = createViewDrawing(take, view);
+    const partOf = partsOf(take, view, crop);
+    return loop.add(() => {
+      const picture = film?.at(player.frame, player.rate) ?? null;
+      drawing.draw(context, player.frame, theme, partOf(player.frame), selected, picture);
+      const pixels = take.viewErrors[player.frame * take.views + view];
+      if (error.current !== null) error.current.textContent = `${number(pixels)} px`;
+    });
+  }, [take, view, crop, theme, selected, loop, film]);
+
+  useEffect(() => {
+    if (canvas.current === null) return undefined;
+    return keepSize(canvas.current, () => loop.wake());
+  }, [loop]);
+
+  useEffect(() => () => film?.close(), [film]);
+
+  const open = (files: FileList | null) => {
+    if (files !== null && files.length > 0) setFilm(openFilm([...files], () => loop.wake()));
+  };
+  const name = take.viewNames[view];
+  return (
+    <figure
+      class={`panel view${through === view ? " chosen" : ""}`}
+      onDragOver={(event) => event.preventDefault()}
+      onDrop={(event) => {
+        event.preventDefault();
+        open(event.dataTransfer?.files ?? null);
+      }}
+    >
+      <figcaption>
+        {posed[view] ? (
+          <button class="plain" onClick={() => lookThrough(through === view ? null : view)} title="Look through">
+            {name}
+          </button>
+        ) : (
+          <strong>{name}</strong>
+        )}
+        <span class="quiet" ref={error} title="Mean reprojection error of this frame" />
+        <label class="button small" title="A video or images of this view. They stay in this browser.">
+          <Icon name="picture" />
+          <span class="unseen">Video or images of {name}, which stay in this browser</span>
+          <input
+            type="file"
+            accept="video/*,image/*"
+            multiple
+            onChange={(event) => open(event.currentTarget.files)}
+          />
+        </label>
+      </figcaption>
+      <canvas ref={canvas} role="img" aria-label={`${name}: detected keypoints, and the structure projected`} />
+    </figure>
+  );
+}

@@ -1,0 +1,67 @@
+/** The result screen: the structure, the views, the errors in time, and what was noticed. */
+
+import { useState } from "preact/hooks";
+import type { Fit } from "../api/resources.ts";
+import type { Result } from "../data/loading.ts";
+import { FindingList } from "../parts/finding_list.tsx";
+import { CopyLink, Shortcuts, WorstFrames } from "./asides.tsx";
+import type { Crop } from "./crop.ts";
+import { Exports } from "./exports.tsx";
+import { Figures } from "./figures.tsx";
+import { Legend } from "./legend.tsx";
+import type { Stage } from "./scene/scene.ts";
+import { ShowContext } from "./show.ts";
+import { StagePanel } from "./stage_panel.tsx";
+import { Timeline } from "./timeline.tsx";
+import { Transport } from "./transport.tsx";
+import { useResult } from "./use_result.ts";
+import { ViewPanel } from "./view_panel.tsx";
+
+export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
+  const [stage, setStage] = useState<Stage | null>(null);
+  const [crop, setCrop] = useState<Crop>("subject");
+  const show = useResult(fit, result, stage);
+  const { take, player, findings } = show;
+  return (
+    <ShowContext.Provider value={show}>
+      <div class="result">
+        <div class="screens">
+          <StagePanel onStage={setStage} />
+          <section class="views" aria-label="Views" data-count={take.views}>
+            {take.viewNames.map((_, view) => (
+              <ViewPanel key={view} view={view} crop={crop} />
+            ))}
+          </section>
+        </div>
+        <section class="panel playing" aria-label="Time">
+          <Transport />
+          <Timeline />
+          <Legend crop={crop} setCrop={setCrop} />
+        </section>
+        <div class="facts-grid">
+          <section class="panel">
+            <h2>What was noticed</h2>
+            <WorstFrames />
+            <FindingList
+              findings={findings}
+              viewNames={take.viewNames}
+              keypointNames={take.names}
+              onFrame={(frame) => player.show(frame)}
+              onKeypoint={show.select}
+            />
+          </section>
+          <section class="panel">
+            <h2>Figures</h2>
+            <Figures />
+          </section>
+          <section class="panel">
+            <h2>Take it away</h2>
+            <Exports stage={stage} />
+            <CopyLink stage={stage} frame={() => player.frame} />
+            <Shortcuts />
+          </section>
+        </div>
+      </div>
+    </ShowContext.Provider>
+  );
+}

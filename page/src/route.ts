@@ -1,0 +1,25 @@
+/** Where in the page one is: the part of the address behind `#`, which no proxy and no API sees. */
+
+export interface Route {
+  path: string[];
+  query: URLSearchParams;
+}
+
+export function currentRoute(): Route {
+  const [path, query = ""] = location.hash.replace(/^#\/?/, "").split("?", 2);
+  return { path: path.split("/").filter(Boolean).map(decodeURIComponent), query: new URLSearchParams(query) };
+}
+
+export function linkTo(...path: string[]): string {
+  return `#/${path.map(encodeURIComponent).join("/")}`;
+}
+
+export function goTo(...path: string[]): void {
+  location.hash = linkTo(...path);
+}
+
+/** Changes the query of the address without a step in the browser's history. */
+export function keepInAddress(query: Record<string, string>): void {
+  const { path } = currentRoute();
+  history.replaceState(null, "", `${linkTo(...path)}?${new URLSearchParams(query)}`);
+}

@@ -1,0 +1,128 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { aligned, distances } from "../src/science/aligning.ts";
+import { boxOf, roundLength, subjectSize, usualStep } from "../src/science/extent.ts";
+import { frameFindings } from "../src/science/frame_findings.ts";
+import { sidesOf } from "../src/science/sides.ts";
+import { quantile, worstFrames } from "../src/science/worst.ts";
+import { seeded } from "./helpers.ts";
+
+test("a name is of a side only if its mirror image is a name, too", () => {
+  const pairs: [string, string][] = [
+    ["left_wrist", "right_wrist"],
+    ["LeftWrist", "RightWrist"],
+    ["lwrist", "rwrist"],
+    ["LWrist", "RWrist"],
+    ["L_wrist", "R_wrist"],
+    ["wrist_l", "wrist_r"],
+    ["wrist.L", "wrist.R"],
+    ["wristL", "wristR"],
+    ["eye_l_inner", "eye_r_inner"],
+    ["wrist_left", "wrist_right"],
+    ["LEFT WRIST", "RIGHT WRIST"],
+  ];
+  for (const [left, right] of pairs) assert.deepEqual(sidesOf([left, "nose", right]), [-1, 0, 1], left);
+  assert.deepEqual(sidesOf(["lowerback", "rump", "tail", "neck", "left_ear"]), [0, 0, 0, 0, 0]);
+  assert.deepEqual(sidesOf(["lowerback", "rowerback"]), [-1, 1]);
+});
+
+test("the worst frames keep apart and come worst first", () => {
+  const errors = [1, 9, 8, NaN, 3, 2, 7, 1];
+  assert.deepEqual(worstFrames(errors, 3, 2), [1, 6, 4]);
+  assert.deepEqual(worstFrames(errors, 1, 2), [1]);
+  assert.deepEqual(worstFrames([NaN, NaN], 3, 1), []);
+});
+
+test("quantiles leave out what is not known", () => {
+  assert.equal(quantile([3, NaN, 1, 2], 0.5), 2);
+  assert.equal(quantile([3, NaN, 1, 2], 1), 3);
+  assert.equal(quantile([NaN], 0.5), 0);
+});
+
+test("lengths are rounded to those that people count in", () => {
+  for (const [length, round] of [
+    [1.2, 1],
+    [1.7, 2],
+    [0.43, 0.5],
+    [8, 10],
+    [270, 200],
+    [0.0031, 0.002],
+  ]) {
+    assert.ok(Math.abs(roundLength(length) / round - 1) < 1e-9, `${length}`);
+  }
+});
+
+test("sizes, boxes and steps are those of most frames", () => {
+  // Two points a unit apart that go 0.1 along x a frame; one frame is missing, one far astray.
+  const frames = 300;
+  const points = new Float32Array(frames * 6);
+  for (let frame = 0; frame < frames; frame++) points.set([0.1 * frame, 0, 0, 0.1 * frame, 1, 0], 6 * frame);
+  points.fill(NaN, 60, 66);
+  points.fill(1e6, 120, 126);
+  assert.ok(Math.abs(subjectSize(points, 2) - 1) < 1e-5);
+  assert.ok(Math.abs(usualStep(points, 2) - 0.1) < 1e-5);
+  const { low, high } = boxOf(points, 2);
+  assert.ok(low[0] >= 0 && low[0] < 1 && high[0] > 28 && high[0] <= 30);
+  assert.deepEqual([low[1], high[1]], [0, 1]);
+});
+
+test("points that were turned, scaled and shifted are laid over each other again", () => {
+  const random = seeded(7);
+  for (let round = 0; round < 20; round++) {
+    const to = Float32Array.from({ length: 3 * 12 }, () => random() - 0.5);
+    const [w, x, y, z] = unit([random() - 0.5, random() - 0.5, random() - 0.5, random() - 0.5]);
+    const scale = 0.2 + 3 * random();
+    const from = new Float32Array(to.length);
+    for (let at = 0; at < to.length; at += 3) {
+      const [a, b, c] = rotated([w, x, y, z], [to[at], to[at + 1], to[at + 2]]);
+      from.set([scale * a + 5, scale * b - 2, scale * c + 1], at);
+    }
+    from[4] = NaN;
+    from[3] = NaN;
+    from[5] = NaN;
+    for (const each of [false, true]) {
+      const moved = aligned(from, to, 4, each);
+      const off = distances(moved, to, 4);
+      assert.equal(off.length, 3);
+      assert.ok(Math.max(...off) < 2e-5, `${off}`);
+      assert.ok(Number.isNaN(moved[3]));
+    }
+  }
+});
+
+test("a mirror image is not turned over", () => {
+  const random = seeded(8);
+  const to = Float32Array.from({ length: 3 * 10 }, () => random() - 0.5);
+  const from = to.map((value, at) => (at % 3 === 2 ? -value : value));
+  assert.ok(distances(aligned(from, to, 10, false), to, 10)[0] > 0.05);
+});
+
+function unit(q: number[]): number[] {
+  const size = Math.hypot(...q);
+  return q.map((value) => value / size);
+}
+
+/** q v q*, written with cross products. */
+function rotated([w, x, y, z]: number[], v: number[]): number[] {
+  const cross = (a: number[], b: number[]) => [
+    a[1] * b[2] - a[2] * b[1],
+    a[2] * b[0] - a[0] * b[2],
+    a[0] * b[1] - a[1] * b[0],
+  ];
+  const t = cross([x, y, z], v).map((value) => 2 * value);
+  const u = cross([x, y, z], t);
+  return v.map((value, i) => value + w * t[i] + u[i]);
+}
+
+test("bits of frames become findings with ranges", () => {
+  const found = frameFindings([0, 2, 2, 0, 3, 8, 0, 2]);
+  assert.deepEqual(
+    found.map(({ code, frames }) => [code, frames]),
+    [
+      ["rig_not_used", [[4, 4]]],
+      ["frame_unlike_fit", [[1, 2], [4, 4], [7, 7]]],
+      ["not_in_room", [[5, 5]]],
+    ],
+  );
+  assert.deepEqual(frameFindings([0, 0]), []);
+});

@@ -1,0 +1,108 @@
+"""Animations: the structures of a fit as files of biomechanics and of graphics."""
+
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+import numpy as np
+from fastapi import APIRouter, Depends, Query, Request
+from starlette.responses import Response
+
+from service.http.dependencies import StoreDep
+from service.http.downloads import bytes_response
+from service.http.errors import invalid, problems
+from service.http.negotiation import OCTETS
+from service.http.operations import binary_responses
+from service.http.turns import turn
+from service.realtime.dependencies import EngineDep, RoomsDep
+from service.resources.fits import FitDep
+from service.resources.reconstructions import model_of, stored_arrays
+from service.wire.animations import AnimationFormat, LengthUnit, animation_file
+from service.wire.rooms import FrameQuery, UpQuery, is_room, read_up
+from service.wire.skeletons import Skeleton
+from store import datasets, lookup, records
+from store.database import Store
+from store.errors import NotFoundError
+
+router = APIRouter(prefix="/fits", tags=["fits"])
+
+MOST_POINTS = 3_000_000  # in one file: the slowest format, BVH, takes half a minute for as many
+
+
+async def take_turn(request: Request) -> AsyncIterator[None]:
+    """Have animations, which are made whole in memory, wait their turn as large uploads do."""
+    async with turn(request.app.state.large_uploads):
+        yield
+
+
+@router.get(
+    "/{fit_id}/animation",
+    response_class=Response,
+    dependencies=[Depends(take_turn, scope="function")],
+    responses=problems("not_found", "conflict", "overloaded", "range_not_satisfiable")
+    | binary_responses("The structures as a file of the format.", OCTETS),
+)
+def download_animation(
+    fit: FitDep,
+    store: StoreDep,
+    engine: EngineDep,
+    rooms: RoomsDep,
+    request: Request,
+    format: Annotated[
+        AnimationFormat,
+        Query(
+            description="`trc` (OpenSim), `c3d` (biomechanics), `bvh` (a skeleton, where edges "
+            "form a tree), `glb` (glTF 2.0, for viewers and Blender), `csv` (a row for each "
+            "frame), `csv-tidy` (a row for each point)."
+        ),
+    ],
+    frame: FrameQuery = None,
+    up: UpQuery = None,
+    unit: Annotated[
+        LengthUnit | None,
+        Query(
+            description="Unit of the lengths that the fit was given; `trc` needs it, others name "
+            "it where they can. Nothing is converted."
+        ),
+    ] = None,
+) -> Response:
+    """Download the structures of every fitted frame as an animation.
+
+    Tools expect y up, as `frame=room&up=auto` gives it. Keypoints are called as the model's
+    skeleton does. Times are those of the dataset, or else 30 frames/s.
+    """
+    model = lookup.get(store, records.Model, model_of(fit))
+    if fit.frames * model.keypoints > MOST_POINTS:
+        raise invalid(
+            "/format",
+            f"expected {MOST_POINTS} points at most, frames times keypoints; this fit has "
+            f"{fit.frames} x {model.keypoints}: write it in parts, of its reconstruction, with "
+            "the client",
+        )
+    found = stored_arrays(fit, store)
+    direction = read_up(up)
+    if is_room(frame, direction):
+        warm = engine.models.get(store.project, model.id)
+        found = rooms.find(warm, direction).place_arrays(found)
+    skeleton = Skeleton.model_validate(model.skeleton or {})
+    fps, times = _moments(fit, store)
+    file = animation_file(
+        found["points3d"], skeleton, format=format, unit=unit, fps=fps, times=times
+    )
+    filename = f"{fit.id}{file.suffix}"
+    return bytes_response(request, file.content, media_type=OCTETS, filename=filename)
+
+
+def _moments(
+    fit: records.FitJob, store: Store
+) -> tuple[float | None, np.ndarray[tuple[int], np.dtype[np.float64]] | None]:
+    """Return frames per second and times (N,) in seconds, None where the dataset has none."""
+    try:
+        dataset = lookup.get(store, records.Dataset, fit.dataset_id)
+        if dataset.last_times is None:
+            return dataset.fps, None
+        times = datasets.load(store, fit.dataset_id, frames=fit.frames).times
+    except NotFoundError:  # it was deleted since
+        return None, None
+    if times is not None and times.ndim == 2:
+        times = np.nanmedian(times, axis=1)
+    return dataset.fps, times

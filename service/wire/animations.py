@@ -1,0 +1,64 @@
+"""Structures as files of other tools, by the writers of the client."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Literal, NamedTuple
+
+import numpy as np
+from fewview.animation import Animation
+from fewview.errors import FormatError
+from fewview.writers.registry import FORMATS, write
+from numpy.typing import NDArray
+from typing_extensions import TypeAliasType
+
+from service.http.errors import invalid
+from service.wire.skeletons import Skeleton
+
+AnimationFormat = TypeAliasType(
+    "AnimationFormat", Literal["trc", "c3d", "bvh", "glb", "csv", "csv-tidy"]
+)
+LengthUnit = TypeAliasType("LengthUnit", Literal["m", "mm"])
+SUFFIXES = {known.name: known.suffix for known in FORMATS}
+
+
+class AnimationFile(NamedTuple):
+    """A file, and how its name ends."""
+
+    content: bytes
+    suffix: str
+
+
+def animation_file(
+    points: NDArray[np.float32],
+    skeleton: Skeleton,
+    *,
+    format: AnimationFormat,
+    unit: LengthUnit | None,
+    fps: float | None,
+    times: NDArray[np.float64] | None,
+) -> AnimationFile:
+    """Return points (N, P, 3) at `times` (N,), in seconds, as a file.
+
+    Raises
+    ------
+    ApiError
+        422 that says why the format cannot hold them.
+    """
+    if format == "trc" and unit is None:
+        raise invalid("/unit", "expected m or mm: TRC names the unit of its points")
+    names = skeleton.keypoint_names
+    try:
+        animation = Animation(
+            points=points.astype(np.float64),
+            unit=unit,
+            fps=fps,
+            times=times,
+            keypoint_names=None if names is None else tuple(names),
+            edges=tuple((first, second) for first, second in skeleton.edges),
+        )
+        with TemporaryDirectory() as folder:
+            target = Path(folder, f"animation{SUFFIXES[format]}")
+            write(target, animation, format)
+            return AnimationFile(target.read_bytes(), SUFFIXES[format])
+    except (FormatError, ValueError) as error:
+        raise invalid("/format", str(error)) from error

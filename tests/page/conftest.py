@@ -1,0 +1,114 @@
+"""The machine's own chromium on the page of a running service, and what it must never do."""
+
+import io
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from models.capture.synthetic import synthetic_capture
+from service.page.serving import BUILT
+from tests.service.conftest import Live, kill_service, start_service
+
+pytest.importorskip("playwright", reason="playwright is not installed")
+
+from playwright.sync_api import Browser, BrowserContext, Page, Request, sync_playwright
+
+CHROMIUM = shutil.which("chromium")
+# Draws in three dimensions without a graphics card.
+SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
+JOINTS = [f"{side}_{joint}" for joint in ("shoulder", "hip", "knee", "ankle") for side in "lr"]
+
+
+@dataclass
+class Watched:
+    """A page, and what it did that no page of ours may do."""
+
+    page: Page
+    base: str
+    foreign: list[str] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+
+    def open(self, where: str = "") -> Page:
+        """Load the page at one of its screens."""
+        self.page.goto("about:blank")  # else another part behind `#` would load nothing
+        self.page.goto(f"{self.base}/{where}")
+        return self.page
+
+
+@pytest.fixture(scope="module")  # while it is there, no other test can run an event loop
+def browser() -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("chromium is not installed: apt-get install chromium")
+    if not (BUILT / "index.html").exists():
+        pytest.skip("the page was not built: `make page`, which needs npm's registry")
+    with (
+        sync_playwright() as playwright,
+        playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE) as started,
+    ):
+        yield started
+
+
+@pytest.fixture(scope="module")
+def live(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    service = start_service(tmp_path_factory.mktemp("page"))
+    try:
+        yield service
+    finally:
+        kill_service(service)
+
+
+@pytest.fixture
+def context(browser: Browser) -> Iterator[BrowserContext]:
+    # The larger it is, the longer a processor draws.
+    with browser.new_context(viewport={"width": 1000, "height": 700}) as made:
+        made.set_default_timeout(30_000)
+        yield made
+
+
+@pytest.fixture
+def watched(context: BrowserContext, live: Live) -> Iterator[Watched]:
+    """Open a page that asks nobody but its service, and of which the console has no complaint."""
+    watched = watch(context.new_page(), live.url)
+    yield watched
+    assert watched.foreign == []
+    assert watched.errors == []
+
+
+def watch(page: Page, base: str) -> Watched:
+    watched = Watched(page, base)
+
+    def note(request: Request) -> None:
+        if not request.url.startswith((f"{base}/", "blob:", "about:")):
+            watched.foreign.append(request.url)
+
+    page.on("request", note)
+    page.on("pageerror", lambda error: watched.errors.append(str(error)))
+    page.on(
+        "console",
+        lambda message: (
+            watched.errors.append(message.text) if message.type in ("error", "warning") else None
+        ),
+    )
+    return watched
+
+
+def deeplabcut_files(frames: int = 60) -> dict[str, bytes]:
+    """Return what DeepLabCut would write of three cameras that see a figure move."""
+    seen = synthetic_capture(frames=frames, views=3, noise=1.0, hidden_keypoints=0.05, seed=5)
+    names = [*JOINTS, *(f"k{index}" for index in range(8, seen.keypoints.shape[2]))]
+    files = {}
+    for view in range(3):
+        rows = np.concatenate(
+            (seen.keypoints[:, view], seen.confidence[:, view, :, None]), -1
+        ).reshape(frames, -1)
+        text = io.StringIO()
+        text.write(f"scorer,{','.join(['net'] * rows.shape[1])}\n")
+        text.write(f"bodyparts,{','.join(name for name in names for _ in range(3))}\n")
+        text.write(f"coords,{','.join(['x', 'y', 'likelihood'] * len(names))}\n")
+        for number, row in enumerate(rows):
+            text.write(f"{number},{','.join('' if np.isnan(x) else f'{x:.3f}' for x in row)}\n")
+        files[f"walk_cam{view + 1}.csv"] = text.getvalue().encode()
+    return files

@@ -1,0 +1,55 @@
+"""The page's sources in a folder of their own, with all that their own checks need."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.node import NODE, NPM
+from tests.sharing import made_once
+
+ROOT = Path(__file__).parents[2]
+
+
+def checked_out(folders: pytest.TempPathFactory) -> Path:
+    """Return the copy that all test processes of a run share; skip where it cannot be made."""
+
+    def make() -> bytes:
+        return str(_installed(folders.mktemp("page"))).encode()
+
+    return Path(made_once(folders, "page", make).decode())
+
+
+def _installed(folder: Path) -> Path:
+    """Copy the sources and install what the lockfile names."""
+    page = folder / "page"
+    shutil.copytree(ROOT / "page", page, ignore=shutil.ignore_patterns("node_modules"))
+    (folder / "docs").mkdir()
+    shutil.copy(ROOT / "docs" / "openapi.json", folder / "docs")
+    done = subprocess.run(
+        [*NPM, "ci", "--ignore-scripts", "--prefer-offline"],
+        cwd=page,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    if done.returncode:
+        pytest.skip(f"npm cannot install the lockfile's packages: {done.stderr.strip()[-200:]}")
+    return page
+
+
+def node(page: Path, *words: str, **environment: str) -> str:
+    """Run a program of the project; return what it printed."""
+    done = subprocess.run(
+        [NODE, *words],
+        cwd=page,
+        env=environment or None,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
