@@ -32,7 +32,7 @@ from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import problem_of
 from models.capture.metrics import pa_mpjpe
 from models.epipolar.robust_points import robust_points
-from models.epipolar.static_cameras import Rigid, Seen
+from models.epipolar.static_cameras import Seen, StaticCameras
 from models.numerics.steps import finished
 from models.numerics.threads import use_threads
 from models.settings.config import FitConfig
@@ -219,7 +219,7 @@ def triangulated(draw: Draw) -> Float64:
     points = np.full(draw.points3d.shape, np.nan)
     for frames in [range(len(points))] if not draw.moving else [[n] for n in range(len(points))]:
         first = frames[0]
-        rig = Rigid(
+        rig = StaticCameras(
             np.log(draw.focals / side),
             draw.centres / side,
             np.stack((draw.radial, np.zeros(len(draw.radial))), 1),

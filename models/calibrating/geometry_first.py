@@ -1,7 +1,8 @@
-"""Static cameras that keypoints alone settle: no network, and no shapes but those learnt with them.
+"""Static cameras that keypoints settle without a network.
 
-Where three views or more are one rigid scene (`models.epipolar.resting_rig`), geometry gives the
-cameras in seconds, as surely as anything later could. Shapes are learnt with these cameras.
+Where static views see one rigid scene (`models.epipolar.static_rig`), geometry gives the cameras in
+seconds, as surely as anything later could. Lenses of two views are scanned by the evidence of
+shapes (`models.calibrating.lens_scan`). Shapes are learnt with these cameras.
 """
 
 from typing import NamedTuple
@@ -15,7 +16,7 @@ from models.bundle.shape_model import align
 from models.calibrating.doubts import Checked
 from models.calibrating.expectation_maximisation import about_model, learn, regauge
 from models.calibrating.handedness import DECIDED, certainty
-from models.calibrating.keypoint_rig import geometry_of, static_rig
+from models.calibrating.keypoint_rig import geometry_of, rig_from_geometry
 from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import Problem, Solution
 from models.calibrating.search import Arranged
@@ -39,8 +40,8 @@ class Settled(NamedTuple):
 def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Steps[Settled | None]:
     """Find static cameras from all frames, and shapes from `most` of them.
 
-    None where geometry does not decide: two views, cameras that move, poses or a hand that were
-    given, lenses that look like another camera model, a handedness that keypoints leave open.
+    None where geometry does not decide: cameras that move, lenses, poses or a hand that were given,
+    lenses that look like another camera model, a handedness that keypoints leave open.
     """
     views = len(problem.poses)
     given = problem.posed or config.hand is not None or np.isfinite(problem.lens_sds).any()
@@ -54,7 +55,7 @@ def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Ste
         return None
     if views == 2:
         found = yield from scan_lenses(problem, found)
-    rig = static_rig(problem, found)
+    rig = rig_from_geometry(problem, found)
     if rig is None:
         return None
     grouped = problem._replace(lens_groups=rig.lens_groups)

@@ -32,9 +32,9 @@ from models.calibrating.lens_prior import (
 )
 from models.calibrating.problem import Problem, Solution, grouped
 from models.epipolar.pairs import Beliefs
-from models.epipolar.resting_rig import Explanation, RestingRig, find_resting_rig
 from models.epipolar.rig_certainty import FocalLikelihood
-from models.epipolar.static_cameras import Rigid
+from models.epipolar.static_cameras import StaticCameras
+from models.epipolar.static_rig import StaticRig, StaticScene, find_static_rig
 from models.numerics.rotations import nearest_rotations
 from models.numerics.steps import Steps
 from models.optics.lenses.projection import Lenses, project
@@ -74,7 +74,7 @@ def rig_from_keypoints(
     members = [int(k) for k in np.flatnonzero(found.resting)]
     noise = max(found.noise * problem.side, moving.noise)
 
-    def start_of(rig: Rigid, structures: _Structures) -> Solution:
+    def start_of(rig: StaticCameras, structures: _Structures) -> Solution:
         lenses = _lenses(problem, moving.rig, rig, found.resting)
         start = _start(moving, rig, members, lenses, structures)
         return start._replace(noise=noise, measured_noise=noise)
@@ -84,25 +84,25 @@ def rig_from_keypoints(
     return _with_both_hands(problem, found, members, start_of, groups)
 
 
-def static_rig(problem: Problem, found: RestingRig) -> KeypointRig | None:
+def rig_from_geometry(problem: Problem, found: StaticRig) -> KeypointRig | None:
     """Return the start that a rig of static cameras alone makes; None without structures."""
     members = list(range(len(found.resting)))
     noise = found.noise * problem.side
 
-    def start_of(rig: Rigid, structures: _Structures) -> Solution:
+    def start_of(rig: StaticCameras, structures: _Structures) -> Solution:
         return _static_start(problem, rig, structures, noise)
 
     return _with_both_hands(problem, found, members, start_of, lens_kinds(problem, found))
 
 
-def static_start(problem: Problem, seen: Explanation, noise: float) -> Solution | None:
+def static_start(problem: Problem, seen: StaticScene, noise: float) -> Solution | None:
     """Return the start that static cameras and points make; `noise` in pixels."""
     structures = _structures(seen.points)
     return None if structures is None else _static_start(problem, seen.rig, structures, noise)
 
 
 def _static_start(
-    problem: Problem, rig: Rigid, structures: "_Structures", noise: float
+    problem: Problem, rig: StaticCameras, structures: "_Structures", noise: float
 ) -> Solution:
     members = list(range(len(rig.log_focals)))
     lenses = _lenses(problem, problem.reference, rig, np.ones(len(members), bool))
@@ -119,9 +119,9 @@ def _static_start(
 
 def _with_both_hands(
     problem: Problem,
-    found: RestingRig,
+    found: StaticRig,
     members: list[int],
-    start_of: Callable[[Rigid, "_Structures"], Solution],
+    start_of: Callable[[StaticCameras, "_Structures"], Solution],
     lens_groups: NDArray[np.int64],
 ) -> KeypointRig | None:
     """Return the starts of a rig and of its mirror image; None without structures."""
@@ -139,7 +139,7 @@ def _with_both_hands(
     )
 
 
-def geometry_of(problem: Problem, among: list[int]) -> Steps[RestingRig | None]:
+def geometry_of(problem: Problem, among: list[int]) -> Steps[StaticRig | None]:
     """Find static cameras `among` some views from keypoints alone; None where none explain them.
 
     The rig is in sides of the longest image.
@@ -149,11 +149,11 @@ def geometry_of(problem: Problem, among: list[int]) -> Steps[RestingRig | None]:
     images, sizes = straight_images(problem, keypoints)
     asked = np.isin(np.arange(len(sizes)), among)
     weights = problem.weights * asked[:, None]
-    found = yield from find_resting_rig(images, weights, lens_beliefs(problem), sizes)
+    found = yield from find_static_rig(images, weights, lens_beliefs(problem), sizes)
     return found
 
 
-def _deviations(problem: Problem, found: RestingRig, unit: float) -> Float64:
+def _deviations(problem: Problem, found: StaticRig, unit: float) -> Float64:
     """Return standard deviations (K, VIEW), `unit` units of the rig in one of the structure."""
     sds = np.full((len(found.resting), VIEW), np.inf)
     sds[found.resting] = found.deviations[found.resting]
@@ -162,7 +162,7 @@ def _deviations(problem: Problem, found: RestingRig, unit: float) -> Float64:
     return sds
 
 
-def lens_kinds(problem: Problem, found: RestingRig) -> NDArray[np.int64]:
+def lens_kinds(problem: Problem, found: StaticRig) -> NDArray[np.int64]:
     """Return which lenses (K,) are alike, of those of static views that nobody gave.
 
     The other views have lenses like those of most.
@@ -185,7 +185,9 @@ def lens_kinds(problem: Problem, found: RestingRig) -> NDArray[np.int64]:
     return groups
 
 
-def _lenses(problem: Problem, moving: Rig, rig: Rigid, resting: NDArray[np.bool_]) -> Lenses:
+def _lenses(
+    problem: Problem, moving: Rig, rig: StaticCameras, resting: NDArray[np.bool_]
+) -> Lenses:
     """Return lenses as found of the views that rest; what was told stays."""
     side, lenses = problem.side, problem.reference.lenses
     free = resting[:, None] & (problem.lens_sds > 0)  # (K, LENS)
@@ -310,7 +312,11 @@ def _structures(points: Float64) -> _Structures | None:
 
 
 def _start(
-    moving: Solution, found: Rigid, members: list[int], lenses: Lenses, structures: _Structures
+    moving: Solution,
+    found: StaticCameras,
+    members: list[int],
+    lenses: Lenses,
+    structures: _Structures,
 ) -> Solution:
     """Put cameras, structures and the views that do not rest together."""
     rig, held, placed = _in_first_camera(found, members, lenses, structures)
@@ -334,7 +340,7 @@ def _start(
 
 
 def _in_first_camera(
-    found: Rigid, members: list[int], lenses: Lenses, structures: _Structures
+    found: StaticCameras, members: list[int], lenses: Lenses, structures: _Structures
 ) -> tuple[Rig, Float64, Float64]:
     """Return the rig in the frame of its first camera, and where (N, 3, 3), (N, 3) structures are.
 

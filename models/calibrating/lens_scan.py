@@ -25,12 +25,12 @@ from models.calibrating.lens_groups import group_covariance, log_evidence_of_kin
 from models.calibrating.lens_prior import FOCAL_SDS
 from models.calibrating.problem import Problem, Solution
 from models.epipolar.pairs import Beliefs
-from models.epipolar.resting_rig import Explanation, RestingRig
 from models.epipolar.rig_adjustment import Adjusted, adjust_rig
 from models.epipolar.rig_certainty import FocalLikelihood, certainty_of
 from models.epipolar.rig_search import refocused
 from models.epipolar.robust_points import robust_points, robust_structures
 from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, Seen, distances_of
+from models.epipolar.static_rig import StaticRig, StaticScene
 from models.epipolar.view_graph import SharedPoints
 from models.numerics.steps import Steps
 
@@ -65,7 +65,7 @@ class Trial(NamedTuple):
 
     at: Float64  # (2,) common log focal length in sides, and log ratio
     cameras: Adjusted
-    shown: Explanation  # the frames that are looked at
+    shown: StaticScene  # the frames that are looked at
     solution: Solution  # of these
     evidence: Float64  # (N,) of each frame
     posterior: float  # log density of the focal lengths, up to a constant
@@ -119,7 +119,7 @@ class _Around(NamedTuple):
         )
 
 
-def scan_lenses(problem: Problem, found: RestingRig) -> Steps[RestingRig]:
+def scan_lenses(problem: Problem, found: StaticRig) -> Steps[StaticRig]:
     """Return two static cameras with the focal lengths under which shapes are most alike.
 
     `found` is what geometry alone gives of them, and their handedness.
@@ -137,7 +137,7 @@ def scan_lenses(problem: Problem, found: RestingRig) -> Steps[RestingRig]:
     return (yield from _settled(problem, found, sight, peak))
 
 
-def _sight(problem: Problem, found: RestingRig, frames: NDArray[np.int64]) -> _Sight:
+def _sight(problem: Problem, found: StaticRig, frames: NDArray[np.int64]) -> _Sight:
     """Take some frames, their keypoints weighted as Student's t has it."""
     images, _ = straight_images(problem, problem.keypoints)
     points = found.best.points[frames].reshape(-1, 3).T
@@ -302,7 +302,7 @@ def _tried(sight: _Sight, at: Float64, near: Adjusted) -> Steps[Trial]:
     cameras = adjust_rig(rig, points, sight.points, beliefs, iterations=RIG_ITERATIONS)
     weights = sight.problem.weights
     structures = robust_structures(cameras.rig, sight.images, weights, cameras.noise)
-    shown = Explanation(cameras.rig, structures)
+    shown = StaticScene(cameras.rig, structures)
     problem = sight.problem._replace(kept=np.ones(2, bool))
     start = static_start(problem, shown, float(np.median(cameras.noise)) * problem.side)
     if start is None:
@@ -351,7 +351,7 @@ def _radius(points: Float64) -> float:
     return float(np.nanmedian(np.linalg.norm(points - centres, axis=-1)))
 
 
-def _settled(problem: Problem, found: RestingRig, sight: _Sight, peak: _Peak) -> Steps[RestingRig]:
+def _settled(problem: Problem, found: StaticRig, sight: _Sight, peak: _Peak) -> Steps[StaticRig]:
     """Give the cameras the focal lengths of the peak, as usual lenses and alike ones allow."""
     # The likelihood whose product with the prior of the scan has its top at the peak.
     vector = peak.information @ peak.at + (peak.at - _expected(sight.beliefs)) / PRIOR_SDS**2
@@ -367,13 +367,13 @@ def _settled(problem: Problem, found: RestingRig, sight: _Sight, peak: _Peak) ->
     images, _ = straight_images(problem, problem.keypoints)
     points = robust_structures(cameras.rig, images, problem.weights, cameras.noise)
     return found._replace(
-        best=Explanation(cameras.rig, points),
+        best=StaticScene(cameras.rig, points),
         noise=float(np.median(cameras.noise)),
         deviations=np.sqrt(np.square(deviations) + variances),
     )
 
 
-def _believed(problem: Problem, found: RestingRig, expected: Float64) -> tuple[Float64, Float64]:
+def _believed(problem: Problem, found: StaticRig, expected: Float64) -> tuple[Float64, Float64]:
     """Return the log focal lengths (2,) after what is known of lenses, and their covariance.
 
     Both lenses of one kind, and each of its own, are as likely beforehand: where the evidence does

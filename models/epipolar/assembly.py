@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from models.epipolar.pairs import RelativePoses
 from models.epipolar.robust_points import triangulate_points
-from models.epipolar.static_cameras import Rigid, Seen, distances_of, robust_costs
+from models.epipolar.static_cameras import Seen, StaticCameras, distances_of, robust_costs
 
 Float64 = NDArray[np.float64]
 ViewGraph = dict[tuple[int, int], RelativePoses]  # by views j < k
@@ -20,7 +20,7 @@ COMMON = 30  # points that a view must share with those that are placed
 class Assembled(NamedTuple):
     """Cameras that were put together, and which of the views they are."""
 
-    rig: Rigid
+    rig: StaticCameras
     cost: float  # mean robust cost of an observation, under the noise of the pairs
 
 
@@ -57,14 +57,16 @@ def _grow(
         poses.rotations[solution],
         poses.translations[solution],
     )
-    rig = Rigid(log_focals, np.zeros((views, 2)), np.zeros((views, 2)), rotations, translations)
+    rig = StaticCameras(
+        log_focals, np.zeros((views, 2)), np.zeros((views, 2)), rotations, translations
+    )
     while len(placed) < views:
         some = Seen(seen.images[placed], seen.weights[placed])
         known = (some.weights > 0).sum(0) >= 2
         points = triangulate_points(
             rig.of(placed), Seen(some.images[..., known], some.weights[:, known])
         )
-        best: tuple[float, int, Rigid] | None = None
+        best: tuple[float, int, StaticCameras] | None = None
         for view in (v for v in range(views) if v not in placed):
             of_view = Seen(seen.images[[view], :, :][..., known], seen.weights[[view]][:, known])
             if (of_view.weights > 0).sum() < COMMON:
@@ -88,7 +90,9 @@ def _grow(
     return Assembled(rig, float(costs.sum() / seen.weights.sum()))
 
 
-def _candidates(graph: ViewGraph, rig: Rigid, placed: list[int], view: int) -> list[Rigid]:
+def _candidates(
+    graph: ViewGraph, rig: StaticCameras, placed: list[int], view: int
+) -> list[StaticCameras]:
     """Rotation and focal length of a view as each solution of its pairs says; K = 1."""
     candidates = []
     for other in placed:
@@ -100,7 +104,7 @@ def _candidates(graph: ViewGraph, rig: Rigid, placed: list[int], view: int) -> l
             turn = poses.rotations[s] if first else poses.rotations[s].T
             focal = poses.focals[s, 1 if first else 0]
             candidates.append(
-                Rigid(
+                StaticCameras(
                     np.log(focal)[None],
                     np.zeros((1, 2)),
                     np.zeros((1, 2)),
@@ -111,7 +115,7 @@ def _candidates(graph: ViewGraph, rig: Rigid, placed: list[int], view: int) -> l
     return candidates
 
 
-def _place(camera: Rigid, points: Float64, seen: Seen) -> Rigid:
+def _place(camera: StaticCameras, points: Float64, seen: Seen) -> StaticCameras:
     """Find where a camera of known rotation is: R X + t along the rays, robustly linear in t."""
     flat = seen.images[0] / np.exp(camera.log_focals[0])  # (2, M)
     turned = camera.rotations[0] @ points

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.epipolar.static_cameras import LENS, Rigid, Seen, linearised
+from models.epipolar.static_cameras import LENS, Seen, StaticCameras, linearised
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -29,7 +29,7 @@ class CameraMotion(NamedTuple):
 
 
 def camera_motion(
-    rig: Rigid, points: Float64, seen: Seen, noise: Float64, frames: Int64
+    rig: StaticCameras, points: Float64, seen: Seen, noise: Float64, frames: Int64
 ) -> CameraMotion:
     """Return how far each camera K moves, from points (3, M) of these frames (M,)."""
     residuals, by_camera, by_point = linearised(rig, points, seen, noise)

@@ -16,8 +16,8 @@ from models.epipolar.robust_points import TINY, settle_points
 from models.epipolar.static_cameras import (
     CAMERA,
     LENS,
-    Rigid,
     Seen,
+    StaticCameras,
     distances_of,
     linearised,
     residuals_by_points,
@@ -46,18 +46,18 @@ LEARN_NOISE = 4  # steps, after which the noise is measured anew
 class Adjusted(NamedTuple):
     """The outcome of `adjust_rig`."""
 
-    rig: Rigid
+    rig: StaticCameras
     points: Float64  # (3, M)
     noise: Float64  # (K,) sides, of each view
 
 
-def prior_cost(rig: Rigid, beliefs: Beliefs) -> float:
+def prior_cost(rig: StaticCameras, beliefs: Beliefs) -> float:
     """Minus log density of the lenses, up to a constant."""
     return 0.5 * float(lens_prior(rig, beliefs).cost)
 
 
 def adjust_rig(
-    rig: Rigid,
+    rig: StaticCameras,
     points: Float64,
     seen: Seen,
     beliefs: Beliefs,
@@ -97,7 +97,7 @@ def adjust_rig(
     return Adjusted(rig, points, noise_of(rig, points, seen, least_noise))
 
 
-def noise_of(rig: Rigid, points: Float64, seen: Seen, least: float) -> Float64:
+def noise_of(rig: StaticCameras, points: Float64, seen: Seen, least: float) -> Float64:
     """Noise (K,) of a coordinate in each view, for the most part what views share.
 
     By medians, as a share of residuals that points leave: of what they were made of they take up
@@ -126,7 +126,7 @@ class _Prior(NamedTuple):
     precision: Float64  # (K, 5, K, 5)
 
 
-def lens_prior(rig: Rigid, beliefs: Beliefs) -> _Prior:
+def lens_prior(rig: StaticCameras, beliefs: Beliefs) -> _Prior:
     """Say what is believed of the lenses, as a quadratic about where they are."""
     views = len(rig.log_focals)
     offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, *rig.radial.T))
@@ -163,12 +163,14 @@ def _alike(log_focals: Float64) -> _Prior:
     return _Prior(float(2 * np.log1p(squared).sum()), gradient, precision)
 
 
-def _cost(rig: Rigid, points: Float64, seen: Seen, noise: Float64, beliefs: Beliefs) -> float:
+def _cost(
+    rig: StaticCameras, points: Float64, seen: Seen, noise: Float64, beliefs: Beliefs
+) -> float:
     costs = robust_costs(distances_of(rig, points, seen), seen.weights, noise)
     return float(costs.sum()) + prior_cost(rig, beliefs)
 
 
-def free_numbers(rig: Rigid, beliefs: Beliefs, *, lenses: bool) -> Bool:
+def free_numbers(rig: StaticCameras, beliefs: Beliefs, *, lenses: bool) -> Bool:
     """Which of the cameras' numbers (K, 11) may change; the first camera's pose is the frame."""
     free = np.ones((len(rig.log_focals), CAMERA), bool)
     free[:, 0] = beliefs.focal_sds > 0
@@ -191,7 +193,12 @@ class Reduced(NamedTuple):
 
 
 def reduced_equations(
-    rig: Rigid, points: Float64, seen: Seen, noise: Float64, beliefs: Beliefs, damping: float
+    rig: StaticCameras,
+    points: Float64,
+    seen: Seen,
+    noise: Float64,
+    beliefs: Beliefs,
+    damping: float,
 ) -> Reduced:
     """Return the normal equations of the cameras about a rig and its points (3, M)."""
     views, count = seen.weights.shape
@@ -223,14 +230,14 @@ def reduced_equations(
 
 
 def _step(
-    rig: Rigid,
+    rig: StaticCameras,
     points: Float64,
     seen: Seen,
     noise: Float64,
     beliefs: Beliefs,
     free: Bool,
     damping: float,
-) -> tuple[Rigid, Float64]:
+) -> tuple[StaticCameras, Float64]:
     """Take one damped step of Gauss and Newton, the points eliminated."""
     equations = reduced_equations(rig, points, seen, noise, beliefs, damping)
     places = np.flatnonzero(free)
@@ -244,8 +251,8 @@ def _step(
     return _moved(rig, step.reshape(free.shape)), points + moved
 
 
-def _moved(rig: Rigid, step: Float64) -> Rigid:
-    return Rigid(
+def _moved(rig: StaticCameras, step: Float64) -> StaticCameras:
+    return StaticCameras(
         rig.log_focals + step[:, 0].clip(-0.3, 0.3),
         rig.centres + step[:, 1:3],
         (rig.radial + step[:, 3:LENS]).clip(-2, 2),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
 from models.epipolar.rig_adjustment import Adjusted, free_numbers, lens_prior, reduced_equations
-from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, Rigid, Seen, distances_of
+from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, Seen, StaticCameras, distances_of
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -31,9 +31,8 @@ class FocalLikelihood(NamedTuple):
 class Certainty(NamedTuple):
     """How surely K cameras are known."""
 
-    deviations: (
-        Float64  # (K, 11) standard deviations of `Rigid`'s numbers, 0 of those that are held
-    )
+    # (K, 11) standard deviations of the numbers of `StaticCameras`, 0 of those that are held.
+    deviations: Float64
     focals: FocalLikelihood
 
 
@@ -80,7 +79,7 @@ def _focal_likelihood(
     vector: Float64,
     focals: Int64,
     others: Int64,
-    rig: Rigid,
+    rig: StaticCameras,
 ) -> FocalLikelihood:
     """Say what keypoints alone give of the focal lengths; poses and points follow them.
 

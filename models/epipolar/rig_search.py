@@ -12,7 +12,7 @@ from models.epipolar.assembly import ViewGraph, assemble
 from models.epipolar.pairs import Beliefs
 from models.epipolar.rig_adjustment import Adjusted, adjust_rig, prior_cost
 from models.epipolar.robust_points import robust_points, triangulate_points
-from models.epipolar.static_cameras import Rigid, Seen, distances_of, robust_costs
+from models.epipolar.static_cameras import Seen, StaticCameras, distances_of, robust_costs
 from models.epipolar.view_graph import LENS_NOISE
 from models.numerics.steps import Steps
 
@@ -80,7 +80,7 @@ def _with_lenses(
     return [finalists[0], *others[:1]]
 
 
-def necker(rig: Rigid, points: Float64) -> tuple[Rigid, Float64]:
+def necker(rig: StaticCameras, points: Float64) -> tuple[StaticCameras, Float64]:
     """Return the mirror image of cameras and points (3, M), which distant cameras see alike."""
     centre = np.median(points, 1)
     flip = np.diag([1.0, 1.0, -1.0])
@@ -104,7 +104,7 @@ def _with_other_lenses(
             yield
             tried = [adjusted]
             for factor in OTHER_FOCALS:
-                rig = Rigid(*(array.copy() for array in adjusted.rig))
+                rig = StaticCameras(*(array.copy() for array in adjusted.rig))
                 rig.log_focals[view] += np.log(factor)
                 rig.translations[view, 2] *= factor
                 points = adjusted.points
@@ -124,7 +124,7 @@ def _with_other_lenses(
     return adjusted
 
 
-def refocused(rig: Rigid, points: Float64, log_focals: Float64) -> Rigid:
+def refocused(rig: StaticCameras, points: Float64, log_focals: Float64) -> StaticCameras:
     """Give cameras other focal lengths, and go to where each sees the points (3, M) as large."""
     centre = np.median(points, 1)
     translations = rig.translations + rig.rotations @ centre
@@ -133,7 +133,7 @@ def refocused(rig: Rigid, points: Float64, log_focals: Float64) -> Rigid:
 
 
 def _nearer(
-    rig: Rigid, points: Float64, seen: Seen, beliefs: Beliefs, least_noise: float
+    rig: StaticCameras, points: Float64, seen: Seen, beliefs: Beliefs, least_noise: float
 ) -> Adjusted:
     """Adjust a start, believing less and less noise: what is far off pulls it in at first."""
     adjusted = Adjusted(rig, points, np.full(len(rig.log_focals), least_noise))
@@ -177,16 +177,16 @@ def ordered(rigs: list[Adjusted], seen: Seen, beliefs: Beliefs) -> list[Adjusted
     return [located[place] for place in np.argsort(costs, kind="stable")]
 
 
-def _distinct(rigs: list[Rigid], most: int) -> list[Rigid]:
+def _distinct(rigs: list[StaticCameras], most: int) -> list[StaticCameras]:
     """Return the first rigs of which no two are one."""
-    kept: list[Rigid] = []
+    kept: list[StaticCameras] = []
     for rig in rigs:
         if len(kept) < most and not any(same_rig(rig, other) for other in kept):
             kept.append(rig)
     return kept
 
 
-def same_rig(rig: Rigid, other: Rigid) -> bool:
+def same_rig(rig: StaticCameras, other: StaticCameras) -> bool:
     """Whether rotations and focal lengths of two rigs are the same, or nearly."""
     turns = [r.rotations @ r.rotations[0].T for r in (rig, other)]
     relative = turns[0] @ turns[1].mT

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from models.epipolar.static_cameras import (
     FREEDOM,
-    Rigid,
     Seen,
+    StaticCameras,
     distances_of,
     rays_of,
     residuals_by_points,
@@ -31,7 +31,7 @@ POINT_STEPS = 1  # of each point by itself, after a step of all
 
 
 def robust_points(
-    rig: Rigid, seen: Seen, noise: Float64, *, start: Float64 | None = None
+    rig: StaticCameras, seen: Seen, noise: Float64, *, start: Float64 | None = None
 ) -> Float64:
     """Return the most likely points (3, M) of what K cameras see; two rays or more of each.
 
@@ -52,7 +52,9 @@ def robust_points(
     return settle_points(rig, points, seen, noise, steps=ITERATIONS)
 
 
-def robust_structures(rig: Rigid, images: Float64, weights: Float64, noise: Float64) -> Float64:
+def robust_structures(
+    rig: StaticCameras, images: Float64, weights: Float64, noise: Float64
+) -> Float64:
     """Return points (N, P, 3) of images (N, K, P, 2) with weights (N, K, P).
 
     NaN where fewer than two cameras see one; `noise` as in `robust_points`.
@@ -69,7 +71,7 @@ def robust_structures(rig: Rigid, images: Float64, weights: Float64, noise: Floa
     return points.reshape(frames, count, 3)
 
 
-def _of_pairs(rig: Rigid, seen: Seen) -> list[Float64]:
+def _of_pairs(rig: StaticCameras, seen: Seen) -> list[Float64]:
     """Points (3, M) midway between the rays of two views, for every two; NaN where there are not.
 
     With two views all rays are these two, and the list is empty.
@@ -94,7 +96,7 @@ def _of_pairs(rig: Rigid, seen: Seen) -> list[Float64]:
     return starts
 
 
-def triangulate_points(rig: Rigid, seen: Seen, *, rounds: int = 4) -> Float64:
+def triangulate_points(rig: StaticCameras, seen: Seen, *, rounds: int = 4) -> Float64:
     """Return the points (3, M) next to their rays, those far off with less and less weight."""
     rays = rays_of(rig, seen.images)  # (K, 3, M) in the rig's frame
     across = np.eye(3)[None, :, :, None] - rays[:, :, None] * rays[:, None]  # (K, 3, 3, M)
@@ -120,7 +122,7 @@ def triangulate_points(rig: Rigid, seen: Seen, *, rounds: int = 4) -> Float64:
 
 
 def settle_points(
-    rig: Rigid, points: Float64, seen: Seen, noise: Float64, *, steps: int = POINT_STEPS
+    rig: StaticCameras, points: Float64, seen: Seen, noise: Float64, *, steps: int = POINT_STEPS
 ) -> Float64:
     """Improve points (3, M) while cameras stay, by steps of Gauss and Newton that gain."""
 

@@ -19,7 +19,7 @@ NEAR, FAR = 0.2, 5.0  # median depths between which a point counts
 BLIND = 1.0  # sides that stand for a point that a camera cannot see there: none is further off
 
 
-class Rigid(NamedTuple):
+class StaticCameras(NamedTuple):
     """K static cameras, x = R X + t, and their lenses in sides of the image."""
 
     log_focals: Float64  # (K,)
@@ -28,9 +28,9 @@ class Rigid(NamedTuple):
     rotations: Float64  # (K, 3, 3)
     translations: Float64  # (K, 3)
 
-    def of(self, views: list[int]) -> "Rigid":
+    def of(self, views: list[int]) -> "StaticCameras":
         """Return some of the cameras."""
-        return Rigid(*(array[views] for array in self))
+        return StaticCameras(*(array[views] for array in self))
 
 
 class Seen(NamedTuple):
@@ -40,13 +40,13 @@ class Seen(NamedTuple):
     weights: Float64  # (K, M) confidences
 
 
-def images_of(rig: Rigid, points: Float64, seen: Seen) -> tuple[Float64, Bool]:
+def images_of(rig: StaticCameras, points: Float64, seen: Seen) -> tuple[Float64, Bool]:
     """Return images (K, 2, M) of points (3, M), and whether (K, M) a camera can see them there."""
     flat, visible = _flat(rig.rotations @ points + rig.translations[..., None], seen)
     return _images(rig, flat)[0], visible
 
 
-def distances_of(rig: Rigid, points: Float64, seen: Seen) -> Float64:
+def distances_of(rig: StaticCameras, points: Float64, seen: Seen) -> Float64:
     """Sides (K, M) from what is seen to the points' images; `BLIND` where a camera cannot see."""
     images, visible = images_of(rig, points, seen)
     lengths = np.linalg.norm(images - seen.images, axis=1)
@@ -61,7 +61,7 @@ def robust_costs(distances: Float64, weights: Float64, noise: Float64) -> Float6
     return costs
 
 
-def rays_of(rig: Rigid, images: Float64) -> Float64:
+def rays_of(rig: StaticCameras, images: Float64) -> Float64:
     """Return unit directions (K, 3, M) in the rig's frame; the lens is undone by iteration."""
     flat = (images - rig.centres[..., None]) / np.exp(rig.log_focals)[:, None, None]
     straight = flat
@@ -76,7 +76,7 @@ def rays_of(rig: Rigid, images: Float64) -> Float64:
 
 
 def linearised(
-    rig: Rigid, points: Float64, seen: Seen, noise: Float64
+    rig: StaticCameras, points: Float64, seen: Seen, noise: Float64
 ) -> tuple[Float64, Float64, Float64]:
     """Return weighted residuals (K, 2, M), and derivatives by cameras and points.
 
@@ -109,7 +109,7 @@ def linearised(
     )
 
 
-def residuals_by_points(rig: Rigid, points: Float64, seen: Seen) -> tuple[Float64, Float64]:
+def residuals_by_points(rig: StaticCameras, points: Float64, seen: Seen) -> tuple[Float64, Float64]:
     """Residuals (K, 2, M) of points (3, M) in sides, and their derivatives (K, 2, 3, M) by these.
 
     Both are 0 where a camera cannot see the point.
@@ -135,7 +135,7 @@ def _flat(camera: Float64, seen: Seen) -> tuple[Float64, Bool]:
     return camera[:, :2] / safe[:, None], visible
 
 
-def _images(rig: Rigid, flat: Float64) -> tuple[Float64, Float64, Float64]:
+def _images(rig: StaticCameras, flat: Float64) -> tuple[Float64, Float64, Float64]:
     """Images (K, 2, M) of directions (K, 2, M), the lens's gain and the squared radius (K, M)."""
     squared = np.square(flat).sum(1)
     gain = 1 + squared * (rig.radial[:, :1] + squared * rig.radial[:, 1:])
@@ -143,7 +143,7 @@ def _images(rig: Rigid, flat: Float64) -> tuple[Float64, Float64, Float64]:
     return images + rig.centres[..., None], gain, squared
 
 
-def _by_held(rig: Rigid, flat: Float64, depths: Float64) -> Float64:
+def _by_held(rig: StaticCameras, flat: Float64, depths: Float64) -> Float64:
     """Return derivatives (K, 2, 3, M) of images by points in their camera's frame."""
     views, _, count = flat.shape
     focals = np.exp(rig.log_focals)[:, None]

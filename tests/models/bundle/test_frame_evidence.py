@@ -33,7 +33,8 @@ def of_frame(views: Views, rig: Rig, scene: Scene, frame: int) -> tuple[Float64,
     unknowns = 3 * POINTS + 7
 
     def pixels(step: Float64) -> Float64:
-        return project(points_in_cameras(moved(scene.of(place), step), rig), rig.lenses)[0][seen]
+        at = points_in_cameras(moved(scene.of(place), step), rig)
+        return np.asarray(project(at, rig.lenses)[0][seen], np.float64)
 
     residuals = views.keypoints[frame][seen] - pixels(np.zeros(unknowns))
     derived = [

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from models.epipolar.pairs import Beliefs
 from models.epipolar.rig_adjustment import adjust_rig
 from models.epipolar.rig_certainty import certainty_of
-from models.epipolar.static_cameras import Rigid, Seen
+from models.epipolar.static_cameras import Seen, StaticCameras
 from tests.models.rigs import around
 
 Float64 = NDArray[np.float64]
@@ -26,17 +26,17 @@ BELIEFS = Beliefs(
 APART = (np.arange(POINTS), np.arange(POINTS))  # clusters of points that err independently
 
 
-def make_rig(centres: Float64 | None = None) -> Rigid:
+def make_rig(centres: Float64 | None = None) -> StaticCameras:
     rotations, translations = around([0.0, 80.0, -120.0])
     middles = np.zeros((3, 2)) if centres is None else centres
-    return Rigid(np.log(FOCALS), middles, np.zeros((3, 2)), rotations, translations)
+    return StaticCameras(np.log(FOCALS), middles, np.zeros((3, 2)), rotations, translations)
 
 
 def points_of(rng: np.random.Generator) -> Float64:
     return rng.uniform(-1, 1, (3, POINTS))
 
 
-def images_of(rig: Rigid, points: Float64) -> Float64:
+def images_of(rig: StaticCameras, points: Float64) -> Float64:
     camera = rig.rotations @ points + rig.translations[..., None]
     flat = camera[:, :2] / camera[:, 2:]
     return np.asarray(FOCALS[:, None, None] * flat + rig.centres[..., None])

@@ -3,14 +3,16 @@
 import numpy as np
 
 from models.epipolar.robust_points import robust_points
-from models.epipolar.static_cameras import Rigid, Seen
+from models.epipolar.static_cameras import Seen, StaticCameras
 from tests.models.rigs import around
 
 
 def test_a_wrong_ray_of_four_does_not_move_a_point() -> None:
     rng = np.random.default_rng(0)
     rotations, translations = around([0.0, 60.0, 120.0, -100.0])
-    rig = Rigid(np.zeros(4), np.zeros((4, 2)), np.full((4, 2), -0.05), rotations, translations)
+    rig = StaticCameras(
+        np.zeros(4), np.zeros((4, 2)), np.full((4, 2), -0.05), rotations, translations
+    )
     points = rng.uniform(-0.5, 0.5, (3, 500))
     camera = rotations @ points + translations[..., None]
     flat = camera[:, :2] / camera[:, 2:]

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
-from models.epipolar.resting_rig import RestingRig, find_resting_rig
+from models.epipolar.static_rig import StaticRig, find_static_rig
 from models.numerics.steps import finished
 from tests.models.rigs import IMAGE_SIZE, Lens, RigCapture, make_rig_capture
 
@@ -14,7 +14,7 @@ SIDE = max(IMAGE_SIZE)
 UNLIKE = (Lens(focal=700), Lens(focal=1300), Lens(focal=2000))
 
 
-def found_in(capture: RigCapture) -> RestingRig | None:
+def found_in(capture: RigCapture) -> StaticRig | None:
     views = len(capture.lenses)
     centres = np.array(IMAGE_SIZE) / 2
     radii = capture.pixels - capture.pixels.mean(2, keepdims=True)
@@ -26,10 +26,10 @@ def found_in(capture: RigCapture) -> RestingRig | None:
         np.stack((0.2**2 + 0.05**2 * np.eye(views), 0.07**2 + 0.01**2 * np.eye(views))),
     )
     images = (capture.pixels - centres) / SIDE
-    return finished(find_resting_rig(images, capture.weights, believed, sizes))
+    return finished(find_static_rig(images, capture.weights, believed, sizes))
 
 
-def rotation_errors(capture: RigCapture, found: RestingRig, views: list[int]) -> Float64:
+def rotation_errors(capture: RigCapture, found: StaticRig, views: list[int]) -> Float64:
     """Degrees, of every rotation from the first of some views to another."""
     first = views[0]
     ours = found.best.rig.rotations[views[1:]] @ found.best.rig.rotations[first].T

@@ -19,7 +19,7 @@ from models.epipolar.rig_adjustment import Adjusted, adjust_rig
 from models.epipolar.rig_certainty import Certainty, FocalLikelihood, certainty_of
 from models.epipolar.rig_search import finished_rig, likely_rigs, necker, ordered, same_rig
 from models.epipolar.robust_points import robust_points
-from models.epipolar.static_cameras import CAMERA, Rigid, Seen, distances_of, robust_costs
+from models.epipolar.static_cameras import CAMERA, Seen, StaticCameras, distances_of, robust_costs
 from models.epipolar.view_graph import (
     NO_RIG,
     NOISY_POINTS,
@@ -44,29 +44,31 @@ MOVES = 0.03  # of the subject's size in the image: a camera that moves it by le
 SURE = 3.0  # standard errors by which it must move
 
 
-class Explanation(NamedTuple):
+class StaticScene(NamedTuple):
     """Static cameras, and what they see."""
 
-    rig: Rigid  # K cameras in sides; of views that take no part the pose is NaN
+    rig: StaticCameras  # K cameras in sides; of views that take no part the pose is NaN
     points: Float64  # (N, P, 3) in the rig's frame, NaN where fewer than two of these views see
 
 
-class RestingRig(NamedTuple):
+class StaticRig(NamedTuple):
     """Static cameras, as far as keypoints alone decide."""
 
-    best: Explanation
-    mirror: Explanation  # the best that there is of the other hand
+    best: StaticScene
+    mirror: StaticScene  # the best that there is of the other hand
     resting: Bool  # (K,) which views are static
     noise: float  # sides
     log_odds: Float64  # (N,) of each frame, for the best and against its mirror image
     focals: FocalLikelihood  # of the static views
-    deviations: Float64  # (K, 11) of `Rigid`'s numbers, infinite of views that are not static
+    deviations: (
+        Float64  # (K, 11) of `StaticCameras`'s numbers, infinite of views that are not static
+    )
     motion: CameraMotion  # of the static views
 
 
-def find_resting_rig(
+def find_static_rig(
     images: Float64, weights: Float64, beliefs: Beliefs, sizes: Float64, *, seed: int = 0
-) -> Steps[RestingRig | None]:
+) -> Steps[StaticRig | None]:
     """Find static cameras from what they see of N frames; yields now and then, to be stopped.
 
     Parameters
@@ -169,7 +171,7 @@ def _out_of_line(alone: Float64, sizes: Float64) -> int | None:
 
 def _result(
     chosen: _Chosen, images: Float64, weights: Float64, beliefs: Beliefs, members: list[int]
-) -> RestingRig:
+) -> StaticRig:
     """Triangulate every frame with both hands, and give the log odds of each frame."""
     frames, views, keypoints, _ = images.shape
     resting = np.zeros(views, bool)
@@ -187,7 +189,7 @@ def _result(
         points = np.full((frames * keypoints, 3), np.nan)
         points[known] = found.T
         whole = _of_all_views(rig, beliefs, members)
-        explanations.append(Explanation(whole, points.reshape(frames, keypoints, 3)))
+        explanations.append(StaticScene(whole, points.reshape(frames, keypoints, 3)))
         located.append(found)
         robust = robust_costs(distances_of(rig, found, some), some.weights, noise)
         costs.append(np.bincount(known // keypoints, robust.sum(0), frames))
@@ -204,7 +206,7 @@ def _result(
         noise,
         of_frames[asked],
     )
-    return RestingRig(
+    return StaticRig(
         best,
         mirror,
         resting,
@@ -216,10 +218,10 @@ def _result(
     )
 
 
-def _of_all_views(rig: Rigid, beliefs: Beliefs, members: list[int]) -> Rigid:
+def _of_all_views(rig: StaticCameras, beliefs: Beliefs, members: list[int]) -> StaticCameras:
     """Give the cameras of some views their places among all."""
     views = len(beliefs.focals)
-    whole = Rigid(
+    whole = StaticCameras(
         np.log(beliefs.focals),
         np.zeros((views, 2)),
         np.zeros((views, 2)),
