@@ -1,12 +1,11 @@
 """The page's sources in a folder of their own, with all that their own checks need."""
 
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.node import NODE, NPM
+from tests.node import install
 from tests.sharing import made_once
 
 ROOT = Path(__file__).parents[2]
@@ -27,29 +26,5 @@ def _installed(folder: Path) -> Path:
     shutil.copytree(ROOT / "page", page, ignore=shutil.ignore_patterns("node_modules"))
     (folder / "docs").mkdir()
     shutil.copy(ROOT / "docs" / "openapi.json", folder / "docs")
-    done = subprocess.run(
-        [*NPM, "ci", "--ignore-scripts", "--prefer-offline"],
-        cwd=page,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    if done.returncode:
-        pytest.skip(f"npm cannot install the lockfile's packages: {done.stderr.strip()[-200:]}")
+    install(page, "ci", "--ignore-scripts", "--prefer-offline")
     return page
-
-
-def node(page: Path, *words: str, **environment: str) -> str:
-    """Run a program of the project; return what it printed."""
-    done = subprocess.run(
-        [NODE, *words],
-        cwd=page,
-        env=environment or None,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout

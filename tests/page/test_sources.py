@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from safetensors.numpy import save_file
 from scipy.spatial.transform import Rotation
 
-from tests.page.project import checked_out, node
+from tests.node import node
+from tests.page.project import checked_out
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "examples"))

@@ -2,14 +2,13 @@
 
 import json
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from models.capture.synthetic import SyntheticCapture
-from tests.node import NODE, NPM
+from tests.node import install, node
 from tests.service.conftest import Live, frames_of
 
 ROOT = Path(__file__).parents[2]
@@ -23,31 +22,8 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make a folder with what a project in TypeScript installs; skip where that cannot be had."""
     folder = tmp_path_factory.mktemp("project")
     (folder / "package.json").write_text('{"type": "module", "private": true}')
-    done = subprocess.run(
-        [*NPM, "install", "--no-audit", "--no-fund", *PACKAGES],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    if done.returncode:
-        pytest.skip(f"npm cannot install {' '.join(PACKAGES)}: {done.stderr.strip()[-200:]}")
+    install(folder, "install", "--no-audit", "--no-fund", *PACKAGES)
     return folder
-
-
-def node(project: Path, program: str, *words: str) -> str:
-    """Run a program of the project, or of its packages."""
-    done = subprocess.run(
-        [NODE, program, *words],
-        cwd=project,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
 
 
 def test_a_program_in_typescript_does_the_whole_job(
