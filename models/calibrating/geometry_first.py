@@ -16,7 +16,7 @@ from models.bundle.shape_model import align
 from models.calibrating.doubts import Checked
 from models.calibrating.expectation_maximisation import about_model, learn, regauge
 from models.calibrating.handedness import DECIDED, certainty
-from models.calibrating.keypoint_rig import geometry_of, rig_from_geometry
+from models.calibrating.keypoint_rig import geometry_of, lens_kinds, start_from_geometry
 from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import Problem, Solution
 from models.calibrating.search import Arranged
@@ -55,22 +55,22 @@ def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Ste
         return None
     if views == 2:
         found = yield from scan_lenses(problem, found)
-    rig = rig_from_geometry(problem, found)
-    if rig is None:
+    started = start_from_geometry(problem, found)
+    if started is None:
         return None
-    grouped = problem._replace(lens_groups=rig.lens_groups)
+    whole, deviations = started
+    grouped = problem._replace(lens_groups=lens_kinds(problem, found))
     frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, most).astype(np.int64))
     kept = grouped.of(frames)._replace(kept=np.ones(views, bool))
-    start = rig.start.of(frames)
-    solution = yield from learn(kept, start)
+    solution = yield from learn(kept, whole.of(frames))
     free = kept._replace(kept=np.zeros(views, bool))
     reason = (
         f"keypoints of all frames are one rigid scene of {views} static cameras,"
         f" to {found.noise * problem.side:.3g} px (from keypoints)"
     )
     checked = Checked(free, solution, ())
-    arranged = Arranged(solution, checked, reason, hand, (), kept=rig.deviations)
-    return Settled(arranged, rig.start)
+    arranged = Arranged(solution, checked, reason, hand, (), kept=deviations)
+    return Settled(arranged, whole)
 
 
 def structures_of_all(problem: Problem, learnt: Solution, start: Solution) -> Scene:

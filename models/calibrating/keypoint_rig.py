@@ -1,6 +1,5 @@
 """Static cameras that keypoints alone give, as a start: cameras, structures, poses."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -74,25 +73,37 @@ def rig_from_keypoints(
     members = [int(k) for k in np.flatnonzero(found.resting)]
     noise = max(found.noise * problem.side, moving.noise)
 
+    best, mirror = _structures(found.best.points), _structures(found.mirror.points)
+    if best is None or mirror is None:
+        return None
+
     def start_of(rig: StaticCameras, structures: _Structures) -> Solution:
         lenses = _lenses(problem, moving.rig, rig, found.resting)
         start = _start(moving, rig, members, lenses, structures)
         return start._replace(noise=noise, measured_noise=noise)
 
-    # Of two views geometry alone does not say which lenses are alike.
-    groups = lens_kinds(problem, found) if len(members) >= LEAST_VIEWS else problem.lens_groups
-    return _with_both_hands(problem, found, members, start_of, groups)
+    return KeypointRig(
+        start_of(found.best.rig, best),
+        start_of(found.mirror.rig, mirror),
+        members,
+        found.noise * problem.side,
+        found.log_odds,
+        # Of two views geometry alone does not say which lenses are alike.
+        lens_kinds(problem, found) if len(members) >= LEAST_VIEWS else problem.lens_groups,
+        _deviations(problem, found, best.unit),
+    )
 
 
-def rig_from_geometry(problem: Problem, found: StaticRig) -> KeypointRig | None:
-    """Return the start that a rig of static cameras alone makes; None without structures."""
-    members = list(range(len(found.resting)))
-    noise = found.noise * problem.side
+def start_from_geometry(problem: Problem, found: StaticRig) -> tuple[Solution, Float64] | None:
+    """Return the start that static cameras alone make, and their standard deviations (K, VIEW).
 
-    def start_of(rig: StaticCameras, structures: _Structures) -> Solution:
-        return _static_start(problem, rig, structures, noise)
-
-    return _with_both_hands(problem, found, members, start_of, lens_kinds(problem, found))
+    None without structures.
+    """
+    structures = _structures(found.best.points)
+    if structures is None:
+        return None
+    start = _static_start(problem, found.best.rig, structures, found.noise * problem.side)
+    return start, _deviations(problem, found, structures.unit)
 
 
 def static_start(problem: Problem, seen: StaticScene, noise: float) -> Solution | None:
@@ -115,28 +126,6 @@ def _static_start(
     )
     shapes, prior = _shapes(structures.points)
     return Solution(placed_rig, scene, prior, shapes, noise, noise)
-
-
-def _with_both_hands(
-    problem: Problem,
-    found: StaticRig,
-    members: list[int],
-    start_of: Callable[[StaticCameras, "_Structures"], Solution],
-    lens_groups: NDArray[np.int64],
-) -> KeypointRig | None:
-    """Return the starts of a rig and of its mirror image; None without structures."""
-    best, mirror = _structures(found.best.points), _structures(found.mirror.points)
-    if best is None or mirror is None:
-        return None
-    return KeypointRig(
-        start_of(found.best.rig, best),
-        start_of(found.mirror.rig, mirror),
-        members,
-        found.noise * problem.side,
-        found.log_odds,
-        lens_groups,
-        _deviations(problem, found, best.unit),
-    )
 
 
 def geometry_of(problem: Problem, among: list[int]) -> Steps[StaticRig | None]:
