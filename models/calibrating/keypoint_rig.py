@@ -88,7 +88,7 @@ def rig_from_keypoints(
         members,
         found.noise * problem.side,
         found.log_odds,
-        # Of two views geometry alone does not say which lenses are alike.
+        # Of two views geometry alone does not show which lenses are alike.
         lens_kinds(problem, found) if len(members) >= LEAST_VIEWS else problem.lens_groups,
         _deviations(problem, found, best.unit),
     )

@@ -39,7 +39,7 @@ Float64 = NDArray[np.float64]
 FRAMES = 100  # at most, that shapes are learnt from
 POINTS = 900  # that cameras are adjusted to
 RIG_ITERATIONS, ROUNDS = 30, 5  # of adjusting cameras, and of learning shapes
-# Of the image's side: lenses are told apart by less than what their models leave.
+# Of the image's side: evidence distinguishes lenses by less than what their models leave.
 LEAST_NOISE = 5e-5
 LONGEST, SHORTEST = math.log(3.0), math.log(0.35)  # of the expected focal length
 COMMON_STEPS = 7  # between these

@@ -182,7 +182,7 @@ def _refined(
     if noisy is not None and (not settled or (edges is not None and len(edges) > 0)):
         refined = (yield from _by_detected(refined, noisy, edges)) or refined
     problem, best = refined.problem, refined.best
-    # Of two views lenses are what lengths of bones say, also where the image is far larger than the
+    # Lengths of bones decide the lenses of two views, also where the image is far larger than the
     # subject and lens models leave more than the noise.
     noise = best.measured_noise if settled else best.noise
     if noise > CLEAR * problem.size or (refined.kept is not None and noisy is not None):

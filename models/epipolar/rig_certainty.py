@@ -81,7 +81,7 @@ def _focal_likelihood(
     others: Int64,
     rig: StaticCameras,
 ) -> FocalLikelihood:
-    """Say what keypoints alone give of the focal lengths; poses and points follow them.
+    """Return what keypoints alone give of the focal lengths; poses and points follow them.
 
     Errors that repeat are worth as much less as sums of them scatter more (the design effect: Kish,
     *Survey Sampling*, 1965).

@@ -1,4 +1,4 @@
-"""Headers of NumPy's arrays in files, which say how large an array is before it is read."""
+"""Headers of NumPy's arrays in files, which give the size of an array before it is read."""
 
 from typing import IO, Any, NamedTuple
 
