@@ -32,7 +32,7 @@ from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import problem_of
 from models.capture.metrics import pa_mpjpe, procrustes_by_size
 from models.epipolar.robust_points import robust_points
-from models.epipolar.static_cameras import Seen, StaticCameras
+from models.epipolar.static_cameras import SeenPoints, StaticCameras
 from models.lifting.lift import Lift
 from models.numerics.steps import finished
 from models.numerics.threads import use_threads
@@ -260,7 +260,7 @@ def triangulated(draw: Draw) -> Float64:
         images = pixels.transpose(1, 3, 0, 2).reshape(views, 2, -1) / side
         weights = np.isfinite(images).all(1).astype(float)
         twice = weights.sum(0) > 1
-        seen = Seen(np.nan_to_num(images[..., twice]), weights[:, twice])
+        seen = SeenPoints(np.nan_to_num(images[..., twice]), weights[:, twice])
         noise = np.full(views, max(draw.noise, 1e-3 * side / 10) / side)
         of_frames = np.full((len(pixels) * count, 3), np.nan)
         of_frames[twice] = robust_points(rig, seen, noise).T

@@ -25,11 +25,11 @@ from models.calibrating.lens_groups import group_covariance, log_evidence_of_kin
 from models.calibrating.lens_prior import FOCAL_SDS
 from models.calibrating.problem import Problem, Solution
 from models.epipolar.pairs import Beliefs
-from models.epipolar.rig_adjustment import Adjusted, adjust_rig
+from models.epipolar.rig_adjustment import AdjustedRig, adjust_rig
 from models.epipolar.rig_certainty import FocalLikelihood, certainty_of
 from models.epipolar.rig_search import refocused
 from models.epipolar.robust_points import robust_points, robust_structures
-from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, Seen, distances_of
+from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, SeenPoints, distances_of
 from models.epipolar.static_rig import StaticRig, StaticScene
 from models.epipolar.view_graph import SharedPoints
 from models.numerics.steps import Steps
@@ -64,7 +64,7 @@ class Trial(NamedTuple):
     """Two static cameras with focal lengths that are tried."""
 
     at: Float64  # (2,) common log focal length in sides, and log ratio
-    cameras: Adjusted
+    cameras: AdjustedRig
     shown: StaticScene  # the frames that are looked at
     solution: Solution  # of these
     evidence: Float64  # (N,) of each frame
@@ -76,7 +76,7 @@ class _Sight(NamedTuple):
 
     problem: Problem
     images: Float64  # (N, 2, P, 2)
-    points: Seen  # of the sample that cameras are adjusted to
+    points: SeenPoints  # of the sample that cameras are adjusted to
     clusters: tuple[NDArray[np.int64], NDArray[np.int64]]  # frames and keypoints of these
     beliefs: Beliefs
     worth: float  # of the evidence, as a share of what it claims
@@ -133,7 +133,7 @@ def scan_lenses(problem: Problem, found: StaticRig) -> Steps[StaticRig]:
     sight = _sight(problem, found, frames)
     noise = np.full(2, found.noise)
     points = robust_points(found.best.rig, sight.points, noise)
-    peak = yield from _peak(sight, Adjusted(found.best.rig, points, noise))
+    peak = yield from _peak(sight, AdjustedRig(found.best.rig, points, noise))
     return (yield from _settled(problem, found, sight, peak))
 
 
@@ -142,7 +142,7 @@ def _sight(problem: Problem, found: StaticRig, frames: NDArray[np.int64]) -> _Si
     images, _ = straight_images(problem, problem.keypoints)
     points = found.best.points[frames].reshape(-1, 3).T
     weights = problem.weights[frames]
-    seen = Seen(
+    seen = SeenPoints(
         images[frames].transpose(1, 3, 0, 2).reshape(2, 2, -1),
         weights.transpose(1, 0, 2).reshape(2, -1),
     )
@@ -164,7 +164,7 @@ def _sight(problem: Problem, found: StaticRig, frames: NDArray[np.int64]) -> _Si
     )
 
 
-def _peak(sight: _Sight, cameras: Adjusted) -> Steps[_Peak]:
+def _peak(sight: _Sight, cameras: AdjustedRig) -> Steps[_Peak]:
     """Scan what the focal lengths have in common, then their ratio, then both about the peak.
 
     Raises
@@ -289,7 +289,7 @@ def _next(sight: _Sight, at: Float64, near: Trial) -> Steps[Trial]:
     return (yield from _tried(sight, at, near.cameras))
 
 
-def _tried(sight: _Sight, at: Float64, near: Adjusted) -> Steps[Trial]:
+def _tried(sight: _Sight, at: Float64, near: AdjustedRig) -> Steps[Trial]:
     """Adjust the cameras and learn shapes, with focal lengths held.
 
     Shapes are learnt from nothing, and equally long, in each trial: those of another would be an

@@ -1,4 +1,4 @@
-"""The training curve that a fitted prior keeps, and that a fit goes on with."""
+"""The training curve of a fit, which its prior keeps and a resumed fit continues."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -9,10 +9,10 @@ from torch import Tensor
 
 from models.numerics.tensor_files import WeightsError
 
-# A fit notes 200 rows, and some more whenever its plan grows. As plain data they take many times
-# the bytes that they have in a file.
+# A fit records 200 rows, and some more whenever its plan grows. As Python objects they take many
+# times the bytes that they have in a file.
 MOST_ROWS = 4000
-MOST_STEPS = 2**53  # that a float counts
+MOST_STEPS = 2**53  # the largest count that a float64 holds exactly
 
 
 class CurvePoint(NamedTuple):
@@ -34,7 +34,7 @@ def curve_from_tensor(rows: Tensor) -> tuple[CurvePoint, ...]:
     Raises
     ------
     WeightsError
-        When it has more rows than any fit notes, or its steps do not rise from 1 on.
+        When it has more rows than any fit records, or its steps do not rise from 1 on.
     """
     if len(rows) > MOST_ROWS:
         raise WeightsError(f"the training curve may have {MOST_ROWS} rows, it has {len(rows)}")

@@ -17,7 +17,7 @@ from models.network.answers import (
 from models.optics.lenses.projection import LENSES
 from models.settings.keypoints import MIN_KEYPOINTS
 
-# What `camera_models` are indices of: weak perspective, then the lenses in their order.
+# `camera_models` are indices into this: weak perspective, then the lenses in their order.
 CAMERA_MODELS = ("weak_perspective", *(lens.LIFTED_AS for lens in LENSES))
 Status = Literal["ok", "too_few_keypoints", "not_in_room"]
 REASONS: dict[Status, str] = {
@@ -25,9 +25,9 @@ REASONS: dict[Status, str] = {
     "too_few_keypoints": (
         f"no view shows {MIN_KEYPOINTS} keypoints or more that do not all lie at one place"
     ),
-    "not_in_room": "no camera at rest says where in the room it is",
+    "not_in_room": "no static camera places it in the room",
 }
-# What the sums in `findings` are made of.
+# The bits of the sums in `findings`.
 FINDING_BITS: dict[int, LiftCode] = {
     RIG_NOT_USED: "rig_not_used",
     UNLIKE_FIT: "frame_unlike_fit",
@@ -63,7 +63,7 @@ class Lift(Answers):
         return {name: value for name, value in self._asdict().items() if name not in _INTERNAL}
 
     def of_keypoints(self, chosen: NDArray[np.bool_]) -> "Lift":
-        """Return what is said of some of the P keypoints."""
+        """Return the lift of some of the P keypoints."""
         if chosen.all():
             return self
         return self._replace(

@@ -1,4 +1,4 @@
-"""Findings of lifts: which frames are unlike the fit, in what, and by how much."""
+"""Findings of lifts: which frames differ from those of the fit, in what, and by how much."""
 
 from collections.abc import Iterator
 
@@ -20,8 +20,8 @@ def lift_findings(
     Parameters
     ----------
     first_frame
-        Of a part of a lift: the number of its first frame. Without it these are all frames, and a
-        finding of all of them names none.
+        The number of the first frame, if this is part of a lift. Without it these are all frames,
+        and a finding about all of them names no frames.
     """
     if not lift.findings.any():
         return ()

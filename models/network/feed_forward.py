@@ -41,13 +41,13 @@ def feed_forward(
     stop: int,
     answers: Answers,
 ) -> None:
-    """Write weak-perspective answers for frames from `start` to `stop`; NaN where there is none.
+    """Compute weak-perspective answers for frames from `start` to `stop`; NaN where there is none.
 
-    What is beyond the usual is noted in the answers' findings.
+    Frames unlike those of the fit are marked in the answers' findings.
 
-    The policy says which frames are settled. A structure that is not settled is mirrored if
-    `foreshortening` is negative. If that is 0, the fit could not tell it: structures stay as the
-    network has them.
+    The policy decides which frames are settled. A structure that is not settled is mirrored if
+    `foreshortening` is negative. If it is 0, the fit could not estimate it, and structures keep
+    the handedness of the network.
     """
     _, views, count, _ = seen.keypoints.shape
     filled = np.empty((views, count, 2), np.float32)
@@ -60,7 +60,7 @@ def feed_forward(
             continue
         _reconstruct(network, keypoints, weights, points, guesses)
         if _hides_keypoints(weights):
-            # What is hidden is filled with its reprojection and the views are read once more.
+            # Hidden keypoints are filled with their reprojections, and the views are encoded again.
             _fill_views(keypoints, weights, points, guesses, scratch, filled)
             _reconstruct(network, filled, weights, points, guesses)
         misfit = _misfit(points, keypoints, weights, guesses, scratch)
@@ -78,7 +78,7 @@ def feed_forward(
 
 @inner
 def _write_no_answer(answers: Answers, n: int, weights: Float32) -> None:
-    """Write that frame n has no structure and no cameras, and what its views show."""
+    """Write frame n without structure and cameras, and the counts of its keypoints."""
     fill(answers.points3d[n], np.nan)
     answers.continued[n] = False
     answers.findings[n] = 0
@@ -107,7 +107,7 @@ def _write_no_answer(answers: Answers, n: int, weights: Float32) -> None:
 def _note(
     answers: Answers, n: int, usable: Bool, sizes: Float32, misfit: float, usual: Usual
 ) -> None:
-    """Write the misfit and the size of frame n, and whether they are beyond the usual."""
+    """Write the misfit and the size of frame n, and whether they are outside the usual range."""
     summed, views, found = 0.0, 0, 0
     for k in range(len(usable)):
         if usable[k]:
@@ -169,7 +169,7 @@ def _reconstruct(
 
 @inner
 def _hides_keypoints(weights: Float32) -> bool:
-    """Tell whether some view of `weights` (K, P) shows something, but not all with full weight."""
+    """Return whether a usable view of `weights` (K, P) has keypoints without full weight."""
     hidden = False
     for k in range(len(weights)):
         hidden = hidden or 0 < total(weights[k]) < weights.shape[1]
@@ -185,7 +185,7 @@ def _fill_views(
     scratch: Scratch,
     filled: Float32,
 ) -> None:
-    """Write views (K, P, 2) with what is hidden filled by its reprojection, normalised."""
+    """Fill the hidden keypoints of views (K, P, 2) with their reprojections, and normalise."""
     camera = scratch.camera
     for k in range(len(keypoints)):
         projected = scratch.projected[k]
@@ -204,7 +204,7 @@ def _fill_views(
 def _misfit(
     points: Float64, keypoints: Float32, weights: Float32, guesses: Float64, scratch: Scratch
 ) -> float:
-    """Reprojection error of a frame in units of the structure, mean over what was observed."""
+    """Return the mean reprojection error of a frame's observed keypoints, in structure units."""
     camera, summed, number = scratch.camera, 0.0, 0
     for k in range(len(keypoints)):
         observed = 0
@@ -223,7 +223,7 @@ def _misfit(
 
 @inner
 def _mean_distance(projected: Float64, keypoints: Float32, weights: Float32) -> float:
-    """Reprojection error of one view (P, 2), mean over what was observed."""
+    """Return the mean reprojection error of the observed keypoints of one view (P, 2)."""
     summed, observed = 0.0, 0
     for p in range(len(weights)):
         if weights[p] > 0:

@@ -1,4 +1,4 @@
-"""Compiled settling of a frame, for lifts and fits; `settling` says what it is and why."""
+"""Compiled settling of a frame, for lifts and fits; `settling` explains it."""
 
 import math
 from typing import Any, NamedTuple
@@ -25,11 +25,11 @@ DECISIVE = 0.8  # a frame leaves the handedness of the fit if its error falls be
 
 
 class Scratch(NamedTuple):
-    """Arrays that settling writes again for every frame of K views and P keypoints."""
+    """Buffers that settling overwrites for every frame of K views and P keypoints."""
 
     camera: CameraSolution
     axes: Float64  # (K, 2, 3) scale times the first two rows of a view's rotation
-    target: Float64  # (K, P, 2) what weak perspective would have shown
+    target: Float64  # (K, P, 2) keypoints with the foreshortening taken out
     projected: Float64  # (K, P, 2) by weak perspective
     slopes: Float64  # (K, P, 2) by which projections move per unit of foreshortening
     other: Float64  # (P, 3) the structure if its handedness is the other one
@@ -37,7 +37,7 @@ class Scratch(NamedTuple):
 
 @compiled
 def new_scratch(views: int, keypoints: int) -> Scratch:
-    """Return arrays for `settle_frame`, not yet filled."""
+    """Return unfilled buffers for `settle_frame`."""
     return Scratch(
         new_camera(),
         np.empty((views, 2, 3)),
@@ -94,7 +94,7 @@ def project_frames(
     projected: Float64,
     slopes: Float64,
 ) -> None:
-    """Write what `settling.first_order_cameras` returns."""
+    """Compute the results of `settling.first_order_cameras`."""
     camera = new_camera()
     target = np.empty(keypoints.shape[2:])  # (P, 2)
     for n in range(len(points)):
@@ -175,7 +175,7 @@ def _alternate(
     rounds: int,
     scratch: Scratch,
 ) -> float:
-    """Solve for the cameras and for the structure in turn; the root of the squared errors' sum."""
+    """Solve for cameras and structure in turn; return the root of the sum of squared errors."""
     copy(keypoints, scratch.target)
     for _ in range(rounds):
         _solve_views(points, keypoints, weights, guesses, foreshortening, scratch)
@@ -192,7 +192,7 @@ def _solve_views(
     foreshortening: float,
     scratch: Scratch,
 ) -> float:
-    """Write axes, projections, slopes and targets of every view; the sum of squared errors."""
+    """Compute axes, projections, slopes and targets; return the sum of squared errors."""
     camera, squared = scratch.camera, 0.0
     for k in range(len(weights)):
         whole = total(weights[k])
@@ -215,7 +215,7 @@ def _solve_views(
 def _straighten_into(
     keypoints: Float32, slopes: Float64, foreshortening: float, target: Float64
 ) -> None:
-    """Write what weak perspective would have shown (P, 2): keypoints without foreshortening."""
+    """Compute the targets (P, 2): keypoints with the foreshortening taken out."""
     for p in range(len(keypoints)):
         for i in range(2):
             target[p, i] = keypoints[p, i] - foreshortening * slopes[p, i]
@@ -231,10 +231,10 @@ def _first_order_into(
     projected: Float64,
     slopes: Float64,
 ) -> None:
-    """Write weak-perspective projections (P, 2), and how they move per unit of foreshortening.
+    """Compute weak-perspective projections (P, 2), and their slopes by the foreshortening (P, 2).
 
-    By the depth z about its mean, and the projection w about its own: -z w, of which the mean is
-    removed, since the camera's translation takes it up. Means are weighted.
+    With depth z and projection w about their means, the slope is -z w. Its mean is removed, since
+    the camera's translation absorbs it. Means are weighted.
     """
     project_into(points, camera, scale, projected)
     axis = camera.rotation[2]
@@ -257,7 +257,7 @@ def _first_order_into(
 
 @inner
 def _move_points(points: Float64, weights: Float32, scratch: Scratch) -> None:
-    """Move each point (3,) to where the views see it: least squares, held back by the stiffness."""
+    """Move each point (3,) to its least-squares position, held back by the stiffness."""
     normal, solved, pull = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for p in range(len(points)):
         fill(normal, 0)

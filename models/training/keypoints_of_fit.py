@@ -30,7 +30,7 @@ Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
 
-class Observed(NamedTuple):
+class ObservedCapture(NamedTuple):
     """N frames of K views of the Q known of P keypoints, and what was noticed of them."""
 
     detected: Observations  # without outliers
@@ -47,7 +47,7 @@ class Observed(NamedTuple):
 
 def observe(
     read: InStep, image_sizes: ImageSizes | None, known: Bool | None, config: FitConfig
-) -> Observed:
+) -> ObservedCapture:
     """Return what a fit learns from.
 
     Parameters
@@ -103,10 +103,10 @@ def observe(
         )
         capture, observations = capture._replace(findings=(*told, *found)), kept
     if not config.denoising or not observations.usable.any():
-        return Observed(observations, observations, capture, outliers, NoiseRemoval())
+        return ObservedCapture(observations, observations, capture, outliers, NoiseRemoval())
     removal = learn_noise_removal(observations, read.times)
     clear = removal.remove(observations, range(views), read.times)
-    return Observed(observations, clear, capture, outliers, removal)
+    return ObservedCapture(observations, clear, capture, outliers, removal)
 
 
 def usable_frames(observations: Observations) -> Int64:

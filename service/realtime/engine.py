@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.lifting.lift import Lift, join
-from models.lifting.observing import Observed, join_observed
+from models.lifting.observing import ObservedFrames, join_observed
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
 from service.realtime.warm_models import WarmModel, WarmModels
@@ -60,7 +60,7 @@ class _Call:
     way: Way
     keypoints: Float32
     confidence: Float32 | None
-    observed: Observed | None  # in place of these
+    observed: ObservedFrames | None  # in place of these
     previous: Lift | None
     slice_size: int  # frames that are lifted in one go
     answer: "asyncio.Future[Lift]"
@@ -160,7 +160,7 @@ class Engine:
     def lift_observed(
         self,
         model: WarmModel,
-        observed: Observed,
+        observed: ObservedFrames,
         *,
         refine: Refine | None = None,
         previous: Lift | None = None,
@@ -183,7 +183,7 @@ class Engine:
         way: Way,
         keypoints: Float32,
         confidence: Float32 | None,
-        observed: Observed | None,
+        observed: ObservedFrames | None,
         previous: Lift | None,
         frames: int,
     ) -> "asyncio.Future[Lift]":
@@ -325,7 +325,7 @@ def _lift_together(pieces: list[_Piece]) -> list[_Outcome]:
     ]
 
 
-def _observe(pieces: list[_Piece]) -> Observed:
+def _observe(pieces: list[_Piece]) -> ObservedFrames:
     way = pieces[0].call.way
     observed = [
         c.observed.frames(slice(start, stop)) for c, start, stop in pieces if c.observed is not None

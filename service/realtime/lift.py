@@ -15,7 +15,7 @@ from starlette.responses import Response, StreamingResponse
 from models.capture.clocks import in_step
 from models.lifting import lift as lifts
 from models.lifting.lift_findings import lift_findings
-from models.lifting.observing import Observed
+from models.lifting.observing import ObservedFrames
 from models.settings.config import Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
@@ -167,7 +167,7 @@ def _understand(
     return _Asked(model, capture, asked.refine or query.refine, views, room)
 
 
-def _observe(asked: _Asked) -> Observed:
+def _observe(asked: _Asked) -> ObservedFrames:
     """Return frames that told times as the model sees them: in step, and smoothed in time."""
     prior, capture, times = asked.model.prior, asked.capture, asked.capture.times
     clocks = prior.capture.clocks_of(asked.views, capture.keypoints.shape[1])
