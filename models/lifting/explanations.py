@@ -213,7 +213,9 @@ def explain_with(
     _as_groups(rig, usable, start, scene)
     cost = descend(views, rig, prior, scene, ITERATIONS)
     misfit, _ = whiten(scene.points, prior, np.empty((count, 3)))
-    size = math.exp(scene.sizes[0])  # views that move on their own have size 1, distance tells
+    size = math.exp(
+        scene.sizes[0]
+    )  # views that move on their own have size 1: their distance decides
     for p in range(count):
         for i in range(3):
             out.points[p, i] = scene.points[p, i] * size

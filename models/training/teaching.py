@@ -1,4 +1,4 @@
-"""What a fit makes beside the network's weights: cameras, the network's errors, teachers."""
+"""The parts of a fit besides the network's weights: cameras, the network's errors, teachers."""
 
 import logging
 import math
@@ -45,7 +45,7 @@ logger = logging.getLogger(__name__)
 LIFTED_FRAMES = 256  # between two chances to stop
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
 LENGTH_FRAMES = 2000  # plenty to learn the lengths of a skeleton
-HIDDEN = 0.01  # share of the keypoints that fewer than two views tell: structures are learnt again
+HIDDEN = 0.01  # if more keypoints are seen by fewer than two views, structures are learnt again
 ROUNDS = 3  # of that
 
 
@@ -68,17 +68,17 @@ class Teaching:
         self.self_calibration: SelfCalibration | None = None
         self._network = network
         self._data = data
-        self._unseen = unseen  # frames that the network is not taught
+        self._unseen = unseen  # frames that are held out from training
         self._config = config
         self._image_sizes = image_sizes
-        self._removed_noise = removed_noise  # and what is left of it, pixels
-        self._detected = detected  # the data with the noise that was removed, weighed by it
+        self._removed_noise = removed_noise  # and the noise left, pixels
+        self._detected = detected  # the data before noise was removed, weighted by this noise
         self._edges = edges  # (E, 2) of the skeleton
 
     def settle_by_geometry(self) -> Iterator[None]:
-        """Find static cameras from keypoints alone, and teach what they see, if they decide that.
+        """Find static cameras from keypoints alone, if possible, and make teachers with them.
 
-        Yields now and then, to be stopped there: then nothing was found.
+        Yields now and then. If it is stopped there, no cameras are found.
         """
         frames = self._frames_of_several_views(0).sort().values
         if not len(frames):
@@ -117,11 +117,11 @@ class Teaching:
         )
 
     def make_teachers(self, step: int, *, most: int) -> Iterator[None]:
-        """Make teachers anew, and find the cameras first if they are sought.
+        """Make new teachers, after estimating the cameras if they are sought.
 
-        Yields now and then, to be stopped there: what was made until then is kept. A fit that goes
-        on from its last checkpoint at the same step goes on with the cameras it had found.
-        Without cameras, `most` teachers are settled at most.
+        Yields now and then. If it is stopped there, everything made until then is kept. A fit that
+        is resumed at the same step continues with the cameras it had found. Without cameras, at
+        most `most` teachers are settled.
         """
         config, data, state = self._config, self._data, self.state
         if state.cameras == "not_sought":
@@ -145,7 +145,7 @@ class Teaching:
             yield from self._make_perspective_teachers(self.self_calibration, frames, step)
 
     def stop_searching(self) -> None:
-        """Go on without cameras if they are not found by now."""
+        """Continue without cameras if they are not found by now."""
         if self.self_calibration is None:
             self.state.cameras = "not_sought"
 
@@ -166,7 +166,7 @@ class Teaching:
         prior = self._as_prior(found, curve, skeleton, structures)
         if structures is None:
             return prior
-        # Lengths make structures truer, and so what they tell of noisy frames.
+        # Lengths improve the structures, and so the sharpening of noisy frames by them.
         lift = finished(self._lifted(prior, frames))
         truer = known_structures(lift, self._data.weights[frames].numpy(), found.shapes.mean)
         if truer is None:
@@ -175,7 +175,7 @@ class Teaching:
         return self._as_prior(found, curve, skeleton, truer)
 
     def usual(self) -> Usual:
-        """Return what is usual of the frames of the fit, with the network as it is now."""
+        """Return the usual range of the frames of the fit, with the present network."""
         return learn_usual(self._as_prior(None), self._data, self._unseen)
 
     def _as_prior(
@@ -205,11 +205,11 @@ class Teaching:
         )
 
     def _every(self, most: int) -> int:
-        """Return which part of the frames is at most so many."""
+        """Return a part of the frames, at most so many."""
         return math.ceil(len(self._data.keypoints) / most)
 
     def _find_cameras(self, frames: Tensor) -> Iterator[None]:
-        """Find the cameras from frames (T,) with two views or more, if their keypoints tell."""
+        """Estimate the cameras from frames (T,) with two views or more, if this is possible."""
         frames = frames[: most_frames(*self._data.keypoints.shape[1:3])]
         pixels, weights = self._data.pixels(frames), self._data.weights[frames]
         prior = self._as_prior(None)
@@ -236,7 +236,7 @@ class Teaching:
     def _found_by(
         self, steps: Steps[tuple[SelfCalibration, Scene] | None]
     ) -> Steps[tuple[SelfCalibration, Scene] | None]:
-        """Return what a search comes to, with the noise that was removed before it."""
+        """Return the result of a search, with the noise that was removed before it."""
         try:
             result = yield from steps
         except (LinAlgError, NothingFoundError):
@@ -250,7 +250,7 @@ class Teaching:
         return replace(found, reason=reason, noise=max(found.noise, left)), scene
 
     def _noisy_frames(self) -> NoisyFrames | None:
-        """Return all frames before and after noise was removed from them; None if none was."""
+        """Return all frames before and after noise removal; None if no noise was removed."""
         if self._removed_noise is None:
             return None
         every = torch.arange(len(self._data.weights))
@@ -264,9 +264,9 @@ class Teaching:
     def _learn_lengths(
         self, prior: FittedPrior, found: SelfCalibration | None
     ) -> SkeletonLengths | None:
-        """Learn what edges of the skeleton keep their lengths, where it is known what noise is.
+        """Learn which edges of the skeleton keep their lengths, if white noise was removed.
 
-        Only white noise that was removed is: what detectors do beyond it looks like steady edges.
+        Other errors of detectors are not white and look like edges of constant length.
         """
         if found is None or self._removed_noise is None or not found.resting.all():
             return None
@@ -285,7 +285,7 @@ class Teaching:
         )
 
     def _with_network_errors(self, self_calibration: SelfCalibration, step: int) -> SelfCalibration:
-        """Measure the network's errors as they are now, and the time that it takes."""
+        """Measure the present errors of the network, and the time that this takes."""
         started = time.perf_counter()
         measured = learn_errors_of_network(
             self_calibration,
@@ -306,9 +306,9 @@ class Teaching:
     def _learn_structures(
         self, found: SelfCalibration, frames: Tensor, *, seed: list[int]
     ) -> Steps[tuple[KnownStructures | None, Lift | None]]:
-        """Lift frames (T,), and again with what was learnt of them if views hide much of them.
+        """Lift frames (T,), and again with their known structures if many keypoints are hidden.
 
-        Yields now and then, to be stopped there; returns what is known, and the last lift.
+        Yields now and then, to be stopped there. Returns the known structures, and the last lift.
         """
         if not len(frames):
             return None, None
@@ -373,7 +373,10 @@ class Teaching:
         observed: Tensor,
         seen: tuple[Tensor, Tensor, Tensor],
     ) -> None:
-        """Teach structures, rotations and translations `seen` in frames (T,) by views (T, K)."""
+        """Make teachers of structures, rotations and translations of frames (T,).
+
+        `observed` (T, K) states which views have cameras.
+        """
         noise = found.noise / float(self._data.sizes[frames][observed].mean())
         count, mirrored = len(self._data.keypoints), self.state.mirrored
         self.teachers = perspective_teachers(
@@ -384,7 +387,7 @@ class Teaching:
 def _weak_perspective(lift: Lift) -> WeakPerspectiveScene:
     """Return structures, rotations, scales and translations (x, y) of a lift in float64.
 
-    Harmless numbers stand where there is no answer.
+    Where there is no answer, the numbers are arbitrary but finite.
     """
 
     def number(array: NDArray[np.float32], without: float) -> NDArray[np.float64]:
