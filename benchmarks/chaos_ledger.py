@@ -69,7 +69,7 @@ class Ledger:
         return [thing for thing in self.things if thing.kind in kinds and thing.is_kept]
 
     def differs(self, recipe: Hashable, digest: str) -> bool:
-        """Tell whether a thing holds something else than others of its recipe did."""
+        """Return whether a thing holds something else than others of its recipe did."""
         with self.lock:
             return self.first.setdefault(recipe, digest) != digest
 

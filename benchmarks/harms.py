@@ -150,7 +150,7 @@ class Score(NamedTuple):
 
 
 def judge(code: str, planted: Planted, findings: tuple[Finding, ...]) -> Score:
-    """Say whether a harm was found, and where it is."""
+    """Return whether a harm was found, and where it is."""
     warnings = [finding for finding in findings if finding.severity == "warning"]
     others = tuple(finding.code for finding in warnings if finding.code != code)
     mine = [finding for finding in findings if finding.code == code]

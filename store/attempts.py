@@ -122,9 +122,9 @@ def succeed(
         The model's identifier.
     """
     fit = lookup.get(store, FitJob, attempt.fit_id)
-    said = {"name": fit.name, "tags": fit.tags, "user_metadata": fit.user_metadata}
-    said |= {"project": fit.project, "key_id": fit.key_id}
-    model = models.new_record(store, weights, fit_id=fit.id, **said, **describe)
+    labels = {"name": fit.name, "tags": fit.tags, "user_metadata": fit.user_metadata}
+    labels |= {"project": fit.project, "key_id": fit.key_id}
+    model = models.new_record(store, weights, fit_id=fit.id, **labels, **describe)
     reconstruction_key = keys.of_reconstruction(fit.id, reconstruction)
     store.objects.put(reconstruction_key, reconstruction)
     try:
@@ -168,7 +168,7 @@ def release(store: Store, attempt: Attempt) -> None:
     back = {"status": "queued", "lease_expires_at": None, "revision": FitJob.revision + 1}
     with store.writing() as session:
         asked = _write(session, attempt, back)
-        if asked is not None:  # nobody would claim it any more
+        if asked is not None:  # no worker would claim it any more
             session.execute(
                 update(FitJob).where(FitJob.id == attempt.fit_id).values(**fits.ended("cancelled"))
             )

@@ -76,10 +76,10 @@ def _of_frames(store: Store, dataset: Dataset, chunks: Sequence[Chunk]) -> list[
 
 
 def _of_description(dataset: Dataset) -> list[Array]:
-    """Return what a dataset's file says besides its frames."""
+    """Return the arrays of a dataset's file besides its frames."""
     skeleton = dataset.skeleton or {}
     sizes = dataset.image_sizes and [size or UNKNOWN_SIZE for size in dataset.image_sizes]
-    said = {
+    values = {
         "keypoint_names": skeleton.get("keypoint_names") or None,
         "edges": skeleton.get("edges") or None,
         "image_sizes": sizes or None,
@@ -87,7 +87,7 @@ def _of_description(dataset: Dataset) -> list[Array]:
         "fps": dataset.fps,
     }
     arrays = []
-    for name, value in said.items():
+    for name, value in values.items():
         if value is not None:
             array = np.asarray(value)
             array = array.astype(array.dtype.newbyteorder("<"))

@@ -44,9 +44,9 @@ def of_longer(store: Store, dataset: Dataset, added: Capture) -> list[Any]:
         part = slice(0, min(chunk.frames, size))
         try:
             parts.append(Capture.frames_from(partial(store.objects.peek, chunk.key), part))
-        except FileNotFoundError:  # the dataset was deleted since: nobody will read its findings
+        except FileNotFoundError:  # the dataset was deleted since: its findings are not needed
             continue
-        except (DamagedError, *FAULTS):  # whoever needs the chunk will be refused
+        except (DamagedError, *FAULTS):  # the jobs that need the chunk will fail
             logger.exception("Findings are made without the damaged chunk %s", chunk.key)
             continue
         numbers.append(np.arange(chunk.first_frame, chunk.first_frame + part.stop))
@@ -74,7 +74,7 @@ def _absences(capture: Capture, frames: int) -> tuple[Finding, ...]:
 
 
 def _with(absent: Iterable[Finding], found: Sequence[Finding]) -> list[Finding]:
-    """Return what a sample tells, with what is absent from all frames and not from it alone."""
+    """Return the findings of a sample, with those of absences checked against all frames."""
     return [*absent, *(finding for finding in found if finding.code not in ABSENCES)]
 
 

@@ -27,7 +27,7 @@ from store.usage import check_space
 
 @dataclass(frozen=True)
 class Description:
-    """What a user says of a dataset besides its arrays."""
+    """The description of a dataset besides its arrays."""
 
     name: str
     skeleton: dict[str, Any] | None = None
@@ -151,7 +151,7 @@ def append(
                             key=key,
                         )
                     )
-                    claim(session, idempotency, dataset_id)  # nobody else has it: see above
+                    claim(session, idempotency, dataset_id)  # no other request has it: see above
     finally:
         if not appended:
             discard(store, key)

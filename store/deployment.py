@@ -1,7 +1,7 @@
 """The identity of a deployment, which its records and its objects both carry.
 
-Objects without the records that know them look like garbage, and records without their objects like
-losses. So nothing is read, served or deleted before both have said that they belong together.
+Objects without their records look like garbage, and records without their objects look like losses.
+So nothing is read, served or deleted before both identities were found to agree.
 """
 
 import json
@@ -32,8 +32,8 @@ def agree(reading: Sessions, writing: Sessions, objects: Objects) -> str:
     Parameters
     ----------
     reading, writing
-        Give sessions of the records; only the latter hold their write lock, and are asked for only
-        where there is no identity yet: nobody's writes wait for objects that are away.
+        Give sessions of the records; only the latter hold their write lock. It is taken only if
+        there is no identity yet, so that no write waits for objects that cannot be reached.
 
     Raises
     ------

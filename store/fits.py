@@ -5,8 +5,8 @@
       │  └──cancel───────┼──────▶ cancelled
       └──released, or its lease expired
 
-Only the attempt that holds the lease may write; terminal states are never left. The queue carries
-work to workers and nothing more: what it says of a job is never asked.
+Only the attempt that holds the lease may write; terminal states are never left. The queue only
+carries work to workers: its status of a job is never used.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,16 +37,16 @@ def create(
     name: str,
     config: dict[str, Any],
     from_model: str | None = None,
-    labels: Labels = Labels(),  # noqa: B008 (nobody changes it)
+    labels: Labels = Labels(),  # noqa: B008 (never changed)
     job_id: str | None = None,
     max_queued: int | None = None,
     idempotency: Idempotency | None = None,
 ) -> FitJob:
     """Record a queued fit of the dataset as it is now.
 
-    What ``config``, fields of :class:`models.settings.config.FitConfig`, leaves out is filled in:
-    with defaults, or with what suits a start from the model ``from_model``. Keypoints that it tells
-    by name are kept by their indices in the dataset.
+    ``config`` has fields of :class:`models.settings.config.FitConfig`. The others are filled in
+    with defaults, or with those for a start from the model ``from_model``. Keypoints that are given
+    by name are stored as their indices in the dataset.
 
     A ``job_id`` that already has a fit gives that fit back; without one, the fit's own identifier
     is its job's.
@@ -56,8 +56,8 @@ def create(
     NotFoundError
         If there is no such dataset, or no such model.
     ConfigError
-        If the configuration speaks of views or keypoints that the dataset has not, or of another
-        prior or other sizes of it than the model.
+        If the configuration names views or keypoints that the dataset does not have, or another
+        prior or other sizes of it than the model's.
     SourceError
         If the model has other keypoints than the dataset.
     QueueFullError
@@ -93,7 +93,7 @@ def create(
 
 def _suited(config: FitConfig, model: Model, dataset: Dataset) -> FitConfig:
     """Fill in a configuration for a start from a model; raise for one that does not suit it."""
-    if model.project != dataset.project:  # whoever queues jobs sees all projects
+    if model.project != dataset.project:  # jobs may be queued for all projects
         raise NotFoundError(Model.noun, model.id)
     if model.keypoints != dataset.keypoints:
         raise SourceError(
@@ -102,13 +102,13 @@ def _suited(config: FitConfig, model: Model, dataset: Dataset) -> FitConfig:
             f"{dataset.keypoints} as in the dataset, got {model.keypoints}",
         )
     source = FitConfig.model_validate(model.config)
-    has, told = source.model_dump(mode="json"), config.model_dump(mode="json", exclude_unset=True)
+    has, given = source.model_dump(mode="json"), config.model_dump(mode="json", exclude_unset=True)
     for field in ARCHITECTURE:
-        if told.get(field, has[field]) != has[field]:
+        if given.get(field, has[field]) != has[field]:
             raise ConfigError(
                 field,
                 f"a fit keeps the prior and the sizes of the model it starts from: expected "
-                f"{has[field]}, got {told[field]}; leave it out",
+                f"{has[field]}, got {given[field]}; leave it out",
             )
     return warm(config, source)
 
@@ -123,7 +123,7 @@ def _by_index(config: FitConfig, dataset: Dataset) -> FitConfig:
         if not names:
             raise ConfigError(
                 field,
-                "the keypoints of this dataset have no names: tell the index, from 0, or give "
+                "the keypoints of this dataset have no names: use the index, from 0, or give "
                 "the dataset a skeleton with `keypoint_names`",
             )
         if keypoint not in names:
@@ -131,7 +131,7 @@ def _by_index(config: FitConfig, dataset: Dataset) -> FitConfig:
         return int(names.index(keypoint))
 
     def indices(keypoints: Sequence[Keypoint], field: str) -> tuple[int, ...]:
-        return tuple(index(told, f"{field}/{place}") for place, told in enumerate(keypoints))
+        return tuple(index(given, f"{field}/{place}") for place, given in enumerate(keypoints))
 
     found: dict[str, Any] = {}
     if config.known_length is not None:
@@ -143,7 +143,7 @@ def _by_index(config: FitConfig, dataset: Dataset) -> FitConfig:
 
 
 def _check(config: dict[str, Any], dataset: Dataset) -> None:
-    """Raise ``ConfigError`` for what a configuration cannot know by itself."""
+    """Raise ``ConfigError`` for errors that only the dataset reveals."""
     calibration, known_length = config.get("calibration"), config.get("known_length")
     if calibration is not None and len(calibration) != dataset.views:
         raise ConfigError(
@@ -198,8 +198,8 @@ def recover(
     Parameters
     ----------
     expired
-        Whether a lease that ran out tells a death. It does not where the records were away until
-        just now: nobody could keep a lease.
+        Whether a lease that ran out means that the attempt died. It does not if the records could
+        not be reached until just now, for then no lease could be renewed.
     on_loss
         Called for each fit that was taken from an attempt that died.
     """
@@ -254,7 +254,7 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
     Returns
     -------
     bool
-        Whether it was taken; whoever runs it must then be stopped.
+        Whether it was taken; the process that runs it must then be stopped.
     """
     mine = (FitJob.job_id == job_id) & (FitJob.status == "running")
     heeds_not = FitJob.cancel_requested_at <= clock.now() - patience_seconds
@@ -275,8 +275,8 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
 def delete(store: Store, fit_id: str) -> None:
     """Delete a fit that has ended, and its reconstruction; its model stays.
 
-    Raises as :func:`store.jobs.delete` does, and ``ConflictError`` while a lift finds up or the
-    floor of its room in the reconstruction: its parts would be in different rooms.
+    Raises as :func:`store.jobs.delete` does, and ``ConflictError`` while a lift uses the
+    reconstruction for up or the floor of its room: its parts would otherwise be in different rooms.
     """
 
     def forget(session: Session, fit: FitJob) -> list[str]:

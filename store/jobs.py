@@ -67,12 +67,12 @@ def create(
 def refuse(
     store: Store, kind: type[Job], *, job_id: str, error: dict[str, Any], **columns: Any
 ) -> str:
-    """Record a job that can never run, so that whoever queued it can read why; return its id.
+    """Record a job that can never run, so that its producer can read why; return its id.
 
     Parameters
     ----------
     columns
-        What the job said of itself.
+        The fields of the job.
     """
     with store.writing() as session:
         alone(session, kind.__tablename__)
@@ -131,7 +131,7 @@ def delete(
     Parameters
     ----------
     forget
-        Removes what else the records say of the job, and returns the keys of its objects.
+        Removes other records of the job, and returns the keys of its objects.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from store.ids import new_id
 from store.lift_files import Layout, pack
 from store.records import LiftChunk, LiftJob
 
-RECENT_CHUNKS = 16  # by whose pace the time left is told
+RECENT_CHUNKS = 16  # whose pace predicts the time left
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def join(lift_id: str, *, lease_seconds: float) -> Helper:
 def claim(
     store: Store, helper: Helper, *, on_loss: Callable[[], None] = lambda: None
 ) -> LiftChunk | None:
-    """Take the first chunk that nobody has, or None; chunks whose lease ran out are anyone's.
+    """Claim the first free chunk, or None; a chunk whose lease ran out is free.
 
     The first claim starts the lift. A lift fails when one of its chunks has taken down too many
     workers. `on_loss` is called if the chunk was taken from one that died.
@@ -166,7 +166,7 @@ def _count(session: Session, lift: LiftJob, chunk: LiftChunk, layout: Layout) ->
 
 
 def _seconds_left(session: Session, lift: LiftJob) -> float | None:
-    """Tell how long the frames left take, at the pace of the chunks finished last."""
+    """Predict how long the frames left take, at the pace of the chunks finished last."""
     session.flush()
     recent = session.scalars(
         select(LiftChunk)

@@ -39,7 +39,7 @@ def create(
     frame: str = "canonical",
     up: Sequence[float] | str | None = None,
     chunk_frames: int,
-    labels: Labels = Labels(),  # noqa: B008 (nobody changes it)
+    labels: Labels = Labels(),  # noqa: B008 (never changed)
     job_id: str | None = None,
     max_queued: int | None = None,
     idempotency: Idempotency | None = None,
@@ -54,7 +54,7 @@ def create(
     frame, up
         The frame of reference of the result, and up in a room; see `worker.rooms`.
     chunk_frames
-        Most frames to do in one go; fewer where there are many views and keypoints.
+        Most frames of a chunk; fewer if there are many views and keypoints.
 
     Raises
     ------
@@ -70,11 +70,11 @@ def create(
         # Locked against deletion, so that no lift is queued of what is gone.
         dataset = lock(session, Dataset, dataset_id)
         model = lock(session, Model, model_id, dataset.project)
-        if model.project != dataset.project:  # whoever queues jobs sees all projects
+        if model.project != dataset.project:  # jobs may be queued for all projects
             raise NotFoundError("model", model_id)
         _check(views, dataset, model)
         if up is not None and frame != "room":
-            raise LiftError("up", "up is of a room: ask for frame=room too, or leave it out")
+            raise LiftError("up", "up needs frame=room: give that too, or leave up out")
         chunks = _cut(lift_id, dataset, chunk_frames)
         lift = LiftJob(
             id=lift_id,
@@ -197,7 +197,7 @@ def claimable(*, expired: bool = True) -> tuple[ColumnElement[bool], ...]:
 
 
 def cancel(store: Store, lift_id: str) -> LiftJob:
-    """Cancel a lift at once, whoever works at it. Cancelling a cancelled lift is no error.
+    """Cancel a lift at once, even while workers lift it. Cancelling it again is no error.
 
     Raises
     ------
@@ -242,9 +242,9 @@ def _drop_chunks(session: Session, lift: LiftJob) -> list[str]:
 
 
 def was_cancelled(store: Store, job_id: str, *, patience_seconds: float) -> bool:
-    """Tell whether the lift that a running job helps with was cancelled some time ago.
+    """Return whether the lift that a running job helps with was cancelled some time ago.
 
-    Whoever runs it must then be stopped.
+    The process that runs it must then be stopped.
     """
     with store.reading() as session:
         cancelled = (_asked_by(job_id)) & (LiftJob.status == "cancelled")

@@ -37,9 +37,9 @@ class Owned:
 
 
 class Labelled:
-    """Columns of what people say of anything stored; older records hold null.
+    """Columns of names, tags and metadata; older records hold null.
 
-    `unlisted` names those columns that are read one by one, and not in lists.
+    `unlisted` names the columns that are left out of lists.
     """
 
     unlisted: ClassVar[tuple[str, ...]] = ()
@@ -68,7 +68,7 @@ class Dataset(Labelled, Owned, Record):
     fps: Mapped[float | None]
     last_times: Mapped[list[Any] | None]  # seconds, of the last frame, one or one a view
     view_names: Mapped[list[Any] | None]
-    notes: Mapped[list[Any] | None]  # of whoever read the files that it came in
+    notes: Mapped[list[Any] | None]  # of the reader of the files that it came in
     findings: Mapped[list[Any] | None]  # as JSON, see models.findings; None: never looked for
 
 
@@ -244,7 +244,7 @@ class Delivery(Record):
 
 
 class Deployment(Record):
-    """The one row that says whose records these are: see ``store.deployment``."""
+    """The one row with the identity of the deployment: see ``store.deployment``."""
 
     __tablename__ = "deployment"
 

@@ -25,14 +25,14 @@ State = Literal["empty", "older", "current", "newer"]
 
 
 class Version(NamedTuple):
-    """What the tables of some records are like to this code, and their revision if they tell."""
+    """The state of the tables as seen by this code, and their revision if they have one."""
 
     state: State
     revision: str | None
 
 
 def version(connection: Connection) -> Version:
-    """Tell which version the tables are of."""
+    """Return the version of the tables."""
     found = inspect(connection)
     revision = None
     if found.has_table("alembic_version"):
@@ -46,7 +46,7 @@ def version(connection: Connection) -> Version:
 
 
 def look(engine: Engine) -> Version:
-    """Tell the same of the records of an engine."""
+    """Return the same for the records of an engine."""
     with engine.connect() as connection:
         return version(connection)
 
@@ -100,7 +100,7 @@ def migrate(engine: Engine) -> Version:
 
 
 def _upgrade(connection: Connection) -> None:
-    logging.getLogger("alembic").setLevel(logging.WARNING)  # before it says what it imports
+    logging.getLogger("alembic").setLevel(logging.WARNING)  # before it logs its imports
     from alembic import command  # noqa: PLC0415 (takes long to import, and is hardly ever needed)
     from alembic.config import Config  # noqa: PLC0415
 

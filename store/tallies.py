@@ -29,7 +29,7 @@ class Tally(NamedTuple):
     oldest_seconds
         Time since the oldest of those that wait was made; 0 where none waits.
     expired
-        Running fits, or chunks of lifts, whose lease has run out and which nobody has taken yet.
+        Running fits, or chunks of lifts, whose lease has run out and which are not taken over yet.
     """
 
     jobs: dict[str, int]

@@ -33,7 +33,7 @@ def check_queue(session: Session) -> None:
     author = author_of(session)
     if author is None:
         return
-    check_space(session, 1)  # of a result, whose size nobody knows yet
+    check_space(session, 1)  # of a result of unknown size
     if author.quotas.queued_jobs is None:
         return
     alone(session, f"quotas of {author.key_id}")

@@ -64,7 +64,7 @@ class Due(NamedTuple):
 
 
 def create(store: Store, url: str, events: Sequence[WebhookEvent]) -> Webhook:
-    """Make a webhook; its secret, which signs what it gets, is in the record.
+    """Make a webhook; its secret, which signs its messages, is in the record.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def _payload(event: str, job: FitJob | LiftJob, now: float) -> dict[str, Any]:
 
 
 def any_due(store: Store) -> bool:
-    """Tell whether a delivery is to be attempted now."""
+    """Return whether a delivery is to be attempted now."""
     with store.reading() as session:
         return session.scalar(select(Delivery.id).where(_due()).limit(1)) is not None
 

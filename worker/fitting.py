@@ -47,8 +47,8 @@ def run_attempt(
 ) -> None:
     """Run a claimed fit until it succeeds, fails, is cancelled, or this process must leave.
 
-    The outcome is in the fit's record; :func:`worker.outcomes.recorded` says what errors lead to.
-    A fault of ours, and RQ's own timeout, fail the fit and are raised again.
+    The outcome is in the fit's record; see :func:`worker.outcomes.recorded` for errors. A fault of
+    ours, and RQ's own timeout, fail the fit and are raised again.
     """
     use_threads(settings.fit_threads)
     use_cores(settings.cores or usable_cores())  # which changes no digit, and is over soon
@@ -223,7 +223,7 @@ def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]
     dict
         ``reprojection_error`` in pixels, mean over all views of all frames; ``pa_mpjpe`` and
         ``pck`` (share of keypoints within ``pck_threshold``) in the truth's unit, or None. A
-        mirror image is an error where the fit could tell the hand.
+        mirror image counts as an error if the fit could decide the handedness.
     """
     figures: dict[str, Any] = {
         "reprojection_error": float(np.nanmean(lift.reprojection_errors)),
@@ -244,7 +244,7 @@ def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]
 
 
 def _reflection(prior: FittedPrior) -> Reflection:
-    """Say whether a mirror image is forgiven: only where the fit could not tell the hand."""
+    """Return whether a mirror image is allowed: only if the fit could not decide the handedness."""
     found = prior.cameras
     decided = found is not None and found.handedness_certainty >= DECIDED
     return "never" if decided else "either"
@@ -255,7 +255,7 @@ def _fail(store: Store, attempt: Attempt, code: str, message: str) -> None:
 
 
 def _finite(figures: dict[str, Any]) -> dict[str, Any]:
-    """Return the figures with None for what JSON cannot say."""
+    """Return the figures with None for numbers that JSON cannot represent."""
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in figures.items()

@@ -42,13 +42,13 @@ def fit(
     dataset_id
         A stored dataset.
     config
-        Fields of :class:`models.settings.config.FitConfig`; what is left out has its default.
+        Fields of :class:`models.settings.config.FitConfig`; the others have their defaults.
     name
-        For people to tell fits and models apart.
+        A name for people.
     from_model
         A fitted model of the same keypoints, whose weights the fit starts with.
     tags, metadata
-        Of yours, to find the fit and its model by.
+        For finding the fit and its model.
 
     Returns
     -------
@@ -99,17 +99,17 @@ def lift(
     model_id, dataset_id
         A fitted model, a stored dataset of the same keypoints.
     name
-        For people to tell lifts apart.
+        A name for people.
     refine, views, frame, up
         As in ``POST /lift``.
     tags, metadata
-        Of yours, to find the lift by.
+        For finding the lift.
 
     Returns
     -------
     dict
         ``lift_id`` and ``status``, as ``GET /lifts/{id}`` gives them. The job may end before its
-        lift does: other jobs carry on with it.
+        lift does: other jobs then continue it.
 
     Raises
     ------
@@ -124,10 +124,10 @@ def lift(
 
 
 def help_lift(lift_id: str) -> dict[str, str | None]:
-    """Do chunks of a recorded lift until none is left, or others have waited long enough.
+    """Lift chunks of a recorded lift until none is left, or other work has waited long enough.
 
-    While there are more chunks than helpers, one such job waits on the queue. Whoever takes it
-    puts the next one there, and so every worker that has nothing else to do helps.
+    While there are more chunks than helpers, one such job waits on the queue. The worker that takes
+    it puts the next one there, so that every idle worker helps.
     """
     asked = HelpArguments(lift_id=lift_id)  # by a stranger, perhaps
     with _opened() as (job, store, settings):
@@ -173,7 +173,7 @@ def _recorded(store: Store, kind: type[Job], job: KnownJob, settings: WorkerSett
 
 
 def _report(record: FitJob | LiftJob) -> None:
-    """Say how a job ended; raise ``RuntimeError`` for one that failed, for RQ to see."""
+    """Return the outcome of a job; raise ``RuntimeError`` if it failed, for RQ to see."""
     logger.info("%s: %s", record.id, record.status)
     if record.error is not None:
         raise RuntimeError(f"{record.error['code']}: {record.error['message']}")

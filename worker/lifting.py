@@ -44,8 +44,8 @@ def do_chunks(
 ) -> None:
     """Do a claimed chunk and then others, until none is left or this process must leave.
 
-    What comes of it is in the records; :func:`worker.outcomes.recorded` says what errors lead to.
-    A fault of ours costs its chunk a try, and is raised again.
+    The results are in the records; see :func:`worker.outcomes.recorded` for errors. A fault of ours
+    costs its chunk a try, and is raised again.
     """
     use_threads(settings.fit_threads)
     chunk: LiftChunk | None = first
@@ -96,7 +96,7 @@ class _Loaded(NamedTuple):
 
 
 def _load_in_step(store: Store, lift: LiftJob, chunk: LiftChunk, prior: FittedPrior) -> _Loaded:
-    """Load a chunk's frames with the views in step, as far as the dataset tells times."""
+    """Load a chunk's frames with the views in step, if the dataset has times."""
     dataset = lookup.get(store, Dataset, lift.dataset_id)
     own = slice(chunk.first_frame, chunk.first_frame + chunk.frames)
     capture = datasets.load_frames(store, dataset.id, own.start, own.stop)

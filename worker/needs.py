@@ -13,9 +13,9 @@ GPU_MULTIPLICATIONS = 200_000_000  # in a step: about what a core does while a G
 
 
 def gpu_pays(config: FitConfig, views: int, keypoints: int) -> bool:
-    """Tell whether a GPU takes such training steps sooner than a processor core.
+    """Return whether a GPU takes such training steps faster than a processor core.
 
-    A step of small dictionaries is over before a GPU has begun it.
+    For small dictionaries, starting a step on a GPU takes longer than the whole step on a CPU.
     """
     from models.network.priors.registry import outline  # noqa: PLC0415 (torch takes seconds)
 
@@ -30,6 +30,6 @@ def queue_for(store: Store, record: FitJob | LiftJob) -> QueueName:
     try:
         dataset = lookup.get(store, Dataset, record.dataset_id)
         config = FitConfig.model_validate(record.config)
-    except (NotFoundError, ValidationError):  # which the fit will say
+    except (NotFoundError, ValidationError):  # which the fit will report
         return "fits"
     return "gpu-fits" if gpu_pays(config, dataset.views, dataset.keypoints) else "fits"

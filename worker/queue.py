@@ -60,13 +60,13 @@ def connect(url: str, *, retries: int, timeout_seconds: float = 5.0) -> Redis:
 
 
 def check_reachable(url: AnyUrl) -> None:
-    """Raise ``ValueError`` if Redis does not answer now, in words for whoever starts something."""
+    """Raise ``ValueError``, with a message for the user, if Redis does not answer now."""
     try:
         with connect(str(url), retries=0, timeout_seconds=START_PATIENCE_SECONDS) as connection:
             connection.ping()
     except RedisError as error:
         raise ValueError(
-            f"Redis at {shown(url)} cannot be reached ({error}): start it, or say where "
+            f"Redis at {shown(url)} cannot be reached ({error}): start it, or give its address "
             "it is with --redis-url."
         ) from error
 
@@ -113,7 +113,7 @@ class WorkQueue(Queue):
         return Taken(self.key, connection=self.connection)
 
     def has_work(self) -> bool:
-        """Tell whether jobs wait; those that a worker has taken and not begun do, too."""
+        """Return whether jobs wait, including those that a worker has taken and not begun."""
         return bool(self.connection.exists(self.key, self.intermediate_queue_key))
 
     @classmethod

@@ -1,4 +1,4 @@
-"""The room of a model: the frame of reference of its cameras at rest, in which a subject moves."""
+"""The room of a model: the frame of reference of its static cameras, in which a subject moves."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,14 +38,14 @@ class Room:
     translations: Float64
 
     def knows(self, views: Sequence[int] | None, count: int) -> bool:
-        """Tell whether it is known which of the fit's the ``count`` views of a lift are."""
+        """Return whether the ``count`` views of a lift are known views of the fit."""
         return views is not None or count == len(self.rotations)
 
     def place_arrays(self, arrays: Arrays, views: Sequence[int] | None = None) -> Arrays:
         """Return the arrays of a lift of some views of the fit in the room.
 
-        Each frame is placed on its own. Those that have a structure and no place get the finding
-        `not_in_room`; so do all where the views are not known.
+        Each frame is placed on its own. Frames with a structure and without a place get the finding
+        `not_in_room`, and so do all frames of unknown views.
         """
         count = arrays["scales"].shape[1]
         if views is not None:
@@ -68,23 +68,23 @@ class Room:
 
 
 def find_room(store: Store, model_id: str, cameras: CameraReport | None, up: Up | None) -> Room:
-    """Return the room of a model: y up and level if `up` is said, else as its cameras are.
+    """Return the room of a model: with y up if `up` is given, else as its cameras are.
 
-    Up is a vector in the frame of reference of the model's cameras, or found from the frames that
-    the model was fitted to. Their feet, where keypoints are named so, are on the floor, y = 0.
+    Up is a vector in the frame of reference of the model's cameras, or estimated from the frames
+    that the model was fitted to. Their feet, if keypoints are named so, are on the floor, y = 0.
 
     Raises
     ------
     NotFoundError
         If there is no such model.
     ConflictError
-        If its cameras do not rest, or `up` is to be found and cannot be.
+        If it has no static cameras, or `up` is to be estimated and cannot be.
     """
     if cameras is None or not cameras.resting.any():
         arrangement = "unknown" if cameras is None else cameras.arrangement
         raise ConflictError(
-            f"Model {model_id!r} has no room: none of its cameras rest (arrangement: "
-            f"{arrangement}). Ask for frame=canonical, or fit with `refine` and cameras at rest."
+            f"Model {model_id!r} has no room: none of its cameras is static (arrangement: "
+            f"{arrangement}). Ask for frame=canonical, or fit with `refine` and static cameras."
         )
     if up is None:
         return Room(cameras.rotations, cameras.translations)

@@ -75,7 +75,7 @@ def _checked(key: str, name: str = "key") -> str | None:
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether a host of a URL is this machine by itself."""
+    """Return whether a host of a URL is this machine by itself."""
     return bool(_addresses(host))
 
 

@@ -1,9 +1,9 @@
-"""The lifting engine: a few threads that lift what many clients ask for.
+"""The lifting engine: a few threads that lift the frames of many clients.
 
-Whatever was asked of the same model in the same way while the threads were busy is lifted together.
-A call that comes alone waits for nothing, and no call waits for company. What has more frames than
-a slice is cut, and its slices take turns with everything else, so that nobody waits for more than a
-slice or two of the others' frames.
+Calls of the same model with the same options that arrive while the threads are busy are lifted
+together. A call that comes alone starts at once, and no call waits for others to join it. A call
+with more frames than a slice is cut, and its slices take turns with all other calls, so that no
+call waits for more than a slice or two of the others.
 """
 
 import asyncio
@@ -50,7 +50,7 @@ class Way(NamedTuple):
 
 
 def _ignore(_figure: float) -> None:
-    """Take a figure that nobody wants."""
+    """Ignore a figure."""
 
 
 @dataclass(eq=False, slots=True)
@@ -207,13 +207,13 @@ class Engine:
         while pieces := self._take():
             try:
                 finished = self._outcomes(pieces)
-            except BaseException:  # also what is meant to end a thread: nobody would lift any more
+            except BaseException:  # also those that end a thread, which must go on lifting
                 logger.exception("A batch of lifts failed")
                 fault = RuntimeError("a batch of lifts failed")
                 finished = [(piece.call, fault) for piece in pieces]
             self._on_batch(sum(piece.stop - piece.start for piece in pieces))
             if finished:
-                with suppress(RuntimeError):  # the loop is closed: nobody waits any more
+                with suppress(RuntimeError):  # the loop is closed: no caller waits any more
                     finished[0][0].answer.get_loop().call_soon_threadsafe(self._deliver, finished)
 
     def _outcomes(self, pieces: list[_Piece]) -> "list[tuple[_Call, _Outcome]]":
@@ -271,7 +271,7 @@ class Engine:
             return [NotFoundError("model", model.id)] * len(pieces)
         try:
             return _lift_together(pieces)
-        except Exception as error:  # noqa: BLE001 - those who wait are told
+        except Exception as error:  # noqa: BLE001 - it is passed to the callers that wait
             if len(pieces) == 1:
                 return [error]
         return [outcome for piece in pieces for outcome in self._lift([piece])]  # one is at fault

@@ -46,16 +46,16 @@ class SmoothedFrames:
             observed = await run(
                 self._executor, self._following.push, keypoints, confidence, frame.time
             )
-        told: list[tuple[Frame, Lift]] = []
-        while observed is not None and len(told) < len(observed.observations.weights):
+        answered: list[tuple[Frame, Lift]] = []
+        while observed is not None and len(answered) < len(observed.observations.weights):
             lift = await self._engine.lift_observed(
                 self._model,
-                observed.frames(slice(len(told), len(told) + 1)),
+                observed.frames(slice(len(answered), len(answered) + 1)),
                 refine=self._refine,
                 previous=self._previous if self._continuity else None,
             )
             self._previous = lift
-            told.append((self._waiting.popleft(), lift))
+            answered.append((self._waiting.popleft(), lift))
         if frame.flush:
             self._previous = None
-        return told
+        return answered

@@ -224,8 +224,8 @@ class _Conversation:
         self._something_answered = asyncio.Event()
 
     def ready(self) -> str:
-        """Return what the server says first."""
-        said = StreamReady(
+        """Return the first message of the server."""
+        ready = StreamReady(
             model=self._model.id,
             keypoints=self._prior.keypoints_per_frame,
             views=self._start.views,
@@ -243,10 +243,10 @@ class _Conversation:
                 idle_seconds=self._settings.stream_idle_seconds,
             ),
         )
-        return said.model_dump_json(exclude={"lag", "fps"} if said.lag is None else None)
+        return ready.model_dump_json(exclude={"lag", "fps"} if ready.lag is None else None)
 
     async def read(self, silence: asyncio.Timeout) -> None:
-        """Take frames as they come, until the client leaves; as many as may be in hand."""
+        """Take frames as they arrive, as many as may be in hand, until the client leaves."""
         now, patience = asyncio.get_running_loop().time, self._settings.stream_idle_seconds
         while True:
             silence.reschedule(now() + patience)
@@ -327,14 +327,14 @@ class _Conversation:
                 if self._continuity:
                     self._previous = answered
                 answered = [(frame, answered)]
-            messages = [(told, self._message(told, lift)) for told, lift in answered]
+            messages = [(frame, self._message(frame, lift)) for frame, lift in answered]
             if frame.error is not None:
                 messages = [(frame, _error_text(frame.error, frame.sequence))]
             self._asked.popleft()
             self._ask()
             self._something_answered.set()
-            for told, message in messages:
-                await self._send(told, message)
+            for frame, message in messages:
+                await self._send(frame, message)
 
     def _message(self, frame: Frame, lift: Lift) -> str | bytes:
         if self._room is not None:
@@ -360,9 +360,9 @@ def _follow(prior: FittedPrior, start: StreamStart) -> Following:
     if not prior.smooths:
         raise invalid(
             "/lag",
-            "expected no lag: this model does not smooth in time. Fit it to a dataset that tells "
-            "`fps` or `times`, and whose frames are near enough in time for noise to be told from "
-            "motion; or leave `lag` out",
+            "expected no lag: this model does not smooth in time. Fit it to a dataset with `fps` "
+            "or `times`, whose frames are near enough in time to separate noise from motion; or "
+            "leave `lag` out",
         )
     return prior.follow(views=start.views, lag=start.lag)
 

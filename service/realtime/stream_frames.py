@@ -75,20 +75,20 @@ class Frame:
 
 
 class FilmClock:
-    """Tells when the frames of a stream with a lag were taken, and sees to it that times rise."""
+    """Gives the times of frames in a stream with a lag, and checks that they rise."""
 
     def __init__(self, fps: float | None) -> None:
-        """Begin; without `fps` every frame tells its time."""
+        """Begin; without `fps` every frame has its time."""
         self._fps, self._last = fps, -math.inf
 
     def begin_anew(self) -> None:
         """Forget the frames so far."""
         self._last = -math.inf
 
-    def time_of(self, sequence: int | None, told: float | None) -> float:
+    def time_of(self, sequence: int | None, given: float | None) -> float:
         """Return the time of the next frame; raise ``ApiError`` if it is missing or not later."""
         if self._fps is None:
-            field, time = "/time", told
+            field, time = "/time", given
             if time is None:
                 raise invalid(
                     field, "expected the time of the frame in seconds: this stream has a lag"
@@ -96,8 +96,8 @@ class FilmClock:
             if not abs(time) <= MAX_TIME:
                 raise invalid(field, f"expected seconds, {MAX_TIME:g} at most, got {time:g}")
         else:
-            if told is not None:
-                raise invalid("/time", "expected none: this stream was told `fps`")
+            if given is not None:
+                raise invalid("/time", "expected none: this stream has `fps`")
             field, time = "/sequence", (sequence or 0) / self._fps
         if time <= self._last:
             raise invalid(
@@ -125,19 +125,19 @@ def read_frame(
     points = prior.keypoints_per_frame
     try:
         if isinstance(message, bytes):
-            keypoints, confidence, told = _from_bytes(frame, message, points, timed=timed)
+            keypoints, confidence, time = _from_bytes(frame, message, points, timed=timed)
         else:
             found = json_object(message)
             if clock is not None and "flush" in found:
                 flush = _read_flush(found)
                 clock.begin_anew()
                 return flush
-            keypoints, confidence, told = _from_json(frame, found, points, settings, timed=timed)
+            keypoints, confidence, time = _from_json(frame, found, points, settings, timed=timed)
         capture = to_frames(keypoints, confidence, views, prior, settings, field="keypoints")
         if room is not None:
             check_known(room, views, capture.keypoints.shape[1])
         if clock is not None:
-            frame.time = clock.time_of(frame.sequence, told)
+            frame.time = clock.time_of(frame.sequence, time)
         frame.capture = capture
     except ApiError as error:
         frame.error = error

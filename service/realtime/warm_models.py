@@ -26,16 +26,16 @@ LOOK_SECONDS = 1.0  # between two looks at the records
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class WarmModel:
-    """A model in memory, for everybody who lifts with it.
+    """A model in memory, shared by all lifts with it.
 
     Attributes
     ----------
     fit_id
         The fit that made it, if that is still there.
     gone
-        It was deleted, by whatever process: nobody is to lift with it any more.
+        It was deleted, by any process, and must not be used any more.
     rooms
-        What is known of its rooms, by the fit whose frames told it and by up.
+        Its known rooms, by the fit that they were estimated from and by up.
     """
 
     id: str
@@ -49,11 +49,11 @@ class WarmModel:
 
 
 class WarmModels:
-    """Models in memory, the least recently used given up first. Safe to use from many threads.
+    """Models in memory; the least recently used are dropped first. Safe to use from many threads.
 
-    Whether they are still there is asked once a second, by a thread that nobody waits for: lifts go
-    on whatever becomes of the records, and a model that any process deleted is served for a second
-    longer at most.
+    A separate thread checks once a second which models still exist. So lifts continue while the
+    records cannot be read, and a model that any process deleted is served for at most a second
+    longer.
     """
 
     def __init__(self, store: Store, *, max_bytes: int) -> None:
@@ -91,7 +91,7 @@ class WarmModels:
         return model
 
     def get(self, project: str, identifier: str) -> WarmModel:
-        """Return a model, as its record says now; only the first call of many reads its weights.
+        """Return a model as it is in the records; only the first call reads its weights.
 
         Parameters
         ----------
@@ -189,7 +189,7 @@ class WarmModels:
         try:
             for record in lookup.page(self._store, Model, limit=1, after=None):
                 self.get(record.project, record.id)
-        except Exception:  # whoever asks will be told
+        except Exception:  # the next caller gets the error
             logger.exception("The newest model could not be read")
 
     def _bytes(self) -> int:

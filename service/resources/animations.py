@@ -67,8 +67,8 @@ def download_animation(
 ) -> Response:
     """Download the structures of every fitted frame as an animation.
 
-    Tools expect y up, as `frame=room&up=auto` gives it. Keypoints are called as the model's
-    skeleton does. Times are those of the dataset, or else 30 frames/s.
+    Tools expect y up, as with `frame=room&up=auto`. Keypoints have the names of the model's
+    skeleton. Times are those of the dataset, or else 30 frames/s.
     """
     model = lookup.get(store, records.Model, model_of(fit))
     if fit.frames * model.keypoints > MOST_POINTS:

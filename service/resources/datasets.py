@@ -84,7 +84,7 @@ class DatasetFacts(BaseModel):
     skeleton: Skeleton | None
     view_names: list[str] | None
     image_sizes: list[ImageSize | None] | None
-    fps: float | None = Field(description="Frames per second, if they were told.")
+    fps: float | None = Field(description="Frames per second, null if unknown.")
     has_times: bool = Field(description="Whether every frame came with its time.")
     tags: list[str]
     metadata: dict[str, Any]
@@ -172,8 +172,8 @@ def create_dataset(
 ) -> Dataset:
     """Store a capture.
 
-    `name` in the query names a capture that comes as raw bytes. Files of detectors come in a form,
-    as `files`, one for each camera; `notes` of the answer say what was understood.
+    `name` in the query names a capture that is sent as raw bytes. Files of detectors are sent in a
+    form, as `files`, one for each camera; `notes` of the answer report how they were read.
     """
     capture, description = read_new(upload, settings, name)
     record = datasets.create(

@@ -67,9 +67,9 @@ class FitCreate(Labels):
     from_model: Text | None = Field(
         None,
         max_length=200,
-        description="A model of the same keypoints to start from, of the same subject or species, "
-        "say: its weights are the first ones. Its `dictionary_sizes` are the fit's, and "
-        "`steps` are 1100 unless they are told.",
+        description="A model of the same keypoints whose weights the fit starts from, for example "
+        "of the same subject or species. The fit has its `dictionary_sizes`, and 1100 `steps` "
+        "unless these are given.",
     )
     config: FitConfig = FitConfig()
 

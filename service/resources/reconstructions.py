@@ -105,21 +105,21 @@ def get_reconstruction(
     As JSON, or as the arrays `points3d` (N, P, 3), `rotations` (N, K, 3, 3), `scales` (N, K),
     `translations` (N, K, 3), `focals` (N, K, 2), `principal_points` (N, K, 2), `distortions`
     (N, K, 8), `reprojection_errors` (N, K), NaN where there is no answer; `keypoints_used` (N, K)
-    and `camera_models` (N, K): 0 weak perspective, 1 perspective, 2 fisheye, -1 no camera. Of weak
-    perspective a translation is (x, y) in pixels and NaN. `keypoints_seen` (N, P) counts the views
-    that show a keypoint, 0 where it is inferred from the others; a keypoint that no view of the fit
-    shows is NaN. `outlier_probability` (N, K, P) says how probably a keypoint of a view is an
-    outlier, 0 to 1, NaN where nothing was observed or judged; what exceeds 0.5 was left out.
-    `findings` (N,) adds up what was noticed of a frame: 1 `rig_not_used`, 2
+    and `camera_models` (N, K): 0 weak perspective, 1 perspective, 2 fisheye, -1 no camera. The
+    translation of a weak-perspective camera is (x, y) in pixels and NaN. `keypoints_seen` (N, P)
+    counts the views that show a keypoint, 0 where it is inferred from the others; a keypoint that
+    no view of the fit shows is NaN. `outlier_probability` (N, K, P) is the probability of a
+    keypoint to be an outlier, NaN where it was not observed or not judged; above 0.5 it was left
+    out. `findings` (N,) are sums of the findings of a frame: 1 `rig_not_used`, 2
     `frame_unlike_fit`, 4 `coordinates_of_another_scale`, 8 `not_in_room`. Reconstructions that
     older versions stored lack these three.
 
-    With `frame=room` all frames are in one room, and the cameras as they see that room. Canonical
-    translations have the unit of each frame's first view: where that view moves while others rest,
-    the unit differs from frame to frame. In the room it is one.
+    With `frame=room` all frames are in one room, and so are the cameras. Canonical translations
+    have the unit of each frame's first view: if that view moves while others are static, the unit
+    differs from frame to frame. In the room there is one unit.
 
-    With the fit's own `refine`, or without, this is what the fit stored. With another the frames
-    are lifted when asked for, by the fit's model, which takes longer.
+    With the fit's own `refine`, or without, the stored reconstruction is returned. With another
+    `refine` the frames are lifted for this request, by the fit's model, which takes longer.
     """
     about = {
         "fit_id": fit.id,
@@ -136,7 +136,14 @@ def get_reconstruction(
     )
     if _is_stored(fit, refine):
         if chosen == "json":
-            said = (request.app.version, reconstruction_key(fit), about, findings, frame, direction)
+            identity = (
+                request.app.version,
+                reconstruction_key(fit),
+                about,
+                findings,
+                frame,
+                direction,
+            )
             parts: Iterator[Arrays] = map(_completed, reconstruction_parts(store, fit))
             if room is not None:
                 parts = map(room.place_arrays, parts)
@@ -144,7 +151,7 @@ def get_reconstruction(
                 request,
                 json_pieces(parts, about, findings),
                 media_type=JSON,
-                checksum=hashlib.sha256(repr(said).encode()).hexdigest(),
+                checksum=hashlib.sha256(repr(identity).encode()).hexdigest(),
             )
         metadata = metadata_of(about, findings)
         if room is None and (file := reconstruction_file(store, fit, chosen, metadata)) is not None:
@@ -166,7 +173,7 @@ def get_reconstruction(
 
 
 def _is_stored(fit: records.FitJob, refine: Refine | None) -> bool:
-    """Tell whether a fit has stored its frames refined like this."""
+    """Return whether a fit stored its frames with this refinement."""
     return refine in (None, fit.config.get("refine", "off"))  # older fits refined nothing
 
 
@@ -194,7 +201,7 @@ def _completed(arrays: Arrays) -> Arrays:
 def _lift_again(
     fit: records.FitJob, refine: Refine, store: StoreDep, engine: EngineDep, settings: SettingsDep
 ) -> Arrays:
-    """Lift the frames of a fit with its model, refined otherwise than the fit was told.
+    """Lift the frames of a fit with its model, with another refinement than the fit's.
 
     Raises
     ------

@@ -26,7 +26,7 @@ Figure = Annotated[float, Field(ge=0, allow_inf_nan=False)] | None
 
 
 class Figures(BaseModel):
-    """What was measured of a model when it was fitted, as `GET /models/{id}` says it."""
+    """The errors of a model measured in its fit, as in `GET /models/{id}`."""
 
     reprojection_error: Figure = None
     frames_lifted: Annotated[int, Field(ge=0, le=2**53)] | None = None
@@ -48,10 +48,10 @@ class Description(Labels):
 
     @classmethod
     def of(cls, model: records.Model) -> Self:
-        """Return what the record of a model says."""
+        """Return the description of a model from its record."""
         fields = ("name", "views", "frames", "skeleton", "metrics")
-        said = {field: getattr(model, field) for field in fields} | labels_of(model)
-        return cls.model_validate(said, strict=False)
+        values = {field: getattr(model, field) for field in fields} | labels_of(model)
+        return cls.model_validate(values, strict=False)
 
 
 def described(weights: bytes, description: Description) -> bytes:
@@ -72,11 +72,11 @@ def taken_apart(data: bytes) -> tuple[bytes, Description]:
         If the description is none.
     """
     header, tensors = _split(data)
-    said = header["__metadata__"].pop(ENTRY, None)
-    if said is None:
+    entry = header["__metadata__"].pop(ENTRY, None)
+    if entry is None:
         return data, Description()
     try:
-        return _joined(header, tensors), Description.model_validate_json(said)
+        return _joined(header, tensors), Description.model_validate_json(entry)
     except ValidationError as error:
         raise from_validation(error, Description) from error
 

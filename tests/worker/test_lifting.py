@@ -128,7 +128,7 @@ def holders(store: Store) -> set[str]:
 
 
 def is_writable(settings: WorkerSettings) -> bool:
-    """Tell whether nobody is amid a transaction, frozen or not."""
+    """Return whether nobody is amid a transaction, frozen or not."""
     with closing(sqlite3.connect(settings.data_dir / "records.db", timeout=0.1)) as records:
         try:
             records.execute("BEGIN IMMEDIATE")

@@ -88,7 +88,7 @@ def problem_of(response: httpx2.Response) -> ApiError:
 
 
 def _gone_already(response: httpx2.Response, attempt: int) -> bool:
-    """Tell whether an earlier attempt, whose answer was lost, has deleted the resource."""
+    """Return whether an earlier attempt, whose answer was lost, has deleted the resource."""
     return attempt > 0 and response.status_code == 404 and response.request.method == "DELETE"
 
 

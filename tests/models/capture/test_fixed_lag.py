@@ -184,7 +184,7 @@ def test_times_that_do_not_rise_are_refused(removal: NoiseRemoval, times: list[f
 
 
 def test_what_cannot_be_smoothed_is_refused(removal: NoiseRemoval) -> None:
-    with pytest.raises(ValueError, match="fit a dataset that tells fps or times"):
+    with pytest.raises(ValueError, match="fit a dataset with fps or times"):
         FixedLag(NoiseRemoval(removal.denoiser, None), VIEWS, 5)
     for lag in (-1, MAX_LAG + 1):
         with pytest.raises(ValueError, match="lag must be 0 to 50"):
