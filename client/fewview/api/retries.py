@@ -76,11 +76,11 @@ def pause_before(attempt: int) -> float:
 
 
 def problem_of(response: httpx2.Response) -> ApiError:
-    """Return the error that a response tells, which has been read."""
+    """Return the error in a response that has been read."""
     problem: Any
     try:
         problem = response.json()
-    except ValueError:  # of a proxy, say
+    except ValueError:  # for example from a proxy
         problem = None
     if not isinstance(problem, dict):
         problem = {"detail": f"{response.status_code} {response.reason_phrase}: {response.url}"}
