@@ -28,7 +28,7 @@ from store.housekeeping import known_keys
 from store.ids import new_id
 from store.integrity import find_damage
 from store.mistakes import unknown
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 from store.settings import StoreSettings, shown
 from worker.queue import connect, open_queues
 
@@ -226,7 +226,7 @@ def _jobs(store: Store, connection: Redis) -> Iterator[Verdict]:
     oldest = 0.0
     with store.reading() as session:
         now = clock.read(session)
-        for kind in (FitJob, LiftJob):
+        for kind in (FitRecord, LiftRecord):
             queued = kind.status == "queued"
             count, since = session.execute(
                 select(func.count(), func.min(kind.created_at)).where(queued)

@@ -32,7 +32,7 @@ from store.records import (
     CondemnedObject,
     Delivery,
     Deployment,
-    FitJob,
+    FitRecord,
     IdempotencyKey,
     Record,
 )
@@ -41,7 +41,7 @@ FORMAT = 1  # of a backup; grows when older versions could not restore it
 SUMMARY = "backup.json"
 # What is of this deployment alone, or of the next minutes.
 LEFT_OUT = {kind.__tablename__ for kind in (Deployment, CondemnedObject, IdempotencyKey, Delivery)}
-CHECKPOINT = FitJob.checkpoint_key  # gone in seconds: a fit that runs starts anew when restored
+CHECKPOINT = FitRecord.checkpoint_key  # gone in seconds: a fit that runs starts anew when restored
 AT_A_TIME = 4  # objects in hand
 ROWS_AT_A_TIME = 500
 TRIES = 5
@@ -232,7 +232,7 @@ def _write_records(store: Store, file: Path, project: str | None) -> tuple[int, 
             query = _rows(table, project).execution_options(yield_per=ROWS_AT_A_TIME)
             for found in connection.execute(query).mappings():
                 row = dict(found)
-                if table.name == FitJob.__tablename__:
+                if table.name == FitRecord.__tablename__:
                     row[CHECKPOINT.key] = None
                 named.update(_keys_in(table, row))
                 lines.write(json.dumps([table.name, row]) + "\n")

@@ -15,7 +15,7 @@ from models.findings.finding import Finding, dumped
 from store.capture import Capture, concatenate
 from store.database import Store
 from store.errors import DamagedError
-from store.records import Chunk, Dataset
+from store.records import Chunk, DatasetRecord
 
 logger = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ def of_new(capture: Capture, image_sizes: list[Any] | None) -> list[Any]:
     return dumped(_with(_absences(capture, capture.frames), found))
 
 
-def of_longer(store: Store, dataset: Dataset, added: Capture) -> list[Any]:
+def of_longer(store: Store, dataset: DatasetRecord, added: Capture) -> list[Any]:
     """Return the findings of a dataset to whose end frames are added, as plain data.
 
     A few of its chunks are looked at, and the added frames. What no frame had shown before, and
@@ -91,7 +91,7 @@ def _still(before: Sequence[Any], now: Sequence[Finding]) -> Iterator[Finding]:
                 yield finding.model_copy(update={"views": views, "keypoints": keypoints})
 
 
-def _some_chunks(store: Store, dataset: Dataset) -> list[Chunk]:
+def _some_chunks(store: Store, dataset: DatasetRecord) -> list[Chunk]:
     """Return the chunks of a dataset, or some that are spread evenly over its frames."""
     mine = select(Chunk).where(Chunk.dataset_id == dataset.id)
     count = select(func.count()).select_from(mine.subquery())

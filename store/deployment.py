@@ -16,7 +16,7 @@ from store.errors import DeploymentError
 from store.ids import new_id
 from store.locks import alone
 from store.objects import Objects
-from store.records import Chunk, Dataset, Deployment, FitJob, LiftJob, Model
+from store.records import Chunk, DatasetRecord, Deployment, FitRecord, LiftRecord, ModelRecord
 
 MARK = "deployment.json"
 
@@ -95,7 +95,7 @@ def _refuse_strangers(session: Session, objects: Objects) -> None:
             "FEWVIEW_DATABASE_URL missing or wrong? To start anew, choose another "
             "FEWVIEW_STORE_URL."
         )
-    kinds = (Dataset, FitJob, LiftJob, Model)
+    kinds = (DatasetRecord, FitRecord, LiftRecord, ModelRecord)
     if not any(session.scalar(select(kind.id).limit(1)) for kind in kinds):
         if next(objects.list(), None) is not None:
             raise DeploymentError(
@@ -104,7 +104,7 @@ def _refuse_strangers(session: Session, objects: Objects) -> None:
                 "FEWVIEW_STORE_URL."
             )
         return
-    for column in (Chunk.key, Model.weights_key):
+    for column in (Chunk.key, ModelRecord.weights_key):
         key = session.scalar(select(column).limit(1))
         if key is not None and not objects.has(key):
             raise DeploymentError(

@@ -15,10 +15,10 @@ from store.records import (
     Chunk,
     CondemnedObject,
     Deployment,
-    FitJob,
+    FitRecord,
     IdempotencyKey,
     LiftChunk,
-    Model,
+    ModelRecord,
 )
 
 logger = logging.getLogger(__name__)
@@ -31,11 +31,11 @@ LARGEST_SHARE = 0.1  # of all objects: crashes do not leave more, wrong records 
 FEW = 20  # whatever share that is
 KEYS = (
     Chunk.key,
-    FitJob.checkpoint_key,
-    FitJob.reconstruction_key,
+    FitRecord.checkpoint_key,
+    FitRecord.reconstruction_key,
     LiftChunk.arrays_key,
     LiftChunk.lines_key,
-    Model.weights_key,
+    ModelRecord.weights_key,
 )
 
 

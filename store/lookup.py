@@ -14,17 +14,17 @@ from store.errors import DamagedError, NotFoundError, StoreError
 from store.labels import says, tagged
 from store.records import (
     DEFAULT_PROJECT,
-    Dataset,
-    FitJob,
+    DatasetRecord,
+    FitRecord,
     Job,
-    LiftJob,
-    Model,
+    LiftRecord,
     ModelAlias,
+    ModelRecord,
 )
 
 HALF_A_MICROSECOND = 0.5e-6
 
-Resource = TypeVar("Resource", Dataset, Model, FitJob, LiftJob)
+Resource = TypeVar("Resource", DatasetRecord, ModelRecord, FitRecord, LiftRecord)
 
 
 class Filters(NamedTuple):
@@ -86,7 +86,7 @@ def resolved(
     NotFoundError
         If there is no such alias.
     """
-    if kind is not Model or not is_alias(identifier):
+    if kind is not ModelRecord or not is_alias(identifier):
         return identifier
     author = author_of(session)
     whose = project or (DEFAULT_PROJECT if author is None else author.project)

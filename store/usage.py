@@ -6,9 +6,9 @@ from sqlalchemy.orm import Session
 from store.authors import author_of
 from store.errors import QuotaError
 from store.locks import alone
-from store.records import Dataset, FitJob, LiftJob, Model
+from store.records import DatasetRecord, FitRecord, LiftRecord, ModelRecord
 
-STORED = (Dataset, FitJob, LiftJob, Model)
+STORED = (DatasetRecord, FitRecord, LiftRecord, ModelRecord)
 
 
 def check_space(session: Session, more: int) -> None:
@@ -42,7 +42,7 @@ def check_queue(session: Session) -> None:
             select(func.count(kind.id)).where(kind.key_id == author.key_id, kind.status == "queued")
         )
         or 0
-        for kind in (FitJob, LiftJob)
+        for kind in (FitRecord, LiftRecord)
     )
     if waiting >= author.quotas.queued_jobs:
         raise QuotaError(

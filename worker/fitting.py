@@ -28,7 +28,7 @@ from store.attempts import Attempt
 from store.capture import Capture, Float64
 from store.database import Store
 from store.errors import LeaseLostError
-from store.records import Dataset, FitJob, Model
+from store.records import DatasetRecord, FitRecord, ModelRecord
 from worker.cores import usable_cores
 from worker.heartbeat import Heartbeat
 from worker.needs import gpu_pays
@@ -160,9 +160,9 @@ def _device(settings: WorkerSettings, capture: Capture, config: FitConfig) -> st
     return "cuda" if pays and torch.cuda.is_available() else "cpu"
 
 
-def _load(store: Store, attempt: Attempt) -> tuple[FitJob, Dataset, Capture, bytes | None]:
-    fit = lookup.get(store, FitJob, attempt.fit_id)
-    dataset = lookup.get(store, Dataset, fit.dataset_id)
+def _load(store: Store, attempt: Attempt) -> tuple[FitRecord, DatasetRecord, Capture, bytes | None]:
+    fit = lookup.get(store, FitRecord, attempt.fit_id)
+    dataset = lookup.get(store, DatasetRecord, fit.dataset_id)
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
     return fit, dataset, capture, attempts.load_checkpoint(store, fit.id)
 
@@ -177,18 +177,18 @@ def _save_checkpoint(store: Store, attempt: Attempt, checkpoint: bytes) -> None:
         logger.warning("Fit %s goes on without a checkpoint: %s", attempt.fit_id, error)
 
 
-def _load_prior(store: Store, fit: FitJob) -> FittedPrior | None:
+def _load_prior(store: Store, fit: FitRecord) -> FittedPrior | None:
     """Load the prior that a fit starts with, None if it starts with none."""
     if fit.from_model is None:
         return None
-    model = lookup.get(store, Model, fit.from_model)
+    model = lookup.get(store, ModelRecord, fit.from_model)
     return FittedPrior.from_bytes(models.load_weights(store, model))
 
 
 def _resume(
     capture: Capture,
     times: Float64 | None,
-    dataset: Dataset,
+    dataset: DatasetRecord,
     config: FitConfig,
     source: Callable[[], FittedPrior | None],
     checkpoint: bytes | None,

@@ -13,7 +13,7 @@ from store import attempts, jobs, lift_chunks, lookup
 from store.database import Store
 from store.errors import NotFoundError
 from store.jobs import Job
-from store.records import FitJob, LiftChunk, LiftJob
+from store.records import FitRecord, LiftChunk, LiftRecord
 from worker import counts
 from worker.contract import HelpArguments, KnownJob
 from worker.heartbeat import Heartbeat
@@ -62,7 +62,7 @@ def fit(
         If the fit failed: its code and message, as in the record.
     """
     with _opened() as (job, store, settings):
-        fit_id = _waiting(partial(_recorded, store, FitJob, job, settings))
+        fit_id = _waiting(partial(_recorded, store, FitRecord, job, settings))
         if fit_id is None:
             return {"fit_id": recorded_as(job), "status": None, "model_id": None}
         attempt = _waiting(
@@ -76,7 +76,7 @@ def fit(
                 from worker.fitting import run_attempt  # noqa: PLC0415 (torch takes seconds)
 
                 run_attempt(store, attempt, heartbeat, settings)
-        record = _waiting(partial(lookup.get, store, FitJob, fit_id))
+        record = _waiting(partial(lookup.get, store, FitRecord, fit_id))
         _report(record)
     return {"fit_id": record.id, "status": record.status, "model_id": record.model_id}
 
@@ -117,7 +117,7 @@ def lift(
         If the lift failed: its code and message, as in the record.
     """
     with _opened() as (job, store, settings):
-        lift_id = _waiting(partial(_recorded, store, LiftJob, job, settings))
+        lift_id = _waiting(partial(_recorded, store, LiftRecord, job, settings))
         if lift_id is None:
             return {"lift_id": recorded_as(job), "status": None}
         return _help(job, store, settings, lift_id)
@@ -148,7 +148,7 @@ def _help(
 
             do_chunks(store, helper, chunk, claim, heartbeat, settings, time_slice)
     try:
-        record = _waiting(partial(lookup.get, store, LiftJob, lift_id))
+        record = _waiting(partial(lookup.get, store, LiftRecord, lift_id))
     except NotFoundError:  # deleted since the job was queued
         return {"lift_id": lift_id, "status": None}
     _report(record)
@@ -172,7 +172,7 @@ def _recorded(store: Store, kind: type[Job], job: KnownJob, settings: WorkerSett
     return adopt(store, job, settings) if recorded_as(job) is None else None
 
 
-def _report(record: FitJob | LiftJob) -> None:
+def _report(record: FitRecord | LiftRecord) -> None:
     """Return the outcome of a job; raise ``RuntimeError`` if it failed, for RQ to see."""
     logger.info("%s: %s", record.id, record.status)
     if record.error is not None:

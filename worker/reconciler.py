@@ -16,7 +16,7 @@ from store.database import Store
 from store.errors import InputError, NotFoundError
 from store.labels import Labels, storable
 from store.mistakes import mistakes, summary
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 from worker import counts
 from worker.contract import (
     HELP_JOB,
@@ -82,7 +82,7 @@ class Reconciler:
         )
         if time.monotonic() - now > clock.PROMPT_SECONDS:
             self.unsettle()
-        work: dict[str, FitJob | LiftJob] = {fit.job_id: fit for fit in queued}
+        work: dict[str, FitRecord | LiftRecord] = {fit.job_id: fit for fit in queued}
         work |= {
             lifts.waiting_job(lift): lift for lift in lifts.recover(self._store, expired=expired)
         }
@@ -118,7 +118,7 @@ class Reconciler:
     def _record(self, queue: WorkQueue, job_id: str) -> bool:
         """Record what a job asks for, unless that is known; return whether there is such a job."""
         if (
-            jobs.by_job(self._store, FitJob, job_id) is None
+            jobs.by_job(self._store, FitRecord, job_id) is None
             and lifts.helped(self._store, job_id) is None
         ):
             try:
@@ -147,9 +147,9 @@ class Reconciler:
             dataset_id="",
         )
         if queue.name == "lifts":
-            refuse(LiftJob, name="lift", model_id="")
+            refuse(LiftRecord, name="lift", model_id="")
         else:
-            refuse(FitJob, name="fit", config={})
+            refuse(FitRecord, name="fit", config={})
         queue.connection.lrem(queue.key, 0, name)  # type: ignore[arg-type]
         queue.intermediate_queue.set_aside(name)
 
@@ -222,9 +222,9 @@ def _refuse(store: Store, job: KnownJob, arguments: dict[str, object], error: Ex
         dataset_id=text_of("dataset_id"),
     )
     if calls(job, LIFT_JOB):
-        return refusal(LiftJob, name=text_of("name", "lift"), model_id=text_of("model_id"))
+        return refusal(LiftRecord, name=text_of("name", "lift"), model_id=text_of("model_id"))
     return refusal(
-        FitJob, name=text_of("name", "fit"), config={}, from_model=text_of("from_model") or None
+        FitRecord, name=text_of("name", "fit"), config={}, from_model=text_of("from_model") or None
     )
 
 

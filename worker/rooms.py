@@ -17,7 +17,7 @@ from models.settings.rooms import Up
 from store import fits, lookup
 from store.database import Store
 from store.errors import ConflictError
-from store.records import FitJob, Model
+from store.records import FitRecord, ModelRecord
 
 Arrays = dict[str, NDArray[Any]]
 Float64 = NDArray[np.float64]
@@ -88,7 +88,7 @@ def find_room(store: Store, model_id: str, cameras: CameraReport | None, up: Up 
         )
     if up is None:
         return Room(cameras.rotations, cameras.translations)
-    model = lookup.get(store, Model, model_id)
+    model = lookup.get(store, ModelRecord, model_id)
     frames = _fitted_frames(store, model, len(cameras.resting))
     if up == "auto" and not len(frames["points3d"]):
         raise ConflictError(
@@ -111,10 +111,10 @@ def find_room(store: Store, model_id: str, cameras: CameraReport | None, up: Up 
     return Room(room.rotations, room.translations)
 
 
-def _fitted_frames(store: Store, model: Model, views: int) -> Arrays:
+def _fitted_frames(store: Store, model: ModelRecord, views: int) -> Arrays:
     """Return the reconstruction of a model's fit; no frames where there is none."""
     if model.fit_id is not None:
-        return load(fits.load_reconstruction(store, lookup.get(store, FitJob, model.fit_id)))
+        return load(fits.load_reconstruction(store, lookup.get(store, FitRecord, model.fit_id)))
     return {
         "points3d": np.empty((0, model.keypoints, 3)),
         "rotations": np.empty((0, views, 3, 3)),

@@ -23,7 +23,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from store import fits, housekeeping, jobs, lifts, webhooks
 from store.database import Store
 from store.private import keep_private
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 from worker import at_work, logs
 from worker.beside import FORK, Beside
 from worker.contract import RESULT_SECONDS, KnownJob, PlainDataSerializer, is_of_wrong_type
@@ -197,8 +197,8 @@ class JobWorker(Worker):
         None for a fault of Fewview: then the exception has the details.
         """
         with suppress(SQLAlchemyError):
-            record = jobs.by_job(self._store, FitJob, job.id) or jobs.by_job(
-                self._store, LiftJob, job.id
+            record = jobs.by_job(self._store, FitRecord, job.id) or jobs.by_job(
+                self._store, LiftRecord, job.id
             )
             if record is not None and record.error and record.error["code"] != "internal_error":
                 return f"{record.error['code']}: {record.error['message']}"

@@ -16,7 +16,7 @@ from models.settings.rooms import Up
 from store import aliases, lookup, models
 from store.database import Store
 from store.errors import NotFoundError
-from store.records import Model
+from store.records import ModelRecord
 from worker.rooms import Room
 
 logger = logging.getLogger(__name__)
@@ -106,7 +106,7 @@ class WarmModels:
         model_id = identifier
         if lookup.is_alias(identifier):
             with self._store.reading() as session:
-                model_id = lookup.resolved(session, Model, identifier, project)
+                model_id = lookup.resolved(session, ModelRecord, identifier, project)
         model = self.warm(project, model_id)
         if model is not None:
             self._compare([model])
@@ -162,9 +162,9 @@ class WarmModels:
 
     def _load(self, project: str, model_id: str) -> WarmModel:
         try:
-            record = lookup.get(self._store, Model, model_id)
+            record = lookup.get(self._store, ModelRecord, model_id)
             if record.project != project:
-                raise NotFoundError(Model.noun, model_id)
+                raise NotFoundError(ModelRecord.noun, model_id)
             prior = FittedPrior.from_bytes(models.load_weights(self._store, record))
             _prepare(prior)
         finally:
@@ -187,7 +187,7 @@ class WarmModels:
     def warm_newest(self) -> None:
         """Make the newest model warm, and ready what all lifts need, before anyone asks."""
         try:
-            for record in lookup.page(self._store, Model, limit=1, after=None):
+            for record in lookup.page(self._store, ModelRecord, limit=1, after=None):
                 self.get(record.project, record.id)
         except Exception:  # the next caller gets the error
             logger.exception("The newest model could not be read")

@@ -94,7 +94,7 @@ class DatasetFacts(BaseModel):
     findings: Findings
 
     @staticmethod
-    def known(record: records.Dataset) -> dict[str, Any]:
+    def known(record: records.DatasetRecord) -> dict[str, Any]:
         """Return these of a record, stored or not."""
         return {
             "name": record.name,
@@ -132,7 +132,7 @@ class Dataset(DatasetFacts, DatasetStored):
     )
 
     @classmethod
-    def of(cls, record: records.Dataset) -> Self:
+    def of(cls, record: records.DatasetRecord) -> Self:
         """Return the wire form of a record."""
         created_at = datetime.fromtimestamp(record.created_at, UTC)
         return cls(id=record.id, created_at=created_at, **cls.known(record))
@@ -220,17 +220,17 @@ def append_frames(
 
 
 add_list_routes(
-    router, records.Dataset, DatasetPage, Dataset.of, prefix="ds", delete=datasets.delete
+    router, records.DatasetRecord, DatasetPage, Dataset.of, prefix="ds", delete=datasets.delete
 )
 
 
 @router.get("/{dataset_id}", responses=problems("not_found"))
 def get_dataset(dataset_id: Identifier, store: StoreDep) -> Dataset:
     """Describe a dataset."""
-    return Dataset.of(lookup.get(store, records.Dataset, dataset_id))
+    return Dataset.of(lookup.get(store, records.DatasetRecord, dataset_id))
 
 
-add_change_route(router, records.Dataset, Dataset, Dataset.of)
+add_change_route(router, records.DatasetRecord, Dataset, Dataset.of)
 
 
 @router.delete(

@@ -115,12 +115,12 @@ class ModelSummary(BaseModel):
     findings: Findings
 
     @classmethod
-    def of(cls, record: records.Model) -> Self:
+    def of(cls, record: records.ModelRecord) -> Self:
         """Return the wire form of a record."""
         return cls.model_validate(cls._fields_of(record))
 
     @classmethod
-    def _fields_of(cls, record: records.Model) -> dict[str, Any]:
+    def _fields_of(cls, record: records.ModelRecord) -> dict[str, Any]:
         return {
             "id": record.id,
             "name": record.name,
@@ -153,7 +153,7 @@ class Model(ModelSummary):
     training_curve: list[CurvePoint]
 
     @classmethod
-    def _fields_of(cls, record: records.Model) -> dict[str, Any]:
+    def _fields_of(cls, record: records.ModelRecord) -> dict[str, Any]:
         return {**super()._fields_of(record), "training_curve": record.training_curve}
 
 
@@ -171,14 +171,14 @@ class ModelImport(Labels):
 
 
 add_list_routes(
-    router, records.Model, ModelPage, ModelSummary.of, prefix="mdl", delete=models.delete
+    router, records.ModelRecord, ModelPage, ModelSummary.of, prefix="mdl", delete=models.delete
 )
 
 
 @router.get("/{model_id}", responses=problems("not_found"))
 def get_model(model_id: Identifier, store: StoreDep) -> Model:
     """Describe a model: configuration, training curve, errors."""
-    return Model.of(lookup.get(store, records.Model, model_id))
+    return Model.of(lookup.get(store, records.ModelRecord, model_id))
 
 
 @router.get(
@@ -223,11 +223,11 @@ def _names_and_sizes(
     store: Store, model_id: str
 ) -> tuple[list[str] | None, list[tuple[int, int] | None] | None]:
     """Return names and (width, height) of the views, None if no dataset has them."""
-    dataset_id = lookup.get(store, records.Model, model_id).dataset_id
+    dataset_id = lookup.get(store, records.ModelRecord, model_id).dataset_id
     if dataset_id is None:
         return None, None
     try:
-        dataset = lookup.get(store, records.Dataset, dataset_id)
+        dataset = lookup.get(store, records.DatasetRecord, dataset_id)
     except NotFoundError:
         return None, None
     sizes = [None if size is None else (size[0], size[1]) for size in dataset.image_sizes or ()]
@@ -246,7 +246,7 @@ def download_weights(model_id: Identifier, store: StoreDep, request: Request) ->
     The file has the weights with configuration, training curve, cameras and findings. Its header
     has name, skeleton, views, frames and figures, so that `POST /models` makes the same model.
     """
-    record = lookup.get(store, records.Model, model_id)
+    record = lookup.get(store, records.ModelRecord, model_id)
     return bytes_response(
         request,
         described(models.load_weights(store, record), Description.of(record)),
@@ -285,7 +285,7 @@ def download_network(
             f"Model {model.id!r} removes noise from its keypoints before the network, which ONNX "
             "has no part for: fit with `denoising: false`.",
         )
-    weights = models.load_weights(store, lookup.get(store, records.Model, model.id))
+    weights = models.load_weights(store, lookup.get(store, records.ModelRecord, model.id))
     made = subprocess.run(  # noqa: S603 (our own program)
         tied(*python("-m", "models.lifting.onnx_file")),
         input=weights,
@@ -361,7 +361,7 @@ def import_model(
     return Model.of(record)
 
 
-add_change_route(router, records.Model, Model, Model.of)
+add_change_route(router, records.ModelRecord, Model, Model.of)
 
 
 @router.delete(

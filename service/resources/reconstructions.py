@@ -158,7 +158,7 @@ def get_reconstruction(
             return ranged_response(
                 request,
                 file.size,
-                partial(file.read, lookup.reader_of(store, records.FitJob, fit.id)),
+                partial(file.read, lookup.reader_of(store, records.FitRecord, fit.id)),
                 media_type=NPZ if chosen == "npz" else OCTETS,
                 filename=f"{filename}.{chosen}",
                 checksum=file.checksum(),
@@ -172,12 +172,12 @@ def get_reconstruction(
     return arrays_response(request, found, about, findings, format=chosen, filename=filename)
 
 
-def _is_stored(fit: records.FitJob, refine: Refine | None) -> bool:
+def _is_stored(fit: records.FitRecord, refine: Refine | None) -> bool:
     """Return whether a fit stored its frames with this refinement."""
     return refine in (None, fit.config.get("refine", "off"))  # older fits refined nothing
 
 
-def stored_arrays(fit: records.FitJob, store: StoreDep) -> Arrays:
+def stored_arrays(fit: records.FitRecord, store: StoreDep) -> Arrays:
     """Return the reconstruction that a fit stored, in canonical frames."""
     return _completed(safetensors_arrays(fits.load_reconstruction(store, fit)))
 
@@ -199,7 +199,11 @@ def _completed(arrays: Arrays) -> Arrays:
 
 
 def _lift_again(
-    fit: records.FitJob, refine: Refine, store: StoreDep, engine: EngineDep, settings: SettingsDep
+    fit: records.FitRecord,
+    refine: Refine,
+    store: StoreDep,
+    engine: EngineDep,
+    settings: SettingsDep,
 ) -> Arrays:
     """Lift the frames of a fit with its model, with another refinement than the fit's.
 
@@ -221,14 +225,14 @@ def _lift_again(
         )
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
     prior = engine.models.get(store.project, model_id).prior
-    times = datasets.times_of(lookup.get(store, records.Dataset, fit.dataset_id), capture)
+    times = datasets.times_of(lookup.get(store, records.DatasetRecord, fit.dataset_id), capture)
     keypoints, confidence = in_step(
         capture.keypoints, capture.confidence, times, prior.capture.clocks
     )
     return prior.lift(keypoints, confidence=confidence, refine=refine, times=times).arrays
 
 
-def model_of(fit: records.FitJob) -> str:
+def model_of(fit: records.FitRecord) -> str:
     """Return the identifier of a fit's model; raise ``ConflictError`` if it has none."""
     if fit.model_id is None:
         raise ConflictError(

@@ -47,7 +47,7 @@ class Description(Labels):
     metrics: Figures = Figures()
 
     @classmethod
-    def of(cls, model: records.Model) -> Self:
+    def of(cls, model: records.ModelRecord) -> Self:
         """Return the description of a model from its record."""
         fields = ("name", "views", "frames", "skeleton", "metrics")
         values = {field: getattr(model, field) for field in fields} | labels_of(model)

@@ -11,7 +11,7 @@ from starlette.testclient import TestClient
 
 from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
-from store.records import Model
+from store.records import ModelRecord
 from tests.damage import HARMS, flip, truncate
 from tests.service.conftest import (
     BYTES,
@@ -87,7 +87,7 @@ def test_weights_that_an_older_version_stored_are_checked_too(
     file = file.rename(file.with_name("weights.safetensors"))
     store = api.app.state.store  # type: ignore[attr-defined]
     with store.writing() as session:
-        session.get(Model, model).weights_key = f"models/{model}/weights.safetensors"
+        session.get(ModelRecord, model).weights_key = f"models/{model}/weights.safetensors"
     assert api.get(f"/models/{model}/weights").status_code == 200
     truncate(file)
     problem(api.get(f"/models/{model}/weights"), 500, "object_damaged")

@@ -12,7 +12,7 @@ from store import attempts, clock, datasets, fits, lift_chunks, lifts, lookup, m
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 
 HOUR = 3600.0
 
@@ -42,11 +42,11 @@ def test_a_fit_is_not_taken_from_a_worker_that_holds_it(
         assert fits.recover(store) == []
         fits.cancel(store, fit.id)
         assert not fits.enforce_cancel(store, fit.job_id, patience_seconds=60)
-    record = lookup.get(store, FitJob, fit.id)
+    record = lookup.get(store, FitRecord, fit.id)
     assert (record.status, record.crashes) == ("running", 0)
 
 
-def make_lift(store: Store, capture: Capture) -> LiftJob:
+def make_lift(store: Store, capture: Capture) -> LiftRecord:
     """Record a lift of one chunk."""
     dataset = datasets.create(store, capture, Description("a"))
     about: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
@@ -72,7 +72,7 @@ def test_a_chunk_is_not_taken_from_a_helper_that_holds_it(
         lifts.cancel(store, lift.id)
     assert not lifts.was_cancelled(store, lift.job_id, patience_seconds=60)
     assert lifts.was_cancelled(store, lift.job_id, patience_seconds=-1)
-    assert lookup.get(store, LiftJob, lift.id).status == "cancelled"
+    assert lookup.get(store, LiftRecord, lift.id).status == "cancelled"
 
 
 def test_who_waited_for_the_records_takes_nothing_whose_holder_had_to_wait_too(

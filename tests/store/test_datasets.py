@@ -9,7 +9,7 @@ from store.database import Store
 from store.datasets import Description
 from store.errors import CaptureError, ConflictError, KeyReusedError, NotFoundError
 from store.idempotency import Idempotency
-from store.records import Dataset
+from store.records import DatasetRecord
 
 BIG = 1_000_000
 
@@ -54,7 +54,7 @@ def test_appending_from_many_threads_loses_nothing(store: Store) -> None:
         thread.join()
     loaded = datasets.load(store, dataset.id).keypoints[:, 0, 0, 0]
     assert sorted(loaded) == list(range(13))
-    assert lookup.get(store, Dataset, dataset.id).frames == 13
+    assert lookup.get(store, DatasetRecord, dataset.id).frames == 13
     assert len(objects(store)) == 13
 
 
@@ -68,7 +68,7 @@ def test_confidence_and_truth_may_come_with_some_chunks_only(store: Store) -> No
     assert loaded.points3d is not None
     np.testing.assert_array_equal(loaded.confidence[:, 0, 0], [1, 1, 0.5, 0.5])
     np.testing.assert_array_equal(np.isnan(loaded.points3d[:, 0, 0]), [True, True, False, False])
-    assert lookup.get(store, Dataset, dataset.id).ground_truth
+    assert lookup.get(store, DatasetRecord, dataset.id).ground_truth
 
 
 def test_times_come_back_exactly_whole_and_in_parts(store: Store, capture: Capture) -> None:
@@ -122,7 +122,7 @@ def test_a_refused_chunk_leaves_nothing(
     with pytest.raises(CaptureError):
         datasets.append(store, dataset.id, Capture.checked(np.zeros(shape)), max_frames=max_frames)
     assert objects(store) == before
-    assert lookup.get(store, Dataset, dataset.id).checksum == dataset.checksum
+    assert lookup.get(store, DatasetRecord, dataset.id).checksum == dataset.checksum
 
 
 def test_deleting_removes_arrays_too_unless_a_fit_needs_them(
@@ -136,7 +136,7 @@ def test_deleting_removes_arrays_too_unless_a_fit_needs_them(
     datasets.delete(store, dataset.id)
     assert objects(store) == set()
     with pytest.raises(NotFoundError):
-        lookup.get(store, Dataset, dataset.id)
+        lookup.get(store, DatasetRecord, dataset.id)
     for read in (datasets.load, datasets.delete):
         with pytest.raises(NotFoundError):
             read(store, dataset.id)
@@ -158,13 +158,13 @@ def test_a_repeated_request_makes_one_dataset(store: Store, capture: Capture) ->
     appended = Idempotency("POST /frames", "key", "digest")
     for _ in range(2):
         datasets.append(store, first.id, capture, max_frames=BIG, idempotency=appended)
-    assert lookup.get(store, Dataset, first.id).frames == 24
+    assert lookup.get(store, DatasetRecord, first.id).frames == 24
 
 
 def test_pages_hold_every_dataset_once(store: Store, capture: Capture) -> None:
     made = [datasets.create(store, capture, Description(str(n))).id for n in range(7)]
     seen, after = [], None
-    while page := lookup.page(store, Dataset, limit=3, after=after):
+    while page := lookup.page(store, DatasetRecord, limit=3, after=after):
         seen += [dataset.id for dataset in page]
         after = seen[-1]
     assert sorted(seen) == sorted(made)

@@ -14,7 +14,7 @@ from store.database import Store
 from store.datasets import Description
 from store.errors import ConflictError, KeyReusedError, NotFoundError, QueueFullError, StoreError
 from store.idempotency import Idempotency
-from store.records import Dataset, FitJob, LiftJob, Model
+from store.records import DatasetRecord, FitRecord, LiftRecord, ModelRecord
 from store.settings import StoreSettings
 
 ROUNDS = 6
@@ -85,7 +85,7 @@ def test_a_request_that_comes_many_times_at_once_makes_one_thing(
     others = [Idempotency(kind, "other", digest) for digest in "abcd"]
     different = at_once(*map(partial, [makers[kind]] * 4, stores, others))
     assert sum(isinstance(one, KeyReusedError) for one in different) == 3
-    frames = lookup.get(stores[0], Dataset, dataset).frames
+    frames = lookup.get(stores[0], DatasetRecord, dataset).frames
     assert frames == capture.frames * (1 + (ROUNDS + 1) * (kind == "frames"))
 
 
@@ -101,7 +101,7 @@ def test_a_queue_job_is_recorded_once_and_the_queue_keeps_its_bound(
 
     def refuse(store: Store, job_id: str) -> str:
         said: dict[str, Any] = {"name": "f", "dataset_id": "", "config": {}}
-        return jobs.refuse(store, FitJob, job_id=job_id, error={"code": "x"}, **said)
+        return jobs.refuse(store, FitRecord, job_id=job_id, error={"code": "x"}, **said)
 
     for number in range(ROUNDS):
         assert len(set(by_all(stores, make, f"job{number}"))) == 1
@@ -123,13 +123,13 @@ def test_what_is_deleted_is_used_by_nothing_new(stores: list[Store], capture: Ca
             partial(models.delete, stores[3], model),
             partial(datasets.delete, first, dataset),
         )
-        for fit in lookup.page(first, FitJob, limit=9, after=None):
-            assert lookup.get(first, Dataset, fit.dataset_id)
+        for fit in lookup.page(first, FitRecord, limit=9, after=None):
+            assert lookup.get(first, DatasetRecord, fit.dataset_id)
             fits.cancel(first, fit.id)
             fits.delete(first, fit.id)
-        for made in lookup.page(first, LiftJob, limit=9, after=None):
-            assert lookup.get(first, Dataset, made.dataset_id)
-            assert lookup.get(first, Model, made.model_id)
+        for made in lookup.page(first, LiftRecord, limit=9, after=None):
+            assert lookup.get(first, DatasetRecord, made.dataset_id)
+            assert lookup.get(first, ModelRecord, made.model_id)
             lifts.cancel(first, made.id)
             lifts.delete(first, made.id)
 

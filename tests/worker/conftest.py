@@ -22,7 +22,7 @@ from store import datasets, fits, lookup
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
-from store.records import FitJob
+from store.records import FitRecord
 from tests.deployments import deployed
 from tests.fork_server import Popen
 from tests.processes import free_port, tied
@@ -123,7 +123,7 @@ def start_worker(settings: WorkerSettings) -> Iterator[StartWorker]:
         process.wait()
 
 
-def queue(store: Store, redis: Redis, dataset_id: str, config: dict[str, Any]) -> FitJob:
+def queue(store: Store, redis: Redis, dataset_id: str, config: dict[str, Any]) -> FitRecord:
     """Record a fit and put it on its queue."""
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=config)
     enqueue(open_queue(redis), fit)
@@ -137,18 +137,18 @@ def wait_for(condition: Callable[[], bool], what: str, seconds: float = 120) -> 
         time.sleep(0.02)
 
 
-def wait_until(store: Store, fit_id: str, *statuses: str, seconds: float = 120) -> FitJob:
+def wait_until(store: Store, fit_id: str, *statuses: str, seconds: float = 120) -> FitRecord:
     wait_for(
-        lambda: lookup.get(store, FitJob, fit_id).status in statuses,
+        lambda: lookup.get(store, FitRecord, fit_id).status in statuses,
         f"{fit_id} to be {statuses}",
         seconds,
     )
-    return lookup.get(store, FitJob, fit_id)
+    return lookup.get(store, FitRecord, fit_id)
 
 
 def wait_for_step(store: Store, fit_id: str, step: int) -> None:
     def reached() -> bool:
-        fit = lookup.get(store, FitJob, fit_id)
+        fit = lookup.get(store, FitRecord, fit_id)
         assert fit.status in ("queued", "running"), fit.error
         return fit.progress is not None and fit.progress["step"] >= step
 

@@ -15,7 +15,7 @@ from store import attempts, datasets, fits, lookup, models
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
-from store.records import FitJob, Model
+from store.records import FitRecord, ModelRecord
 from tests.worker.conftest import CONFIG
 from worker import fitting
 from worker.heartbeat import Heartbeat
@@ -34,7 +34,7 @@ def store(tmp_path: Path) -> Any:
     store.close()
 
 
-def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked: Any) -> FitJob:
+def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked: Any) -> FitRecord:
     """Fit in slices of 5 frames; after the second slice set what is ``asked`` of the heartbeat."""
     described = Description("figure", skeleton={"edges": EDGES}, image_sizes=SIZES)
     dataset_id = datasets.create(store, capture, described).id
@@ -61,7 +61,7 @@ def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked
     settings = WorkerSettings(data_dir=Path("unused"), checkpoint_seconds=3600)
     fitting.run_attempt(store, attempt, heartbeat, settings)
     assert lifted == ([5, 5] if asked else [5, 5, 5, 1])
-    return lookup.get(store, FitJob, fit.id)
+    return lookup.get(store, FitRecord, fit.id)
 
 
 def test_slices_make_the_whole(
@@ -72,7 +72,7 @@ def test_slices_make_the_whole(
     found = load(fits.load_reconstruction(store, fit))
     assert fit.model_id is not None
     prior = FittedPrior.from_bytes(
-        models.load_weights(store, lookup.get(store, Model, fit.model_id))
+        models.load_weights(store, lookup.get(store, ModelRecord, fit.model_id))
     )
     whole = LIFT(prior, capture.keypoints, confidence=capture.confidence)
     assert found.keys() == whole.arrays.keys()

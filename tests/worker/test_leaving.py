@@ -8,7 +8,7 @@ from rq import Queue
 
 from store import lookup
 from store.database import Store
-from store.records import FitJob
+from store.records import FitRecord
 from tests.fork_server import Popen, run
 from tests.processes import tied
 from tests.worker.conftest import LONG, queue
@@ -63,7 +63,7 @@ def test_the_worker_is_told_to_leave_as_a_job_comes(
     worker = Popen(tied("-c", TOLD_BEFORE_THE_JOB), env=os.environ | settings.to_environment())
     try:
         assert worker.wait(30) == 0
-        assert lookup.get(store, FitJob, fit.id).status in ("queued", "running")
+        assert lookup.get(store, FitRecord, fit.id).status in ("queued", "running")
     finally:
         worker.kill()
         worker.wait()

@@ -16,7 +16,7 @@ from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
 from store.lift_files import result_file
-from store.records import LiftJob
+from store.records import LiftRecord
 from tests.models.lifting.comparison import without
 from tests.models.walk import film
 from tests.sharing import fitted_once
@@ -92,9 +92,9 @@ def test_a_lift_job_in_chunks_is_the_whole(
     enqueue(open_queue(redis), lift)
     start_worker()
     wait_for(
-        lambda: lookup.get(store, LiftJob, lift.id).status in ("succeeded", "failed"), "the lift"
+        lambda: lookup.get(store, LiftRecord, lift.id).status in ("succeeded", "failed"), "the lift"
     )
-    record = lookup.get(store, LiftJob, lift.id)
+    record = lookup.get(store, LiftRecord, lift.id)
     assert record.error is None
     file = result_file(record, lifts.finished_chunks(store, record), "safetensors", {})
     found = load(b"".join(file.read(store.objects.get_range, 0, file.size)))

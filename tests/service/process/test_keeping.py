@@ -31,7 +31,7 @@ from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
 from store.errors import NotFoundError
-from store.records import Dataset, FitJob
+from store.records import DatasetRecord, FitRecord
 from store.settings import StoreSettings
 from tests.damage import flip, spoil_records
 from tests.deployments import PostgreSQL
@@ -209,7 +209,7 @@ def test_the_next_backup_copies_what_is_new_and_mends_what_it_copied(
     assert "8 objects: 8 copied" in done("backup", *here)
     copies = sorted(tmp_path.glob("backup/objects/datasets/*/*"))
     newest = datasets.create(store, CAPTURE, Description("new"))
-    oldest = lookup.page(store, Dataset, limit=9, after=None)[-1]
+    oldest = lookup.page(store, DatasetRecord, limit=9, after=None)[-1]
     datasets.delete(store, oldest.id)
     assert "8 objects: 1 copied" in done("backup", *here)
     now = sorted(tmp_path.glob("backup/objects/datasets/*/*"))
@@ -241,14 +241,14 @@ def test_what_is_damaged_is_named_and_the_rest_kept(
     assert said.status == 1
     assert harmed.name in said.stderr
     restored = Store(StoreSettings(data_dir=other))
-    assert len(lookup.page(restored, Dataset, limit=9, after=None)) == 8
+    assert len(lookup.page(restored, DatasetRecord, limit=9, after=None)) == 8
     assert len(list(restored.objects.list())) == 6
     assert restored.identity != store.identity
     restored.close()
 
 
 def test_what_is_deleted_meanwhile_is_not_in_the_backup(store: Store, tmp_path: Path) -> None:
-    going = lookup.page(store, Dataset, limit=1, after=None)[0].id
+    going = lookup.page(store, DatasetRecord, limit=1, after=None)[0].id
     (file,) = (tmp_path / "data" / "objects" / "datasets" / going).iterdir()
     file.unlink()  # by a request whose deletion of the record is seen only after the snapshot
 
@@ -261,7 +261,7 @@ def test_what_is_deleted_meanwhile_is_not_in_the_backup(store: Store, tmp_path: 
     assert (outcome.objects, outcome.damaged) == (7, [])
     other = Store(StoreSettings(data_dir=tmp_path / "other"))
     assert backup.restore(other, tmp_path / "backup", say).objects == 7
-    assert len(lookup.page(other, Dataset, limit=9, after=None)) == 7
+    assert len(lookup.page(other, DatasetRecord, limit=9, after=None)) == 7
     other.close()
 
 
@@ -300,7 +300,7 @@ def test_what_cannot_be_done_is_said_in_a_line_and_harms_nothing(
 def test_what_ended_long_ago_is_pruned_if_that_is_asked_for(
     store: Store, here: tuple[str, ...]
 ) -> None:
-    dataset = lookup.page(store, Dataset, limit=1, after=None)[0].id
+    dataset = lookup.page(store, DatasetRecord, limit=1, after=None)[0].id
     old, recent, waiting = (
         fits.create(store, dataset_id=dataset, name=name, config={}).id
         for name in ("old", "recent", "waiting")
@@ -317,12 +317,12 @@ def test_what_ended_long_ago_is_pruned_if_that_is_asked_for(
     would = done("prune", here[1], "--keep-failed-days=9", "--dry-run")
     assert f"fit {old} 'old', cancelled" in would
     assert "1 fits and lifts would be deleted" in would
-    assert lookup.get(store, FitJob, old).name == "old"
+    assert lookup.get(store, FitRecord, old).name == "old"
     assert old in done("prune", here[1], FEWVIEW_KEEP_FAILED_DAYS="9")
     with pytest.raises(NotFoundError):
-        lookup.get(store, FitJob, old)
+        lookup.get(store, FitRecord, old)
     for fit in (recent, waiting):
-        lookup.get(store, FitJob, fit)
+        lookup.get(store, FitRecord, fit)
 
 
 def test_a_doctor_says_what_is_right_and_what_to_do(
@@ -374,7 +374,7 @@ def test_a_doctor_names_queues_without_a_worker(
     with Redis.from_url(url) as redis:
         worker = Worker(open_queues(redis, ["lifts", "fits"]), connection=redis)
         worker.register_birth()  # type: ignore[no-untyped-call]
-        dataset = lookup.page(store, Dataset, limit=1, after=None)[0].id
+        dataset = lookup.page(store, DatasetRecord, limit=1, after=None)[0].id
         fit = fits.create(store, dataset_id=dataset, name="large", config={})
         enqueue(open_queue(redis, "gpu-fits"), fit)
         ill = run("doctor", here[1], FEWVIEW_REDIS_URL=url)

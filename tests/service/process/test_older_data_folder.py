@@ -13,7 +13,7 @@ from safetensors.numpy import load, load_file
 
 from store.database import Store
 from store.lookup import get
-from store.records import FitJob
+from store.records import FitRecord
 from store.settings import StoreSettings
 from tests.service.conftest import Live, kill_service, problem, start_service
 
@@ -114,7 +114,7 @@ def test_the_interrupted_fit_left_a_checkpoint(tmp_path: Path) -> None:
     store = Store(StoreSettings(data_dir=tmp_path))
     try:
         (key,) = [key for key, _ in store.objects.list() if "checkpoint" in key]
-        fit = get(store, FitJob, key.split("/")[1])
+        fit = get(store, FitRecord, key.split("/")[1])
         assert (fit.status, fit.checkpoint_key) == ("running", key)
     finally:
         store.close()

@@ -18,7 +18,7 @@ from service.settings import Settings
 from store import models
 from store.database import Store
 from store.errors import NotFoundError
-from store.records import Model
+from store.records import ModelRecord
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def prior(weights: bytes) -> FittedPrior:
     return FittedPrior.from_bytes(weights)
 
 
-def stored(store: Store, weights: bytes) -> Model:
+def stored(store: Store, weights: bytes) -> ModelRecord:
     about: dict[str, Any] = {"name": "figure", "views": 3, "keypoints": 16, "frames": 60}
     return models.create(store, weights, config={}, training_curve=[], metrics={}, **about)
 
@@ -192,7 +192,7 @@ def test_other_weights_are_read_anew(
     assert engine.models.get("default", model) is first
     other = stored(replica, weights)
     with replica.writing() as session:
-        record = session.get(Model, model)
+        record = session.get(ModelRecord, model)
         assert record is not None
         record.weights_key = other.weights_key
     assert engine.models.get("default", model) is not first

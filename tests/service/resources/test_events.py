@@ -18,7 +18,7 @@ from store import datasets, fits
 from store.capture import Capture
 from store.database import Store
 from store.datasets import Description
-from store.records import FitJob
+from store.records import FitRecord
 from tests.service.conftest import make_dataset, problem, served, wait_for
 
 MANY = 40
@@ -31,14 +31,14 @@ def store(tmp_path: Path) -> Iterator[Store]:
     opened.close()
 
 
-def queued(store: Store) -> FitJob:
+def queued(store: Store) -> FitRecord:
     keypoints = synthetic_capture(frames=4, views=2, seed=0).keypoints
     dataset = datasets.create(store, Capture.checked(keypoints), Description("figure"))
     config = FitConfig().model_dump(mode="json")
     return fits.create(store, dataset_id=dataset.id, name="f", config=config)
 
 
-async def followed(events: Events, fit: FitJob) -> list[tuple[int, str]]:
+async def followed(events: Events, fit: FitRecord) -> list[tuple[int, str]]:
     return [(job.revision, job.status) async for job in events.follow(fit, 0)]
 
 

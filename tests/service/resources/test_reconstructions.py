@@ -157,7 +157,7 @@ def stored_fit(
     )
     with store.writing() as session:
         for name, value in ({"config": CONFIG} | columns).items():
-            setattr(session.get(records.FitJob, fit.id), name, value)
+            setattr(session.get(records.FitRecord, fit.id), name, value)
     store.close()
     return fit.id
 
