@@ -13,7 +13,7 @@ from models.capture.metrics import Accuracy, pa_mpjpe, pck
 from models.capture.observations import as_observations
 from models.capture.triangulation import triangulate
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.settings.config import FitConfig, Refine
 from models.training.trainer import fit
 
@@ -112,7 +112,7 @@ class Bench:
         unknown: bool = False,
         timed: bool = False,
         refine: Refine | None = None,
-    ) -> Lift:
+    ) -> LiftedFrames:
         """Lift every frame from some views; `known_as` are their numbers in the fit.
 
         `unknown`: as cameras that the fit does not know. `timed`: with the times of the frames.

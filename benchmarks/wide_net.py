@@ -33,7 +33,7 @@ from models.calibrating.problem import problem_of
 from models.capture.metrics import pa_mpjpe, procrustes_by_size
 from models.epipolar.robust_points import robust_points
 from models.epipolar.static_cameras import SeenPoints, StaticCameras
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.numerics.steps import finished
 from models.numerics.threads import use_threads
 from models.optics.lenses.projection import Lenses, project
@@ -192,7 +192,7 @@ def _without_cameras(
     return Answer(points, False, 0.0, rotations, unknown, unknown.copy(), reach, findings)
 
 
-def _reach(draw: Draw, lift: Lift) -> float:
+def _reach(draw: Draw, lift: LiftedFrames) -> float:
     """Largest distance of a reprojection from the centre of its image, in longer sides of it."""
     furthest = 0.0
     for k in range(draw.keypoints.shape[1]):

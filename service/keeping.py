@@ -102,7 +102,7 @@ def backup(arguments: list[str]) -> None:
     os.umask(0o077)  # captures are nobody else's
     with ending("backup"), closing(open_store(settings)) as store:
         outcome = backups.backup(
-            store, settings.folder, Progress(), project=settings.project, deep=settings.deep
+            store, settings.folder, CopyProgress(), project=settings.project, deep=settings.deep
         )
         _report("backup", "Backed up", outcome)
 
@@ -113,7 +113,7 @@ def restore(arguments: list[str]) -> None:
     with ending("restore"):
         keep_private(settings)
         with closing(Store(settings)) as store:
-            outcome = backups.restore(store, settings.folder, Progress())
+            outcome = backups.restore(store, settings.folder, CopyProgress())
         _report("restore", "Restored", outcome)
 
 
@@ -166,7 +166,7 @@ def doctor(arguments: list[str]) -> None:
     sys.exit(int(failed))
 
 
-class Progress:
+class CopyProgress:
     """A line of how far copying has come, on stderr: written over on a terminal."""
 
     def __init__(self) -> None:

@@ -26,7 +26,7 @@ from store.usage import check_space
 
 
 @dataclass(frozen=True)
-class Description:
+class CaptureDescription:
     """The description of a dataset besides its arrays."""
 
     name: str
@@ -41,7 +41,7 @@ class Description:
 def create(
     store: Store,
     capture: Capture,
-    description: Description,
+    description: CaptureDescription,
     *,
     idempotency: Idempotency | None = None,
 ) -> DatasetRecord:
@@ -68,7 +68,7 @@ def create(
     return dataset
 
 
-def described(store: Store, capture: Capture, description: Description) -> DatasetRecord:
+def described(store: Store, capture: Capture, description: CaptureDescription) -> DatasetRecord:
     """Return the record that a capture would have; nothing is stored, and it has no identifier."""
     return DatasetRecord(
         name=description.name,

@@ -24,14 +24,14 @@ MIGRATIONS = Path(__file__).parent / "migrations"
 State = Literal["empty", "older", "current", "newer"]
 
 
-class Version(NamedTuple):
+class SchemaState(NamedTuple):
     """The state of the tables as seen by this code, and their revision if they have one."""
 
     state: State
     revision: str | None
 
 
-def version(connection: Connection) -> Version:
+def version(connection: Connection) -> SchemaState:
     """Return the version of the tables."""
     found = inspect(connection)
     revision = None
@@ -39,13 +39,13 @@ def version(connection: Connection) -> Version:
         revision = connection.scalar(text("SELECT version_num FROM alembic_version"))
     if revision is None:
         some = any(found.has_table(table.name) for table in Record.metadata.sorted_tables)
-        return Version("older" if some else "empty", None)
+        return SchemaState("older" if some else "empty", None)
     if revision not in REVISIONS:
-        return Version("newer", revision)
-    return Version("current" if revision == REVISIONS[-1] else "older", revision)
+        return SchemaState("newer", revision)
+    return SchemaState("current" if revision == REVISIONS[-1] else "older", revision)
 
 
-def look(engine: Engine) -> Version:
+def look(engine: Engine) -> SchemaState:
     """Return the same for the records of an engine."""
     with engine.connect() as connection:
         return version(connection)
@@ -73,7 +73,7 @@ def prepare(engine: Engine, *, embedded: bool) -> None:
         migrate(engine)
 
 
-def migrate(engine: Engine) -> Version:
+def migrate(engine: Engine) -> SchemaState:
     """Bring the tables to the version of this code; return which they were of.
 
     All of it happens or nothing. Of several processes the first does it and the others wait.

@@ -18,7 +18,7 @@ from models.capture.metrics import Reflection, pa_mpjpe, pck
 from models.capture.motion import with_neighbours
 from models.findings.finding import dumped, log_findings
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift, join
+from models.lifting.lift import LiftedFrames, join
 from models.numerics.tensor_files import WeightsError
 from models.numerics.threads import use_cores, use_threads
 from models.settings.config import FitConfig
@@ -131,7 +131,7 @@ def _reconstruct(
     capture: Capture,
     times: Float64 | None,
     stopped: Callable[[], bool],
-) -> Lift | None:
+) -> LiftedFrames | None:
     """Lift every frame of the fitted capture; None if the attempt has to end before."""
     keypoints, trust = in_step(capture.keypoints, capture.confidence, times, prior.capture.clocks)
     lifts = []
@@ -215,7 +215,7 @@ def _resume(
     return make(start=source())
 
 
-def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]:
+def evaluate(prior: FittedPrior, lift: LiftedFrames, capture: Capture) -> dict[str, Any]:
     """Measure the lift of a capture; the ground truth, if there is one, is used here alone.
 
     Returns

@@ -10,7 +10,7 @@ from models.capture.motion import with_neighbours
 from models.findings.finding import Finding, log_findings
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
-from models.lifting.lift import Lift, join
+from models.lifting.lift import LiftedFrames, join
 from models.lifting.lift_findings import lift_findings
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
@@ -116,7 +116,7 @@ def _load_in_step(store: Store, lift: LiftRecord, chunk: LiftChunk, prior: Fitte
     return _Loaded(Capture(*read), times, slice(own.start - around.start, own.stop - around.start))
 
 
-def _lift(loaded: _Loaded, start: int, job: LiftRecord, prior: FittedPrior) -> Lift:
+def _lift(loaded: _Loaded, start: int, job: LiftRecord, prior: FittedPrior) -> LiftedFrames:
     """Lift some of a chunk's frames."""
     keypoints, trust, times = loaded.capture.keypoints, loaded.capture.confidence, loaded.times
     first = loaded.own.start + start
@@ -143,7 +143,7 @@ def _do(
     """Do one chunk, unless the process must leave: then it is given back."""
     lift = lookup.get(store, LiftRecord, helper.lift_id)
     loaded = _load_in_step(store, lift, chunk, prior)
-    parts: list[Lift] = []
+    parts: list[LiftedFrames] = []
     findings: list[Finding] = []
     for start in range(0, chunk.frames, SLICE_FRAMES):
         if heartbeat.lost:

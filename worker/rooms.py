@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import load
 
 from models.calibrating.result import CameraReport
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.network.answers import NOT_IN_ROOM
 from models.settings.rooms import Up
 from store import fits, lookup
@@ -62,7 +62,7 @@ class Room:
         placed["findings"] = findings | (NOT_IN_ROOM * (there & ~here)).astype(np.uint8)
         return placed
 
-    def place(self, lift: Lift, views: Sequence[int] | None) -> Lift:
+    def place(self, lift: LiftedFrames, views: Sequence[int] | None) -> LiftedFrames:
         """Return a lift in the room; see :meth:`place_arrays`."""
         return lift._replace(**self.place_arrays(lift.arrays, views))
 

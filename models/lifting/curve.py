@@ -15,7 +15,7 @@ MOST_ROWS = 4000
 MOST_STEPS = 2**53  # the largest count that a float64 holds exactly
 
 
-class CurvePoint(NamedTuple):
+class CurveRow(NamedTuple):
     """One row of a training curve."""
 
     step: int
@@ -23,12 +23,12 @@ class CurvePoint(NamedTuple):
     reprojection_error: float  # pixels, running mean
 
 
-def curve_to_tensor(curve: Sequence[CurvePoint]) -> Tensor:
+def curve_to_tensor(curve: Sequence[CurveRow]) -> Tensor:
     """Return a curve as a tensor (rows, 3) of float64, for a file."""
     return torch.tensor(curve, dtype=torch.float64).reshape(-1, 3)
 
 
-def curve_from_tensor(rows: Tensor) -> tuple[CurvePoint, ...]:
+def curve_from_tensor(rows: Tensor) -> tuple[CurveRow, ...]:
     """Read what `curve_to_tensor` returned.
 
     Raises
@@ -42,4 +42,4 @@ def curve_from_tensor(rows: Tensor) -> tuple[CurvePoint, ...]:
     rising = all(before < step for before, step in pairwise([0.0, *steps]))
     if not rising or not all(step.is_integer() and step <= MOST_STEPS for step in steps):
         raise WeightsError("the training curve must have whole steps that rise from 1 on")
-    return tuple(CurvePoint(int(step), loss, error) for step, loss, error in rows.tolist())
+    return tuple(CurveRow(int(step), loss, error) for step, loss, error in rows.tolist())

@@ -16,11 +16,11 @@ from models.capture.motion import MotionModel
 from models.capture.noise_removal import NoiseRemoval
 from models.capture.outliers import OUTLIERS_KIND, OutlierModel
 from models.findings.finding import Finding
-from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
+from models.lifting.curve import CurveRow, curve_from_tensor, curve_to_tensor
 from models.lifting.explanations import Refiner
 from models.lifting.fitted_capture import FittedCapture, whole_capture
 from models.lifting.frame_refinement import make_refiner
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.lifting.observing import Following, ObservedFrames, Observer
 from models.lifting.second_looks import Lifter, lift_frames
 from models.lifting.skeleton_lengths import SkeletonLengths
@@ -53,7 +53,7 @@ class FittedPrior:
         self,
         config: FitConfig,
         arrays: Arrays,
-        curve: tuple[CurvePoint, ...],
+        curve: tuple[CurveRow, ...],
         foreshortening: float,
         self_calibration: SelfCalibration | None = None,
         noise_removal: NoiseRemoval | None = None,
@@ -153,10 +153,10 @@ class FittedPrior:
         confidence: ArrayLike | None = None,
         refine: Refine | None = None,
         views: Sequence[int] | None = None,
-        previous: Lift | None = None,
+        previous: LiftedFrames | None = None,
         times: ArrayLike | None = None,
         only: slice | None = None,
-    ) -> Lift:
+    ) -> LiftedFrames:
         """Lift frames (N, K, P, 2) in pixels, with any number of views K and any gaps.
 
         Every frame is lifted on its own: unless `times` are given, neither its neighbours nor the
@@ -226,8 +226,8 @@ class FittedPrior:
         observed: ObservedFrames,
         *,
         refine: Refine | None = None,
-        previous: Lift | None = None,
-    ) -> Lift:
+        previous: LiftedFrames | None = None,
+    ) -> LiftedFrames:
         """Lift observed frames: the second half of `lift`, with its arguments.
 
         Raises ValueError if `previous` is of other frames or views.
@@ -253,7 +253,7 @@ class FittedPrior:
             mode == "full",
         )
         answers = lift_frames(lifter, observed, before)
-        return Lift(*answers).among(self.capture.known)
+        return LiftedFrames(*answers).among(self.capture.known)
 
     def _refiner_of(self, views: Sequence[int] | None, count: int) -> Refiner | None:
         """Return the refiner for `views` of the fit, or for `count` cameras unknown to it.

@@ -23,8 +23,9 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
     Parameters
     ----------
     arrays
-        Those of `Lift.arrays`; NaN, and -1 in ``camera_models``, where there is no answer. Lifts
-        of older versions have no ``keypoints_seen``, ``outlier_probability`` and ``findings``.
+        Those of `LiftedFrames.arrays`; NaN, and -1 in ``camera_models``, where there is no answer.
+        Lifts of older versions have no ``keypoints_seen``, ``outlier_probability`` and
+        ``findings``.
     """
     models = arrays["camera_models"]
     views = np.full(models.shape, b"null", object)

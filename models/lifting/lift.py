@@ -37,7 +37,7 @@ FINDING_BITS: dict[int, LiftCode] = {
 _INTERNAL = frozenset({"continued", "sizes", "misfits", "rig_residuals"})
 
 
-class Lift(Answers):
+class LiftedFrames(Answers):
     """Structures and cameras of N frames of K views: the arrays of `Answers`, and their status."""
 
     __slots__ = ()
@@ -62,7 +62,7 @@ class Lift(Answers):
         """The arrays under the names that they have in files and on the wire."""
         return {name: value for name, value in self._asdict().items() if name not in _INTERNAL}
 
-    def of_keypoints(self, chosen: NDArray[np.bool_]) -> "Lift":
+    def of_keypoints(self, chosen: NDArray[np.bool_]) -> "LiftedFrames":
         """Return the lift of some of the P keypoints."""
         if chosen.all():
             return self
@@ -72,7 +72,7 @@ class Lift(Answers):
             outlier_probability=self.outlier_probability[:, :, chosen],
         )
 
-    def among(self, known: NDArray[np.bool_]) -> "Lift":
+    def among(self, known: NDArray[np.bool_]) -> "LiftedFrames":
         """Return the lift of Q keypoints as one of P, of which Q are known; the others are NaN."""
         if known.all():
             return self
@@ -84,11 +84,11 @@ class Lift(Answers):
         judged[:, :, known] = self.outlier_probability
         return self._replace(points3d=points, keypoints_seen=seen, outlier_probability=judged)
 
-    def frames(self, chosen: slice | NDArray[np.bool_]) -> "Lift":
+    def frames(self, chosen: slice | NDArray[np.bool_]) -> "LiftedFrames":
         """Return some of the frames; of a slice, as views of the arrays."""
-        return Lift._make(array[chosen] for array in self)
+        return LiftedFrames._make(array[chosen] for array in self)
 
 
-def join(lifts: Sequence[Lift]) -> Lift:
+def join(lifts: Sequence[LiftedFrames]) -> LiftedFrames:
     """Join lifts of the same views and keypoints, frame after frame."""
-    return Lift._make(np.concatenate(parts) for parts in zip(*lifts, strict=True))
+    return LiftedFrames._make(np.concatenate(parts) for parts in zip(*lifts, strict=True))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.problem import Rig, Views
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.lifting.point_information import inform_points
 from models.network.answers import RIG_NOT_USED
 from models.numerics.compiled import compiled, inner
@@ -85,7 +85,7 @@ def no_lengths() -> SkeletonLengths:
 
 
 def learn_skeleton_lengths(
-    edges: Int64, lift: Lift, seen: Views, rig: Rig, *, unit: float, noise: float
+    edges: Int64, lift: LiftedFrames, seen: Views, rig: Rig, *, unit: float, noise: float
 ) -> SkeletonLengths | None:
     """Learn the lengths of those `edges` (E, 2) that stay the same; None if there are none.
 

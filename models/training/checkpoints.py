@@ -15,7 +15,7 @@ from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
 from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
 from models.capture.observations import Observations
-from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
+from models.lifting.curve import CurveRow, curve_from_tensor, curve_to_tensor
 from models.numerics.tensor_files import (
     Arrays,
     Shapes,
@@ -40,7 +40,7 @@ class Checkpoint(NamedTuple):
     weights: Tensor  # (W,) of the network
     moments: tuple[Tensor, Tensor]  # (W,) each, of Adam
     state: TrainerState
-    curve: Sequence[CurvePoint]
+    curve: Sequence[CurveRow]
     teachers: Teachers | None
     self_calibration: SelfCalibration | None
 

@@ -10,7 +10,7 @@ from models.bundle.known_structures import LEAST_STRUCTURES, WEIGHTS, KnownStruc
 from models.bundle.problem import Views
 from models.bundle.shape_model import align
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.network.settling import first_order_cameras
 from models.training.batches import Data
 
@@ -23,7 +23,7 @@ MakePrior = Callable[[KnownStructures | None], FittedPrior]
 
 
 def known_structures(
-    lift: Lift, weights: NDArray[np.float32], mean: NDArray[np.float64]
+    lift: LiftedFrames, weights: NDArray[np.float32], mean: NDArray[np.float64]
 ) -> KnownStructures | None:
     """Return the refined structures of a lift, aligned to `mean` (P, 3), as known structures.
 
@@ -98,7 +98,7 @@ def believe_where_better(
 
 
 def _errors_in_hidden_views(
-    lift: Lift,
+    lift: LiftedFrames,
     hidden: Views,
     points: NDArray[np.float32],
     rotations: NDArray[np.float32],

@@ -19,7 +19,7 @@ from torch import Tensor
 from models.bundle.shape_model import align, learn_network_errors, unknown_network_errors
 from models.calibrating.result import SelfCalibration
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.network.settling import SETTLE_ALL, SETTLE_NONE, SettlingPolicy, settle_beyond
 from models.training.batches import Data
 
@@ -130,7 +130,7 @@ def _settling_in_lifts(measured: SettlingPolicy, misfits: NDArray[np.float64]) -
     return settle_beyond(float(np.quantile(misfits, USUAL_SHARE)))
 
 
-def _misfits(lift: Lift) -> NDArray[np.float64]:
+def _misfits(lift: LiftedFrames) -> NDArray[np.float64]:
     """Compute reprojection errors (N,) in structure units, as the compiled network does."""
     used = lift.keypoints_used
     total = np.nansum(used * lift.reprojection_errors / lift.scales, axis=1)

@@ -24,9 +24,9 @@ from models.calibrating.self_calibration import (
     most_frames,
     self_calibrate,
 )
-from models.lifting.curve import CurvePoint
+from models.lifting.curve import CurveRow
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift, join
+from models.lifting.lift import LiftedFrames, join
 from models.lifting.skeleton_lengths import SkeletonLengths, learn_skeleton_lengths
 from models.network.answers import Usual
 from models.network.priors.prior import Prior
@@ -149,7 +149,7 @@ class Teaching:
         if self.self_calibration is None:
             self.state.cameras = "not_sought"
 
-    def result(self, step: int, curve: list[CurvePoint]) -> FittedPrior:
+    def result(self, step: int, curve: list[CurveRow]) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
         found = self.self_calibration
         if found is None:
@@ -181,7 +181,7 @@ class Teaching:
     def _as_prior(
         self,
         self_calibration: SelfCalibration | None,
-        curve: list[CurvePoint] | None = None,
+        curve: list[CurveRow] | None = None,
         skeleton: SkeletonLengths | None = None,
         structures: KnownStructures | None = None,
     ) -> FittedPrior:
@@ -305,7 +305,7 @@ class Teaching:
 
     def _learn_structures(
         self, found: SelfCalibration, frames: Tensor, *, seed: list[int]
-    ) -> Steps[tuple[KnownStructures | None, Lift | None]]:
+    ) -> Steps[tuple[KnownStructures | None, LiftedFrames | None]]:
         """Lift frames (T,), and again with their known structures if many keypoints are hidden.
 
         Yields now and then, to be stopped there. Returns the known structures, and the last lift.
@@ -334,7 +334,7 @@ class Teaching:
                 break
         return structures, lift
 
-    def _lifted(self, prior: FittedPrior, frames: Tensor) -> Steps[Lift]:
+    def _lifted(self, prior: FittedPrior, frames: Tensor) -> Steps[LiftedFrames]:
         """Return the refined lift of frames (T,); yields now and then, to be stopped there."""
         lifts = []
         for some in torch.split(frames, LIFTED_FRAMES):
@@ -384,7 +384,7 @@ class Teaching:
         )
 
 
-def _weak_perspective(lift: Lift) -> WeakPerspectiveScene:
+def _weak_perspective(lift: LiftedFrames) -> WeakPerspectiveScene:
     """Return structures, rotations, scales and translations (x, y) of a lift in float64.
 
     Where there is no answer, the numbers are arbitrary but finite.

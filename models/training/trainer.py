@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from models.calibrating.image_sizes import ImageSizes
 from models.findings.advice import attempt
 from models.findings.finding import Finding
-from models.lifting.curve import CurvePoint
+from models.lifting.curve import CurveRow
 from models.lifting.fitted_prior import FittedPrior
 from models.network.answers import nothing_unusual
 from models.network.priors.prior import Prior
@@ -153,7 +153,7 @@ class Trainer:
             edges_among_known(pairs, self._capture.known),
         )
         self._state = TrainerState(Schedule.of(config), self._teaching.state)
-        self._curve: list[CurvePoint] = []
+        self._curve: list[CurveRow] = []
         if checkpoint is not None:
             self._restore(checkpoint)
 
@@ -345,7 +345,7 @@ class Trainer:
     def _add_to_curve(self) -> None:
         state = self._state
         if not self._curve or self._curve[-1].step < state.step:
-            self._curve.append(CurvePoint(state.step, state.loss, state.reprojection_error))
+            self._curve.append(CurveRow(state.step, state.loss, state.reprojection_error))
 
     def _progress(self, stage: Stage) -> Progress:
         state, steps = self._state, self._state.schedule.steps

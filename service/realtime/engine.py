@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.lifting.lift import Lift, join
+from models.lifting.lift import LiftedFrames, join
 from models.lifting.observing import ObservedFrames, join_observed
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
@@ -61,14 +61,14 @@ class _Call:
     keypoints: Float32
     confidence: Float32 | None
     observed: ObservedFrames | None  # in place of these
-    previous: Lift | None
+    previous: LiftedFrames | None
     slice_size: int  # frames that are lifted in one go
-    answer: "asyncio.Future[Lift]"
+    answer: "asyncio.Future[LiftedFrames]"
     frames: int
     missing: int  # frames without an answer yet
     asked_at: float = field(default_factory=time.perf_counter)
     taken: int = 0  # frames that a thread has taken
-    parts: dict[int, Lift] = field(default_factory=dict)  # answers by their first frame
+    parts: dict[int, LiftedFrames] = field(default_factory=dict)  # answers by their first frame
 
 
 class _Piece(NamedTuple):
@@ -79,7 +79,7 @@ class _Piece(NamedTuple):
     stop: int
 
 
-_Outcome = Lift | Exception
+_Outcome = LiftedFrames | Exception
 
 
 class Engine:
@@ -135,8 +135,8 @@ class Engine:
         confidence: Float32 | None = None,
         refine: Refine | None = None,
         views: Sequence[int] | None = None,
-        previous: Lift | None = None,
-    ) -> "asyncio.Future[Lift]":
+        previous: LiftedFrames | None = None,
+    ) -> "asyncio.Future[LiftedFrames]":
         """Lift frames (N, K, P, 2) as ``FittedPrior.lift`` does, together with those of others.
 
         Called in the event loop. A future that is cancelled gives its place in the queue up.
@@ -163,8 +163,8 @@ class Engine:
         observed: ObservedFrames,
         *,
         refine: Refine | None = None,
-        previous: Lift | None = None,
-    ) -> "asyncio.Future[Lift]":
+        previous: LiftedFrames | None = None,
+    ) -> "asyncio.Future[LiftedFrames]":
         """Lift frames that ``model`` observed as ``FittedPrior.lift_observed`` does; see `lift`."""
         keypoints, judged = observed.observations.keypoints, observed.outlier_probability
         way = Way(
@@ -184,10 +184,10 @@ class Engine:
         keypoints: Float32,
         confidence: Float32 | None,
         observed: ObservedFrames | None,
-        previous: Lift | None,
+        previous: LiftedFrames | None,
         frames: int,
-    ) -> "asyncio.Future[Lift]":
-        answer: asyncio.Future[Lift] = asyncio.get_running_loop().create_future()
+    ) -> "asyncio.Future[LiftedFrames]":
+        answer: asyncio.Future[LiftedFrames] = asyncio.get_running_loop().create_future()
         size = _slice_size(way.model, way.refine)
         call = _Call(
             way, keypoints, confidence, observed, previous, size, answer, frames, missing=frames

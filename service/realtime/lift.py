@@ -290,7 +290,7 @@ async def lift(
 
 
 def _answer(
-    request: Request, asked: _Asked, lifted: lifts.Lift, format: Format, in_parts: bool
+    request: Request, asked: _Asked, lifted: lifts.LiftedFrames, format: Format, in_parts: bool
 ) -> Response:
     if asked.room is not None:
         lifted = asked.room.place(lifted, asked.views)
@@ -326,7 +326,9 @@ async def _run(
         return await running
 
 
-async def _unless_gone(request: Request, answer: "asyncio.Future[lifts.Lift]") -> lifts.Lift | None:
+async def _unless_gone(
+    request: Request, answer: "asyncio.Future[lifts.LiftedFrames]"
+) -> lifts.LiftedFrames | None:
     """Wait for the answer; if the client goes away meanwhile, give it up and return None."""
     patience = answer.get_loop().call_later(PATIENCE_SECONDS, _watch, request, answer)
     try:
@@ -340,7 +342,7 @@ async def _unless_gone(request: Request, answer: "asyncio.Future[lifts.Lift]") -
         patience.cancel()
 
 
-def _watch(request: Request, answer: "asyncio.Future[lifts.Lift]") -> None:
+def _watch(request: Request, answer: "asyncio.Future[lifts.LiftedFrames]") -> None:
     """Cancel the answer when the client goes away."""
 
     async def disconnected() -> None:

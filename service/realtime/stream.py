@@ -13,7 +13,7 @@ from starlette.responses import Response
 from starlette.websockets import WebSocketDisconnect
 
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.lifting.observing import Following
 from service.http.authentication import subprotocol_of
 from service.http.bounds import check_bounds
@@ -64,7 +64,7 @@ MAX_DROPPED = 10_000  # frames, until a client that reads no answers is not read
 CLOSE_CODE = 4000  # plus the status of the problem that ends a stream
 
 # What is awaited of a frame: its lift, or in streams with a lag what its coming makes ready.
-_Answer = asyncio.Future[Lift] | asyncio.Future[list[tuple[Frame, Lift]]]
+_Answer = asyncio.Future[LiftedFrames] | asyncio.Future[list[tuple[Frame, LiftedFrames]]]
 
 logger = logging.getLogger(__name__)
 router = APIRouter(tags=["lift"])
@@ -219,7 +219,7 @@ class _Conversation:
         self._at_a_time = 1 if one else FRAMES_IN_HAND
         self._arrived: deque[Frame] = deque()
         self._asked: deque[tuple[Frame, _Answer | None]] = deque()
-        self._previous: Lift | None = None
+        self._previous: LiftedFrames | None = None
         self._something_asked = asyncio.Event()
         self._something_answered = asyncio.Event()
 
@@ -323,7 +323,7 @@ class _Conversation:
                 await self._something_asked.wait()
             frame, answer = self._asked[0]
             answered = [] if answer is None else await answer
-            if isinstance(answered, Lift):
+            if isinstance(answered, LiftedFrames):
                 if self._continuity:
                     self._previous = answered
                 answered = [(frame, answered)]
@@ -336,7 +336,7 @@ class _Conversation:
             for frame, message in messages:
                 await self._send(frame, message)
 
-    def _message(self, frame: Frame, lift: Lift) -> str | bytes:
+    def _message(self, frame: Frame, lift: LiftedFrames) -> str | bytes:
         if self._room is not None:
             lift = self._room.place(lift, self._start.views)
         return write_answer(frame, lift, self._prior)

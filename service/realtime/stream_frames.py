@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from models.findings.finding import dumped
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.lifting.lift_findings import lift_findings
 from models.settings.times import MAX_TIME
 from service.http.bounds import check_bounds
@@ -233,7 +233,7 @@ def seen_bytes(keypoints: int) -> int:
     return -(-keypoints // ALIGNED) * ALIGNED
 
 
-def write_answer(frame: Frame, lift: Lift, prior: FittedPrior) -> str | bytes:
+def write_answer(frame: Frame, lift: LiftedFrames, prior: FittedPrior) -> str | bytes:
     """Return the answer to a frame, lifted by a prior: text if it came as text, else bytes."""
     continued = bool(lift.continued[0])
     if not frame.binary:

@@ -19,7 +19,7 @@ from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, TIMES, Name
 from service.wire.skeletons import Skeleton
 from store.capture import Capture
 from store.capture_files import UNKNOWN_SIZE
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.labels import Labels, Text
 
 CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d", "times"})
@@ -56,7 +56,7 @@ class DatasetDescription(Labels):
         "out of step are then found and shifted (`synchronise` of a fit).",
     )
 
-    def describe(self, capture: Capture) -> Description:
+    def describe(self, capture: Capture) -> CaptureDescription:
         """Return the description, checked against the capture it describes."""
         views, keypoints = capture.keypoints.shape[1:3]
         if self.skeleton is not None:
@@ -70,7 +70,7 @@ class DatasetDescription(Labels):
                 check_rate(self.fps, capture.times)
             except ValueError as error:
                 raise invalid("/fps", str(error)) from error
-        return Description(
+        return CaptureDescription(
             name=self.name,
             skeleton=self.skeleton.model_dump() if self.skeleton else None,
             view_names=self.view_names,
@@ -138,7 +138,9 @@ class DatasetForm(DetectorReading, DatasetDescription):
     """The fields of a form besides its files."""
 
 
-def read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capture, Description]:
+def read_new(
+    upload: Upload, settings: Settings, name: str | None
+) -> tuple[Capture, CaptureDescription]:
     """Return the capture in a body, and its description.
 
     Raises

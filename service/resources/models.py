@@ -30,7 +30,7 @@ from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.calibrations import MEDIA_TYPES, CalibrationFormat, calibration_file
 from service.wire.cameras import ModelCameras
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
-from service.wire.model_files import Description, described, taken_apart
+from service.wire.model_files import ModelDescription, described, taken_apart
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
 from store import aliases, lookup, models, records
@@ -249,7 +249,7 @@ def download_weights(model_id: Identifier, store: StoreDep, request: Request) ->
     record = lookup.get(store, records.ModelRecord, model_id)
     return bytes_response(
         request,
-        described(models.load_weights(store, record), Description.of(record)),
+        described(models.load_weights(store, record), ModelDescription.of(record)),
         media_type=OCTETS,
         filename=f"{record.id}.safetensors",
     )

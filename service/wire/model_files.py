@@ -25,7 +25,7 @@ Count = Annotated[int, Field(ge=1, le=2**53)]
 Figure = Annotated[float, Field(ge=0, allow_inf_nan=False)] | None
 
 
-class Figures(BaseModel):
+class ModelFigures(BaseModel):
     """The errors of a model measured in its fit, as in `GET /models/{id}`."""
 
     reprojection_error: Figure = None
@@ -35,7 +35,7 @@ class Figures(BaseModel):
     pck_threshold: Figure = None
 
 
-class Description(Labels):
+class ModelDescription(Labels):
     """What is known of a model and not in its weights. What is not known here is ignored."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
@@ -44,7 +44,7 @@ class Description(Labels):
     views: Annotated[int, Field(ge=1, le=MAX_VIEWS)] | None = None
     frames: Count | None = None
     skeleton: Skeleton | None = None
-    metrics: Figures = Figures()
+    metrics: ModelFigures = ModelFigures()
 
     @classmethod
     def of(cls, model: records.ModelRecord) -> Self:
@@ -54,14 +54,14 @@ class Description(Labels):
         return cls.model_validate(values, strict=False)
 
 
-def described(weights: bytes, description: Description) -> bytes:
+def described(weights: bytes, description: ModelDescription) -> bytes:
     """Return weights (safetensors) with a description in their header."""
     header, tensors = _split(weights)
     header["__metadata__"][ENTRY] = description.model_dump_json()
     return _joined(header, tensors)
 
 
-def taken_apart(data: bytes) -> tuple[bytes, Description]:
+def taken_apart(data: bytes) -> tuple[bytes, ModelDescription]:
     """Return the weights in a file without their description, and that; it is empty in older files.
 
     Raises
@@ -74,11 +74,11 @@ def taken_apart(data: bytes) -> tuple[bytes, Description]:
     header, tensors = _split(data)
     entry = header["__metadata__"].pop(ENTRY, None)
     if entry is None:
-        return data, Description()
+        return data, ModelDescription()
     try:
-        return _joined(header, tensors), Description.model_validate_json(entry)
+        return _joined(header, tensors), ModelDescription.model_validate_json(entry)
     except ValidationError as error:
-        raise from_validation(error, Description) from error
+        raise from_validation(error, ModelDescription) from error
 
 
 def _split(data: bytes) -> tuple[dict[str, Any], bytes]:

@@ -11,7 +11,7 @@ import pytest
 from store import attempts, clock, datasets, fits, lift_chunks, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.records import FitRecord, LiftRecord
 
 HOUR = 3600.0
@@ -30,7 +30,7 @@ def clock_off(seconds: float) -> Iterator[None]:
 def test_a_fit_is_not_taken_from_a_worker_that_holds_it(
     store: Store, capture: Capture, off: float
 ) -> None:
-    dataset = datasets.create(store, capture, Description("a"))
+    dataset = datasets.create(store, capture, CaptureDescription("a"))
     fit = fits.create(store, dataset_id=dataset.id, name="f", config={})
     with clock_off(off):
         attempt = attempts.claim(store, fit.id, lease_seconds=5)
@@ -48,7 +48,7 @@ def test_a_fit_is_not_taken_from_a_worker_that_holds_it(
 
 def make_lift(store: Store, capture: Capture) -> LiftRecord:
     """Record a lift of one chunk."""
-    dataset = datasets.create(store, capture, Description("a"))
+    dataset = datasets.create(store, capture, CaptureDescription("a"))
     about: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
     model = models.create(store, b"weights", name="m", keypoints=dataset.keypoints, **about)
     chunk_frames = dataset.frames

@@ -9,7 +9,7 @@ from sqlalchemy import text
 from store import datasets, housekeeping
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.deployment import MARK
 from store.errors import DeploymentError
 from store.objects import Objects
@@ -19,7 +19,7 @@ from store.settings import StoreSettings
 @pytest.fixture
 def full(store: Store, capture: Capture) -> Store:
     """Store a dataset in the records and objects of one deployment."""
-    datasets.create(store, capture, Description("season"))
+    datasets.create(store, capture, CaptureDescription("season"))
     return store
 
 

@@ -9,7 +9,7 @@ from store import attempts, datasets, fits, housekeeping, jobs, lifts, lookup, m
 from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.errors import (
     ConfigError,
     ConflictError,
@@ -32,7 +32,7 @@ DESCRIBE = {
 
 @pytest.fixture
 def fit(store: Store, capture: Capture) -> FitRecord:
-    dataset = datasets.create(store, capture, Description("a"))
+    dataset = datasets.create(store, capture, CaptureDescription("a"))
     return fits.create(store, dataset_id=dataset.id, name="f", config={"seed": 1})
 
 

@@ -15,7 +15,7 @@ from store.array_files import LaidOutFile
 from store.capture import Capture
 from store.crc import combine
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.errors import ConflictError, LeaseLostError, LiftError, NotFoundError, QueueFullError
 from store.jobs import MAX_CRASHES
 from store.lift_chunks import Helper
@@ -39,7 +39,7 @@ def make_model(store: Store, keypoints: int = 5) -> str:
 
 @pytest.fixture
 def lift(store: Store, capture: Capture) -> LiftRecord:
-    dataset = datasets.create(store, capture, Description("a"))
+    dataset = datasets.create(store, capture, CaptureDescription("a"))
     return create(store, dataset.id)
 
 
@@ -239,12 +239,12 @@ def test_what_cannot_be_lifted_is_refused(store: Store, lift: LiftRecord) -> Non
 def test_many_keypoints_make_short_chunks(store: Store) -> None:
     rng = np.random.default_rng(0)  # what moves is soon checked: keypoints at rest are compared
     many = Capture.checked(rng.uniform(0, 900, (9, 16, 512, 2)))
-    dataset = datasets.create(store, many, Description("a"))
+    dataset = datasets.create(store, many, CaptureDescription("a"))
     model_id = make_model(store, 512)
     lift = create(store, dataset.id, model_id=model_id, chunk_frames=4096)
     assert lift.chunks == 1
     wide = Capture.checked(rng.uniform(0, 900, (130, 32, 512, 2)))
-    dataset = datasets.create(store, wide, Description("a"))
+    dataset = datasets.create(store, wide, CaptureDescription("a"))
     assert create(store, dataset.id, model_id=model_id, chunk_frames=4096).chunks == 3
 
 
@@ -254,7 +254,7 @@ def test_frames_are_read_without_the_others(store: Store, start: int, stop: int)
     keypoints = rng.uniform(0, 900, (12, 2, 5, 2)).astype(np.float32)
     confidence = rng.uniform(0, 1, (12, 2, 5)).astype(np.float32)
     truth = rng.normal(size=(12, 5, 3))
-    dataset = datasets.create(store, Capture.checked(keypoints[:4]), Description("a"))
+    dataset = datasets.create(store, Capture.checked(keypoints[:4]), CaptureDescription("a"))
     for cut in (slice(4, 5), slice(5, 12)):
         more = Capture.checked(keypoints[cut], confidence[cut], truth[cut])
         datasets.append(store, dataset.id, more, max_frames=100)

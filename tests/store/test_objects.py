@@ -16,7 +16,7 @@ from obstore.exceptions import BaseError as ObjectStoreError
 from store import datasets, housekeeping, keys
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.errors import DamagedError
 from store.ids import new_id
 from store.objects import Objects
@@ -184,7 +184,7 @@ def test_whoever_deletes_does_not_wait_for_objects_that_are_away(
 ) -> None:
     with s3_served() as s3:
         store = Store(StoreSettings(data_dir=tmp_path, store_url=s3.new_url()))
-        made = [datasets.create(store, capture, Description("old")).id for _ in range(12)]
+        made = [datasets.create(store, capture, CaptureDescription("old")).id for _ in range(12)]
         os.kill(s3.process.pid, signal.SIGSTOP)
         started = time.monotonic()
         datasets.delete(store, made[0])

@@ -11,7 +11,7 @@ import pytest
 from store import attempts, datasets, fits, jobs, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.errors import ConflictError, KeyReusedError, NotFoundError, QueueFullError, StoreError
 from store.idempotency import Idempotency
 from store.records import DatasetRecord, FitRecord, LiftRecord, ModelRecord
@@ -64,10 +64,10 @@ def succeeded(store: Store, dataset_id: str) -> tuple[str, str]:
 def test_a_request_that_comes_many_times_at_once_makes_one_thing(
     stores: list[Store], capture: Capture, kind: str
 ) -> None:
-    dataset = datasets.create(stores[0], capture, Description("a")).id
+    dataset = datasets.create(stores[0], capture, CaptureDescription("a")).id
     makers: dict[str, Callable[[Store, Idempotency], Any]] = {
         "dataset": lambda store, key: datasets.create(
-            store, capture, Description("b"), idempotency=key
+            store, capture, CaptureDescription("b"), idempotency=key
         ),
         "model": lambda store, key: models.create(
             store, b"w", name="m", idempotency=key, **DESCRIBE
@@ -92,7 +92,7 @@ def test_a_request_that_comes_many_times_at_once_makes_one_thing(
 def test_a_queue_job_is_recorded_once_and_the_queue_keeps_its_bound(
     stores: list[Store], capture: Capture
 ) -> None:
-    dataset = datasets.create(stores[0], capture, Description("a")).id
+    dataset = datasets.create(stores[0], capture, CaptureDescription("a")).id
 
     def make(store: Store, job_id: str) -> str:
         return fits.create(
@@ -113,7 +113,7 @@ def test_a_queue_job_is_recorded_once_and_the_queue_keeps_its_bound(
 def test_what_is_deleted_is_used_by_nothing_new(stores: list[Store], capture: Capture) -> None:
     first = stores[0]
     for _ in range(ROUNDS):
-        dataset = datasets.create(first, capture, Description("a")).id
+        dataset = datasets.create(first, capture, CaptureDescription("a")).id
         model = models.create(first, b"w", name="m", **DESCRIBE).id
         begin = partial(fits.create, name="n", config={}, dataset_id=dataset)
         lift = partial(lifts.create, name="n", chunk_frames=5, dataset_id=dataset, model_id=model)
@@ -137,7 +137,7 @@ def test_what_is_deleted_is_used_by_nothing_new(stores: list[Store], capture: Ca
 def test_a_fit_and_its_model_are_deleted_side_by_side(
     stores: list[Store], capture: Capture
 ) -> None:
-    dataset = datasets.create(stores[0], capture, Description("a")).id
+    dataset = datasets.create(stores[0], capture, CaptureDescription("a")).id
     for _ in range(ROUNDS):
         (fit, model), (other_fit, other_model) = (succeeded(stores[0], dataset) for _ in range(2))
         gone = at_once(
@@ -150,7 +150,7 @@ def test_a_fit_and_its_model_are_deleted_side_by_side(
 
 
 def test_a_model_that_a_fit_is_to_start_from_stays(store: Store, capture: Capture) -> None:
-    dataset = datasets.create(store, capture, Description("a")).id
+    dataset = datasets.create(store, capture, CaptureDescription("a")).id
     _, model = succeeded(store, dataset)
     fit = fits.create(store, dataset_id=dataset, name="f", config={}, from_model=model)
     with pytest.raises(ConflictError, match=fit.id):
@@ -163,7 +163,7 @@ def test_a_model_that_a_fit_is_to_start_from_stays(store: Store, capture: Captur
 
 def test_what_is_deleted_twice_at_once_is_gone_once(stores: list[Store], capture: Capture) -> None:
     for _ in range(ROUNDS):
-        dataset = datasets.create(stores[0], capture, Description("a")).id
+        dataset = datasets.create(stores[0], capture, CaptureDescription("a")).id
         gone = by_all(stores, datasets.delete, dataset)
         assert gone.count(None) == 1
         assert sum(isinstance(one, NotFoundError) for one in gone) == 3

@@ -21,7 +21,7 @@ from models.training.trainer import fit
 from store import datasets, fits, lookup
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.records import FitRecord
 from tests.deployments import deployed
 from tests.fork_server import Popen
@@ -102,7 +102,7 @@ def fit_here(capture: Capture) -> FitHere:
 
 @pytest.fixture
 def dataset_id(store: Store, capture: Capture) -> str:
-    return datasets.create(store, capture, Description("figure")).id
+    return datasets.create(store, capture, CaptureDescription("figure")).id
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ import pytest
 from safetensors.numpy import load
 
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.training.trainer import Trainer
 from store import attempts, datasets, fits, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.records import FitRecord, ModelRecord
 from tests.worker.conftest import CONFIG
 from worker import fitting
@@ -36,7 +36,7 @@ def store(tmp_path: Path) -> Any:
 
 def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked: Any) -> FitRecord:
     """Fit in slices of 5 frames; after the second slice set what is ``asked`` of the heartbeat."""
-    described = Description("figure", skeleton={"edges": EDGES}, image_sizes=SIZES)
+    described = CaptureDescription("figure", skeleton={"edges": EDGES}, image_sizes=SIZES)
     dataset_id = datasets.create(store, capture, described).id
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 5})
     attempt = attempts.claim(store, fit.id, lease_seconds=60)
@@ -44,7 +44,7 @@ def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked
     heartbeat = Heartbeat(partial(attempts.beat, store, attempt))
     lifted: list[int] = []
 
-    def lift(prior: FittedPrior, keypoints: Any, **more: Any) -> Lift:
+    def lift(prior: FittedPrior, keypoints: Any, **more: Any) -> LiftedFrames:
         lifted.append(len(keypoints))
         if len(lifted) == 2:
             vars(heartbeat).update(asked)

@@ -21,7 +21,7 @@ from models.lifting.fitted_prior import FittedPrior
 from store import datasets, fits, housekeeping, lift_chunks, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.lift_files import result_file
 from store.records import DatasetRecord, FitRecord, LiftChunk, LiftRecord, ModelRecord
 from tests.worker.conftest import (
@@ -84,7 +84,7 @@ def make_lift(
         half = count // 2 + 5  # the cut between two uploads lies within a chunk
         first = Capture(frames.keypoints[:half], confidence[:half])
         rest = Capture(frames.keypoints[half:count], confidence[half:count])
-        dataset = datasets.create(store, first, Description("many"))
+        dataset = datasets.create(store, first, CaptureDescription("many"))
         datasets.append(store, dataset.id, rest, max_frames=count)
         lift = lifts.create(
             store,

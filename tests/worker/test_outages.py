@@ -15,7 +15,7 @@ from rq import Queue, Worker
 from store import datasets, fits, jobs, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.jobs import TERMINAL
 from store.records import FitRecord, LiftRecord
 from tests.object_stores import folder_away
@@ -52,7 +52,7 @@ def lift(store: Store, capture: Capture, fit_here: FitHere) -> LiftRecord:
     weights = fit_here(CONFIG).to_bytes()
     model = models.create(store, weights, name="m", keypoints=16, **about)
     many = Capture(np.tile(capture.keypoints, (CHUNKS, 1, 1, 1)))
-    dataset = datasets.create(store, many, Description("many"))
+    dataset = datasets.create(store, many, CaptureDescription("many"))
     return lifts.create(
         store,
         model_id=model.id,

@@ -15,7 +15,7 @@ from rq.exceptions import DequeueTimeout
 from store import datasets, fits, jobs, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.records import FitRecord, LiftRecord
 from tests.fork_server import Popen, run
 from tests.processes import tied
@@ -138,7 +138,7 @@ def test_a_large_capture_pays_sooner(store: Store) -> None:
     found = []
     for views, keypoints in ((2, 10), (12, 200)):
         capture = Capture.checked(rng.normal(size=(3, views, keypoints, 2)))
-        dataset = datasets.create(store, capture, Description("d"))
+        dataset = datasets.create(store, capture, CaptureDescription("d"))
         fit = fits.create(store, dataset_id=dataset.id, name="f", config=config)
         found.append(queue_for(store, fit))
     assert found == ["fits", "gpu-fits"]

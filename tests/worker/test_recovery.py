@@ -313,10 +313,10 @@ def test_a_capture_without_any_usable_view_fails_with_the_reason(
     import numpy as np
 
     from store import datasets
-    from store.datasets import Description
+    from store.datasets import CaptureDescription
 
     nothing = Capture.checked(np.full((3, 2, 6, 2), np.nan))
-    dataset = datasets.create(store, nothing, Description("empty"))
+    dataset = datasets.create(store, nothing, CaptureDescription("empty"))
     fit = fits.create(store, dataset_id=dataset.id, name="f", config=CONFIG)
     enqueue(open_queue(redis), fit)
     start_worker()

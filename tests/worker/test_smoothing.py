@@ -14,7 +14,7 @@ from models.training.trainer import fit
 from store import datasets, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.lift_files import result_file
 from store.records import LiftRecord
 from tests.models.lifting.comparison import without
@@ -78,7 +78,7 @@ def test_a_lift_job_in_chunks_is_the_whole(
     settings: WorkerSettings,
     start_worker: StartWorker,
 ) -> None:
-    description = Description(name="film", fps=FPS)
+    description = CaptureDescription(name="film", fps=FPS)
     dataset = datasets.create(store, Capture.checked(keypoints), description)
     columns: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
     model = models.create(store, prior.to_bytes(), name="m", keypoints=16, **columns)

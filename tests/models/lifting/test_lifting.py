@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from models.capture.metrics import pa_mpjpe
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import CAMERA_MODELS, Lift
+from models.lifting.lift import CAMERA_MODELS, LiftedFrames
 from models.settings.config import FitConfig
 from models.training.trainer import Trainer, fit
 from tests.models.lifting.comparison import same
@@ -51,9 +51,9 @@ def prior(capture: RigCapture) -> FittedPrior:
     )
 
 
-def some(lift: Lift, frames: Any, views: Any = slice(None)) -> Lift:
+def some(lift: LiftedFrames, frames: Any, views: Any = slice(None)) -> LiftedFrames:
     """Return some of the frames, and of their views."""
-    chosen = Lift._make(value[frames] for value in lift)
+    chosen = LiftedFrames._make(value[frames] for value in lift)
     parts = {n: getattr(chosen, n)[:, views] for n in OF_VIEWS}
     return chosen._replace(**parts)
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.settings.config import FitConfig
 from models.training.trainer import fit
 from tests.models.lifting.comparison import same
@@ -97,7 +97,7 @@ def check_found(prior: FittedPrior) -> None:
         assert prior.cameras.noise > 0
 
 
-def check(lift: Lift, keypoints: Float64) -> None:
+def check(lift: LiftedFrames, keypoints: Float64) -> None:
     """Answers are finite where there are some, and there are some wherever 4 keypoints show."""
     usable = np.isfinite(keypoints).all(-1).sum(-1) >= 4
     assert [status == "ok" for status in lift.status] == usable.any(1).tolist()

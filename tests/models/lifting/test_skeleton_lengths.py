@@ -10,7 +10,7 @@ from models.bundle.problem import Rig, Views, make_rig
 from models.capture.metrics import pa_mpjpe
 from models.capture.synthetic import EDGES
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.lifting.skeleton_lengths import SkeletonLengths, learn_skeleton_lengths
 from models.network.answers import RIG_NOT_USED, make_answers
 from models.numerics.tensor_files import WeightsError
@@ -64,7 +64,7 @@ def learn(points: Float64, capture: RigCapture, noise: float) -> SkeletonLengths
     pixels = seen_by_cameras(points, capture, noise)
     return learn_skeleton_lengths(
         JOINED,
-        Lift(*answers),
+        LiftedFrames(*answers),
         Views(pixels, np.ones(pixels.shape[:3])),
         rig_of(capture),
         unit=1.0,

@@ -29,7 +29,7 @@ from service.settings import Settings
 from store import backup, datasets, fits, lookup
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.errors import NotFoundError
 from store.records import DatasetRecord, FitRecord
 from store.settings import StoreSettings
@@ -193,7 +193,7 @@ def records_in(folder: Path) -> list[Any]:
 def store(tmp_path: Path) -> Any:
     store = Store(StoreSettings(data_dir=tmp_path / "data"))
     for number in range(8):
-        datasets.create(store, CAPTURE, Description(f"season {number}"))
+        datasets.create(store, CAPTURE, CaptureDescription(f"season {number}"))
     yield store
     store.close()
 
@@ -208,7 +208,7 @@ def test_the_next_backup_copies_what_is_new_and_mends_what_it_copied(
 ) -> None:
     assert "8 objects: 8 copied" in done("backup", *here)
     copies = sorted(tmp_path.glob("backup/objects/datasets/*/*"))
-    newest = datasets.create(store, CAPTURE, Description("new"))
+    newest = datasets.create(store, CAPTURE, CaptureDescription("new"))
     oldest = lookup.page(store, DatasetRecord, limit=9, after=None)[-1]
     datasets.delete(store, oldest.id)
     assert "8 objects: 1 copied" in done("backup", *here)
@@ -355,7 +355,7 @@ def test_a_doctor_says_what_is_right_and_what_to_do(
 def test_a_doctor_finds_damaged_records(tmp_path: Path, table: str) -> None:
     settings = StoreSettings(data_dir=tmp_path)
     store = Store(settings)
-    datasets.create(store, CAPTURE, Description("walk"))
+    datasets.create(store, CAPTURE, CaptureDescription("walk"))
     store.close()
     where = f"--data-dir={tmp_path}"
     assert "not damaged" in run("doctor", where).stdout

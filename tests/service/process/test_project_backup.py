@@ -6,7 +6,7 @@ from typing import Any
 from store import access_keys, aliases, audit, datasets, fits, lookup, models, webhooks
 from store.authors import Author
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.records import DatasetRecord, FitRecord, ModelRecord
 from store.settings import StoreSettings
 from tests.service.process.test_keeping import CAPTURE, done, here, refused, store
@@ -22,7 +22,7 @@ def test_a_backup_of_one_project_has_nothing_of_the_others(
     store: Store, here: tuple[str, ...], weights: bytes, tmp_path: Path
 ) -> None:
     gait = store.on_behalf_of(Author("gait"))
-    dataset = datasets.create(gait, CAPTURE, Description("mine"))
+    dataset = datasets.create(gait, CAPTURE, CaptureDescription("mine"))
     model = models.create(
         gait, weights, name="mine", keypoints=5, config={}, training_curve=[], metrics={}
     )

@@ -12,7 +12,7 @@ from starlette.testclient import TestClient
 from models.capture.synthetic import SyntheticCapture
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
-from models.lifting.lift import CAMERA_MODELS, Lift
+from models.lifting.lift import CAMERA_MODELS, LiftedFrames
 from models.settings.keypoints import OUTLIER
 from service.wire.schemas import LiftedFrame
 from tests.service.conftest import BYTES, JSON, frames_of, problem, to_npz, to_safetensors
@@ -274,7 +274,7 @@ def test_every_kind_of_camera_on_the_wire() -> None:
 
     translations = values(3)
     translations[0, 0, 2] = np.nan
-    arrays = Lift(
+    arrays = LiftedFrames(
         points3d=rng.uniform(-1, 1, (1, 5, 3)).astype(np.float32),
         rotations=values(3, 3),
         scales=values(),

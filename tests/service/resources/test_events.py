@@ -17,7 +17,7 @@ from service.settings import Settings
 from store import datasets, fits
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.records import FitRecord
 from tests.service.conftest import make_dataset, problem, served, wait_for
 
@@ -33,7 +33,7 @@ def store(tmp_path: Path) -> Iterator[Store]:
 
 def queued(store: Store) -> FitRecord:
     keypoints = synthetic_capture(frames=4, views=2, seed=0).keypoints
-    dataset = datasets.create(store, Capture.checked(keypoints), Description("figure"))
+    dataset = datasets.create(store, Capture.checked(keypoints), CaptureDescription("figure"))
     config = FitConfig().model_dump(mode="json")
     return fits.create(store, dataset_id=dataset.id, name="f", config=config)
 
