@@ -75,9 +75,9 @@ class Bench:
         key: str = "",
         **changes: Any,
     ) -> Fit:
-        """Fit to some views; `key` tells keypoints and frames apart that are not the capture's.
+        """Fit to some views; `key` identifies keypoints and frames other than the capture's.
 
-        `timed`: the fit is told when the frames were taken.
+        `timed`: the fit gets the times of the frames.
         """
         config = self.config.model_copy(update={"seed": seed, **changes})
         name: Key = (views, key, sized, timed, config)

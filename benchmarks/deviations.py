@@ -61,7 +61,7 @@ KINDS = (
 
 
 def draw(kind: Kind, seed: int, frames: int = FRAMES, noise: float = 1.5) -> RigCapture:
-    """Draw a rig of a kind and what it sees of a figure that walks about."""
+    """Draw a rig of a kind and its keypoints of a figure that walks about."""
     rng = np.random.default_rng([seed, kind.views, kind.alike])
     common = 1100 * np.exp(0.15 * rng.standard_normal())
     bending = 0.05 * rng.standard_normal()
@@ -78,7 +78,7 @@ def draw(kind: Kind, seed: int, frames: int = FRAMES, noise: float = 1.5) -> Rig
 
 
 def found_by(capture: RigCapture, *, sized: bool, seed: int = 0) -> tuple[SelfCalibration, Scene]:
-    """Find the cameras, with the sizes of the images told or not."""
+    """Estimate the cameras, with or without given image sizes."""
     sizes = [IMAGE_SIZE] * len(capture.lenses) if sized else None
     return finished(
         self_calibrate(

@@ -175,7 +175,7 @@ def test_what_is_asked_of_no_room_is_refused(http: httpx2.Client, resting: str, 
     problem(asked(f"model={resting}&frame=world"), 422, "invalid_input", "/frame")
     refused = asked(f"model={resting}&frame=room", KEYPOINTS[:, :2])
     problem(refused, 422, "invalid_input", "/views")
-    assert "none of its cameras rest" in problem(
+    assert "none of its cameras is static" in problem(
         asked(f"model={model}&frame=room"), 409, "conflict"
     )
     weak = imported(http, "plain")  # fitted without refinement
