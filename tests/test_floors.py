@@ -151,7 +151,7 @@ def test_a_floor_knows_nothing_of_what_others_do(floor: str, foreign: set[str]) 
 
 
 @pytest.mark.parametrize("part", LIGHT)
-def test_what_forks_and_what_is_told_to_a_fit_load_neither_torch_nor_numba(part: str) -> None:
+def test_forking_code_and_settings_load_neither_torch_nor_numba(part: str) -> None:
     inside = [module for module in modules() if f"{module}.".startswith(f"{part}.")]
     assert inside
     code = f"import sys, {', '.join(inside)}; print({{'torch', 'numba'}} & sys.modules.keys())"

@@ -128,10 +128,10 @@ def test_cameras_that_were_given_say_the_room(walk: Walk) -> None:
 
 
 def test_up_and_the_floor(walk: Walk) -> None:
-    told = walk.room(up=walk.up, keypoint_names=NAMES)
+    given = walk.room(up=walk.up, keypoint_names=NAMES)
     found = walk.room(up="auto", keypoint_names=NAMES)
     assert "plane of the feet" in found.notes[0]
-    for room in (told, found):
+    for room in (given, found):
         assert abs(room.points[:, 4:, 1].min()) < 0.02
         np.testing.assert_allclose(room.points[:, 0, 1], 1.7, atol=0.02)
         assert np.linalg.det(room.rotations[0]) == pytest.approx(1)

@@ -35,9 +35,9 @@ def only_file(settings: Settings, folder: str) -> Path:
 def test_a_damaged_capture_is_not_served(api: TestClient, settings: Settings, harm: Harm) -> None:
     dataset = make_dataset(api, frames=30)["id"]
     harm(only_file(settings, f"datasets/{dataset}"))
-    said = problem(api.get(f"/datasets/{dataset}/capture"), 500, "object_damaged")
-    assert f"datasets/{dataset}/chunk_" in said
-    assert "backup" in said
+    message = problem(api.get(f"/datasets/{dataset}/capture"), 500, "object_damaged")
+    assert f"datasets/{dataset}/chunk_" in message
+    assert "backup" in message
     assert api.get(f"/datasets/{dataset}").status_code == 200
     assert api.delete(f"/datasets/{dataset}").status_code == 204
     problem(api.get(f"/datasets/{dataset}/capture"), 404, "not_found")

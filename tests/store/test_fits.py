@@ -53,7 +53,7 @@ def objects(store: Store) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("config", "said"),
+    ("config", "message"),
     [
         ({"calibration": [None]}, "expected 2, got 1"),
         ({"known_length": {"keypoints": [0, 5], "length": 1}}, "2 different keypoints below 5"),
@@ -63,9 +63,9 @@ def objects(store: Store) -> set[str]:
     ],
 )
 def test_a_config_must_speak_of_the_datasets_views_and_keypoints(
-    store: Store, fit: FitRecord, config: dict[str, Any], said: str
+    store: Store, fit: FitRecord, config: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(ConfigError, match=said) as refused:
+    with pytest.raises(ConfigError, match=message) as refused:
         fits.create(store, dataset_id=fit.dataset_id, name="f", config=config)
     assert [refused.value.field] == list(config)
     good = {

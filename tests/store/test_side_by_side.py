@@ -45,8 +45,8 @@ def at_once(*works: Callable[[], Any]) -> list[Any]:
         return list(threads.map(run, works))
 
 
-def by_all(stores: list[Store], work: Callable[..., Any], *told: Any) -> list[Any]:
-    return at_once(*(partial(work, store, *told) for store in stores))
+def by_all(stores: list[Store], work: Callable[..., Any], *given: Any) -> list[Any]:
+    return at_once(*(partial(work, store, *given) for store in stores))
 
 
 def succeeded(store: Store, dataset_id: str) -> tuple[str, str]:
@@ -100,8 +100,8 @@ def test_a_queue_job_is_recorded_once_and_the_queue_keeps_its_bound(
         ).id
 
     def refuse(store: Store, job_id: str) -> str:
-        said: dict[str, Any] = {"name": "f", "dataset_id": "", "config": {}}
-        return jobs.refuse(store, FitRecord, job_id=job_id, error={"code": "x"}, **said)
+        fields: dict[str, Any] = {"name": "f", "dataset_id": "", "config": {}}
+        return jobs.refuse(store, FitRecord, job_id=job_id, error={"code": "x"}, **fields)
 
     for number in range(ROUNDS):
         assert len(set(by_all(stores, make, f"job{number}"))) == 1

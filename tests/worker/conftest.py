@@ -91,10 +91,10 @@ def fit_here(capture: Capture) -> FitHere:
     """Fit the capture in a test process, without queue and worker."""
 
     def fit_once(config: dict[str, Any]) -> FittedPrior:
-        told = FitConfig.model_validate(config)
-        name = hashlib.sha256(told.model_dump_json().encode()).hexdigest()
+        given = FitConfig.model_validate(config)
+        name = hashlib.sha256(given.model_dump_json().encode()).hexdigest()
         return fitted_once(
-            name, lambda: fit(capture.keypoints, told, confidence=capture.confidence)
+            name, lambda: fit(capture.keypoints, given, confidence=capture.confidence)
         )
 
     return fit_once

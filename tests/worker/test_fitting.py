@@ -96,15 +96,15 @@ def test_what_is_asked_counts_between_two_slices(
     assert (fit.checkpoint_key is not None) == (asked == "leave")
 
 
-def test_the_trainer_is_told_the_image_sizes_and_the_edges(
+def test_the_trainer_gets_the_image_sizes_and_the_edges(
     store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: list[Any] = []
+    given: list[Any] = []
 
     def trainer(*arguments: Any, **more: Any) -> Trainer:
-        told.extend((more["image_sizes"], more["edges"]))
+        given.extend((more["image_sizes"], more["edges"]))
         return Trainer(*arguments, **more)
 
     monkeypatch.setattr(fitting, "Trainer", trainer)
     run(store, capture, monkeypatch)
-    assert told == [[(1280, 1024), None, (640, 480)], EDGES]
+    assert given == [[(1280, 1024), None, (640, 480)], EDGES]

@@ -45,7 +45,7 @@ runner.run(WorkerSettings())
 """
 
 
-def test_the_worker_is_told_to_leave_in_an_import(redis: Redis, settings: WorkerSettings) -> None:
+def test_the_worker_gets_sigterm_in_an_import(redis: Redis, settings: WorkerSettings) -> None:
     Queue("fits", connection=redis).enqueue("worker.jobs.fit", dataset_id="ds_none")
     environment = os.environ | settings.to_environment()
     worker = Popen(tied("-c", TOLD_IN_AN_IMPORT), env=environment)
@@ -56,7 +56,7 @@ def test_the_worker_is_told_to_leave_in_an_import(redis: Redis, settings: Worker
         worker.wait()
 
 
-def test_the_worker_is_told_to_leave_as_a_job_comes(
+def test_the_worker_gets_sigterm_as_a_job_comes(
     store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
 ) -> None:
     fit = queue(store, redis, dataset_id, LONG)
@@ -85,7 +85,7 @@ runner.run(WorkerSettings())
 """
 
 
-def test_the_worker_is_told_to_leave_in_an_outage(
+def test_the_worker_gets_sigterm_in_an_outage(
     store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
 ) -> None:
     queue(store, redis, dataset_id, LONG)

@@ -233,7 +233,7 @@ def test_who_is_killed_loses_one_chunk_and_nothing_is_done_twice(
     assert len(left) == 2 * lift.chunks
 
 
-def test_a_worker_that_is_told_to_leave_gives_its_chunk_back(
+def test_a_worker_that_gets_sigterm_gives_its_chunk_back(
     store: Store, make_lift: MakeLift, start_worker: StartWorker
 ) -> None:
     lift = make_lift(refine="off")

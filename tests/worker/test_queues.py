@@ -53,7 +53,7 @@ def lift(store: Store, dataset_id: str, fit_here: FitHere) -> LiftRecord:
     return lifts.create(store, model_id=model.id, dataset_id=dataset_id, name="l", chunk_frames=64)
 
 
-def test_a_worker_takes_what_it_was_told_to(
+def test_a_worker_takes_from_its_configured_queues(
     store: Store, redis: Redis, dataset_id: str, lift: LiftRecord, start_taking: StartTaking
 ) -> None:
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 1})

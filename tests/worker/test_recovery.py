@@ -152,7 +152,7 @@ def test_records_refuse_what_an_attempt_writes(
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
 
 
-def test_the_worker_is_told_to_leave(
+def test_the_worker_gets_sigterm(
     store: Store, queued: FitRecord, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()

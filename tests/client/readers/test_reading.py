@@ -210,9 +210,9 @@ def test_convert(tmp_path: Path) -> None:
     assert "50.0% gaps" in shown.stdout
     assert f"wrote {out}" in shown.stdout
     assert fewview.read(out).keypoints.shape == (6, 2, 4, 2)
-    told = json.loads(CliRunner().invoke(app, [*command, "--json"]).stdout)
-    assert [camera["gaps"] for camera in told["cameras"]] == [0, 0.5]
-    assert told["keypoint_names"] == list(files.NAMES)
+    answer = json.loads(CliRunner().invoke(app, [*command, "--json"]).stdout)
+    assert [camera["gaps"] for camera in answer["cameras"]] == [0, 0.5]
+    assert answer["keypoint_names"] == list(files.NAMES)
     for wrong in ([*command[:-1], str(tmp_path / "x.csv")], ["convert", "nowhere.csv"]):
         refused = CliRunner().invoke(app, wrong)
         assert refused.exit_code == 2

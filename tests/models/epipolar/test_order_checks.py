@@ -41,13 +41,13 @@ def frames_of(finding: Finding) -> NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize("noise", [0.0, 5.0, 15.0])
-def test_nothing_is_said_of_what_is_in_order(noise: float) -> None:
+def test_captures_in_order_have_no_findings(noise: float) -> None:
     assert not found_in(capture(noise=noise))
     assert not found_in(capture(views=2, noise=noise))
 
 
 @pytest.mark.parametrize("views", [2, 3])
-def test_nothing_is_said_of_cameras_that_move(views: int) -> None:
+def test_moving_cameras_have_no_findings(views: int) -> None:
     moving = synthetic_capture(frames=FRAMES, views=views, noise=1, seed=1)
     assert not order_findings(moving.keypoints, moving.confidence)
     one = make_rig_capture([0.0, 70.0, 150.0][:views], frames=FRAMES, moving=(1,), seed=2)

@@ -69,14 +69,14 @@ def test_what_keypoints_say_of_focal_lengths_does_not_depend_on_beliefs() -> Non
     clean = images_of(rig, points)
     seen = SeenPoints(clean + NOISE * rng.standard_normal(clean.shape), np.ones((3, POINTS)))
     wrong = replace(BELIEFS, focals=1.1 * FOCALS, focal_covariance=0.01**2 * np.eye(3))
-    said, sds = [], []
+    message, sds = [], []
     for beliefs in (BELIEFS, wrong):
         found = adjust_rig(rig, points, seen, beliefs, iterations=25)
         information, vector = certainty_of(found, seen, beliefs, APART).focals
-        said.append(np.linalg.solve(information, vector))
+        message.append(np.linalg.solve(information, vector))
         sds.append(np.sqrt(np.linalg.inv(information).diagonal()))
-    assert (np.abs(said[0] - np.log(FOCALS)) < 2.5 * sds[0]).all()
-    assert (np.abs(said[1] - said[0]) < 0.7 * sds[0]).all()
+    assert (np.abs(message[0] - np.log(FOCALS)) < 2.5 * sds[0]).all()
+    assert (np.abs(message[1] - message[0]) < 0.7 * sds[0]).all()
     np.testing.assert_allclose(sds[1], sds[0], rtol=0.2)
 
 

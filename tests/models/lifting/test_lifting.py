@@ -249,11 +249,11 @@ def test_results_have_the_users_unit_and_the_users_rig() -> None:
         }
         for k in range(3)
     ]
-    for told in (
+    for given in (
         {"known_length": {"keypoints": SHIN, "length": 100 * shin}},
         {"calibration": rig},
     ):
-        prior = fit(capture.keypoints, FitConfig.model_validate(QUICK | told))
+        prior = fit(capture.keypoints, FitConfig.model_validate(QUICK | given))
         lift = prior.lift(capture.keypoints, refine="full")
         lengths = np.linalg.norm(lift.points3d[:, SHIN[0]] - lift.points3d[:, SHIN[1]], axis=-1)
         assert np.median(lengths) == pytest.approx(100 * shin, rel=0.03)

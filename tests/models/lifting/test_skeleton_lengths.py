@@ -168,13 +168,13 @@ def test_what_the_lengths_say_nothing_of_is_as_without(
     both, one = noisy.keypoints[:40], noisy.keypoints[:40, :1]
     alone = both.copy()
     alone[:, 1] = np.nan
-    for frames, said in (
+    for frames, fields in (
         (both, {"refine": "off"}),
         (one, {"views": [0]}),
         (one, {}),
         (alone, {}),
     ):
-        with_lengths, without = (p.lift(frames, **said) for p in (prior, plain))
+        with_lengths, without = (p.lift(frames, **fields) for p in (prior, plain))
         for name, array in with_lengths.arrays.items():
             np.testing.assert_array_equal(array, getattr(without, name), err_msg=name)
 

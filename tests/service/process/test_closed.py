@@ -123,8 +123,8 @@ def test_it_listens_to_the_network_with_a_key_alone(tmp_path: Path) -> None:
                 base_url=live.url, headers={"Authorization": f"Bearer {token}"}
             ) as key:
                 assert key.get("/version").status_code == 200
-            assert "secret" not in live.said
-            assert f"redis://***@127.0.0.1:{server.port}/0" in live.said
+            assert "secret" not in live.printed
+            assert f"redis://***@127.0.0.1:{server.port}/0" in live.printed
             assert live.get("/health/ready")["queue"]["status"] == "ok"
             with httpx2.Client(base_url=live.url, headers={"Host": "evil.example"}) as page:
                 problem(page.get("/version"), 421, "host_not_allowed")

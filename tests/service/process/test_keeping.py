@@ -134,11 +134,11 @@ def test_a_running_service_is_backed_up_and_restored_where_it_lifts_the_same(
     working = threading.Thread(target=work)
     working.start()
     try:
-        said = done("backup", tmp_path / "backup", f"--data-dir={live.data_dir}")
+        message = done("backup", tmp_path / "backup", f"--data-dir={live.data_dir}")
     finally:
         ended.set()
         working.join()
-    assert "copied and checked" in said
+    assert "copied and checked" in message
     assert "Restored" in done("restore", tmp_path / "backup", **elsewhere)
     body = {"model": fitted["model_id"], "frames": frames_of(capture.keypoints[:5])}
     paths = (f"/fits/{fitted['id']}/reconstruction", f"/datasets/{fitted['dataset_id']}/capture")
@@ -228,18 +228,18 @@ def test_what_is_damaged_is_named_and_the_rest_kept(
     harmed, lost = sorted(tmp_path.glob("data/objects/datasets/*/*"))[:2]
     flip(harmed)
     lost.unlink()
-    said = run("backup", *here)
-    assert said.status == 1
-    assert harmed.name in said.stderr
-    assert lost.name in said.stderr
-    said = run("doctor", "--deep", here[1])
-    assert said.status == 1
-    assert f"{harmed.name} is lost or damaged" in said.stdout
-    assert "2 of 8" in said.stdout
+    message = run("backup", *here)
+    assert message.status == 1
+    assert harmed.name in message.stderr
+    assert lost.name in message.stderr
+    message = run("doctor", "--deep", here[1])
+    assert message.status == 1
+    assert f"{harmed.name} is lost or damaged" in message.stdout
+    assert "2 of 8" in message.stdout
     other = tmp_path / "other"
-    said = run("restore", here[0], f"--data-dir={other}")
-    assert said.status == 1
-    assert harmed.name in said.stderr
+    message = run("restore", here[0], f"--data-dir={other}")
+    assert message.status == 1
+    assert harmed.name in message.stderr
     restored = Store(StoreSettings(data_dir=other))
     assert len(lookup.page(restored, DatasetRecord, limit=9, after=None)) == 8
     assert len(list(restored.objects.list())) == 6
@@ -277,7 +277,7 @@ def test_a_restoration_that_was_interrupted_can_be_repeated(
     assert "8 objects: 5 copied" in done("restore", *target)
 
 
-def test_what_cannot_be_done_is_said_in_a_line_and_harms_nothing(
+def test_errors_are_one_line_and_harm_nothing(
     store: Store, here: tuple[str, ...], tmp_path: Path
 ) -> None:
     folder, data = here
@@ -379,16 +379,16 @@ def test_a_doctor_names_queues_without_a_worker(
         enqueue(open_queue(redis, "gpu-fits"), fit)
         ill = run("doctor", here[1], FEWVIEW_REDIS_URL=url)
         assert ill.status == 1
-        (said,) = [line for line in ill.stdout.splitlines() if "none takes" in line]
-        assert said.startswith("failed   workers: ")
-        assert "gpu-fits, where 1 jobs wait" in said
+        (message,) = [line for line in ill.stdout.splitlines() if "none takes" in line]
+        assert message.startswith("failed   workers: ")
+        assert "gpu-fits, where 1 jobs wait" in message
         worker.register_death()  # type: ignore[no-untyped-call]
 
 
 def test_a_doctor_sees_clocks_that_differ(
     store: Store, here: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = time.time
-    monkeypatch.setattr(time, "time", lambda: told() + 3600)
-    said = done("doctor", here[1])
-    assert "warning  clocks: that of the records is 3600 s behind that of this host" in said
+    given = time.time
+    monkeypatch.setattr(time, "time", lambda: given() + 3600)
+    message = done("doctor", here[1])
+    assert "warning  clocks: that of the records is 3600 s behind that of this host" in message

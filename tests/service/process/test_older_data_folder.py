@@ -64,8 +64,8 @@ def test_what_it_held_takes_tags_and_metadata(served: Live) -> None:
     for kind, name in (("datasets", "figure"), ("fits", "done"), ("models", "done")):
         path = named(served, kind, name)
         assert served.get(path)["tags"] == []
-        said = {"tags": ["old"], "metadata": {"from": "before"}}
-        assert served.http.patch(path, json=said).status_code == 200
+        fields = {"tags": ["old"], "metadata": {"from": "before"}}
+        assert served.http.patch(path, json=fields).status_code == 200
         (found,) = served.get(f"/{kind}?tag=old&metadata.from=before")["items"]
         assert found["id"] in path
 

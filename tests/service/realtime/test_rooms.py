@@ -151,7 +151,7 @@ def test_frames_without_a_place_say_so(http: httpx2.Client, resting: str) -> Non
     answer = http.post(f"/lift?frame=room&refine=off&model={resting}", **in_bytes(keypoints)).json()
     statuses = {n: frame["status"] for n, frame in enumerate(answer["frames"])}
     assert statuses == {n: "too_few_keypoints" if n == 3 else "not_in_room" for n in range(10)}
-    assert "at rest" in answer["frames"][0]["reason"]
+    assert "no static camera" in answer["frames"][0]["reason"]
     assert answer["frames"][0]["points3d"] is None
     assert answer["frames"][0]["views"] == [None] * 3
     assert answer["frames"][0]["findings"] == ["not_in_room"]

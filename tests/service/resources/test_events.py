@@ -88,8 +88,8 @@ def test_an_outage_of_the_records_ends_nothing(
             return await following
 
     assert [status for _, status in asyncio.run(follow())] == ["queued", "cancelled"]
-    said = [record for record in caplog.records if "cannot be read" in record.message]
-    assert len(said) == 1  # of several looks in vain
+    message = [record for record in caplog.records if "cannot be read" in record.message]
+    assert len(message) == 1  # of several looks in vain
 
 
 def test_no_more_may_follow_than_are_allowed(settings: Settings, api: TestClient) -> None:

@@ -169,8 +169,8 @@ def test_damaged_records_are_noticed(tmp_path: Path, valkey: ValkeyServer) -> No
         database = Path(str(settings.resolved_database_url.database))
         spoil_records(database, "chunks")
         down = wait_for(lambda: not_ready(client), "the damage")
-        said = problem(down, 503, "unavailable", "/records")
-        assert "damaged" in said
+        message = problem(down, 503, "unavailable", "/records")
+        assert "damaged" in message
         assert "doctor" in down.json()["errors"][0]["detail"]
         assert client.get("/health/live").status_code == 200
         assert client.get("/datasets").status_code == 200

@@ -129,7 +129,7 @@ def test_without_refinement_no_cameras_are_found(live: Live, api: TestClient) ->
     problem(api.get("/models/mdl_no/cameras"), 404, "not_found")
 
 
-def test_one_view_tells_nothing_of_cameras(api: TestClient) -> None:
+def test_one_view_does_not_determine_cameras(api: TestClient) -> None:
     seen = synthetic_capture(frames=20, views=1)
     config = FitConfig.model_validate(CONFIG | {"steps": 5, "refine": "full"})
     weights = fit(seen.keypoints, config).to_bytes()
