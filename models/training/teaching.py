@@ -373,10 +373,7 @@ class Teaching:
         observed: Tensor,
         seen: tuple[Tensor, Tensor, Tensor],
     ) -> None:
-        """Make teachers of structures, rotations and translations of frames (T,).
-
-        `observed` (T, K) states which views have cameras.
-        """
+        """Make teachers of structures and poses `seen` in frames (T,), in views `observed` (T, K)."""
         noise = found.noise / float(self._data.sizes[frames][observed].mean())
         count, mirrored = len(self._data.keypoints), self.state.mirrored
         self.teachers = perspective_teachers(
@@ -385,10 +382,7 @@ class Teaching:
 
 
 def _weak_perspective(lift: LiftedFrames) -> WeakPerspectiveScene:
-    """Return structures, rotations, scales and translations (x, y) of a lift in float64.
-
-    Where there is no answer, the numbers are arbitrary but finite.
-    """
+    """Return structures, rotations, scales and translations (x, y) of a lift, finite everywhere."""
 
     def number(array: NDArray[np.float32], without: float) -> NDArray[np.float64]:
         return np.asarray(np.nan_to_num(array, nan=without), np.float64)

@@ -101,10 +101,9 @@ def make_lift(
 
 
 def wait_until(store: Store, lift: LiftRecord, *statuses: str, seconds: float = 120) -> LiftRecord:
-    wait_for(
-        lambda: lookup.get(store, LiftRecord, lift.id).status in statuses, f"{statuses}", seconds
-    )
-    return lookup.get(store, LiftRecord, lift.id)
+    get = lookup.get
+    wait_for(lambda: get(store, LiftRecord, lift.id).status in statuses, f"{statuses}", seconds)
+    return get(store, LiftRecord, lift.id)
 
 
 def wait_for_chunks(store: Store, lift: LiftRecord, count: int) -> None:
@@ -139,9 +138,7 @@ def is_writable(settings: WorkerSettings) -> bool:
     return True
 
 
-def assert_is_the_lift_of(
-    store: Store, lift: LiftRecord, frames: Capture, prior: FittedPrior
-) -> None:
+def assert_is_lift_of(store: Store, lift: LiftRecord, frames: Capture, prior: FittedPrior) -> None:
     """Compare a result with what the prior says of the same frames, here and at once."""
     record = lookup.get(store, LiftRecord, lift.id)
     file = result_file(record, lifts.finished_chunks(store, record), "safetensors", {})
@@ -169,7 +166,7 @@ def test_a_lift_is_the_same_as_at_once_in_every_format(
     for lift in (plain, refined):
         chunks = succeeded(store, lift)
         assert [chunk.crashes for chunk in chunks] == [0] * lift.chunks
-        assert_is_the_lift_of(store, lift, frames, prior)
+        assert_is_lift_of(store, lift, frames, prior)
     file = result_file(plain, lifts.finished_chunks(store, plain), "jsonl", {})
     lines = b"".join(file.read(store.objects.get_range, 0, file.size)).splitlines()
     assert len(lines) == plain.frames
@@ -227,7 +224,7 @@ def test_who_is_killed_loses_one_chunk_and_nothing_is_done_twice(
     after = {chunk.first_frame: chunk.arrays_key for chunk in chunks}
     assert before.items() <= after.items()
     assert sum(chunk.crashes for chunk in chunks) <= 1
-    assert_is_the_lift_of(store, lift, frames, prior)
+    assert_is_lift_of(store, lift, frames, prior)
     housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1)
     left = [key for key, _ in store.objects.list() if key.startswith("lifts/")]
     assert len(left) == 2 * lift.chunks
