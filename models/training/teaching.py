@@ -373,7 +373,7 @@ class Teaching:
         observed: Tensor,
         seen: tuple[Tensor, Tensor, Tensor],
     ) -> None:
-        """Make teachers of structures and poses `seen` in frames (T,), in views `observed` (T, K)."""
+        """Make teachers of structures and poses `seen` in frames (T,); `observed` is (T, K)."""
         noise = found.noise / float(self._data.sizes[frames][observed].mean())
         count, mirrored = len(self._data.keypoints), self.state.mirrored
         self.teachers = perspective_teachers(

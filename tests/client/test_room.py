@@ -197,7 +197,7 @@ def test_frames_are_said_in_the_room_with_their_cameras(walk: Walk) -> None:
             lift["translations"][deep] = (walk.translations * units[:, None, None])[deep]
             lift["scales"] = scales / units[:, None]
         placed = in_room(lift, *rig)
-        nowhere = [4, 5, 6] if first_moves else [5]  # with one view at rest there is no baseline
+        nowhere = [4, 5, 6] if first_moves else [5]  # with one static view there is no baseline
         there = np.delete(np.arange(80), nowhere)
         np.testing.assert_allclose(placed["points3d"][there], walk.truth[there], atol=1e-9)
         np.testing.assert_allclose(in_cameras(placed)[there], before[there], rtol=1e-6, atol=1e-6)

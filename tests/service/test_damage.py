@@ -1,4 +1,4 @@
-"""Objects that are not what was stored are said to be so, and never lifted or served."""
+"""Damaged objects are reported as such, and never lifted or served."""
 
 from collections.abc import Callable
 from pathlib import Path

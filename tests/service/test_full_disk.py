@@ -1,4 +1,4 @@
-"""A full disk is said to be one, nothing half-written stays, and space that is made is used."""
+"""A full disk is reported, nothing half-written stays, and space that is freed is used."""
 
 import subprocess
 from collections.abc import Iterator

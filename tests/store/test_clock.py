@@ -91,7 +91,7 @@ def test_who_waited_for_the_records_takes_nothing_whose_holder_had_to_wait_too(
             lost = threads.submit(fits.recover, store)
             time.sleep(2)
         assert (chunk.result(), attempt.result(), lost.result()) == (None, None, [])
-    assert lift_chunks.claim(store, other) is not None  # now it tells a death
+    assert lift_chunks.claim(store, other) is not None  # now it means a death
     assert [lost.id for lost in fits.recover(store)] == [fit.id]
 
 

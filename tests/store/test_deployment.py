@@ -28,7 +28,7 @@ def keys(store: Store) -> list[str]:
 
 
 def beside(store: Store, tmp_path: Path) -> StoreSettings:
-    """Return the settings of a worker that was told of the objects, and not of the records."""
+    """Return the settings of a worker with the objects, and without the records."""
     return StoreSettings(data_dir=tmp_path / "elsewhere", store_url=store.objects.url)
 
 

@@ -1,4 +1,4 @@
-"""Which databases records may be in, and what is said of others."""
+"""Which databases records may be in, and the errors for others."""
 
 import subprocess
 import sys

@@ -237,7 +237,7 @@ def test_what_cannot_be_lifted_is_refused(store: Store, lift: LiftRecord) -> Non
 
 
 def test_many_keypoints_make_short_chunks(store: Store) -> None:
-    rng = np.random.default_rng(0)  # what moves is soon checked: keypoints at rest are compared
+    rng = np.random.default_rng(0)  # moving keypoints are checked fast: static ones are compared
     many = Capture.checked(rng.uniform(0, 900, (9, 16, 512, 2)))
     dataset = datasets.create(store, many, CaptureDescription("a"))
     model_id = make_model(store, 512)

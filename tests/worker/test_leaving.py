@@ -1,4 +1,4 @@
-"""A worker that is told to leave does so, whatever it is about to do."""
+"""A worker that gets SIGTERM leaves, whatever it is about to do."""
 
 import os
 import signal

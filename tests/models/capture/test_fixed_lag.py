@@ -36,7 +36,7 @@ def motion(removal: NoiseRemoval) -> MotionModel:
 def followed(
     removal: NoiseRemoval, keypoints: Float64, times: Float64, lag: int, views: list[int] = VIEWS
 ) -> Float64:
-    """Return the pixels of all frames, as they were told one after the other."""
+    """Return the pixels of all frames, as they were returned one after the other."""
     smoother, given = FixedLag(removal, views, lag), []
     for n in range(len(keypoints)):
         answer = smoother.push(as_observations(keypoints[n : n + 1]), float(times[n]))

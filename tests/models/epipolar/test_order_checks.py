@@ -15,7 +15,7 @@ FRAMES = 100
 
 
 def capture(*, views: int = 3, noise: float = 1.0, seed: int = 0) -> Float64:
-    """Return keypoints of a figure before cameras at rest."""
+    """Return keypoints of a figure before static cameras."""
     azimuths = [0.0, 70.0, 150.0, 250.0][:views]
     return make_rig_capture(azimuths, frames=FRAMES, noise=noise, seed=seed).keypoints
 

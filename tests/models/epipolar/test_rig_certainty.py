@@ -1,4 +1,4 @@
-"""What keypoints say of cameras at rest: against the scatter of what is found, and known errors."""
+"""Certainty of static cameras: against the scatter of estimates, and known errors."""
 
 from dataclasses import replace
 

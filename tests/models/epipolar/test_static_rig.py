@@ -1,4 +1,4 @@
-"""Rigs at rest from keypoints alone, against cameras that are known exactly."""
+"""Static rigs from keypoints alone, against cameras that are known exactly."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +91,7 @@ def test_clear_keypoints_give_exact_cameras() -> None:
 
 
 def test_motion_beyond_noise_is_seen() -> None:
-    """Cameras that shake are told from static ones whose keypoints are noisy."""
+    """Cameras that shake are distinguished from static ones with noisy keypoints."""
     static = found_in(make_rig_capture([0.0, 80.0, -120.0], frames=60, noise=6.0))
     assert static is not None
     squares, errors = static.motion

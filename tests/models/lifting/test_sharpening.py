@@ -94,7 +94,7 @@ def test_the_most_likely_points_are_those_of_dense_algebra() -> None:
     mean, origin, pull = random.standard_normal((3, count, 3))
     basis = random.standard_normal((3 * count, size))
     factors = random.standard_normal((count, 3, 2))
-    factors[0] = 0  # of one point nothing is told
+    factors[0] = 0  # one point is not observed
     information = factors @ factors.mT
     inner = basis.T @ basis + spread**2 * np.eye(size)
     shape = ShapePrior(

@@ -1,4 +1,4 @@
-"""Scripts of web pages: none may call the API, unless their origin is told."""
+"""Scripts of web pages: none may call the API, unless their origin is allowed."""
 
 import pytest
 from pydantic import ValidationError

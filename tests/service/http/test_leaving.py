@@ -1,4 +1,4 @@
-"""SIGTERM: what is said, closed, refused and finished before a process of the service ends."""
+"""SIGTERM: what is reported, closed, refused and finished before a process of the service ends."""
 
 import socket
 import time

@@ -54,7 +54,7 @@ for word in map(str.strip, sys.stdin):
         word = b"True" in answer
     print(word, flush=True)
 """
-# Listens as a user, and tells for every connection whether its other end is trusted.
+# Listens as a user, and prints for every connection whether its other end is trusted.
 SERVER = f"""{BECOME}
 import resource
 from service.http.peers import Peer

@@ -47,7 +47,7 @@ CAPTURE = Capture.checked(np.random.default_rng(0).uniform(0, 1000, (12, 2, 5, 2
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended, and what it said."""
+    """The exit status of a command, and its output."""
 
     status: int
     stdout: str

@@ -76,7 +76,7 @@ def test_its_model_lifts_and_its_reconstruction_is_refined_otherwise(
     fit, model = named(served, "fits", "done"), named(served, "models", "done")
     assert served.get(model)["fit_id"] == served.get(fit)["id"]
     assert served.get(f"{model}/cameras")["arrangement"] == "static"
-    # Refined as the fit was told, but today and from the stored keypoints: the same again.
+    # Refined as in the fit, but today and from the stored keypoints: the same again.
     dataset, name = served.get(fit)["dataset_id"], "again"
     body = {"model_id": model.rpartition("/")[2], "dataset_id": dataset, "name": name}
     made = served.http.post("/lifts", json=body)
