@@ -21,7 +21,7 @@ from models.calibrating.arrangement import MORE_ROUNDS
 from models.calibrating.camera_findings import camera_findings
 from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
-from models.calibrating.expectation_maximisation import learn
+from models.calibrating.expectation_maximisation import LEAST_MEASURED, LEAST_NOISE, learn
 from models.calibrating.geometry_first import settle_by_geometry, structures_of_all
 from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
@@ -148,10 +148,13 @@ def calibrate_by_geometry(
     if part is not arranged.checked.problem:  # other lenses are better, and may move the cameras
         return None
     surely = deviations(part, best) if kept is None else kept
-    if (
-        len(surely) == 2 and arranged.kept is not None
-    ):  # what was scanned has other answers in sight
+    if len(surely) == 2 and arranged.kept is not None:
+        # Other focal lengths of the scan are nearly as likely.
         surely = np.maximum(surely, arranged.kept)
+    if best.noise <= LEAST_NOISE * part.side:
+        # Cameras that are settled bend no more, so structures may follow keypoints to the end.
+        static = part._replace(kept=np.ones(len(surely), bool))
+        best = yield from learn(static, best, least_noise=LEAST_MEASURED)
     found = _result(part, best, surely, reason, arranged.hand, None, misread, config)
     return found, structures_of_all(problem, best, settled.start)
 
