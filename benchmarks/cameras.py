@@ -146,9 +146,9 @@ def compare(
     focal = rotation = np.nan
     if truth is not None:
         focal = float(100 * np.abs(found.focals.mean(1) / truth.focals - 1).max())
-        resting = np.flatnonzero(found.resting)
-        if len(resting) > 1:
-            rotation = rotation_error(found.rotations[resting], truth.rotations[resting])
+        static = np.flatnonzero(found.static)
+        if len(static) > 1:
+            rotation = rotation_error(found.rotations[static], truth.rotations[static])
     errors = [
         pa_mpjpe(image, true_points, reflection="never").mean
         for image in (points, points * [1, 1, -1])

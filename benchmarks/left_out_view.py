@@ -122,7 +122,7 @@ def by_triangulation(
 def by_lifts(prior: FittedPrior, capture: Capture, times: Float64 | None) -> Float64:
     """Distances (N, K, P) in pixels to where lifts of the other views have keypoints."""
     cameras = prior.cameras
-    if cameras is None or not cameras.resting.all():
+    if cameras is None or not cameras.static.all():
         raise SystemExit("cameras move: a view that is left out is nowhere to be predicted")
     views = capture.keypoints.shape[1]
     distances = np.empty(capture.keypoints.shape[:3])

@@ -145,14 +145,14 @@ def by_geometry(draw: Draw) -> Answer:
     pixels: Float64 = np.nan_to_num(draw.keypoints)
     problem = problem_of(pixels, weights, draw.sizes, FitConfig())
     found = finished(geometry_of(problem, list(range(draw.keypoints.shape[1]))))
-    if found is not None and len(found.resting) == 2 and found.resting.all():
+    if found is not None and len(found.static) == 2 and found.static.all():
         found = finished(scan_lenses(problem, found))
     if found is None:
         return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ("nothing",))
     rig = found.best.rig
     return Answer(
         found.best.points,
-        bool(found.resting.all()),
+        bool(found.static.all()),
         certainty([found.log_odds]),
         rig.rotations,
         np.exp(rig.log_focals) * problem.side,
@@ -173,9 +173,9 @@ def by_fit(draw: Draw) -> Answer:
     sds = cameras.focal_sds / cameras.focals.mean(1)
     return Answer(
         lift.points3d.astype(np.float64),
-        bool(cameras.resting.all()),
+        bool(cameras.static.all()),
         cameras.handedness_certainty,
-        np.where(cameras.resting[:, None, None], cameras.rotations, np.nan),
+        np.where(cameras.static[:, None, None], cameras.rotations, np.nan),
         cameras.focals.mean(1),
         sds,
         _reach(draw, lift),

@@ -80,7 +80,7 @@ def find_room(store: Store, model_id: str, cameras: CameraReport | None, up: Up 
     ConflictError
         If it has no static cameras, or `up` is to be estimated and cannot be.
     """
-    if cameras is None or not cameras.resting.any():
+    if cameras is None or not cameras.static.any():
         arrangement = "unknown" if cameras is None else cameras.arrangement
         raise ConflictError(
             f"Model {model_id!r} has no room: none of its cameras is static (arrangement: "
@@ -89,7 +89,7 @@ def find_room(store: Store, model_id: str, cameras: CameraReport | None, up: Up 
     if up is None:
         return Room(cameras.rotations, cameras.translations)
     model = lookup.get(store, ModelRecord, model_id)
-    frames = _fitted_frames(store, model, len(cameras.resting))
+    frames = _fitted_frames(store, model, len(cameras.static))
     if up == "auto" and not len(frames["points3d"]):
         raise ConflictError(
             f"up: 'auto' is found from the frames of the fit, and model {model_id!r} has none: it "

@@ -62,7 +62,7 @@ class StaticRig(NamedTuple):
 
     best: StaticScene
     mirror: StaticScene  # the best of the other handedness
-    resting: Bool  # (K,) which views are static
+    static: Bool  # (K,) which views are static
     noise: float  # sides
     log_odds: Float64  # (N,) of each frame, for the best and against its mirror image
     focals: FocalLikelihood  # of the static views
@@ -180,8 +180,8 @@ def _result(
 ) -> StaticRig:
     """Triangulate every frame in both handednesses, and compute the log odds of each frame."""
     frames, views, keypoints, _ = images.shape
-    resting = np.zeros(views, bool)
-    resting[members] = True
+    static = np.zeros(views, bool)
+    static[members] = True
     every = SeenPoints(
         images[:, members].transpose(1, 3, 0, 2).reshape(len(members), 2, -1),
         weights[:, members].transpose(1, 0, 2).reshape(len(members), -1),
@@ -215,7 +215,7 @@ def _result(
     return StaticRig(
         best,
         mirror,
-        resting,
+        static,
         float(np.median(noise)),
         odds,
         chosen.certainty.focals,

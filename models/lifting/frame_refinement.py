@@ -85,10 +85,10 @@ def make_refiner(
         np.ascontiguousarray(errors.scales) if errors.known else np.ones(1),
         calibration.noise,
         calibration.unit,
-        no_lengths() if skeleton is None or not rig.resting.all() else skeleton,
+        no_lengths() if skeleton is None or not rig.static.all() else skeleton,
         no_structures(len(shapes.mean)) if structures is None else structures,
-        rejecting and bool(rig.resting.all()),
-        structures is not None and bool(rig.resting.all()),
+        rejecting and bool(rig.static.all()),
+        structures is not None and bool(rig.static.all()),
     )
 
 

@@ -16,7 +16,7 @@ from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.known_structures import KnownStructures
 from models.bundle.problem import Scene, Views
-from models.calibrating.handedness import NothingFoundError, same_hand
+from models.calibrating.handedness import NothingFoundError, same_handedness
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
 from models.calibrating.self_calibration import (
@@ -230,7 +230,7 @@ class Teaching:
             return
         found, scene = result
         self.self_calibration = found
-        scene_is_mirrored = not same_hand(scene.points, answers.points)
+        scene_is_mirrored = not same_handedness(scene.points, answers.points)
         self.state.mirrored = (prior.foreshortening < 0) != scene_is_mirrored
 
     def _found_by(
@@ -268,7 +268,7 @@ class Teaching:
 
         Other errors of detectors are not white and look like edges of constant length.
         """
-        if found is None or self._removed_noise is None or not found.resting.all():
+        if found is None or self._removed_noise is None or not found.static.all():
             return None
         if not self._config.bone_lengths or not len(self._edges):
             return None

@@ -146,7 +146,7 @@ class ModelCameras(BaseModel):
             {
                 "index": view,
                 "camera": found.camera_models[view],
-                "resting": bool(found.resting[view]),
+                "resting": bool(found.static[view]),
                 "focal": _known(found.focals[view]),
                 "focal_sd": _known(found.focal_sds[view]),
                 "principal_point": _known(found.principal_points[view]),
@@ -159,7 +159,7 @@ class ModelCameras(BaseModel):
                 "translation_sd": _known(found.translation_sds[view]),
                 "reprojection_error": _known(found.reprojection_errors[view]),
             }
-            for view in range(len(found.resting))
+            for view in range(len(found.static))
         ]
         return cls.model_validate(
             {

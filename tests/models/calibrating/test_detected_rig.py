@@ -88,10 +88,10 @@ def test_two_views_and_a_skeleton_tell_the_focal_length_under_noise(
     pair: RigCapture, wrong: float
 ) -> None:
     start = rig_of(pair, focal=wrong * TRUE_FOCAL, turned=5.0)
-    rig, surely = adjusted(pair, start, frames_of(pair))
+    rig, sds = adjusted(pair, start, frames_of(pair))
     off = np.log(rig.lenses.focals[:, 0] / TRUE_FOCAL)
     assert np.abs(off).max() < 0.05
-    assert (np.abs(off) < 3 * surely[:, FOCAL]).all()
+    assert (np.abs(off) < 3 * sds[:, FOCAL]).all()
     assert turned_by(rig, pair) < 1.5
 
 

@@ -13,7 +13,7 @@ def test_a_told_size_is_taken_and_a_guess_holds_all_keypoints() -> None:
     keypoints = rng.uniform((300, 200), (900, 850), (FRAMES, 2, POINTS, 2))
     keypoints[0, 1, 0] = 40_000  # astray
     images = images_of(keypoints, np.ones(keypoints.shape[:3]), [(1280, 1024), None])
-    assert images.told.tolist() == [True, False]
+    assert images.known.tolist() == [True, False]
     assert images.sizes[0].tolist() == [1280, 1024]
     assert images.middles[0].tolist() == [640, 512]
     # As far from the right as from the left.

@@ -167,7 +167,7 @@ def test_a_resting_pair_is_told_from_a_moving_camera(mixed: RigCapture) -> None:
     found, scene = found_by(mixed)
     cameras = camera_report(found)
     assert cameras.arrangement == "mixed"
-    assert cameras.resting.tolist() == [True, True, False]
+    assert cameras.static.tolist() == [True, True, False]
     assert np.isfinite(cameras.rotations[:2]).all()
     assert np.isnan(cameras.rotations[2]).all()
     assert np.isnan(cameras.translation_sds[2]).all()
@@ -333,7 +333,7 @@ def test_noisy_cameras_that_face_each_other_have_lenses_near_the_usual() -> None
             noisy=NoisyFrames(clear, detected, facing.weights, 12.0),
         )
     )
-    assert found.resting.all()
+    assert found.static.all()
     np.testing.assert_allclose(found.rig.lenses.focals, FOCAL, rtol=0.06)
 
 

@@ -80,7 +80,7 @@ def found_cameras() -> CameraReport:
         principal_point_sds=np.zeros((2, 2)),
         distortions=np.zeros((2, 8)),
         distortion_sds=np.zeros((2, 2)),
-        resting=np.array([True, False]),
+        static=np.array([True, False]),
         rotations=np.stack((np.eye(3), np.full((3, 3), nan))),
         rotation_sds=np.array([0.1, nan]),
         translations=np.array([[0.0, 1.0, 2.0], [nan] * 3]),
