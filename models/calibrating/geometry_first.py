@@ -49,7 +49,7 @@ def settle_by_geometry(
     if problem.posed or config.cameras == "moving":
         return None
     views = len(problem.poses)
-    found, hand = yield from _static_rig(problem, config.hand)
+    found, certain = yield from _static_rig(problem, config.corners)
     started = None if found is None else start_from_geometry(problem, found)
     if found is None or started is None:
         return None
@@ -66,7 +66,7 @@ def settle_by_geometry(
         f"keypoints of all frames are one rigid scene of {views} static cameras,"
         f" to {found.noise * problem.side:.3g} px (from keypoints)"
     )
-    arranged = Arranged(solution, checked, reason, hand, (), kept=deviations)
+    arranged = Arranged(solution, checked, reason, certain, (), kept=deviations)
     return Settled(arranged, whole)
 
 
@@ -81,12 +81,12 @@ def _static_rig(
     found = yield from geometry_of(problem, list(range(views)))
     if found is None or not found.static.all():
         return None, 0.0
-    found, hand = _handed(found, corners)
-    if hand < DECIDED or found.noise * problem.side > EXPLAINED * problem.size:
-        return None, hand
+    found, certain = _handed(found, corners)
+    if certain < DECIDED or found.noise * problem.side > EXPLAINED * problem.size:
+        return None, certain
     if views == 2 and not known.any():
         found = yield from scan_lenses(problem, found)
-    return found, hand
+    return found, certain
 
 
 def _handed(found: StaticRig, corners: Corners | None) -> tuple[StaticRig, float]:

@@ -291,8 +291,7 @@ def _next(sight: _Sight, at: Float64, near: Trial) -> Steps[Trial]:
 def _tried(sight: _Sight, at: Float64, near: AdjustedRig) -> Steps[Trial]:
     """Adjust the cameras and learn shapes, with focal lengths held.
 
-    In each trial shapes are learnt from the beginning, for equally many rounds: a start from the
-    shapes of another trial would be an advantage.
+    In each trial shapes are learnt anew, for equally many rounds, so that none has an advantage.
     """
     yield
     rig = refocused(near.rig, near.points, TO_LOGS @ at)
@@ -379,8 +378,7 @@ def _believed(
 ) -> tuple[Float64, Float64]:
     """Return the posterior of the log focal lengths: mean (2,) and covariance.
 
-    Two lenses of one kind, and two different kinds, have the same prior probability. If the
-    evidence does not decide, the covariance spans both answers.
+    One kind of lens is a priori as likely as two; undecided, the covariance spans both answers.
     """
     chosen = lens_kinds(problem, found)
     one, two = np.zeros(2, np.int64), np.arange(2)

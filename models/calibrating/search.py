@@ -42,7 +42,7 @@ class Arranged(NamedTuple):
     as_given: Solution  # with all given values
     checked: Checked  # with doubtful values refined or refused
     reason: str
-    hand: float  # certainty of the handedness, 0 to 1
+    certain: float  # certainty of the handedness, 0 to 1
     findings: tuple[Finding, ...]
     unit: float | None = None  # of a unit of the structure in the user's, if poses were given
     # Standard deviations (K, VIEW) of cameras that are settled without shapes; infinite for the
@@ -78,7 +78,7 @@ def _search(
     problem: CalibrationProblem, answers: WeakPerspectiveScene, config: FitConfig
 ) -> Steps[Arranged]:
     scene = starting_scene(answers, problem.reference)
-    handed = yield from choose_handedness(problem, scene, config.hand)
+    handed = yield from choose_handedness(problem, scene, config.corners)
     moving = yield from learn(problem, handed.solution)
     findings: tuple[Finding, ...] = ()
     if len(problem.posed) > 1:
@@ -92,7 +92,7 @@ def _search(
         why = "the cameras were declared moving"
         static = StaticViews(moving, why, [handed.log_odds], problem.lens_groups)
     else:
-        declared, hint = config.cameras == "static", config.hand
+        declared, hint = config.cameras == "static", config.corners
         static = yield from find_static(problem, handed, moving, declared=declared, hint=hint)
         if declared and static.solution.noise > DOUBTFUL_STATIC * moving.noise:
             freely = yield from attempt_steps(
@@ -110,11 +110,11 @@ def _search(
         problem = problem._replace(lens_groups=scanned.groups)
     checked = yield from check_given(problem, as_given)
     findings += noticed(disagreements, problem, as_given, checked)
-    hand = 1.0 if config.handedness is not None else certainty(static.evidence)
+    certain = 1.0 if config.handedness is not None else certainty(static.evidence)
     reason = static.reason + in_words(findings)
     # A refused lens that is estimated again is no longer that of the rigid scene.
     kept = None if checked.doubts else kept
-    return Arranged(as_given, checked, reason, hand, findings, kept=kept)
+    return Arranged(as_given, checked, reason, certain, findings, kept=kept)
 
 
 def _against_declared_static(static: Solution, found: Solution) -> tuple[Finding, ...]:

@@ -114,7 +114,7 @@ def self_calibrate(
         best,
         sds,
         reason,
-        arranged.hand,
+        arranged.certain,
         arranged.unit,
         misread + arranged.findings,
         config,
@@ -155,7 +155,7 @@ def calibrate_by_geometry(
         # Settled cameras no longer change, so structures may follow keypoints to the end.
         static = part._replace(kept=np.ones(len(sds), bool))
         best = yield from learn(static, best, least_noise=LEAST_MEASURED)
-    found = _result(part, best, sds, reason, arranged.hand, None, misread, config)
+    found = _result(part, best, sds, reason, arranged.certain, None, misread, config)
     return found, structures_of_all(problem, best, settled.start)
 
 
@@ -309,7 +309,7 @@ def _result(
     best: Solution,
     sds: Float64,
     reason: str,
-    hand: float,
+    certain: float,
     unit: float | None,
     findings: tuple[Finding, ...],
     config: FitConfig,
@@ -317,8 +317,8 @@ def _result(
     if config.known_length is not None:
         unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
         findings += contradiction
-    if hand < DECIDED:
-        findings += (Finding.of("handedness_not_observable", certainty=hand),)
+    if certain < DECIDED:
+        findings += (Finding.of("handedness_not_observable", certainty=certain),)
     observed = problem.weights > 0  # (N, K, P)
     distances = reprojection_distances(problem, best.rig, best.scene)
     found = SelfCalibration(
@@ -332,7 +332,7 @@ def _result(
         reprojection_errors=(distances * observed).sum((0, 2)) / observed.sum((0, 2)).clip(1),
         reason=reason,
         findings=findings,
-        handedness_certainty=hand,
+        handedness_certainty=certain,
     )
     of_cameras = noticed(camera_findings, found, problem.images, problem.size)
     return replace(found, findings=(*findings, *of_cameras))

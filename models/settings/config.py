@@ -210,7 +210,7 @@ class FitConfig(BaseModel):
         return self
 
     @property
-    def hand(self) -> tuple[int, int, int, int] | None:
+    def corners(self) -> tuple[int, int, int, int] | None:
         """Indices of the four keypoints that decide the handedness."""
         if self.handedness is None:
             return None

@@ -136,8 +136,8 @@ def among_known(config: FitConfig, known: Bool) -> FitConfig:
     Raises ValueError if it names one that no view shows.
     """
     place = np.cumsum(known) - 1  # of a keypoint among the known
-    length, hand = config.known_length, config.hand
-    for field, named in (("known_length", length and length.ends), ("handedness", hand)):
+    length, corners = config.known_length, config.corners
+    for field, named in (("known_length", length and length.ends), ("handedness", corners)):
         unseen = [keypoint for keypoint in named or () if not known[keypoint]]
         if unseen:
             raise ValueError(
@@ -147,10 +147,10 @@ def among_known(config: FitConfig, known: Bool) -> FitConfig:
     if length is not None:
         a, b = length.ends
         length = length.model_copy(update={"keypoints": (int(place[a]), int(place[b]))})
-    if hand is not None:
-        a, b, c, d = (int(place[keypoint]) for keypoint in hand)
-        hand = (a, b, c, d)
-    return config.model_copy(update={"known_length": length, "handedness": hand})
+    if corners is not None:
+        a, b, c, d = (int(place[keypoint]) for keypoint in corners)
+        corners = (a, b, c, d)
+    return config.model_copy(update={"known_length": length, "handedness": corners})
 
 
 def edges_among_known(edges: Int64, known: Bool) -> Int64:

@@ -140,7 +140,7 @@ def test_more_edges_than_can_be_asked_are_thinned_out(pair: RigCapture) -> None:
     np.testing.assert_allclose(rig.lenses.focals, TRUE_FOCAL, rtol=0.06)
 
 
-def test_what_nothing_determines_is_said(pair: RigCapture) -> None:
+def test_undetermined_numbers_are_reported(pair: RigCapture) -> None:
     frames, start = frames_of(pair), rig_of(pair)
     nothing = frames._replace(weights=np.zeros_like(frames.weights))
     with pytest.raises(np.linalg.LinAlgError):

@@ -1,4 +1,4 @@
-"""What was told of cameras and is off: refined or refused, in the view that it is off in."""
+"""Wrong given cameras: refined or refused, in the right view."""
 
 from typing import Any
 
@@ -188,7 +188,7 @@ def test_rodrigues_vectors_say_what_matrices_say(rig: RigCapture) -> None:
     np.testing.assert_allclose(cameras.rotations, rig.rotations[0], atol=1e-9)
 
 
-def test_a_fisheye_told_as_a_pinhole_is_refused() -> None:
+def test_a_fisheye_given_as_a_pinhole_is_refused() -> None:
     fisheye = Lens(focal=500, model="fisheye")
     capture = make_rig_capture(AZIMUTHS, frames=30, lenses=(fisheye,), distance=1.5, noise=0.5)
     given = with_lens(calibration(capture), 2, model="pinhole", distortion=[])
@@ -196,7 +196,7 @@ def test_a_fisheye_told_as_a_pinhole_is_refused() -> None:
     assert (finding.code, finding.views) == ("calibration_disagrees", (2,))
 
 
-def test_cameras_declared_static_that_move_are_obeyed_and_said(rig: RigCapture) -> None:
+def test_cameras_declared_static_that_move_are_obeyed_and_reported(rig: RigCapture) -> None:
     moving = make_rig_capture(AZIMUTHS, frames=30, moving=(2,))
     found = calibrated(moving, [None] * VIEWS, cameras="static")
     assert camera_report(found).arrangement == "static"

@@ -1,4 +1,4 @@
-"""Poses that are meant otherwise than told: against cameras that are known."""
+"""Poses given in another convention: against cameras that are known."""
 
 from itertools import permutations
 

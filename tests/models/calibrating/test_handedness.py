@@ -1,4 +1,4 @@
-"""How sure the hand is: from log odds of frames, and of cameras too far away to tell."""
+"""Certainty of the handedness: from log odds of frames, and for cameras too far away."""
 
 import numpy as np
 import pytest

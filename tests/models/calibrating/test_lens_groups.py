@@ -1,4 +1,4 @@
-"""Kinds of lenses, told from what keypoints say of focal lengths."""
+"""Kinds of lenses, from the keypoints' likelihood of focal lengths."""
 
 import numpy as np
 import pytest

@@ -88,5 +88,5 @@ def test_a_name_is_no_index_before_a_dataset_says_which() -> None:
         _ = length.ends
     assert length.model_copy(update={"keypoints": (3, 4)}).ends == (3, 4)
     with pytest.raises(ValueError, match="got the name 'neck'"):
-        _ = FitConfig.model_validate({"handedness": [0, 1, 2, "neck"]}).hand
-    assert FitConfig(handedness=(0, 1, 2, 3)).hand == (0, 1, 2, 3)
+        _ = FitConfig.model_validate({"handedness": [0, 1, 2, "neck"]}).corners
+    assert FitConfig(handedness=(0, 1, 2, 3)).corners == (0, 1, 2, 3)
