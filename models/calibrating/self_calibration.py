@@ -148,15 +148,30 @@ def calibrate_by_geometry(
     if part is not arranged.checked.problem:  # other lenses are better, and may change the cameras
         return None
     sds = deviations(part, best) if kept is None else kept
+    if best.noise <= LEAST_NOISE * part.side:
+        best, sds = yield from _exact(arranged, best, sds)
     if len(sds) == 2 and arranged.kept is not None:
         # Other focal lengths of the scan are nearly as likely.
         sds = np.maximum(sds, arranged.kept)
-    if best.noise <= LEAST_NOISE * part.side:
-        # Settled cameras no longer change, so structures may follow keypoints to the end.
-        static = part._replace(kept=np.ones(len(sds), bool))
-        best = yield from learn(static, best, least_noise=LEAST_MEASURED)
     found = _result(part, best, sds, reason, arranged.certain, None, misread, config)
     return found, structures_of_all(problem, best, settled.start)
+
+
+def _exact(arranged: Arranged, best: Solution, sds: Float64) -> Steps[tuple[Solution, Float64]]:
+    """Fit structures closely to clear keypoints, with cameras that no longer change.
+
+    If cameras changed by shapes and bones explain the keypoints worse than those of geometry, the
+    latter are returned, with their deviations: until here, noise below `LEAST_NOISE` was ignored.
+    """
+    problem, settled = arranged.checked.problem, arranged.checked.solution
+    static = problem._replace(kept=np.ones(len(problem.poses), bool))
+    exact = yield from learn(static, best, least_noise=LEAST_MEASURED)
+    if best is settled or len(sds) == 2 or arranged.kept is None:
+        return exact, sds
+    before = yield from learn(static, settled, least_noise=LEAST_MEASURED)
+    if exact.measured_noise > WORSE * before.measured_noise:
+        return before, arranged.kept
+    return exact, sds
 
 
 def _share_left(arranged: Arranged, noisy: NoisyFrames | None) -> float:

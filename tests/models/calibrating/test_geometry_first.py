@@ -8,6 +8,7 @@ from benchmarks.wide_net import by_geometry, measure
 from models.calibrating.handedness import volume
 from models.calibrating.result import SelfCalibration
 from models.calibrating.self_calibration import calibrate_by_geometry
+from models.capture.metrics import pa_mpjpe
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, RigCapture, keypoint, make_rig_capture
@@ -58,6 +59,25 @@ def test_three_static_cameras_are_settled_with_their_deviations() -> None:
     focals = np.array([lens.focal for lens in capture.lenses])
     scores = np.log(found.rig.lenses.focals.mean(1) / focals) / found.deviations[:, 0]
     assert np.abs(scores).max() < 4
+
+
+def test_structures_follow_exact_keypoints_seen_from_far_away() -> None:
+    capture = make_rig_capture(
+        [0.0, 80.0, -120.0, 170.0], frames=40, noise=0.0, hidden=0.0, distance=14.0
+    )
+    settled = finished(
+        calibrate_by_geometry(
+            capture.pixels,
+            capture.weights,
+            FitConfig(),
+            [IMAGE_SIZE] * 4,
+            detected=capture.pixels,
+        )
+    )
+    assert settled is not None
+    _, scene = settled
+    error = pa_mpjpe(scene.points, capture.points3d, reflection="never").mean
+    assert error < 5e-5  # metres
 
 
 def given(focal: float) -> dict[str, object]:
