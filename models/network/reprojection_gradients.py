@@ -58,11 +58,11 @@ def reproject_back(
     """
     camera = new_camera()
     guess = np.empty((3, 3))
-    scratch = np.empty_like(normal[0])
+    buffer = np.empty_like(normal[0])
     summed = np.empty(normal[0].shape)  # (P, 3) gradient by the normalised structure
     by = CameraGradients(np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3)), np.empty((3, 3)))
     for n in range(len(points)):
-        radius = normalise_into(points[n], scratch)
+        radius = normalise_into(points[n], buffer)
         summed[:] = by_normal[n]
         for k in range(matrices.shape[1]):
             whole = total(weights[n, k])

@@ -24,7 +24,7 @@ STIFFNESS = 0.05  # pull to the network's structure, where one view seen head-on
 DECISIVE = 0.8  # a frame leaves the handedness of the fit if its error falls below this share
 
 
-class Scratch(NamedTuple):
+class Buffers(NamedTuple):
     """Buffers that settling overwrites for every frame of K views and P keypoints."""
 
     camera: CameraSolution
@@ -36,9 +36,9 @@ class Scratch(NamedTuple):
 
 
 @compiled
-def new_scratch(views: int, keypoints: int) -> Scratch:
+def new_buffers(views: int, keypoints: int) -> Buffers:
     """Return unfilled buffers for `settle_frame`."""
-    return Scratch(
+    return Buffers(
         new_camera(),
         np.empty((views, 2, 3)),
         np.empty((views, keypoints, 2)),
@@ -58,10 +58,10 @@ def settle_frames(
     rounds: int,
 ) -> None:
     """Settle structures (N, P, 3) and guesses (N, K, 3, 3) in place; see `settling.settle`."""
-    scratch = new_scratch(*weights.shape[1:])
+    buffers = new_buffers(*weights.shape[1:])
     for n in range(len(points)):
         settle_frame(
-            points[n], keypoints[n], weights[n], guesses[n], foreshortening, rounds, scratch
+            points[n], keypoints[n], weights[n], guesses[n], foreshortening, rounds, buffers
         )
 
 
@@ -75,10 +75,10 @@ def alternate_frames(
     rounds: int,
 ) -> None:
     """Move structures (N, P, 3) in place, each by a foreshortening of its own (N,)."""
-    scratch = new_scratch(*weights.shape[1:])
+    buffers = new_buffers(*weights.shape[1:])
     for n in range(len(points)):
         _alternate(
-            points[n], keypoints[n], weights[n], guesses[n], foreshortenings[n], rounds, scratch
+            points[n], keypoints[n], weights[n], guesses[n], foreshortenings[n], rounds, buffers
         )
 
 
@@ -125,7 +125,7 @@ def settle_frame(
     guesses: Float64,
     foreshortening: float,
     rounds: int,
-    scratch: Scratch,
+    buffers: Buffers,
 ) -> None:
     """Settle the structure (P, 3) of one frame and its guesses (K, 3, 3) in place.
 
@@ -135,12 +135,12 @@ def settle_frame(
     for k in range(len(weights)):
         views += total(weights[k]) > 0
     mirrored = foreshortening < 0
-    copy(points, scratch.other)
-    error = _alternate(points, keypoints, weights, guesses, foreshortening, rounds, scratch)
+    copy(points, buffers.other)
+    error = _alternate(points, keypoints, weights, guesses, foreshortening, rounds, buffers)
     if views > 1:
-        other = scratch.other
+        other = buffers.other
         error_of_other = _alternate(
-            other, keypoints, weights, guesses, -foreshortening, rounds, scratch
+            other, keypoints, weights, guesses, -foreshortening, rounds, buffers
         )
         if error_of_other < DECISIVE * error:
             copy(other, points)
@@ -173,14 +173,14 @@ def _alternate(
     guesses: Float64,
     foreshortening: float,
     rounds: int,
-    scratch: Scratch,
+    buffers: Buffers,
 ) -> float:
     """Solve for cameras and structure in turn; return the root of the sum of squared errors."""
-    copy(keypoints, scratch.target)
+    copy(keypoints, buffers.target)
     for _ in range(rounds):
-        _solve_views(points, keypoints, weights, guesses, foreshortening, scratch)
-        _move_points(points, weights, scratch)
-    return math.sqrt(_solve_views(points, keypoints, weights, guesses, foreshortening, scratch))
+        _solve_views(points, keypoints, weights, guesses, foreshortening, buffers)
+        _move_points(points, weights, buffers)
+    return math.sqrt(_solve_views(points, keypoints, weights, guesses, foreshortening, buffers))
 
 
 @inner
@@ -190,19 +190,19 @@ def _solve_views(
     weights: Float32,
     guesses: Float64,
     foreshortening: float,
-    scratch: Scratch,
+    buffers: Buffers,
 ) -> float:
     """Compute axes, projections, slopes and targets; return the sum of squared errors."""
-    camera, squared = scratch.camera, 0.0
+    camera, squared = buffers.camera, 0.0
     for k in range(len(weights)):
         whole = total(weights[k])
         if whole <= 0:
             continue
-        target, projected, slopes = scratch.target[k], scratch.projected[k], scratch.slopes[k]
+        target, projected, slopes = buffers.target[k], buffers.projected[k], buffers.slopes[k]
         scale = solve_camera_into(points, target, weights[k], whole, guesses[k], camera).scale
         for i in range(2):
             for j in range(3):
-                scratch.axes[k, i, j] = scale * camera.rotation[i, j]
+                buffers.axes[k, i, j] = scale * camera.rotation[i, j]
         _first_order_into(points, weights[k], whole, camera, scale, projected, slopes)
         _straighten_into(keypoints[k], slopes, foreshortening, target)
         for p in range(len(points)):
@@ -256,7 +256,7 @@ def _first_order_into(
 
 
 @inner
-def _move_points(points: Float64, weights: Float32, scratch: Scratch) -> None:
+def _move_points(points: Float64, weights: Float32, buffers: Buffers) -> None:
     """Move each point (3,) to its least-squares position, held back by the stiffness."""
     normal, solved, pull = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for p in range(len(points)):
@@ -266,9 +266,9 @@ def _move_points(points: Float64, weights: Float32, scratch: Scratch) -> None:
             weight = weights[k, p]
             if weight <= 0:
                 continue
-            axes = scratch.axes[k]
-            u = scratch.target[k, p, 0] - scratch.projected[k, p, 0]
-            v = scratch.target[k, p, 1] - scratch.projected[k, p, 1]
+            axes = buffers.axes[k]
+            u = buffers.target[k, p, 0] - buffers.projected[k, p, 0]
+            v = buffers.target[k, p, 1] - buffers.projected[k, p, 1]
             for i in range(3):
                 pull[i] += weight * (axes[0, i] * u + axes[1, i] * v)
                 for j in range(i, 3):
