@@ -50,7 +50,7 @@ class MovingLenses(NamedTuple):
     groups: Int64  # (K,) views of one number have alike lenses
 
 
-class Trial(NamedTuple):
+class MovingTrial(NamedTuple):
     """A trial of focal lengths."""
 
     at: Float64  # (K,) logs of the focal lengths over the usual ones
@@ -114,8 +114,8 @@ def _unlike(at: Float64) -> float:
 
 
 def _walk(
-    problem: CalibrationProblem, first: Trial, step: float, *, within: tuple[float, float]
-) -> Steps[list[Trial]]:
+    problem: CalibrationProblem, first: MovingTrial, step: float, *, within: tuple[float, float]
+) -> Steps[list[MovingTrial]]:
     """Change all focal lengths step by step, each trial from the one before, within the range."""
     trials, near = [], first
     least, most = within
@@ -128,7 +128,7 @@ def _walk(
     return trials
 
 
-def _climb(problem: CalibrationProblem, best: Trial, step: float) -> Steps[Trial]:
+def _climb(problem: CalibrationProblem, best: MovingTrial, step: float) -> Steps[MovingTrial]:
     """Change one focal length after another, each as long as the posterior rises."""
     for view in range(len(best.at)):
         for signed in (step, -step):
@@ -146,14 +146,14 @@ def _climb(problem: CalibrationProblem, best: Trial, step: float) -> Steps[Trial
     return best
 
 
-def _next(problem: CalibrationProblem, at: Float64, near: Trial) -> Steps[Trial]:
+def _next(problem: CalibrationProblem, at: Float64, near: MovingTrial) -> Steps[MovingTrial]:
     """Try focal lengths from a trial near them."""
     return (yield from _tried(problem, at, near.at, near.solution))
 
 
 def _tried(
     problem: CalibrationProblem, at: Float64, start: Float64, near: Solution
-) -> Steps[Trial]:
+) -> Steps[MovingTrial]:
     """Learn shapes with held focal lengths, from a solution with those at `start`."""
     yield
     begun = _refocused(near, at - start)
@@ -161,7 +161,7 @@ def _tried(
     views = problem.views(solution.noise)
     evidence = log_evidence(views, solution.rig, solution.prior, solution.scene)
     share = share_of_information(problem, solution.measured_noise) / TOO_SURE**2
-    return Trial(at, solution, share * evidence)
+    return MovingTrial(at, solution, share * evidence)
 
 
 def _refocused(solution: Solution, steps: Float64) -> Solution:
@@ -175,7 +175,7 @@ def _refocused(solution: Solution, steps: Float64) -> Solution:
     )
 
 
-def _evidence(trials: list[Trial]) -> Float64:
+def _evidence(trials: list[MovingTrial]) -> Float64:
     """Return the evidence (T, N) of trials.
 
     A frame that a trial cannot explain is as unlikely as under the worst of the others.
@@ -186,20 +186,20 @@ def _evidence(trials: list[Trial]) -> Float64:
     return np.where(np.isfinite(evidence), evidence, worst)
 
 
-def _best(trials: list[Trial], prior: Prior) -> Trial:
+def _best(trials: list[MovingTrial], prior: Prior) -> MovingTrial:
     """Return the trial with the highest posterior, the first of equal ones."""
     logs = _evidence(trials).sum(1) + [prior(trial.at) for trial in trials]
     return trials[int(logs.argmax())]
 
 
-def _gain(unlike: Trial, alike: Trial) -> float:
+def _gain(unlike: MovingTrial, alike: MovingTrial) -> float:
     """Return the log odds of unlike lenses against alike ones."""
     evidence = _evidence([unlike, alike])
     gain = float((evidence[0] - evidence[1]).sum())
     return gain + _unlike(unlike.at) - _alike(alike.at)
 
 
-def _clearly_better(unlike: Trial, alike: Trial) -> bool:
+def _clearly_better(unlike: MovingTrial, alike: MovingTrial) -> bool:
     """Whether unlike lenses are far more likely than alike ones, beyond the scatter of frames."""
     evidence = _evidence([unlike, alike])
     gains = evidence[0] - evidence[1]
@@ -207,7 +207,7 @@ def _clearly_better(unlike: Trial, alike: Trial) -> bool:
     return _gain(unlike, alike) > UNLIKE and float(gains.sum()) > SURE * scatter
 
 
-def _common_deviation(trials: list[Trial], best: Trial) -> float:
+def _common_deviation(trials: list[MovingTrial], best: MovingTrial) -> float:
     """Return the standard deviation of the common log focal length about the best.
 
     The posterior is the mean over frames drawn with replacement, because errors of frames are
@@ -228,7 +228,7 @@ def _common_deviation(trials: list[Trial], best: Trial) -> float:
     return float(np.sqrt(variance + FINE**2 / 12))
 
 
-def _peak(problem: CalibrationProblem, best: Trial) -> Steps[tuple[Trial, Float64]]:
+def _peak(problem: CalibrationProblem, best: MovingTrial) -> Steps[tuple[MovingTrial, Float64]]:
     """Find the top of the posterior of unlike lenses, by Newton's method.
 
     Returns also standard deviations (K,) of the log focal lengths there.
@@ -245,7 +245,9 @@ def _peak(problem: CalibrationProblem, best: Trial) -> Steps[tuple[Trial, Float6
     return best, deviations
 
 
-def _about(problem: CalibrationProblem, best: Trial) -> Steps[tuple[Float64, Float64, Float64]]:
+def _about(
+    problem: CalibrationProblem, best: MovingTrial
+) -> Steps[tuple[Float64, Float64, Float64]]:
     """Return slope (K,), inverse information (K, K) and deviations (K,) of unlike lenses.
 
     Curvatures are measured along each; correlations come from the gradients of frames, whose
