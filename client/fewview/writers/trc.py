@@ -25,8 +25,8 @@ def write(path: Path, animation: Animation) -> None:
     """
     if animation.unit is None:
         raise FormatError(
-            "TRC names the unit of its points, and of this animation it is not known: tell a fit a "
-            "length (--known-length) or a calibration; or say unit='m' or 'mm' (--unit)"
+            "TRC names the unit of its points, which is not known here: give the fit a length "
+            "(--known-length); or say unit='m' or 'mm' (--unit), such as that of a calibration"
         )
     if any(character in name for name in animation.names for character in "\t\r\n"):
         raise FormatError("names in TRC stand between tabs: they can have no tab or line break")
