@@ -4,9 +4,11 @@ In the repository `../examples/stream.py` is a link to a file. The site shows th
 its own, below `source/`. So every link works in both places, and none leads to another host.
 """
 
+import json
 import posixpath
 import re
 from pathlib import Path
+from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
@@ -17,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # Relative ones: of Markdown, and of pictures in HTML.
 LINK = re.compile(r'(\]\(|\bsrc(?:set)?=")((?!\w+:|#|/)[^)"\s#]+)((?:#[^)"\s]*)?[)"])')
 FENCE = re.compile(r"^(```.*?^```|~~~.*?^~~~)", re.MULTILINE | re.DOTALL)
-LANGUAGES = {".py": "python", ".cpp": "cpp", ".ts": "typescript", ".ipynb": "json", ".json": "json"}
+LANGUAGES = {".py": "python", ".cpp": "cpp", ".ts": "typescript", ".json": "json"}
 PICTURES = {".png", ".webp", ".gif", ".svg"}
 
 
@@ -98,7 +100,25 @@ def shown(target: Path, config: MkDocsConfig) -> File:
     if target.suffix in PICTURES:
         return File.generated(config, place, abs_src_path=str(ROOT / target), inclusion=out_of_nav)
     text = (ROOT / target).read_text(encoding="utf-8")
-    if target.suffix != ".md":
+    if target.suffix == ".ipynb":
+        text = "\n\n".join(part for cell in json.loads(text)["cells"] for part in parts_of(cell))
+    elif target.suffix != ".md":
         language = LANGUAGES.get(target.suffix, "text")
         text = f"# {target.as_posix()}\n\n~~~{language}\n{text.rstrip()}\n~~~\n"
     return File.generated(config, place, content=text, inclusion=out_of_nav)
+
+
+def parts_of(cell: dict[str, Any]) -> list[str]:
+    """Return a cell of a notebook, and what came of it, as parts of a document."""
+    text = "".join(cell["source"])
+    if cell["cell_type"] == "markdown":
+        return [text]
+    parts = [f"~~~python\n{text}\n~~~"]
+    for output in cell["outputs"]:
+        if "text" in output:
+            parts.append(f"~~~text\n{''.join(output['text']).rstrip()}\n~~~")
+        for kind, data in output.get("data", {}).items():
+            if kind.startswith("image/"):
+                content = "".join("".join(data).split())
+                parts.append(f'<img alt="what the cell shows" src="data:{kind};base64,{content}">')
+    return parts
