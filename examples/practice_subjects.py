@@ -43,13 +43,19 @@ class Camera(NamedTuple):
     focal: float  # pixels
     size: tuple[int, int]  # pixels
 
-    def project(self, points: Float64) -> Float64:
-        """Return pixels (..., 2) of points (..., 3)."""
+    def pose(self) -> tuple[Float64, Float64]:
+        """Return the rotation (3, 3) and translation (3,) from the room to the camera."""
         ahead = np.subtract(self.looks_at, self.place)
         ahead = ahead / np.linalg.norm(ahead)
         right = np.cross(ahead, UP)
         right /= np.linalg.norm(right)
-        seen = (points - self.place) @ np.stack((right, np.cross(ahead, right), ahead)).T
+        rotation = np.stack((right, np.cross(ahead, right), ahead))
+        return rotation, -rotation @ self.place
+
+    def project(self, points: Float64) -> Float64:
+        """Return pixels (..., 2) of points (..., 3)."""
+        rotation, translation = self.pose()
+        seen = points @ rotation.T + translation
         return np.asarray(seen[..., :2] / seen[..., 2:] * self.focal + np.divide(self.size, 2))
 
 
