@@ -6,6 +6,7 @@
 # make performance   write all figures of docs/performance.md anew
 # make fuzz   send up to 5,000 generated requests to a running service (schemathesis)
 # make serve  set up, then run the service on http://127.0.0.1:8000
+# make docs   build the site of docs/ into build/site
 # make page   build the page that the service shows at its address; demo, serve and test do so too
 
 PYTHON ?= python3
@@ -16,7 +17,7 @@ IMAGE_SIZE ?=
 # Python may keep what it compiles of each module: dozens of processes import the same ones.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo page test tests check changed lint types fuzz serve openapi lock benchmark fidelity performance clean
+.PHONY: demo docs page test tests check changed lint types fuzz serve openapi lock benchmark fidelity performance clean
 
 demo: .venv/compiled .venv/page
 	$(BIN)/python examples/demo.py $(if $(CAPTURE),"$(CAPTURE)")
@@ -69,6 +70,9 @@ performance: .venv/ready
 	$(BIN)/python benchmarks/fit.py $(if $(CAPTURE),"$(CAPTURE)") $(if $(IMAGE_SIZE),--image-size $(IMAGE_SIZE)) --json $(FIGURES)/fit.json --plot $(FIGURES)/fit.png
 	$(BIN)/python benchmarks/scaling.py --json $(FIGURES)/scaling.json --plot $(FIGURES)/scaling.png
 	$(BIN)/python benchmarks/tables.py $(foreach name,lift load runtimes fit scaling,$(FIGURES)/$(name).json)
+
+docs: .venv/ready
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 openapi: .venv/ready
 	$(BIN)/python -P -m service.openapi > docs/openapi.json

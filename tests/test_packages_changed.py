@@ -19,7 +19,7 @@ from tests.packages_changed import ROOT, where_tested
         ("tests/store/test_that_was_deleted.py", None),
         ("tests/worker/conftest.py", "tests/worker"),
         ("tests/processes.py", "tests"),
-        ("docs/method.md", None),
+        ("docs/method.md", "tests/docs"),
         ("tests/fixtures/README.md", None),
         ("Makefile", None),
     ],

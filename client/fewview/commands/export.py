@@ -99,6 +99,9 @@ def in_words(result: dict[str, Any]) -> str:
             f"{finding['severity']:<10} {finding['code']}{_where(finding)}: {finding['effect']}"
         )
         lines.append(f"           {finding['remedy']}")
+        if finding["evidence"]:
+            known = (f"{name} {value:.3g}" for name, value in finding["evidence"].items())
+            lines.append(f"           {', '.join(known)}")
     lines += [f"- {note}" for note in result["notes"]]
     return "\n".join([*lines, *(f"wrote      {file}" for file in result["files"])])
 

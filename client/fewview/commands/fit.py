@@ -1,7 +1,7 @@
 """``fewview fit``: a dataset becomes a model."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -21,6 +21,10 @@ CalibrationFile = Annotated[
     Path | None,
     typer.Option(help="Of Anipose, OpenCV or COLMAP; by the views' names, else in order."),
 ]
+KnownLength = Annotated[
+    str | None,
+    typer.Option(help="`FIRST,SECOND,METRES`: two keypoints and how far they are apart."),
+]
 
 
 def fit(
@@ -35,6 +39,7 @@ def fit(
             "--config", "-c", help="A JSON object, or `key=value` as in `-c steps=500`; may repeat."
         ),
     ] = None,
+    known_length: KnownLength = None,
     calibration: CalibrationFile = None,
     name: Annotated[str | None, typer.Option(help="Of the fit and its model.")] = None,
     from_model: Annotated[str | None, typer.Option(help="A model to start from: mdl_...")] = None,
@@ -47,7 +52,7 @@ def fit(
     from fewview.calibration import read_for_views  # noqa: PLC0415 (commands load what they need)
 
     with talking(url) as client:
-        fields = fields_in(config, "--config")
+        fields = config_in(config or [], known_length)
         if calibration is not None:
             stored = client.datasets.get(dataset)
             known, note = read_for_views(calibration, stored.view_names, stored.views)
@@ -69,3 +74,29 @@ def fit(
         for line in findings_in(done.raw):
             typer.echo(line, err=True)
         say(done.raw, str(done.model_id), as_json=as_json)
+
+
+def config_in(texts: list[str], known_length: str | None) -> dict[str, Any]:
+    """Return the fit's configuration, with the known length in it.
+
+    Raises
+    ------
+    ValueError
+        If one of them cannot be read; the message names it and the expected form.
+    """
+    config = fields_in(texts, "--config")
+    if known_length is not None:
+        parts = known_length.rsplit(",", 2)
+        try:
+            first, second, metres = parts
+            length = float(metres)
+            if not length > 0:
+                raise ValueError
+        except ValueError as error:
+            raise ValueError(
+                f"--known-length {known_length}: expected FIRST,SECOND,METRES, such as "
+                "left_hip,left_knee,0.41"
+            ) from error
+        pair = [int(part) if part.isdecimal() else part for part in (first, second)]
+        config["known_length"] = {"keypoints": pair, "length": length}
+    return config

@@ -21,9 +21,9 @@ from fewview.commands.export import (
     formats_in,
 )
 from fewview.commands.export import in_words as result_in_words
-from fewview.commands.fit import CalibrationFile
+from fewview.commands.fit import CalibrationFile, KnownLength, config_in
 from fewview.commands.reading import Files, Options, reading_files
-from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, fields_in, in_short
+from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, in_short
 
 if TYPE_CHECKING:
     from fewview.animation import Unit
@@ -44,10 +44,7 @@ def run(
         ),
     ] = None,
     formats: Formats = USUAL,
-    known_length: Annotated[
-        str | None,
-        typer.Option(help="`FIRST,SECOND,METRES`: two keypoints and how far they are apart."),
-    ] = None,
+    known_length: KnownLength = None,
     calibration: CalibrationFile = None,
     unit: LengthUnit = None,
     height: Height = None,
@@ -68,7 +65,7 @@ def run(
         if calibration is not None and asked.image_size is None:
             asked = replace(asked, image_size=sizes_in(calibration))
         capture = read_with(files, asked)
-        fields = _config(config or [], known_length)
+        fields = config_in(config or [], known_length)
         if known_length is not None:
             _check_keypoints(fields["known_length"]["keypoints"], capture)
         if calibration is not None:
@@ -147,32 +144,6 @@ def _run(
             fit = fit_of(capture, again.config, NOTES_AGAIN)
         done = export(client, fit, capture, folder, formats=formats, unit=unit, height=height)
         return done | {"notes": [*added, *done["notes"]]}
-
-
-def _config(texts: list[str], known_length: str | None) -> dict[str, Any]:
-    """Return the fit's configuration, with the known length in it.
-
-    Raises
-    ------
-    ValueError
-        If one of them cannot be read; the message names it and the expected form.
-    """
-    config = fields_in(texts, "--config")
-    if known_length is not None:
-        parts = known_length.rsplit(",", 2)
-        try:
-            first, second, metres = parts
-            length = float(metres)
-            if not length > 0:
-                raise ValueError
-        except ValueError as error:
-            raise ValueError(
-                f"--known-length {known_length}: expected FIRST,SECOND,METRES, such as "
-                "left_hip,left_knee,0.41"
-            ) from error
-        pair = [int(part) if part.isdecimal() else part for part in (first, second)]
-        config["known_length"] = {"keypoints": pair, "length": length}
-    return config
 
 
 def _check_keypoints(pair: Sequence[int | str], capture: "Capture") -> None:

@@ -22,7 +22,15 @@ FIRST_LINES = 12
 MAX_LINE = 2**16  # bytes of a person
 FEWEST_NUMBERS = 9  # of a person: class, box, two keypoints
 LOOKED_INTO = 1000  # files of a folder, of which the first may show no person
+# Of a project's videos SLEAP calls them `labels.v001.000_cam1.analysis.h5`.
+OF_SLEAP = re.compile(r"\.\d{3}_(.+)\.analysis\.(?:h5|csv)$", re.IGNORECASE)
 HDF5, NUMPY, ZIP = b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"PK\x03\x04"
+
+
+def _named(file: str) -> str:
+    """Return what a file is called: up to the first point, or after the video that SLEAP names."""
+    video = OF_SLEAP.search(file)
+    return video[1] if video else file.partition(".")[0] or file
 
 
 class Source:
@@ -40,7 +48,7 @@ class Source:
 
     def __init__(self, path: Path, frames: tuple[Path, ...] = (), name: str = "") -> None:
         self.path, self.frames = path, frames
-        self.name = name or (path.name if frames else path.name.partition(".")[0] or path.name)
+        self.name = name or (path.name if frames else _named(path.name))
 
     def __str__(self) -> str:
         return str(self.path)

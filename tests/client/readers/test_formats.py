@@ -11,6 +11,7 @@ import fewview
 import numpy as np
 import pytest
 from fewview.errors import FormatError
+from fewview.readers.skeletons import SKELETONS
 
 from . import files
 
@@ -153,6 +154,24 @@ def test_openpose(tmp_path: Path) -> None:
     named = fewview.read(tmp_path, skeleton="BODY_25B")
     assert named.keypoint_names is not None
     assert named.keypoint_names[17] == "Neck"
+
+
+@pytest.mark.parametrize("skeleton", ["body-25", "body-25b"])
+def test_openpose_of_a_body_whose_hips_have_a_middle(skeleton: str, tmp_path: Path) -> None:
+    # A standing body, in the order of one skeleton or the other.
+    places = {"Nose": (0, 0), "Neck": (0, 20), "MidHip": (1, 60), "Head": (0, -10)}
+    for side, x in (("L", 10), ("R", -10)):
+        for y, joint in enumerate(("Eye", "Ear", "Shoulder", "Elbow", "Wrist", "Hip", "Knee")):
+            places[f"{side}{joint}"] = (x, 12 * y - 2)
+        for joint in ("Ankle", "BigToe", "SmallToe", "Heel"):
+            places[f"{side}{joint}"] = (x, 120)
+    body = np.array([(*places[name], 0.9) for name in SKELETONS[skeleton].names])
+    body[:, :2] += 300
+    moved = [body + np.array((n, 2 * n, 0)) for n in range(6)]
+    for camera in ("cam1", "cam2"):
+        files.openpose(tmp_path / camera, [[frame] for frame in moved])
+    names = fewview.read(tmp_path).keypoint_names
+    assert names == (SKELETONS[skeleton].names if skeleton == "body-25" else None)
 
 
 def test_openpose_frames_of_all_cameras_in_one_folder(tmp_path: Path) -> None:

@@ -69,6 +69,14 @@ def test_sleap_analysis_that_was_not_transposed(tmp_path: Path) -> None:
     assert_shows(fewview.read(path, person="one"), TWO[0])
 
 
+def test_analysis_files_are_called_as_sleap_calls_its_videos(tmp_path: Path) -> None:
+    paths = [
+        files.sleap_analysis(tmp_path / f"labels.v001.00{n}_{name}.analysis.h5", TWO, ["a", "b"])
+        for n, name in enumerate(("left.cam", "right"))
+    ]
+    assert fewview.read(paths, person="a").view_names == ("left.cam", "right")
+
+
 def test_videos_of_a_sleap_project_have_names(tmp_path: Path) -> None:
     path = files.slp(tmp_path / "a.slp", XYZ[None])
     with h5py.File(path, "a") as file:

@@ -15,6 +15,7 @@ from fewview.readers.names import frame_number
 from fewview.readers.sources import Source
 from fewview.readers.views import View, packed
 
+MIDDLE, NECK, HIPS = 8, 1, [9, 12]  # of BODY_25, which no format says; of BODY_25B they are others
 PARTS = ("pose_keypoints_2d", "hand_right_keypoints_2d", "hand_left_keypoints_2d")
 
 
@@ -57,8 +58,20 @@ def read(source: Source) -> list[View]:
             confidence,
             people=tuple(map(str, range(keypoints.shape[1]))) if placed else None,
             notes=tuple(notes),
+            skeletons=("body-25",) if _has_middle_of_hips(keypoints) else (),
         )
     ]
+
+
+def _has_middle_of_hips(keypoints: Float32) -> bool:
+    """Whether 25 keypoints (N, people, 25, 2) are BODY_25's: MidHip lies between the hips."""
+    if keypoints.shape[2] != 25:
+        return False
+    shown = np.where(keypoints == 0, np.nan, keypoints)
+    off = np.linalg.norm(shown[:, :, MIDDLE] - shown[:, :, HIPS].mean(2), axis=-1)
+    share = off / np.linalg.norm(shown[:, :, MIDDLE] - shown[:, :, NECK], axis=-1)
+    share = share[np.isfinite(share)]
+    return bool(len(share)) and float(np.median(share)) < 0.15
 
 
 def _people(content: Any, source: Source) -> list[dict[str, Any]]:

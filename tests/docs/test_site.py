@@ -1,0 +1,85 @@
+"""The site of docs/: every link leads somewhere, and no page asks another host."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+# What a browser loads by itself, by the attribute that says from where.
+LOADED = {"script": "src", "img": "src", "iframe": "src", "source": "srcset", "video": "src"}
+FOREIGN = re.compile(r"\s*(?:https?:)?//")
+
+pytest.importorskip("material", reason="mkdocs-material is not installed")
+
+
+def build(project: Path, site: Path) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(site)]
+    return subprocess.run(
+        command,
+        cwd=project,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+class Loads(HTMLParser):
+    """Collects what a page loads when it is opened."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.classes: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.classes.update((given.get("class") or "").split())
+        where = "href" if tag == "link" and given.get("rel") != "canonical" else LOADED.get(tag)
+        if where is not None and given.get(where):
+            self.addresses.append(str(given[where]))
+
+
+def test_the_site_is_built_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    built = build(ROOT, site)
+    assert built.returncode == 0, built.stderr
+    pages = sorted(site.rglob("*.html"))
+    assert {site / "tutorials" / "sleap.html", site / "source" / "client" / "index.html"} < set(
+        pages
+    )
+    for page in pages:
+        seen = Loads()
+        seen.feed(page.read_text(encoding="utf-8"))
+        assert seen.addresses
+        assert not [address for address in seen.addresses if FOREIGN.match(address)]
+        assert "mermaid" not in seen.classes  # its script would come from another host
+        for address in seen.addresses:
+            if not address.startswith(("data:", "/")):  # 404.html is for any folder
+                assert (page.parent / address.partition("#")[0].partition("?")[0]).exists()
+    for sheet in site.rglob("*.css"):
+        addresses = re.findall(r"(?:url\(|@import)\s*[\"']?([^\"')]+)", sheet.read_text())
+        assert not [address for address in addresses if FOREIGN.match(address)]
+
+
+@pytest.mark.parametrize(
+    "link",
+    ["../examples/nothing.py", "files.md#nothing", "nothing.md", "../client/README.md#nothing"],
+)
+def test_a_link_that_leads_nowhere_fails(link: str, tmp_path: Path) -> None:
+    for file in ROOT.iterdir():
+        if file.name not in {"docs", "build", ".git", ".venv"}:
+            (tmp_path / file.name).symlink_to(file)
+    shutil.copytree(ROOT / "docs", tmp_path / "docs")
+    with (tmp_path / "docs" / "page.md").open("a") as page:
+        page.write(f"\n[a link]({link})\n")
+    built = build(tmp_path, tmp_path / "site")
+    assert built.returncode != 0
+    assert link.removeprefix("../") in built.stderr
