@@ -153,9 +153,9 @@ class FitConfig(BaseModel):
         default="auto",
         description=(
             "Whether lenses that are not given are alike, as those of cameras of one model set to"
-            " the same zoom: `true`, `false`, or `auto`. With `auto`, three or more static cameras"
-            " are alike, of several kinds or unlike, as estimated from the keypoints; all other"
-            " cameras count as alike."
+            " the same zoom: `true`, `false`, or `auto`. With `auto`, lenses are alike, of several"
+            " kinds or unlike, as estimated from the keypoints; where these do not show it, and"
+            " where some cameras move and others are static, they count as alike."
         ),
     )
     calibration: tuple[Camera | None, ...] | None = Field(
