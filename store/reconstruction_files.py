@@ -52,19 +52,28 @@ def reconstruction_file(
     )
 
 
-def reconstruction_parts(store: Store, fit: FitJob) -> Iterator[dict[str, NDArray[Any]]]:
+def reconstruction_parts(
+    store: Store, fit: FitJob, wanted: range | None = None
+) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield the arrays of a fit's reconstruction for some of its frames after others.
 
     Raises as ``fits.load_reconstruction`` does.
+
+    Parameters
+    ----------
+    wanted
+        Which of its frames; None for all. Where they are not all that lie between the first and the
+        last, those between are read as well.
     """
     found = _stored(store, fit)
     frames = found[0].shape[0]
+    wanted = range(frames) if wanted is None else wanted
     sizes = [len(array.span) // frames for array in found]  # bytes of a frame
-    step = max(1, PART_BYTES // sum(sizes))
-    for first in range(0, frames, step):
-        count = min(step, frames - first)
+    step = max(1, PART_BYTES // (sum(sizes) * wanted.step))
+    for some in (wanted[start : start + step] for start in range(0, len(wanted), step)):
+        first, last = some[0], some[-1] + 1
         ranges = [
-            (array.span.start + first * size, array.span.start + (first + count) * size)
+            (array.span.start + first * size, array.span.start + last * size)
             for array, size in zip(found, sizes, strict=True)
         ]
         try:
@@ -72,7 +81,7 @@ def reconstruction_parts(store: Store, fit: FitJob) -> Iterator[dict[str, NDArra
         except FileNotFoundError as error:
             raise lost(store, FitJob, fit.id, error) from error
         yield {
-            name: np.frombuffer(data, DTYPES[kind]).reshape(count, *shape[1:])
+            name: np.frombuffer(data, DTYPES[kind]).reshape(-1, *shape[1:])[:: some.step]
             for (name, kind, shape, _), data in zip(found, read, strict=True)
         }
 

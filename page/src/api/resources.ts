@@ -28,7 +28,7 @@ export const getDataset = (id: string) => askJson<Dataset>(`datasets/${encodeURI
 export const getModel = (id: string) => askJson<Model>(`models/${encodeURIComponent(id)}`);
 export const getCameras = (id: string) =>
   askJson<ModelCameras>(`models/${encodeURIComponent(id)}/cameras`);
-export const getCapture = (id: string) => askBytes(`datasets/${encodeURIComponent(id)}/capture`);
+export const capturePath = (id: string) => `datasets/${encodeURIComponent(id)}/capture`;
 export const getReconstruction = (fit: string, query: string) =>
   askBytes(`fits/${encodeURIComponent(fit)}/reconstruction?format=safetensors${query}`);
 export const createFit = (body: object) => sendJson<Fit>("fits", body);

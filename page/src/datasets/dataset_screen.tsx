@@ -1,9 +1,8 @@
 /** What was understood of a capture, and the fit that can be made of it. */
 
 import { useEffect, useState } from "preact/hooks";
-import { createFit, deleteDataset, getCapture, getDataset, type Dataset } from "../api/resources.ts";
-import { readNpz } from "../data/npz.ts";
-import { captureOf } from "../data/take.ts";
+import { createFit, deleteDataset, getDataset, type Dataset } from "../api/resources.ts";
+import { remoteCapture } from "../data/remote.ts";
 import { captured } from "../fits/fits_screen.tsx";
 import { goTo } from "../route.ts";
 import { ConfigForm } from "./config_form.tsx";
@@ -24,10 +23,9 @@ export function DatasetScreen({ id }: { id: string }) {
       },
       (error: Error) => setTrouble(error.message),
     );
-    getCapture(id).then(
-      (bytes) => setFrame(fullestFrame(captureOf(readNpz(bytes)))),
-      () => {}, // the words do without
-    );
+    remoteCapture(id)
+      .then(fullestFrame)
+      .then(setFrame, () => {}); // the words do without
   }, [id]);
   const attempt = async (work: () => Promise<void>) => {
     setBusy(true);

@@ -16,7 +16,7 @@ const NONE = "";
 const TRUTH = "truth";
 
 export function OverlayChoice() {
-  const { fit, take, overlay, setOverlay } = useShow();
+  const { fit, take, file, done, overlay, setOverlay } = useShow();
   const [others, setOthers] = useState<Fit[]>([]);
   const [chosen, setChosen] = useState(NONE);
   const [trouble, setTrouble] = useState(false);
@@ -26,7 +26,7 @@ export function OverlayChoice() {
       () => setOthers([]),
     );
   }, [fit.id]);
-  if (others.length === 0 && take.truth === undefined) return null;
+  if (others.length === 0 && !take.hasTruth) return null;
 
   const lay = async (choice: string) => {
     setChosen(choice);
@@ -34,8 +34,8 @@ export function OverlayChoice() {
     if (choice === NONE) return setOverlay(null);
     try {
       const name = choice === TRUTH ? "the truth" : (others.find((other) => other.id === choice)?.name ?? choice);
-      const truth = { points: take.truth ?? new Float32Array(), inOneFrame: true };
-      const { points, inOneFrame } = choice === TRUTH ? truth : await loadPoints(await getFit(choice));
+      const { points, inOneFrame } =
+        choice === TRUTH ? { points: await file.truth(), inOneFrame: true } : await loadPoints(await getFit(choice));
       const each = take.frame === "view" || !inOneFrame;
       setOverlay({ name, each, points: aligned(points, take.points, take.keypoints, each) });
     } catch {
@@ -46,11 +46,12 @@ export function OverlayChoice() {
     <select
       aria-label="Laid over the structure"
       value={chosen}
+      disabled={!done}
       data-state={overlay === null ? "none" : "shown"}
       onChange={(event) => void lay(event.currentTarget.value)}
     >
       <option value={NONE}>{trouble ? "cannot be loaded" : "compare with …"}</option>
-      {take.truth !== undefined && <option value={TRUTH}>the ground truth</option>}
+      {take.hasTruth && <option value={TRUTH}>the ground truth</option>}
       {others.map((other) => (
         <option key={other.id} value={other.id}>
           {other.name} ({other.id.slice(-6)})

@@ -3,6 +3,7 @@
 import { createContext } from "preact";
 import { useContext } from "preact/hooks";
 import type { Finding, Fit, Model, ModelCameras } from "../api/resources.ts";
+import type { CaptureFile } from "../data/capture.ts";
 import type { Take } from "../data/take.ts";
 import type { Theme } from "../parts/theme.ts";
 import type { KeypointErrors } from "../science/errors.ts";
@@ -26,6 +27,10 @@ export interface Show {
   posed: boolean[]; // views that have a perspective pose in some frame
   errors: KeypointErrors;
   errorsDone: boolean;
+  file: CaptureFile;
+  version: number; // of the take: it rises as frames come
+  done: boolean; // whether all frames are there
+  trouble: boolean; // whether frames cannot be fetched just now
   selected: number | null; // keypoint
   select(keypoint: number | null): void;
   through: number | null; // view

@@ -1,8 +1,8 @@
 /** The structure in three dimensions, with the cameras' names on it. */
 
 import { useEffect, useRef, useState } from "preact/hooks";
-import type { Stage } from "./scene/scene.ts";
-import { createStage } from "./scene/scene.ts";
+import { nearest } from "../data/take.ts";
+import { createStage, type Stage } from "./scene/scene.ts";
 import { useShow } from "./show.ts";
 import { StageControls } from "./stage_controls.tsx";
 
@@ -14,21 +14,22 @@ const FRAMES = {
 
 export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void }) {
   const show = useShow();
-  const canvas = useRef<HTMLCanvasElement>(null);
+  const holder = useRef<HTMLDivElement>(null);
   const labels = useRef<HTMLDivElement>(null);
   const [stage, setStage] = useState<Stage | null>(null);
   const [trouble, setTrouble] = useState<string | null>(null);
   const { take, player, loop, theme, selected, through, lookThrough } = show;
 
   useEffect(() => {
-    if (canvas.current === null) return undefined;
+    if (holder.current === null) return undefined;
     let made: Stage;
     try {
-      made = createStage(canvas.current, take, player.frame);
+      made = createStage(holder.current, take, player.frame);
     } catch {
       setTrouble("This browser draws nothing in three dimensions: it has no WebGL.");
       return undefined;
     }
+    describe(made.canvas, take.keypoints);
     setStage(made);
     onStage(made);
     return () => {
@@ -41,7 +42,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
     if (stage === null) return undefined;
     stage.onLeaveCamera(() => lookThrough(null));
     return loop.addAlways(() => {
-      stage.draw(player.frame);
+      stage.draw(nearest(take, player.frame));
       placeLabels(stage, labels.current);
     });
   }, [stage, loop]);
@@ -51,6 +52,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
     stage?.paint(theme, selected);
   }, [stage, theme, selected, through]);
 
+  useEffect(() => stage?.spoil(), [stage, show.version]);
   useEffect(() => stage?.overlay(show.overlay?.points ?? null), [stage, show.overlay]);
 
   const turnByKey = (event: KeyboardEvent) => {
@@ -63,13 +65,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
 
   return (
     <section class="panel stage" aria-label="Structure in 3D">
-      <canvas
-        ref={canvas}
-        tabIndex={0}
-        role="img"
-        aria-label={`3D structure, ${take.keypoints} keypoints. Drag or use the arrow keys to turn it.`}
-        onKeyDown={turnByKey}
-      />
+      <div ref={holder} onKeyDown={turnByKey} />
       <div class="labels" ref={labels}>
         {take.viewNames.map((name, view) => (
           <button key={view} hidden onClick={() => lookThrough(view)} title={`Look through ${name}`}>
@@ -90,6 +86,12 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
       <StageControls stage={stage} />
     </section>
   );
+}
+
+function describe(canvas: HTMLCanvasElement, keypoints: number): void {
+  canvas.tabIndex = 0;
+  canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", `3D structure, ${keypoints} keypoints. Drag or use the arrow keys to turn it.`);
 }
 
 function placeLabels(stage: Stage, labels: HTMLDivElement | null): void {

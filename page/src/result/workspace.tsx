@@ -24,7 +24,7 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
   const { take, player, findings } = show;
   return (
     <ShowContext.Provider value={show}>
-      <div class="result">
+      <div class="result" aria-busy={!show.done}>
         <div class="screens">
           <StagePanel onStage={setStage} />
           <section class="views" aria-label="Views" data-count={take.views}>
