@@ -94,7 +94,7 @@ def open_once(page: Page, url: str) -> Row:
     """Return the milliseconds until a result is painted, can be played, and is there as a whole."""
     page.goto("about:blank")
     page.goto(url)
-    page.wait_for_function("window.seen.whole")
+    page.locator(".result[aria-busy=false]").wait_for()
     painted = "performance.getEntriesByName('first-contentful-paint')[0].startTime"
     return {
         "first paint ms": page.evaluate(painted),

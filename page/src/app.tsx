@@ -1,5 +1,6 @@
 /** The page: which screen is shown, and the key that the service may ask for. */
 
+import { lazy, Suspense } from "preact/compat";
 import { useEffect, useState } from "preact/hooks";
 import { keepKey, onKeyNeeded } from "./api/key.ts";
 import { DatasetScreen } from "./datasets/dataset_screen.tsx";
@@ -7,6 +8,14 @@ import { NewScreen } from "./datasets/new_screen.tsx";
 import { FitScreen } from "./fits/fit_screen.tsx";
 import { FitsScreen } from "./fits/fits_screen.tsx";
 import { currentRoute, linkTo } from "./route.ts";
+
+const LiveScreen = lazy(() => import("./live/live_screen.tsx"));
+const SCREENS = [
+  ["datasets", "Datasets"],
+  ["models", "Models"],
+  ["live", "Live"],
+  ["storage", "Storage"],
+];
 
 export function App() {
   const [path, setPath] = useState(() => currentRoute().path);
@@ -30,9 +39,11 @@ export function App() {
         <a href={linkTo()} aria-current={path.length === 0 || path[0] === "fits" ? "page" : undefined}>
           Fits
         </a>
-        <a href={linkTo("datasets", "new")} aria-current={path[0] === "datasets" ? "page" : undefined}>
-          New capture
-        </a>
+        {SCREENS.map(([name, title]) => (
+          <a key={name} href={linkTo(name)} aria-current={path[0] === name ? "page" : undefined}>
+            {title}
+          </a>
+        ))}
         <a class="docs" href="docs">
           API
         </a>
@@ -59,6 +70,13 @@ function Screen({ path }: { path: string[] }) {
   if (kind === "datasets" && id === "new") return <NewScreen />;
   if (kind === "datasets" && id !== undefined) return <DatasetScreen id={id} />;
   if (kind === undefined || kind === "fits") return <FitsScreen />;
+  if (kind === "live") {
+    return (
+      <Suspense fallback={<div class="waiting-page quiet">Loading …</div>}>
+        <LiveScreen />
+      </Suspense>
+    );
+  }
   return (
     <main>
       <div class="panel empty">

@@ -8,6 +8,7 @@ export type Dataset = Schemas["Dataset"];
 export type DatasetPreview = Schemas["DatasetPreview"];
 export type Fit = Schemas["Fit"];
 export type Model = Schemas["Model"];
+export type ModelSummary = Schemas["ModelSummary"];
 export type ModelCameras = Schemas["ModelCameras"];
 export type Finding = Schemas["Finding"];
 
@@ -22,7 +23,7 @@ export const listFits = (cursor?: string) => listed<Fit>("fits", cursor);
 export const listFitsOf = (dataset: string) =>
   askJson<Page<Fit>>(`fits?status=succeeded&limit=${MOST}&dataset_id=${encodeURIComponent(dataset)}`);
 export const listDatasets = (cursor?: string) => listed<Dataset>("datasets", cursor);
-export const listModels = () => listed<Schemas["ModelSummary"]>("models");
+export const listModels = (cursor?: string) => listed<ModelSummary>("models", cursor);
 export const getFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}`);
 export const getDataset = (id: string) => askJson<Dataset>(`datasets/${encodeURIComponent(id)}`);
 export const getModel = (id: string) => askJson<Model>(`models/${encodeURIComponent(id)}`);

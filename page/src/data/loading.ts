@@ -34,8 +34,7 @@ export async function loadResult(fit: Fit, firstFrame: number, onAsked: () => vo
   const first = Math.floor(Math.min(Math.max(0, firstFrame), fit.frames - 1) / size) * size;
   const end = Math.min(fit.frames, first + size);
   const detected = file.detected(first, end);
-  const load = inBestFrame(cameras, (frame) => {
-    const query = QUERIES[frame];
+  const load = inBestFrame(cameras, (query) => {
     const part = structures(fit.id, query, `${first}:${end}`);
     const overview = step > 0 ? structures(fit.id, query, `::${step}`) : null;
     return Promise.all([part, overview]);
@@ -53,21 +52,32 @@ export async function loadResult(fit: Fit, firstFrame: number, onAsked: () => vo
 
 /** Returns the structures (N, P, 3) of another fit, and whether all are in one frame of reference. */
 export async function loadPoints(fit: Fit): Promise<{ points: Float32Array; inOneFrame: boolean }> {
-  const { frame, found } = await inBestFrame(await getCameras(fit.model_id ?? ""), (frame) =>
-    getReconstruction(fit.id, QUERIES[frame]),
+  const { frame, found } = await inBestFrame(await getCameras(fit.model_id ?? ""), (query) =>
+    getReconstruction(fit.id, query),
   );
   return { points: needed(readSafetensors(found), "points3d"), inOneFrame: frame !== "view" };
 }
 
 /** Returns what is loaded in the best frame of reference that there is. */
-async function inBestFrame<T>(cameras: ModelCameras, load: (frame: Frame) => Promise<T>): Promise<{ frame: Frame; found: T }> {
+function inBestFrame<T>(cameras: ModelCameras, load: (query: string) => Promise<T>): Promise<Placed<T>> {
   const resting = cameras.views.some((view) => view.resting && view.rotation);
-  for (const frame of resting ? (["level", "camera"] as const) : []) {
-    try {
-      return { frame, found: await load(frame) };
-    } catch (error) {
-      if (!(error instanceof Refusal) || error.status !== 409) throw error;
-    }
+  return inFrame(resting ? "level" : "view", load);
+}
+
+interface Placed<T> {
+  frame: Frame;
+  found: T;
+}
+
+const WORSE: Partial<Record<Frame, Frame>> = { level: "camera", camera: "view" };
+
+/** Returns what is loaded in a frame of reference or, where there is none such, in the next best. */
+export async function inFrame<T>(frame: Frame, load: (query: string) => Promise<T>): Promise<Placed<T>> {
+  try {
+    return { frame, found: await load(QUERIES[frame]) };
+  } catch (error) {
+    const next = WORSE[frame];
+    if (next === undefined || !(error instanceof Refusal) || error.status !== 409) throw error;
+    return inFrame(next, load);
   }
-  return { frame: "view", found: await load("view") };
 }

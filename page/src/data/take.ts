@@ -63,22 +63,33 @@ export function emptyTake(capture: Capture, frames: number, frame: Frame): Take 
   };
 }
 
+/** Structures, and what is known of them besides. */
+export interface Lifted extends Structures {
+  outliers: ArrayLike<number> | undefined; // (N, K, P)
+  errors: Float32Array; // (N, K) pixels
+  bits: ArrayLike<number> | undefined; // (N,)
+}
+
 /** Puts frames of a reconstruction into a take: `first`, `first + step` and so on. */
 export function putStructures(take: Take, file: Map<string, Tensor>, first: number, step: number): void {
-  const part = structuresOf(take, file);
+  const outliers = floats(file, "outlier_probability");
+  const errors = needed(file, "reprojection_errors");
+  putLifted(take, { ...structuresOf(take, file), outliers, errors, bits: file.get("findings")?.data }, first, step);
+}
+
+/** Places frames as those of the take are, and puts them there. */
+export function putLifted(take: Take, part: Lifted, first: number, step: number): void {
   if (take.frame === "camera") yPointsUp(part);
   if (take.frame === "view") axesOfFirstView(part);
   const { cameras } = take;
-  const outliers = floats(file, "outlier_probability");
-  const bits = file.get("findings")?.data;
   const put = (into: Float32Array | Int8Array | Uint8Array, from: ArrayLike<number> | undefined) => {
     if (from !== undefined) putFrames(into, from, part.frames, first, step);
   };
   put(take.points, part.points);
   for (const name of Object.keys(cameras) as (keyof Cameras)[]) put(cameras[name], part.cameras[name]);
-  put(take.outlierProbability, outliers);
-  put(take.viewErrors, needed(file, "reprojection_errors"));
-  put(take.frameBits, bits);
+  put(take.outlierProbability, part.outliers);
+  put(take.viewErrors, part.errors);
+  put(take.frameBits, part.bits);
   for (let frame = first, left = part.frames; left > 0; frame += step, left--) {
     take.there[frame] = Math.max(take.there[frame], STRUCTURE);
   }

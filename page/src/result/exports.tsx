@@ -21,7 +21,7 @@ type Entry = [label: string, path: string, file: string];
 export function Exports({ stage }: { stage: Stage | null }) {
   const { fit, model, cameras, take } = useShow();
   const [trouble, setTrouble] = useState<string | null>(null);
-  const [unit, setUnit] = useState(hasUnit(fit) ? "m" : "");
+  const [unit, setUnit] = useState(hasUnit(model.config) ? "m" : "");
   const room = { level: "&frame=room&up=auto", camera: "&frame=room", view: "" }[take.frame];
   const structures = (format: string, suffix: string): Entry => [
     suffix,

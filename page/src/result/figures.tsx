@@ -7,12 +7,12 @@ import { useShow } from "./show.ts";
 import { unitOf } from "./unit.ts";
 
 export function Figures() {
-  const { fit, model, cameras, take, overlay } = useShow();
+  const { model, cameras, take, overlay } = useShow();
   const rows: [string, string, string?][] = [
     ["Reprojection error", pixels(model.reprojection_error), "mean over the views of all frames"],
     ["Frames lifted", `${number(model.frames_lifted)} of ${number(take.frames)}`],
     ["Captured", `${count(take.views, "view")}, ${count(take.keypoints, "keypoint")}`],
-    ["Lengths", unitOf(fit)],
+    ["Lengths", unitOf(model.config)],
   ];
   if (cameras.noise) rows.splice(1, 0, ["Noise of keypoints", pixels(cameras.noise), "standard deviation"]);
   if (overlay !== null) {

@@ -1,9 +1,11 @@
 /** The structure in three dimensions, with the cameras' names on it. */
 
+import type { ComponentChildren } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
+import type { Extent } from "./scene/parts.ts";
 import { nearest } from "../data/take.ts";
 import { createStage, type Stage } from "./scene/scene.ts";
-import { useShow } from "./show.ts";
+import { useShown } from "./show.ts";
 import { StageControls } from "./stage_controls.tsx";
 
 const FRAMES = {
@@ -12,8 +14,15 @@ const FRAMES = {
   view: "Each frame in the axes of its first view: no camera is known to be static.",
 } as const;
 
-export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void }) {
-  const show = useShow();
+interface Props {
+  onStage: (stage: Stage | null) => void;
+  extent?: Extent; // of the subject, if it does not follow from the frames that are there
+  overlay?: Float32Array | null; // other points (N, P, 3), laid over the structure
+  children?: ComponentChildren; // further controls
+}
+
+export function StagePanel({ onStage, extent, overlay = null, children }: Props) {
+  const show = useShown();
   const holder = useRef<HTMLDivElement>(null);
   const labels = useRef<HTMLDivElement>(null);
   const [stage, setStage] = useState<Stage | null>(null);
@@ -24,7 +33,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
     if (holder.current === null) return undefined;
     let made: Stage;
     try {
-      made = createStage(holder.current, take, player.frame);
+      made = createStage(holder.current, take, player.frame, extent);
     } catch {
       setTrouble("This browser draws nothing in three dimensions: it has no WebGL.");
       return undefined;
@@ -53,7 +62,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
   }, [stage, theme, selected, through]);
 
   useEffect(() => stage?.spoil(), [stage, show.version]);
-  useEffect(() => stage?.overlay(show.overlay?.points ?? null), [stage, show.overlay]);
+  useEffect(() => stage?.overlay(overlay), [stage, overlay]);
 
   const turnByKey = (event: KeyboardEvent) => {
     const turn = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
@@ -83,7 +92,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
           </button>
         )}
       </div>
-      <StageControls stage={stage} />
+      <StageControls stage={stage}>{children}</StageControls>
     </section>
   );
 }

@@ -7,11 +7,11 @@ import { number } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { partsOf, type Crop } from "./crop.ts";
 import { openFilm, type Film } from "./film.ts";
-import { useShow } from "./show.ts";
+import { useShown } from "./show.ts";
 import { createViewDrawing } from "./view_drawing.ts";
 
 export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
-  const { take, player, loop, theme, selected, through, lookThrough, posed, done } = useShow();
+  const { take, player, loop, theme, selected, through, lookThrough, posed, done } = useShown();
   const canvas = useRef<HTMLCanvasElement>(null);
   const error = useRef<HTMLSpanElement>(null);
   const [film, setFilm] = useState<Film | null>(null);

@@ -10,7 +10,8 @@ import { Exports } from "./exports.tsx";
 import { Figures } from "./figures.tsx";
 import { Legend } from "./legend.tsx";
 import type { Stage } from "./scene/scene.ts";
-import { ShowContext } from "./show.ts";
+import { ShowContext, ShownContext } from "./show.ts";
+import { OverlayChoice } from "./overlay_choice.tsx";
 import { StagePanel } from "./stage_panel.tsx";
 import { Timeline } from "./timeline.tsx";
 import { Transport } from "./transport.tsx";
@@ -23,10 +24,13 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
   const show = useResult(fit, result, stage);
   const { take, player, findings } = show;
   return (
+    <ShownContext.Provider value={show}>
     <ShowContext.Provider value={show}>
       <div class="result" aria-busy={!show.done}>
         <div class="screens">
-          <StagePanel onStage={setStage} />
+          <StagePanel onStage={setStage} overlay={show.overlay?.points ?? null}>
+            <OverlayChoice />
+          </StagePanel>
           <section class="views" aria-label="Views" data-count={take.views}>
             {take.viewNames.map((_, view) => (
               <ViewPanel key={view} view={view} crop={crop} />
@@ -63,5 +67,6 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
         </div>
       </div>
     </ShowContext.Provider>
+    </ShownContext.Provider>
   );
 }
