@@ -3,11 +3,15 @@
 import { lazy, Suspense } from "preact/compat";
 import { useEffect, useState } from "preact/hooks";
 import { keepKey, onKeyNeeded } from "./api/key.ts";
+import { DatasetsScreen } from "./datasets/datasets_screen.tsx";
 import { DatasetScreen } from "./datasets/dataset_screen.tsx";
 import { NewScreen } from "./datasets/new_screen.tsx";
 import { FitScreen } from "./fits/fit_screen.tsx";
 import { FitsScreen } from "./fits/fits_screen.tsx";
+import { ModelScreen } from "./models/model_screen.tsx";
+import { ModelsScreen } from "./models/models_screen.tsx";
 import { currentRoute, linkTo } from "./route.ts";
+import { StorageScreen } from "./storage/storage_screen.tsx";
 
 const LiveScreen = lazy(() => import("./live/live_screen.tsx"));
 const SCREENS = [
@@ -69,6 +73,10 @@ function Screen({ path }: { path: string[] }) {
   if (kind === "fits" && id !== undefined) return <FitScreen id={id} />;
   if (kind === "datasets" && id === "new") return <NewScreen />;
   if (kind === "datasets" && id !== undefined) return <DatasetScreen id={id} />;
+  if (kind === "datasets") return <DatasetsScreen />;
+  if (kind === "models" && id !== undefined) return <ModelScreen id={id} />;
+  if (kind === "models") return <ModelsScreen />;
+  if (kind === "storage") return <StorageScreen />;
   if (kind === undefined || kind === "fits") return <FitsScreen />;
   if (kind === "live") {
     return (

@@ -11,6 +11,11 @@ export type Model = Schemas["Model"];
 export type ModelSummary = Schemas["ModelSummary"];
 export type ModelCameras = Schemas["ModelCameras"];
 export type Finding = Schemas["Finding"];
+export type Alias = Schemas["Alias"];
+export type Storage = Schemas["Storage"];
+export type WaitingJobs = Schemas["WaitingJobs"];
+/** What has a page of its own, and can be renamed and deleted. */
+export type Kind = "datasets" | "fits" | "models";
 
 interface Page<T> {
   items: T[];
@@ -18,6 +23,7 @@ interface Page<T> {
 }
 
 const MOST = 50; // of a list at a time
+const MOST_ALIASES = 200;
 
 export const listFits = (cursor?: string) => listed<Fit>("fits", cursor);
 export const listFitsOf = (dataset: string) =>
@@ -35,8 +41,16 @@ export const getReconstruction = (fit: string, query: string) =>
 export const createFit = (body: object) => sendJson<Fit>("fits", body);
 export const cancelFit = (id: string) =>
   askJson<Fit>(`fits/${encodeURIComponent(id)}/cancel`, { method: "POST" });
-export const deleteDataset = (id: string) =>
-  ask(`datasets/${encodeURIComponent(id)}`, { method: "DELETE" });
+export const listAliases = () => askJson<Page<Alias>>(`aliases?limit=${MOST_ALIASES}`);
+export const setAlias = (alias: string, model: string) =>
+  sendJson<Alias>(`models/${encodeURIComponent(alias)}`, { model_id: model }, "PUT");
+export const deleteAlias = (alias: string) => remove("models", alias);
+export const getStorage = () => askJson<Storage>("storage");
+export const getQueues = () => askJson<Page<WaitingJobs>>("queues");
+export const rename = (kind: Kind, id: string, name: string) =>
+  sendJson<{ name: string }>(`${kind}/${encodeURIComponent(id)}`, { name }, "PATCH");
+export const remove = (kind: Kind | "lifts", id: string) =>
+  ask(`${kind}/${encodeURIComponent(id)}`, { method: "DELETE" });
 
 function listed<T>(kind: string, cursor?: string): Promise<Page<T>> {
   const next = cursor === undefined ? "" : `&cursor=${encodeURIComponent(cursor)}`;

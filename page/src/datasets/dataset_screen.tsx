@@ -1,9 +1,10 @@
 /** What was understood of a capture, and the fit that can be made of it. */
 
 import { useEffect, useState } from "preact/hooks";
-import { createFit, deleteDataset, getDataset, type Dataset } from "../api/resources.ts";
+import { createFit, getDataset, type Dataset } from "../api/resources.ts";
 import { remoteCapture } from "../data/remote.ts";
 import { captured } from "../fits/fits_screen.tsx";
+import { DeleteButton, NamedHeading } from "../parts/named.tsx";
 import { goTo } from "../route.ts";
 import { ConfigForm } from "./config_form.tsx";
 import { fullestFrame, type Drawn } from "./preview.ts";
@@ -37,7 +38,7 @@ export function DatasetScreen({ id }: { id: string }) {
   return (
     <main>
       <header class="title">
-        <h1>{dataset.name}</h1>
+        <NamedHeading kind="datasets" id={id} name={dataset.name} onName={(name) => setDataset({ ...dataset, name })} />
         <span class="quiet">{captured(dataset)}</span>
       </header>
       <section class="panel">
@@ -68,20 +69,15 @@ export function DatasetScreen({ id }: { id: string }) {
           >
             Start the fit
           </button>
-          <button
-            disabled={busy}
-            onClick={() => {
-              if (!confirm(`Delete ${dataset.name}? Models that were fitted to it stay.`)) return;
-              void attempt(async () => {
-                await deleteDataset(dataset.id);
-                goTo();
-              });
-            }}
-          >
-            Delete this dataset
-          </button>
         </div>
       </section>
+      <DeleteButton
+        kind="datasets"
+        id={id}
+        what="this dataset"
+        kept="Fits and models of it stay, without what the cameras saw."
+        onDeleted={() => goTo("datasets")}
+      />
     </main>
   );
 }
