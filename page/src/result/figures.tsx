@@ -20,6 +20,9 @@ export function Figures() {
     const mean = off.reduce((sum, value) => sum + value, 0) / Math.max(1, off.length);
     const how = overlay.each ? "each frame on its own" : "all frames as one";
     rows.push([`Distance from ${overlay.name}`, number(mean), `mean, moved onto it ${how}`]);
+    if (overlay.model !== null) {
+      rows.splice(1, 0, [`of ${overlay.name}`, pixels(overlay.model.reprojection_error), "of another fit"]);
+    }
   }
   if (model.pa_mpjpe) {
     rows.push(["Error against the truth", number(model.pa_mpjpe), "PA-MPJPE, in the truth's unit"]);

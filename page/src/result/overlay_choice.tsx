@@ -1,7 +1,7 @@
 /** What is laid over the structure, pale: the ground truth, or what another fit made of the dataset. */
 
 import { useEffect, useState } from "preact/hooks";
-import { getFit, listFitsOf, type Fit } from "../api/resources.ts";
+import { getFit, getModel, listFitsOf, type Fit, type Model } from "../api/resources.ts";
 import { loadPoints } from "../data/loading.ts";
 import { aligned } from "../science/aligning.ts";
 import { useShow } from "./show.ts";
@@ -10,6 +10,7 @@ export interface Overlay {
   name: string;
   points: Float32Array; // (N, P, 3), moved onto the structure
   each: boolean; // whether each frame was moved on its own, not all as one
+  model: Model | null; // that made them
 }
 
 const NONE = "";
@@ -33,11 +34,13 @@ export function OverlayChoice() {
     setTrouble(false);
     if (choice === NONE) return setOverlay(null);
     try {
-      const name = choice === TRUTH ? "the truth" : (others.find((other) => other.id === choice)?.name ?? choice);
+      const other = others.find(({ id }) => id === choice);
+      const name = other === undefined ? "the truth" : `${other.name} (${other.id.slice(-6)})`;
       const { points, inOneFrame } =
         choice === TRUTH ? { points: await file.truth(), inOneFrame: true } : await loadPoints(await getFit(choice));
       const each = take.frame === "view" || !inOneFrame;
-      setOverlay({ name, each, points: aligned(points, take.points, take.keypoints, each) });
+      const model = other?.model_id ? await getModel(other.model_id) : null;
+      setOverlay({ name, each, model, points: aligned(points, take.points, take.keypoints, each) });
     } catch {
       setTrouble(true);
     }

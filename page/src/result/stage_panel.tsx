@@ -18,10 +18,12 @@ interface Props {
   onStage: (stage: Stage | null) => void;
   extent?: Extent; // of the subject, if it does not follow from the frames that are there
   overlay?: Float32Array | null; // other points (N, P, 3), laid over the structure
+  title?: string; // in the place of where one is
+  plain?: boolean; // without controls
   children?: ComponentChildren; // further controls
 }
 
-export function StagePanel({ onStage, extent, overlay = null, children }: Props) {
+export function StagePanel({ onStage, extent, overlay = null, title, plain = false, children }: Props) {
   const show = useShown();
   const holder = useRef<HTMLDivElement>(null);
   const labels = useRef<HTMLDivElement>(null);
@@ -73,7 +75,7 @@ export function StagePanel({ onStage, extent, overlay = null, children }: Props)
   };
 
   return (
-    <section class="panel stage" aria-label="Structure in 3D">
+    <section class="panel stage" aria-label={title === undefined ? "Structure in 3D" : `Structure in 3D: ${title}`}>
       <div ref={holder} onKeyDown={turnByKey} />
       <div class="labels" ref={labels}>
         {take.viewNames.map((name, view) => (
@@ -85,14 +87,14 @@ export function StagePanel({ onStage, extent, overlay = null, children }: Props)
       {trouble !== null && <p class="trouble">{trouble}</p>}
       <div class="overlay top">
         {through === null ? (
-          <span class="quiet">{FRAMES[take.frame]}</span>
+          title === undefined ? <span class="quiet">{FRAMES[take.frame]}</span> : <strong>{title}</strong>
         ) : (
           <button onClick={() => lookThrough(null)}>
             Through {take.viewNames[through]} · leave <kbd>Esc</kbd>
           </button>
         )}
       </div>
-      <StageControls stage={stage}>{children}</StageControls>
+      {!plain && <StageControls stage={stage}>{children}</StageControls>}
     </section>
   );
 }
