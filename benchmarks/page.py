@@ -11,6 +11,8 @@ than on any graphics card. `--seconds 300` shows whether memory stays what it is
 import argparse
 import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
@@ -51,13 +53,34 @@ def main() -> None:
     chromium = shutil.which("chromium")
     if chromium is None:
         sys.exit("page.py: chromium is not installed")
+    with nullcontext(arguments.url) if arguments.url else fitted(arguments) as url:
+        opened, played = measure(chromium, url, arguments.seconds)
+    cold = opened[0]
+    bars = [
+        Bar("playable, cold", PLAYABLE_MS, cold["playable ms"], "ms"),
+        Bar("first paint, cold", PAINTED_MS, cold["first paint ms"], "ms"),
+        Bar("script of a frame, p99", SCRIPT_MS, played["script p99 ms"], "ms"),
+        Bar("memory gained while playing", GROWN_MB, played["memory gained MB"], "MB"),
+    ]
+    tables = {"Opening a result": opened, "Playing it": [played]}
+    Results("page", vars(arguments), tables, bars).publish(arguments.json)
+
+
+@contextmanager
+def fitted(arguments: argparse.Namespace) -> Iterator[str]:
+    """Serve the result of a fit; yield its address."""
     capture = studio(arguments.views, arguments.keypoints, frames=arguments.frames)
-    with service() as running, sync_playwright() as playwright:
+    with service() as running:
         asked = {"dataset_id": running.upload(capture), "config": CONFIG}
         fit, seconds = running.run("/fits", asked)
         print(f"fitted in {seconds:.0f} s", flush=True)
-        url = f"{running.address}/#/fits/{fit['id']}"
-        opened, row = [], {}
+        yield f"{running.address}/#/fits/{fit['id']}"
+
+
+def measure(chromium: str, url: str, seconds: float) -> tuple[list[Row], Row]:
+    """Open a result in several browsers, twice in each; play it in the last."""
+    opened, played = [], {}
+    with sync_playwright() as playwright:
         for turn in range(OPENED):
             browser = playwright.chromium.launch(executable_path=chromium, args=SOFTWARE)
             page = browser.new_page()
@@ -65,19 +88,9 @@ def main() -> None:
             opened += [open_once(page, url) | {"browser": "just started"}]
             opened += [open_once(page, url) | {"browser": "has shown it before"}]
             if turn == OPENED - 1:
-                row = play(page, arguments.seconds)
+                played = play(page, seconds)
             browser.close()
-    openings = [middle(opened[start::2]) for start in (0, 1)]
-    cold = openings[0]
-    bars = [
-        Bar("playable, cold", PLAYABLE_MS, cold["playable ms"], "ms"),
-        Bar("first paint, cold", PAINTED_MS, cold["first paint ms"], "ms"),
-        Bar("script of a frame, p99", SCRIPT_MS, row["script p99 ms"], "ms"),
-        Bar("memory gained while playing", GROWN_MB, row["memory gained MB"], "MB"),
-    ]
-    Results(
-        "page", vars(arguments), {"Opening a result": openings, "Playing it": [row]}, bars
-    ).publish(arguments.json)
+    return [middle(opened[start::2]) for start in (0, 1)], played
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -87,6 +100,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--views", type=int, default=4)
     parser.add_argument("--keypoints", type=int, default=60)
     parser.add_argument("--seconds", type=float, default=30, help="to play for")
+    parser.add_argument("--url", help="of a result that is there, instead of one that is fitted")
     return parser.parse_args()
 
 

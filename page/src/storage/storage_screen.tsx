@@ -39,7 +39,7 @@ export function StorageScreen() {
             <Kinds storage={storage} />
           </section>
           {storage.largest.length > 0 ? (
-            <section class="panel">
+            <section class="panel" aria-label="The largest">
               <h2>The largest</h2>
               <Largest storage={storage} />
             </section>
