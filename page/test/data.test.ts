@@ -5,6 +5,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
+import { partsOf } from "../src/datasets/parts.ts";
 import { openCapture } from "../src/data/capture.ts";
 import { readSafetensors } from "../src/data/safetensors.ts";
 import { ALL, emptyTake, nearest, putDetected, putStructures, STRUCTURE, type Frame } from "../src/data/take.ts";
@@ -101,6 +102,33 @@ test("a take whose frames come in parts is that which came whole", { skip }, asy
   putDetected(parts, await detected(0, 4), 0);
   assert.deepEqual(parts, whole);
 });
+
+for (const name of ["capture.npz", "reconstruction.safetensors"]) {
+  test(`${name} is cut into parts that are files of their own`, { skip }, async () => {
+    const file = new File([bytes(name)], name);
+    assert.equal(await partsOf(file), null); // it is short
+    const parts = await partsOf(file, 700);
+    if (name.startsWith("reconstruction")) return assert.equal(parts, null); // it has no keypoints
+    const expected = json("capture.json");
+    const [frames, views, keypoints] = expected.shape;
+    assert.ok(parts !== null && parts.frames === frames && parts.size < frames);
+    const found: (number | null)[] = [];
+    const times: number[] = [];
+    for (let first = 0; first < frames; first += parts.size) {
+      const part = readSafetensors(await parts.part(first, Math.min(frames, first + parts.size)).arrayBuffer());
+      assert.deepEqual(part.get("keypoints")?.shape.slice(1), [views, keypoints, 2]);
+      found.push(...nulls(part.get("keypoints")?.data as Float32Array));
+      times.push(...(part.get("times")?.data ?? []));
+    }
+    assert.deepEqual(found, expected.keypoints);
+    assert.deepEqual(times, expected.times);
+    const { skeleton, view_names, image_sizes, fps } = parts.description;
+    const { keypoint_names, edges } = JSON.parse(skeleton);
+    assert.deepEqual([keypoint_names, edges], [expected.keypoint_names, expected.edges]);
+    assert.deepEqual([JSON.parse(view_names), JSON.parse(image_sizes)], [expected.view_names, expected.image_sizes]);
+    assert.equal(Number(fps), expected.fps);
+  });
+}
 
 function nulls(values: Float32Array): (number | null)[] {
   return Array.from(values, (value) => (Number.isNaN(value) ? null : value));
