@@ -1,11 +1,11 @@
 /** What was understood of a capture, and the fit that can be made of it. */
 
 import { useEffect, useState } from "preact/hooks";
-import { createFit, getDataset, type Dataset } from "../api/resources.ts";
+import { createFit, getDataset, listFitsOf, type Dataset, type Fit } from "../api/resources.ts";
 import { remoteCapture } from "../data/remote.ts";
 import { captured } from "../fits/fits_screen.tsx";
 import { DeleteButton, NamedHeading } from "../parts/named.tsx";
-import { goTo } from "../route.ts";
+import { goTo, linkTo } from "../route.ts";
 import { ConfigForm } from "./config_form.tsx";
 import { fullestFrame, type Drawn } from "./preview.ts";
 import { Understood } from "./understood.tsx";
@@ -16,7 +16,12 @@ export function DatasetScreen({ id }: { id: string }) {
   const [config, setConfig] = useState<Record<string, unknown>>({});
   const [busy, setBusy] = useState(false);
   const [frame, setFrame] = useState<Drawn | null>(null);
+  const [fits, setFits] = useState<Fit[]>([]);
   useEffect(() => {
+    listFitsOf(id).then(
+      (page) => setFits(page.items),
+      () => {}, // the words do without
+    );
     getDataset(id).then(
       (found) => {
         setDataset(found);
@@ -71,6 +76,18 @@ export function DatasetScreen({ id }: { id: string }) {
           </button>
         </div>
       </section>
+      {fits.length > 0 && (
+        <section class="panel">
+          <h2>Fits of it</h2>
+          <p class="where">
+            {fits.map((fit) => (
+              <a key={fit.id} class="chip" href={linkTo("fits", fit.id)}>
+                {fit.name} ({fit.id.slice(-6)})
+              </a>
+            ))}
+          </p>
+        </section>
+      )}
       <DeleteButton
         kind="datasets"
         id={id}
