@@ -26,6 +26,7 @@ SCREENS = (
     "#/fits/{fit}",
     "#/fits/{failed}",
 )
+COLOURED = ("", "#/models/{model}", "#/storage", "#/fits/{fit}")  # whose colours are all there are
 HAND, DESK = ViewportSize(width=390, height=844), ViewportSize(width=1280, height=800)
 
 
@@ -73,12 +74,13 @@ def test_every_screen_fits_hand_and_desk_and_who_cannot_see_it(
     """Axe, which examines roles, names and contrast, has no serious objection."""
     axe = checked_out(tmp_path_factory) / "node_modules" / "axe-core" / "axe.min.js"
     # What does not depend on colours is examined once.
-    rules = "{}" if scheme == "light" else "{runOnly: ['color-contrast']}"
+    light = scheme == "light"
+    screens, rules = (SCREENS, "{}") if light else (COLOURED, "{runOnly: ['color-contrast']}")
     with browser.new_context(
         viewport=HAND, color_scheme=scheme, has_touch=True, bypass_csp=True
     ) as context:
         watched = watch(context.new_page(), live.url)
-        for screen in SCREENS:
+        for screen in screens:
             page = watched.open(stored.at(screen))
             opened(page, screen)
             wide = "document.documentElement.scrollWidth"

@@ -21,7 +21,7 @@ export interface Watching {
 }
 
 const ARRAYS = /\.(npz|safetensors)$/i;
-const AGAIN_MS = 2000; // after the connection broke
+const AGAIN_MS = 1000; // after the connection broke
 const STOPPED = "The upload was stopped.";
 
 /** Returns the dataset that files became; throws `Refusal` with the service's words. */

@@ -53,8 +53,7 @@ export function StagePanel({ onStage, extent, overlay = null, title, plain = fal
     if (stage === null) return undefined;
     stage.onLeaveCamera(() => lookThrough(null));
     return loop.addAlways(() => {
-      stage.draw(nearest(take, player.frame));
-      placeLabels(stage, labels.current);
+      if (stage.draw(nearest(take, player.frame))) placeLabels(stage, labels.current);
     });
   }, [stage, loop]);
 

@@ -16,8 +16,9 @@ export interface Stage extends Viewpoint {
   canvas: HTMLCanvasElement;
   square: number; // side of a square of the floor, in the unit of the points
   flows: boolean; // whether frames follow each other so closely that trails say something
-  /** Draws a frame if it, the angle or anything else has changed since the last time. */
-  draw(frame: number): void;
+  /** Draws a frame if it, the angle or anything else has changed since the last time; returns whether
+   * that was so. */
+  draw(frame: number): boolean;
   /** Has the next frame drawn again: its points have changed. */
   spoil(): void;
   paint(theme: Theme, selected: number | null): void;
@@ -58,7 +59,7 @@ export function createStage(holder: HTMLElement, take: Take, firstFrame: number,
     flows: usualStep(take.points, take.keypoints, take.there) < extent.size / FLOWING,
     spoil,
     draw(frame) {
-      if (!stale && frame === drawn) return;
+      if (!stale && frame === drawn) return false;
       skeleton.show(frame, take.points);
       if (others !== null) ghost.show(frame, others);
       trails.show(frame);
@@ -67,6 +68,7 @@ export function createStage(holder: HTMLElement, take: Take, firstFrame: number,
       renderer.render(scene, eyes.seeing(frame));
       stale = false;
       drawn = frame;
+      return true;
     },
     paint(theme, selected) {
       skeleton.paint(theme, selected);
