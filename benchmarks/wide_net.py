@@ -30,11 +30,13 @@ from models.calibrating.handedness import certainty
 from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import problem_of
-from models.capture.metrics import pa_mpjpe
+from models.capture.metrics import pa_mpjpe, procrustes_by_size
 from models.epipolar.robust_points import robust_points
 from models.epipolar.static_cameras import Seen, StaticCameras
+from models.lifting.lift import Lift
 from models.numerics.steps import finished
 from models.numerics.threads import use_threads
+from models.optics.lenses.projection import Lenses, project
 from models.settings.config import FitConfig
 from models.training.trainer import fit
 
@@ -66,6 +68,8 @@ class Row(NamedTuple):
     focal_scores: list[float]  # errors of log focal lengths over their standard deviations
     focal_error: float  # largest error of a log focal length
     turn: float  # degrees, largest error of a rotation between two cameras
+    inferred: tuple[float, float]  # median and 95th percentile where one view sees, in heights
+    reach: float  # longer sides of the image, largest distance of a reprojection from its centre
     findings: tuple[str, ...]
     seconds: float
 
@@ -131,6 +135,7 @@ class Answer(NamedTuple):
     rotations: Float64  # (K, 3, 3); NaN of cameras that were not found
     focals: Float64  # (K,) pixels
     focal_sds: Float64  # (K,) of their logs
+    reach: float  # as in `Row`
     findings: tuple[str, ...]
 
 
@@ -152,6 +157,7 @@ def by_geometry(draw: Draw) -> Answer:
         rig.rotations,
         np.exp(rig.log_focals) * problem.side,
         found.deviations[:, 0],
+        float("nan"),
         (),
     )
 
@@ -163,7 +169,7 @@ def by_fit(draw: Draw) -> Answer:
     codes = tuple(sorted({finding.code for finding in prior.findings}))
     cameras = prior.cameras
     if cameras is None:
-        return _without_cameras(draw, lift.points3d.astype(np.float64), codes)
+        return _without_cameras(draw, lift.points3d.astype(np.float64), codes, _reach(draw, lift))
     sds = cameras.focal_sds / cameras.focals.mean(1)
     return Answer(
         lift.points3d.astype(np.float64),
@@ -172,16 +178,36 @@ def by_fit(draw: Draw) -> Answer:
         np.where(cameras.resting[:, None, None], cameras.rotations, np.nan),
         cameras.focals.mean(1),
         sds,
+        _reach(draw, lift),
         codes,
     )
 
 
-def _without_cameras(draw: Draw, points: Float64, findings: tuple[str, ...]) -> Answer:
+def _without_cameras(
+    draw: Draw, points: Float64, findings: tuple[str, ...], reach: float = float("nan")
+) -> Answer:
     views = draw.keypoints.shape[1]
     unknown = np.full(views, np.nan)
-    return Answer(
-        points, False, 0.0, np.full((views, 3, 3), np.nan), unknown, unknown.copy(), findings
-    )
+    rotations = np.full((views, 3, 3), np.nan)
+    return Answer(points, False, 0.0, rotations, unknown, unknown.copy(), reach, findings)
+
+
+def _reach(draw: Draw, lift: Lift) -> float:
+    """Largest distance of a reprojection from the centre of its image, in longer sides of it."""
+    furthest = 0.0
+    for k in range(draw.keypoints.shape[1]):
+        there = lift.camera_models[:, k] > 0  # perspective
+        rotations, shifts = lift.rotations[there, k], lift.translations[there, k, None]
+        held = (lift.points3d[there] @ rotations.mT + shifts).astype(np.float64)
+        lenses = Lenses(
+            lift.focals[there, k].astype(np.float64),
+            lift.principal_points[there, k].astype(np.float64),
+            lift.distortions[there, k].astype(np.float64),
+            lift.camera_models[there, k] - np.int8(1),
+        )
+        away = np.abs(project(held, lenses) - draw.centres[k]) / (2 * draw.centres[k].max())
+        furthest = max(furthest, float(np.nanmax(away, initial=0)))
+    return furthest
 
 
 def measure(draw: Draw, found: Callable[[Draw], Answer], oracle: Path | None) -> Row:
@@ -194,6 +220,7 @@ def measure(draw: Draw, found: Callable[[Draw], Answer], oracle: Path | None) ->
     error = _error(draw, answer.points, asked)
     reflected = _error(draw, answer.points * [1, 1, -1], asked)
     bound = _error(draw, triangulated(draw), asked)
+    once = np.isfinite(draw.keypoints).all(-1).sum(1) == 1
     logs = np.abs(np.log(answer.focals / draw.focals))
     return Row(
         draw.number,
@@ -208,6 +235,8 @@ def measure(draw: Draw, found: Callable[[Draw], Answer], oracle: Path | None) ->
         [float(score) for score in logs / answer.focal_sds if np.isfinite(score)],
         float(np.nanmax(logs, initial=0)),
         _turn(draw, answer.rotations),
+        _inferred(draw, answer.points, asked, once),
+        answer.reach,
         answer.findings,
         seconds,
     )
@@ -243,6 +272,22 @@ def _error(draw: Draw, points: Float64, asked: NDArray[np.bool_]) -> float:
     """Mean distance after alignment over the subject's height; keypoints `asked` (N, P)."""
     truth = np.where(asked[..., None], draw.points3d, np.nan)
     return pa_mpjpe(points, truth, reflection="never").mean / draw.height
+
+
+def _inferred(
+    draw: Draw, points: Float64, asked: NDArray[np.bool_], once: NDArray[np.bool_]
+) -> tuple[float, float]:
+    """Median and 95th percentile of the errors where one view sees, in heights of the subject.
+
+    Each frame is aligned by the keypoints `asked` (N, P); those seen `once` (N, P) are measured.
+    """
+    moved = procrustes_by_size(points, np.where(asked[..., None], draw.points3d, np.nan))
+    errors = np.linalg.norm(moved - draw.points3d, axis=-1)[once & asked.any(1, keepdims=True)]
+    errors = errors[np.isfinite(errors)]
+    if not len(errors):
+        return float("nan"), float("nan")
+    median, most = np.quantile(errors / draw.height, (0.5, 0.95))
+    return float(median), float(most)
 
 
 def _turn(draw: Draw, rotations: Float64) -> float:
@@ -305,6 +350,15 @@ def summary(rows: list[Row]) -> list[dict[str, Any]]:
             "certain of the hand: not mirrored", sure, [row for row in sure if not row.mirrored]
         ),
     ]
+    inferred = [row for row in rows if np.isfinite(row.inferred[0])]
+    table += [
+        _share(
+            "seen by one view: median within 25 %, 95th percentile within 80 %",
+            inferred,
+            [row for row in inferred if row.inferred[0] <= 0.25 and row.inferred[1] <= 0.8],
+        ),
+        _share("reprojections within 20 image sides", rows, [r for r in rows if not r.reach > 20]),
+    ]
     seconds = [row.seconds for row in rows]
     if seconds:
         median, most = np.median(seconds), max(seconds)
@@ -329,6 +383,10 @@ def _line(row: Row) -> str:
         yield f"focal {100 * row.focal_error:.2g} % z {max(row.focal_scores, default=0):.1f}"
         yield f"turn {row.turn:.2g} deg"
         yield f"{'MIRRORED ' if row.mirrored else ''}sure {row.certainty:.3f}"
+        if np.isfinite(row.inferred[0]):
+            yield f"one view {100 * row.inferred[0]:.2g}, {100 * row.inferred[1]:.2g} %"
+        if row.reach > 1:
+            yield f"reach {row.reach:.2g}"
         if row.moving != row.called_moving:
             yield "CALLED MOVING" if row.called_moving else "CALLED STATIC"
         yield f"{row.seconds:.1f} s"
