@@ -5,6 +5,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
+import { frameMessage, readAnswer } from "../src/live/messages.ts";
 import { partsOf } from "../src/datasets/parts.ts";
 import { openCapture } from "../src/data/capture.ts";
 import { readSafetensors } from "../src/data/safetensors.ts";
@@ -101,6 +102,25 @@ test("a take whose frames come in parts is that which came whole", { skip }, asy
   assert.deepEqual([...parts.there.slice(3)], [STRUCTURE, ALL, ALL]);
   putDetected(parts, await detected(0, 4), 0);
   assert.deepEqual(parts, whole);
+});
+
+test("messages of a stream are those of the service", { skip }, () => {
+  const expected = json("answer.json");
+  const { sequence, lifted } = readAnswer(bytes("answer.bin"), expected.points3d.length / 3);
+  assert.equal(sequence, 70_000);
+  assert.ok(lifted !== null);
+  const { points, cameras, outliers, errors, bits, views } = lifted;
+  assert.deepEqual([...(bits as number[])], [9]);
+  assert.deepEqual(nulls(points), expected.points3d);
+  assert.deepEqual(nulls(outliers as Float32Array), expected.outlier_probability);
+  assert.deepEqual(nulls(errors), expected.reprojection_errors);
+  assert.deepEqual([...cameras.models], expected.camera_models);
+  for (const name of ["rotations", "translations", "scales", "focals", "distortions"] as const) {
+    assert.deepEqual(nulls(cameras[name]), expected[name], name);
+  }
+  assert.deepEqual(nulls(cameras.principalPoints), expected.principal_points);
+  const pixels = Float32Array.from(expected.sent as (number | null)[], (value) => value ?? NaN);
+  assert.deepEqual(new Uint8Array(frameMessage(3, views, pixels)), new Uint8Array(bytes("frame.bin")));
 });
 
 for (const name of ["capture.npz", "reconstruction.safetensors"]) {

@@ -58,7 +58,7 @@ def store(live: Live) -> Stored:
         assert made.status_code == 201, made.text
         ids[name] = made.json()["id"]
     failed = live.fit(ids["empty"])["id"]
-    first = fitted_once("page-walk", lambda: fitted(3))
+    first = walking()
     second = fitted_once("page-again", lambda: fitted(4))
     records = Store(StoreSettings(data_dir=live.data_dir))
     try:
@@ -69,6 +69,11 @@ def store(live: Live) -> Stored:
         records.close()
     model = live.get(f"/fits/{walked}")["model_id"]
     return Stored(ids["walk"], walked, again, model, long, failed)
+
+
+def walking() -> FittedPrior:
+    """Return what was fitted to the walk."""
+    return fitted_once("page-walk", lambda: fitted(3))
 
 
 def configuration(seed: int) -> FitConfig:

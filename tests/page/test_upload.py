@@ -19,19 +19,24 @@ def test_an_upload_that_broke_is_finished_another_day(
     keypoints = np.concatenate([KEYPOINTS.astype(np.float32)] * times)[:FRAMES]
     keypoints += np.arange(FRAMES, dtype=np.float32)[:, None, None, None] % 97
     skeleton = {"keypoint_names": np.array(NAMES), "edges": np.array(EDGES), "fps": 50.0}
-    file = tmp_path / "long.npz"
+    file = tmp_path / "march.npz"
     file.write_bytes(to_npz(keypoints=keypoints, **skeleton))
     watched = watch(context.new_page(), live.url)
     page = watched.open("#/datasets/new")
+    page.route("**/datasets", lambda route: route.abort("connectionreset"), times=1)
     page.route("**/frames", lambda route: route.abort("connectionreset"))
     page.set_input_files(".drop input", file)
     understood = page.get_by_role("region", name="What was understood")
     expect(understood).to_contain_text("24,000 frames at 50 frames/s, 3 views")
     page.get_by_role("button", name="Store this capture").click()
     expect(page.get_by_text("The connection broke. Trying again.")).to_be_visible()
+    broken = page.get_by_text("The connection broke. Trying again.")
+    expect(broken).to_be_visible()
+    expect(broken).to_have_count(0)  # the first part is stored
+    expect(broken).to_be_visible()
     page.get_by_role("button", name="Stop").click()
     page.unroute("**/frames")
-    (begun,) = live.get("/datasets?name=long&limit=1")["items"]
+    (begun,) = live.get("/datasets?name=march")["items"]
     assert 0 < begun["frames"] < FRAMES
 
     sent: list[str] = []
@@ -47,7 +52,7 @@ def test_an_upload_that_broke_is_finished_another_day(
     page = watched.open("#/datasets/new")
     page.set_input_files(".drop input", file)
     page.get_by_role("button", name="Store what is missing of it").click()
-    expect(page.get_by_role("heading", name="long")).to_be_visible()
+    expect(page.get_by_role("heading", name="march")).to_be_visible()
     assert sent[0] == sent[1] == f"{begun['id']}-{begun['frames']}"
     stored = live.get(f"/datasets/{begun['id']}")
     assert (stored["frames"], stored["skeleton"]["edges"]) == (FRAMES, EDGES)

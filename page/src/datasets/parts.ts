@@ -85,13 +85,13 @@ function described(arrays: Map<string, Tensor>, texts: Map<string, string[]>): R
   const sizes = floats(arrays, "image_sizes");
   const fps = floats(arrays, "fps");
   const names = texts.get("keypoint_names");
-  const said: Record<string, string> = {};
+  const fields: Record<string, string> = {};
   const skeleton = { ...(names && { keypoint_names: names }), ...(edges && { edges: pairs(edges) }) };
-  if (names || edges) said.skeleton = JSON.stringify(skeleton);
-  if (sizes) said.image_sizes = JSON.stringify(pairs(sizes).map((size) => (size[0] > 0 ? size : null)));
-  if (texts.has("view_names")) said.view_names = JSON.stringify(texts.get("view_names"));
-  if (fps) said.fps = `${fps[0]}`;
-  return said;
+  if (names || edges) fields.skeleton = JSON.stringify(skeleton);
+  if (sizes) fields.image_sizes = JSON.stringify(pairs(sizes).map((size) => (size[0] > 0 ? size : null)));
+  if (texts.has("view_names")) fields.view_names = JSON.stringify(texts.get("view_names"));
+  if (fps) fields.fps = `${fps[0]}`;
+  return fields;
 }
 
 function pairs(numbers: Float32Array): [number, number][] {

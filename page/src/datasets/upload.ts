@@ -135,12 +135,12 @@ function formOf(files: File[], { name, fps, width, height }: Description): FormD
   return form;
 }
 
-/** Returns the form of the first part of a file, with all that the file says of its frames. */
+/** Returns the form of the first part of a file, with what the file has of all its frames. */
 function firstOf(parts: Parts, file: File, { name, fps }: Description): FormData {
   const form = new FormData();
   const end = Math.min(parts.size, parts.frames);
   form.append("file", parts.part(0, end), `${file.name}.safetensors`);
-  const said = { ...parts.description, ...(name !== "" && { name }), ...(fps !== "" && { fps }) };
-  for (const [field, value] of Object.entries(said)) form.append(field, value);
+  const fields = { ...parts.description, ...(name !== "" && { name }), ...(fps !== "" && { fps }) };
+  for (const [field, value] of Object.entries(fields)) form.append(field, value);
   return form;
 }

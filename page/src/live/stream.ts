@@ -52,7 +52,7 @@ export function openStream(start: Start, keypoints: number, heard: Heard): Strea
     socket.binaryType = "arraybuffer";
     socket.onopen = () => socket.send(JSON.stringify({ ...start, on_overload: "latest", continuity: true }));
     socket.onmessage = ({ data }) => {
-      if (typeof data === "string") return hear(JSON.parse(data) as Told);
+      if (typeof data === "string") return hear(JSON.parse(data) as Message);
       const answer = readAnswer(data as ArrayBuffer, keypoints);
       heard.onAnswer(answer, performance.now() - (sent.get(answer.sequence) ?? NaN));
       sent.delete(answer.sequence);
@@ -67,16 +67,16 @@ export function openStream(start: Start, keypoints: number, heard: Heard): Strea
       if (!forGood) setTimeout(() => closed || connect(), AGAIN_MS);
     };
   }
-  function hear(told: Told): void {
-    if (told.type === "ready") {
+  function hear(message: Message): void {
+    if (message.type === "ready") {
       ready = true;
       heard.onReady();
-    } else if (told.type === "dropped") {
-      for (const each of told.sequences) sent.delete(each);
-      heard.onDropped(told.sequences.length);
+    } else if (message.type === "dropped") {
+      for (const each of message.sequences) sent.delete(each);
+      heard.onDropped(message.sequences.length);
     } else {
-      reason = told.detail;
-      if (told.sequence !== undefined && told.sequence !== null) sent.delete(told.sequence);
+      reason = message.detail;
+      if (message.sequence !== undefined && message.sequence !== null) sent.delete(message.sequence);
     }
   }
   connect();
@@ -94,7 +94,7 @@ export function openStream(start: Start, keypoints: number, heard: Heard): Strea
   };
 }
 
-type Told =
+type Message =
   | { type: "ready" }
   | { type: "dropped"; sequences: number[] }
   | { type: "error"; detail: string; sequence?: number | null };

@@ -267,8 +267,8 @@ def test_some_frames_are_those_of_all(
     assert some.keys() == whole.keys()
     for name, array in some.items():
         np.testing.assert_array_equal(array, whole[name][few])
-    told = live.http.get(f"{url}?frames={asked}").json()
-    assert told["frames"] == live.http.get(url).json()["frames"][few]
+    nested = live.http.get(f"{url}?frames={asked}").json()
+    assert nested["frames"] == live.http.get(url).json()["frames"][few]
 
 
 def test_some_frames_of_a_long_fit_are_read_in_parts(settings: Settings, api: TestClient) -> None:
