@@ -22,18 +22,19 @@ TINY = 1e-12
 def log_evidence(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> Float64:
     """Return the log likelihood (N,) of what each frame shows, up to a constant of the keypoints.
 
-    The rig has one group, and `scene` is a start that is adjusted first. Where the subject is, is
-    as likely in every part of the image and at every order of distance, so that a rig that is
-    larger as a whole is no likelier. NaN where a frame cannot be explained.
+    `scene` is a start that is adjusted first. For each group of views, the subject is as likely in
+    every part of the image and at every order of distance, so that a rig that is larger as a whole
+    is no likelier. NaN where a frame cannot be explained.
     """
     scene, costs = adjust_frames(views, rig, prior, scene, iterations=ITERATIONS)
     numbers = 2 * (views.weights > 0).sum((1, 2))  # (N,)
-    degrees = (numbers - POSE).clip(1)
+    degrees = (numbers - POSE * rig.group_count).clip(1)
     logs = np.log(np.where(views.weights > 0, views.weights, 1.0)).sum((1, 2))
     structure = prior.means[0].size
     depths = points_in_cameras(scene, rig)[..., 2].mean(2)  # (N, K)
     focals = rig.lenses.focals.mean(1)
-    places = (2 * np.log(focals) - 3 * np.log(depths.clip(TINY))).mean(1)
+    places = 2 * np.log(focals) - 3 * np.log(depths.clip(TINY))
+    places = (places / rig.members[rig.groups]).sum(1)  # the mean of each group
     equations = normal_equations(views, rig, prior, scene, shared=False)
     fits = -(FREEDOM + degrees) / 2 * np.log1p(costs / FREEDOM)
     evidence = fits + logs + places - _log_determinants(equations) / 2

@@ -14,7 +14,14 @@ from models.bundle.initial_poses import gather
 from models.bundle.problem import Scene, make_rig
 from models.bundle.shape_model import align
 from models.calibrating.expectation_maximisation import ROUNDS, about_model, learn, regauge
-from models.calibrating.handedness import DECIDED, Handed, certainty, same_hand, volume
+from models.calibrating.handedness import (
+    DECIDED,
+    Corners,
+    Handed,
+    certainty,
+    same_hand,
+    volume,
+)
 from models.calibrating.keypoint_rig import KeypointRig, rig_from_keypoints
 from models.calibrating.prediction import (
     LENS_ERRORS,
@@ -39,7 +46,6 @@ from models.settings.keypoints import MIN_KEYPOINTS
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
-Corners = tuple[int, int, int, int]
 
 MEDIAN_ROUNDS = 10  # of reweighting for a median of rotations
 LEAST_ANGLE = 1e-4  # radians, below which rotations weigh alike there

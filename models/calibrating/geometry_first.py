@@ -10,16 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import Scene
+from models.bundle.problem import FOCAL, Scene
 from models.bundle.scene_adjustment import adjust_frames
 from models.bundle.shape_model import align
-from models.calibrating.doubts import Checked
+from models.calibrating.doubts import check_told
 from models.calibrating.expectation_maximisation import about_model, learn, regauge
-from models.calibrating.handedness import DECIDED, certainty
+from models.calibrating.handedness import DECIDED, Corners, certainty, volume
 from models.calibrating.keypoint_rig import geometry_of, lens_kinds, start_from_geometry
 from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import Problem, Solution
 from models.calibrating.search import Arranged
+from models.epipolar.static_rig import StaticRig
 from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 
@@ -40,23 +41,15 @@ class Settled(NamedTuple):
 def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Steps[Settled | None]:
     """Find static cameras from all frames, and shapes from `most` of them.
 
-    None where geometry does not decide: cameras that move, lenses, poses or a hand that were given,
-    lenses that look like another camera model, a handedness that keypoints leave open.
+    None where geometry does not decide: cameras that move, poses that were given, a handedness that
+    keypoints leave open, given lenses that keypoints contradict.
     """
+    if problem.posed or config.cameras == "moving":
+        return None
     views = len(problem.poses)
-    given = problem.posed or config.hand is not None or np.isfinite(problem.lens_sds).any()
-    if views < 2 or given or config.cameras == "moving":
-        return None
-    found = yield from geometry_of(problem, list(range(views)))
-    if found is None or not found.resting.all():
-        return None
-    hand = certainty([found.log_odds])
-    if hand < DECIDED or found.noise * problem.side > EXPLAINED * problem.size:
-        return None
-    if views == 2:
-        found = yield from scan_lenses(problem, found)
-    started = start_from_geometry(problem, found)
-    if started is None:
+    found, hand = yield from _static_rig(problem, config.hand)
+    started = None if found is None else start_from_geometry(problem, found)
+    if found is None or started is None:
         return None
     whole, deviations = started
     grouped = problem._replace(lens_groups=lens_kinds(problem, found))
@@ -64,13 +57,47 @@ def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Ste
     kept = grouped.of(frames)._replace(kept=np.ones(views, bool))
     solution = yield from learn(kept, whole.of(frames))
     free = kept._replace(kept=np.zeros(views, bool))
+    checked = yield from check_told(free, solution)
+    if checked.doubts:
+        return None
     reason = (
         f"keypoints of all frames are one rigid scene of {views} static cameras,"
         f" to {found.noise * problem.side:.3g} px (from keypoints)"
     )
-    checked = Checked(free, solution, ())
     arranged = Arranged(solution, checked, reason, hand, (), kept=deviations)
     return Settled(arranged, whole)
+
+
+def _static_rig(problem: Problem, corners: Corners | None) -> Steps[tuple[StaticRig | None, float]]:
+    """Find static cameras and the certainty of their handedness; None where something is open."""
+    views = len(problem.poses)
+    known = np.isfinite(problem.lens_sds[:, FOCAL])
+    if views < 2 or (views == 2 and known.sum() == 1):
+        return None, 0.0
+    found = yield from geometry_of(problem, list(range(views)))
+    if found is None or not found.resting.all():
+        return None, 0.0
+    found, hand = _handed(found, corners)
+    if hand < DECIDED or found.noise * problem.side > EXPLAINED * problem.size:
+        return None, hand
+    if views == 2 and not known.any():
+        found = yield from scan_lenses(problem, found)
+    return found, hand
+
+
+def _handed(found: StaticRig, corners: Corners | None) -> tuple[StaticRig, float]:
+    """Return the rig, or its mirror image, and how certain its handedness is.
+
+    The volume of four keypoints decides, if they were given.
+    """
+    if corners is None:
+        return found, certainty([found.log_odds])
+    known = np.isfinite(found.best.points[:, corners]).all((1, 2))
+    if not known.any():
+        return found, 0.0
+    if volume(found.best.points[known], corners) < 0:
+        found = found._replace(best=found.mirror, mirror=found.best, log_odds=-found.log_odds)
+    return found, 1.0
 
 
 def structures_of_all(problem: Problem, learnt: Solution, start: Solution) -> Scene:

@@ -19,6 +19,7 @@ from models.numerics.medians import lower_median
 from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
+Corners = tuple[int, int, int, int]  # keypoints of a tetrahedron
 
 FIRST_SPREAD = 0.2  # of a structure about the network's, in units of its radius
 FIRST_NOISE = 0.03  # of a keypoint, as a share of its view's size
@@ -52,9 +53,7 @@ def same_hand(points: Float64, others: Float64) -> bool:
     return bool((distances[0] < distances[1]).mean() > 0.5)
 
 
-def choose_hand(
-    problem: Problem, scene: Scene, hint: tuple[int, int, int, int] | None
-) -> Steps[Handed]:
+def choose_hand(problem: Problem, scene: Scene, hint: Corners | None) -> Steps[Handed]:
     """Refine a scene as the network has it and mirrored; what explains the keypoints better stays.
 
     The `hint` are four keypoints whose volume is positive in most frames: it decides instead.
@@ -138,7 +137,7 @@ def _choose_frames(which: NDArray[np.bool_], some: Scene, others: Scene) -> Scen
     )
 
 
-def volume(points: Float64, corners: tuple[int, int, int, int]) -> float:
+def volume(points: Float64, corners: Corners) -> float:
     """Median of (b - a) x (c - a) . (d - a) of four keypoints of structures (N, P, 3)."""
     a, b, c, d = (points[:, corner] for corner in corners)
     return float(lower_median((np.cross(b - a, c - a) * (d - a)).sum(-1)))

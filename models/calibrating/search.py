@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.initial_poses import WeakPerspectiveScene, starting_scene
+from models.bundle.problem import FOCAL, VIEW
 from models.calibrating.arrangement import Rest, find_rest
 from models.calibrating.doubts import Checked, check_told
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.handedness import certainty, choose_hand
+from models.calibrating.moving_lenses import MovingLenses, scan_moving_lenses
 from models.calibrating.problem import Problem, Solution
 from models.calibrating.told_cameras import (
     arrange_posed,
@@ -92,12 +94,18 @@ def _search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) 
             )
             findings += noticed(_against_declared_rest, rest.solution, freely.solution)
     told, problem = rest.solution, problem._replace(lens_groups=rest.lens_groups)
+    kept = rest.kept
+    if not told.rig.resting.any() and np.isinf(problem.lens_sds[:, FOCAL]).all():
+        scanned = MovingLenses(told, np.full((len(problem.poses), VIEW), np.inf), rest.lens_groups)
+        scanned = yield from attempt_steps(scan_moving_lenses(problem, told), scanned)
+        told, kept = scanned.solution, scanned.deviations
+        problem = problem._replace(lens_groups=scanned.groups)
     checked = yield from check_told(problem, told)
     findings += noticed(disagreements, problem, told, checked)
     hand = 1.0 if config.handedness is not None else certainty(rest.evidence)
     reason = rest.reason + in_words(findings)
     # What a told lens is found to be, once it is refused, is no longer the rigid scene's.
-    kept = None if checked.doubts else rest.kept
+    kept = None if checked.doubts else kept
     return Arranged(told, checked, reason, hand, findings, kept=kept)
 
 

@@ -21,7 +21,7 @@ from models.calibrating.arrangement import MORE_ROUNDS
 from models.calibrating.camera_findings import camera_findings
 from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
-from models.calibrating.expectation_maximisation import learn
+from models.calibrating.expectation_maximisation import LEAST_MEASURED, LEAST_NOISE, learn
 from models.calibrating.geometry_first import settle_by_geometry, structures_of_all
 from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
@@ -148,12 +148,30 @@ def calibrate_by_geometry(
     if part is not arranged.checked.problem:  # other lenses are better, and may move the cameras
         return None
     surely = deviations(part, best) if kept is None else kept
-    if (
-        len(surely) == 2 and arranged.kept is not None
-    ):  # what was scanned has other answers in sight
+    if best.noise <= LEAST_NOISE * part.side:
+        best, surely = yield from _exact(arranged, best, surely)
+    if len(surely) == 2 and arranged.kept is not None:
+        # Other focal lengths of the scan are nearly as likely.
         surely = np.maximum(surely, arranged.kept)
     found = _result(part, best, surely, reason, arranged.hand, None, misread, config)
     return found, structures_of_all(problem, best, settled.start)
+
+
+def _exact(arranged: Arranged, best: Solution, surely: Float64) -> Steps[tuple[Solution, Float64]]:
+    """Let structures follow clear keypoints to the end, with cameras that no longer change.
+
+    Cameras that shapes and bones have changed are taken back, with their deviations, if they
+    explain the keypoints worse than geometry did: less than `LEAST_NOISE` did not count until now.
+    """
+    problem, settled = arranged.checked.problem, arranged.checked.solution
+    static = problem._replace(kept=np.ones(len(problem.poses), bool))
+    exact = yield from learn(static, best, least_noise=LEAST_MEASURED)
+    if best is settled or len(surely) == 2 or arranged.kept is None:
+        return exact, surely
+    before = yield from learn(static, settled, least_noise=LEAST_MEASURED)
+    if exact.measured_noise > WORSE * before.measured_noise:
+        return before, arranged.kept
+    return exact, surely
 
 
 def _share_left(arranged: Arranged, noisy: NoisyFrames | None) -> float:

@@ -5,11 +5,13 @@ import pytest
 
 from benchmarks.drawn_captures import draw_capture
 from benchmarks.wide_net import by_geometry, measure
+from models.calibrating.handedness import volume
 from models.calibrating.result import SelfCalibration
 from models.calibrating.self_calibration import calibrate_by_geometry
+from models.capture.metrics import pa_mpjpe
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
-from tests.models.rigs import IMAGE_SIZE, Lens, RigCapture, make_rig_capture
+from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, RigCapture, keypoint, make_rig_capture
 
 # Of the first draws those with three or four static cameras, few frames and the motion of the
 # example, which is always at hand.
@@ -59,6 +61,30 @@ def test_three_static_cameras_are_settled_with_their_deviations() -> None:
     assert np.abs(scores).max() < 4
 
 
+def test_structures_follow_exact_keypoints_seen_from_far_away() -> None:
+    capture = make_rig_capture(
+        [0.0, 80.0, -120.0, 170.0], frames=40, noise=0.0, hidden=0.0, distance=14.0
+    )
+    settled = finished(
+        calibrate_by_geometry(
+            capture.pixels,
+            capture.weights,
+            FitConfig(),
+            [IMAGE_SIZE] * 4,
+            detected=capture.pixels,
+        )
+    )
+    assert settled is not None
+    _, scene = settled
+    error = pa_mpjpe(scene.points, capture.points3d, reflection="never").mean
+    assert error < 5e-5  # metres
+
+
+def given(focal: float) -> dict[str, object]:
+    """Return a calibration of a lens alone."""
+    return {"intrinsics": {"fx": focal, "fy": focal}}
+
+
 @pytest.mark.parametrize(
     ("azimuths", "focals"),
     [
@@ -88,12 +114,36 @@ def test_two_static_cameras_have_the_lenses_under_which_shapes_are_alike(
         ([0.0, 80.0, -120.0], (0, 1, 2), {}),
         ([0.0, 80.0, -120.0, 170.0], (1,), {}),
         ([0.0, 80.0, -120.0], (), {"cameras": "moving"}),
-        ([0.0, 80.0, -120.0], (), {"handedness": (0, 1, 2, 3)}),
     ],
 )
 def test_the_rest_is_left_to_shapes(
     azimuths: list[float], moving: tuple[int, ...], config: dict[str, object]
 ) -> None:
-    """Cameras that move, and what the user declared."""
+    """Cameras that move, or are declared to."""
     capture = make_rig_capture(azimuths, frames=40, moving=moving)
     assert found_in(capture, FitConfig.model_validate(config)) is None
+
+
+def test_a_given_lens_that_keypoints_contradict_is_left_to_shapes() -> None:
+    capture = make_rig_capture([0.0, 80.0, -120.0], frames=40)
+    lenses = [given(1.5 * FOCAL), given(FOCAL), given(FOCAL)]
+    assert found_in(capture, FitConfig.model_validate({"calibration": lenses})) is None
+
+
+def test_a_given_lens_is_kept() -> None:
+    capture = make_rig_capture([0.0, 80.0], frames=40)
+    found = found_in(capture, FitConfig.model_validate({"calibration": 2 * [given(FOCAL)]}))
+    assert found is not None
+    np.testing.assert_array_equal(found.rig.lenses.focals, FOCAL)
+    np.testing.assert_array_equal(found.deviations[:, 0], 0)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_given_handedness_decides(*, swapped: bool) -> None:
+    capture = make_rig_capture([0.0, 80.0, -120.0], frames=40)
+    a, b, c, d = (keypoint(name) for name in ("pelvis", "left_hip", "neck", "head"))
+    corners = (a, c, b, d) if swapped else (a, b, c, d)
+    found = found_in(capture, FitConfig.model_validate({"handedness": corners}))
+    assert found is not None
+    assert found.handedness_certainty == 1
+    assert volume(found.shapes.mean[None], corners) > 0

@@ -1,0 +1,257 @@
+"""Focal lengths of moving cameras, scanned over their range by the evidence of shapes.
+
+Expectation maximisation alone may stop at focal lengths several times too long: far cameras with
+long lenses leave the fewest differences between shapes. The evidence weighs against that how many
+structures would have shown the same. First all focal lengths change by a common factor; then each
+changes alone, and where the evidence rises clearly, the lenses are unlike.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.frame_evidence import log_evidence
+from models.bundle.problem import FOCAL, VIEW
+from models.calibrating.expectation_maximisation import learn
+from models.calibrating.lens_prior import FOCAL_SDS
+from models.calibrating.lens_scan import (
+    FRAMES,
+    LEAST_INFORMATION,
+    LEAST_NOISE,
+    LONGEST,
+    ROUNDS,
+    SHORTEST,
+    TOO_SURE,
+)
+from models.calibrating.problem import Problem, Solution
+from models.numerics.steps import Steps
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+
+STEP, FINE = 0.25, 0.0625  # of a log focal length, over the range and about the best
+FINE_STEPS = 3  # to either side of the best
+RESAMPLED = 200  # times that frames are drawn with replacement
+UNLIKE = 10.0  # by so much the log posterior of unlike lenses must be higher
+SURE = 3.0  # standard deviations of the difference, over frames, by which it must be
+CLIMBS = (0.25, 0.25, 0.1)  # steps of a log focal length, one round each
+PEAKS = 4  # steps from there to the top, at most
+TINY = 1e-12
+
+
+class MovingLenses(NamedTuple):
+    """Moving cameras with the most likely focal lengths."""
+
+    solution: Solution
+    deviations: Float64  # (K, VIEW) standard deviations of what was scanned, infinite of all else
+    groups: Int64  # (K,) views of one number have alike lenses
+
+
+class Trial(NamedTuple):
+    """Focal lengths that were tried."""
+
+    at: Float64  # (K,) logs of the focal lengths over the usual ones
+    solution: Solution
+    evidence: Float64  # (N,) of each frame
+
+
+Prior = Callable[[Float64], float]  # log density of the focal lengths of a trial
+
+
+def scan_moving_lenses(problem: Problem, solution: Solution) -> Steps[MovingLenses]:
+    """Return moving cameras with the focal lengths under which shapes are most alike.
+
+    `solution` has views that all move. Lenses keep their distortion.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        Where shapes cannot be learnt.
+    """
+    views = len(problem.poses)
+    frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, FRAMES).astype(np.int64))
+    kept = problem._replace(kept=np.ones(views, bool))
+    part, usual = kept.of(frames), problem.reference.lenses.focals
+    start = np.log(solution.rig.lenses.focals / usual).mean(1)
+    first = yield from _tried(part, start, start, solution.of(frames))
+    trials = [first]
+    for step in (STEP, -STEP):
+        trials += yield from _walk(part, first, step, within=(SHORTEST, LONGEST))
+    best = _best(trials, _alike)
+    for step in (FINE, -FINE):
+        middle, reach = best.at.mean(), FINE_STEPS * FINE
+        trials += yield from _walk(part, best, step, within=(middle - reach, middle + reach))
+    best, groups = _best(trials, _alike), problem.lens_groups
+    sds = np.full((views, VIEW), np.inf)
+    sds[:, FOCAL] = _common_deviation(trials, best)
+    if problem.cameras_alike is not True and views > 1:
+        other = yield from _climb(part, best, CLIMBS[0])
+        if problem.cameras_alike is False or _clearly_better(other, best):
+            for step in CLIMBS[1:]:
+                other = yield from _climb(part, other, step)
+            groups = np.arange(views)
+            best, sds[:, FOCAL] = yield from _peak(part, other)
+    begun = _refocused(solution, best.at - start)
+    begun = begun._replace(shapes=best.solution.shapes, noise=best.solution.noise)
+    learnt = yield from learn(kept, begun)
+    return MovingLenses(learnt, sds, groups)
+
+
+def _alike(at: Float64) -> float:
+    """Return the log density of focal lengths that have a common factor."""
+    return float(-((at.mean() / FOCAL_SDS[0]) ** 2) / 2)
+
+
+def _unlike(at: Float64) -> float:
+    """Return the log density of focal lengths of which each is by itself."""
+    return float(-np.square(at / FOCAL_SDS[0]).sum() / 2)
+
+
+def _walk(
+    problem: Problem, first: Trial, step: float, *, within: tuple[float, float]
+) -> Steps[list[Trial]]:
+    """Change all focal lengths step by step, each trial from the one before, within the range."""
+    trials, near = [], first
+    least, most = within
+    while (near.at.mean() + step > least) if step < 0 else (near.at.mean() + step < most):
+        try:
+            near = yield from _next(problem, near.at + step, near)
+        except np.linalg.LinAlgError:
+            break
+        trials.append(near)
+    return trials
+
+
+def _climb(problem: Problem, best: Trial, step: float) -> Steps[Trial]:
+    """Change one focal length after another, each as long as the posterior rises."""
+    for view in range(len(best.at)):
+        for signed in (step, -step):
+            while SHORTEST < best.at[view] + signed < LONGEST:
+                at = best.at.copy()
+                at[view] += signed
+                try:
+                    tried = yield from _next(problem, at, best)
+                except np.linalg.LinAlgError:
+                    break
+                fewer = np.isfinite(tried.evidence).sum() < np.isfinite(best.evidence).sum()
+                if fewer or _best([best, tried], _unlike) is best:
+                    break
+                best = tried
+    return best
+
+
+def _next(problem: Problem, at: Float64, near: Trial) -> Steps[Trial]:
+    """Try focal lengths from a trial near them."""
+    return (yield from _tried(problem, at, near.at, near.solution))
+
+
+def _tried(problem: Problem, at: Float64, start: Float64, near: Solution) -> Steps[Trial]:
+    """Learn shapes with focal lengths that are held, from a solution with those at `start`."""
+    yield
+    begun = _refocused(near, at - start)
+    solution = yield from learn(problem, begun, rounds=ROUNDS, least_noise=LEAST_NOISE)
+    views = problem.views(solution.noise)
+    evidence = log_evidence(views, solution.rig, solution.prior, solution.scene)
+    return Trial(at, solution, evidence)
+
+
+def _refocused(solution: Solution, steps: Float64) -> Solution:
+    """Lengthen each focal length by a log (K,), and take its camera as much further away."""
+    factors, rig, scene = np.exp(steps), solution.rig, solution.scene
+    lenses = rig.lenses._replace(focals=factors[:, None] * rig.lenses.focals)
+    translations = scene.translations.copy()  # (N, G, 3), each group one view
+    translations[:, rig.groups, 2] *= factors
+    return solution._replace(
+        rig=rig._replace(lenses=lenses), scene=scene._replace(translations=translations)
+    )
+
+
+def _evidence(trials: list[Trial]) -> Float64:
+    """Return the evidence (T, N) of trials.
+
+    A frame that a trial cannot explain is as unlikely as under the worst of the others.
+    """
+    evidence = np.array([trial.evidence for trial in trials])
+    worst = np.where(np.isfinite(evidence), evidence, np.inf).min(0)
+    worst[np.isinf(worst)] = 0
+    return np.where(np.isfinite(evidence), evidence, worst)
+
+
+def _best(trials: list[Trial], prior: Prior) -> Trial:
+    """Return the trial with the highest posterior, the first of equal ones."""
+    logs = _evidence(trials).sum(1) / TOO_SURE**2 + [prior(trial.at) for trial in trials]
+    return trials[int(logs.argmax())]
+
+
+def _clearly_better(unlike: Trial, alike: Trial) -> bool:
+    """Whether unlike lenses are far more likely than alike ones, beyond the scatter of frames."""
+    evidence = _evidence([unlike, alike])
+    gains = evidence[0] - evidence[1]
+    scatter = float(gains.std()) * np.sqrt(len(gains))
+    gain = float(gains.sum())
+    posterior = gain / TOO_SURE**2 + _unlike(unlike.at) - _alike(alike.at)
+    return bool(posterior > UNLIKE and gain > SURE * scatter)
+
+
+def _common_deviation(trials: list[Trial], best: Trial) -> float:
+    """Return the standard deviation of the common log focal length about the best.
+
+    The posterior is the mean over frames drawn with replacement, for frames err alike (bagging;
+    Huggins & Miller, 2019). So it is wide where it has several peaks.
+    """
+    trials = sorted(trials, key=lambda trial: float(trial.at.mean()))
+    places = np.array([trial.at.mean() for trial in trials])
+    widths = np.gradient(places) if len(places) > 1 else np.ones(1)
+    evidence, prior = _evidence(trials), np.array([_alike(trial.at) for trial in trials])
+    rng, frames = np.random.default_rng(0), evidence.shape[1]
+    shares = np.zeros(len(places))
+    for _ in range(RESAMPLED):
+        counts = np.bincount(rng.integers(frames, size=frames), minlength=frames)
+        logs = evidence @ counts / TOO_SURE**2 + prior
+        densities = widths * np.exp(logs - logs.max())
+        shares += densities / densities.sum()
+    variance = float((shares / RESAMPLED) @ np.square(places - best.at.mean()))
+    return float(np.sqrt(variance + FINE**2 / 12))
+
+
+def _peak(problem: Problem, best: Trial) -> Steps[tuple[Trial, Float64]]:
+    """Go on to the top of the posterior of unlike lenses, by Newton's method.
+
+    Returns also standard deviations (K,) of the log focal lengths there.
+    """
+    for _ in range(PEAKS):
+        slope, inverse, deviations = yield from _about(problem, best)
+        step = (inverse @ slope).clip(-STEP, STEP)
+        if np.abs(step).max() < FINE:
+            break
+        tried = yield from _next(problem, best.at + step, best)
+        if _best([best, tried], _unlike) is best:
+            break
+        best = tried
+    return best, deviations
+
+
+def _about(problem: Problem, best: Trial) -> Steps[tuple[Float64, Float64, Float64]]:
+    """Return slope (K,), inverse information (K, K) and deviations (K,) of unlike lenses.
+
+    Curvature is measured along each; how they go together is taken from the gradients of frames,
+    whose scatter makes the sandwich estimator (Huber, 1967).
+    """
+    views = len(best.at)
+    gradients, curvature = np.zeros((views, len(best.evidence))), np.zeros(views)
+    for view, direction in enumerate(np.eye(views)):
+        up = yield from _next(problem, best.at + FINE * direction, best)
+        down = yield from _next(problem, best.at - FINE * direction, best)
+        more, middle, less = _evidence([up, best, down])
+        gradients[view] = (more - less) / (2 * FINE)
+        curvature[view] = (2 * middle - more - less).sum() / FINE**2
+    held = (TOO_SURE / FOCAL_SDS[0]) ** 2
+    scatter = gradients - gradients.mean(1, keepdims=True)
+    scores = scatter @ scatter.T
+    sizes = np.sqrt(np.maximum(curvature, LEAST_INFORMATION) / scores.diagonal().clip(TINY))
+    inverse = np.linalg.inv(sizes[:, None] * scores * sizes + held * np.eye(views))
+    covariance = TOO_SURE**2 * inverse + inverse @ scores @ inverse
+    deviations = np.sqrt(covariance.diagonal() + FINE**2 / 12)
+    return gradients.sum(1) - held * best.at, inverse, deviations

@@ -1,0 +1,65 @@
+"""Focal lengths of cameras that all move, from shapes alone."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from models.calibrating.result import camera_report
+from models.calibrating.self_calibration import self_calibrate
+from models.numerics.steps import finished
+from models.settings.config import FitConfig
+from tests.models.rigs import IMAGE_SIZE, Lens, RigCapture, make_rig_capture
+
+Float64 = NDArray[np.float64]
+
+USUAL = 1500.0  # pixels, nearly
+
+
+def check(capture: RigCapture, focals: Float64) -> None:
+    """Focal lengths are near the true ones, and no further off than their deviations allow."""
+    found, _ = finished(
+        self_calibrate(
+            capture.pixels,
+            capture.weights,
+            capture.answers(mirrored=False),
+            FitConfig(),
+            [IMAGE_SIZE] * len(focals),
+        )
+    )
+    cameras = camera_report(found)
+    assert cameras.arrangement == "moving"
+    off = np.log(cameras.focals.mean(1) / focals)
+    assert np.abs(off).max() < 0.25
+    assert np.abs(off / (cameras.focal_sds / cameras.focals.mean(1))).max() < 4
+
+
+@pytest.mark.parametrize(
+    ("focal", "noise", "azimuths"),
+    [
+        (2800.0, 3.0, [0.0, 90.0]),
+        (700.0, 12.0, [0.0, 90.0]),
+        (2800.0, 6.0, [0.0, 80.0, -120.0]),
+    ],
+)
+def test_moving_cameras_have_the_focal_length_under_which_shapes_are_alike(
+    focal: float, noise: float, azimuths: list[float]
+) -> None:
+    capture = make_rig_capture(
+        azimuths,
+        moving=tuple(range(len(azimuths))),
+        lenses=(Lens(focal=focal),),
+        noise=noise,
+        distance=4 * max(focal / USUAL, 0.6),
+    )
+    check(capture, np.full(len(azimuths), focal))
+
+
+def test_unlike_lenses_of_moving_cameras_are_found() -> None:
+    focals = [900.0, 2400.0, 1500.0]
+    capture = make_rig_capture(
+        [0.0, 80.0, -120.0],
+        moving=(0, 1, 2),
+        lenses=tuple(Lens(focal=focal) for focal in focals),
+        noise=1.0,
+    )
+    check(capture, np.array(focals))
