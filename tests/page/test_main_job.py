@@ -75,6 +75,7 @@ def test_files_become_a_result_that_is_looked_at_and_taken_away(
 
 def look_at(page: Page) -> None:
     """Step, play, jump, turn, look through a camera: each shows another frame or angle."""
+    shows_frame(page, 0)
     for key, frame in (("End", 59), ("ArrowLeft", 58), ("Shift+ArrowLeft", 48), ("Home", 0)):
         page.keyboard.press(key)
         shows_frame(page, frame)

@@ -20,6 +20,7 @@ def test_static_cameras_are_shown_in_their_room_and_looked_through(
     page = watched.open(f"#/fits/{stored.fit}?frame=20")
     expect(page.get_by_text("In the room: y up")).to_be_visible()
     expect(page.get_by_text("unit of the known length").first).to_be_visible()
+    expect(page.get_by_role("slider", name="Frame")).to_have_value("20")
     page.keyboard.press("c")
     labels = page.locator(".labels button")
     expect(labels.first).to_be_visible()
