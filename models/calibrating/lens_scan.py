@@ -153,7 +153,7 @@ def _sight(problem: Problem, found: StaticRig, frames: NDArray[np.int64]) -> _Si
     shared = SharedPoints.of(images, problem.weights, np.random.default_rng(0))
     chosen = shared.chosen([0, 1], POINTS)
     sample = shared.seen([0, 1], POINTS)
-    worth = _worth(problem, found.noise * problem.side)
+    worth = share_of_information(problem, found.noise * problem.side)
     return _Sight(
         problem.of(frames)._replace(weights=weights * robust.transpose(1, 0, 2)),
         images[frames],
@@ -272,7 +272,7 @@ def _information(sight: _Sight, around: _Around, trials: list[Trial]) -> Float64
     return np.asarray(information * min(1.0, variance / max(widest, TINY)))
 
 
-def _worth(problem: Problem, noise: float) -> float:
+def share_of_information(problem: Problem, noise: float) -> float:
     """Return what keypoints with this `noise` in pixels are worth; 1 if none was removed.
 
     Removing noise makes keypoints of many frames err alike. If all did, together they would be

@@ -24,6 +24,7 @@ from models.calibrating.lens_scan import (
     ROUNDS,
     SHORTEST,
     TOO_SURE,
+    share_of_information,
 )
 from models.calibrating.problem import Problem, Solution
 from models.numerics.steps import Steps
@@ -54,7 +55,7 @@ class Trial(NamedTuple):
 
     at: Float64  # (K,) logs of the focal lengths over the usual ones
     solution: Solution
-    evidence: Float64  # (N,) of each frame
+    evidence: Float64  # (N,) of each frame, as much as it is worth
 
 
 Prior = Callable[[Float64], float]  # log density of the focal lengths of a trial
@@ -93,6 +94,9 @@ def scan_moving_lenses(problem: Problem, solution: Solution) -> Steps[MovingLens
                 other = yield from _climb(part, other, step)
             groups = np.arange(views)
             best, sds[:, FOCAL] = yield from _peak(part, other)
+        else:  # the deviations span both answers
+            share = 1 / (1 + np.exp(-_gain(other, best)))
+            sds[:, FOCAL] = np.hypot(sds[:, FOCAL], np.sqrt(share) * (other.at - best.at))
     begun = _refocused(solution, best.at - start)
     begun = begun._replace(shapes=best.solution.shapes, noise=best.solution.noise)
     learnt = yield from learn(kept, begun)
@@ -154,7 +158,8 @@ def _tried(problem: Problem, at: Float64, start: Float64, near: Solution) -> Ste
     solution = yield from learn(problem, begun, rounds=ROUNDS, least_noise=LEAST_NOISE)
     views = problem.views(solution.noise)
     evidence = log_evidence(views, solution.rig, solution.prior, solution.scene)
-    return Trial(at, solution, evidence)
+    share = share_of_information(problem, solution.measured_noise) / TOO_SURE**2
+    return Trial(at, solution, share * evidence)
 
 
 def _refocused(solution: Solution, steps: Float64) -> Solution:
@@ -181,18 +186,23 @@ def _evidence(trials: list[Trial]) -> Float64:
 
 def _best(trials: list[Trial], prior: Prior) -> Trial:
     """Return the trial with the highest posterior, the first of equal ones."""
-    logs = _evidence(trials).sum(1) / TOO_SURE**2 + [prior(trial.at) for trial in trials]
+    logs = _evidence(trials).sum(1) + [prior(trial.at) for trial in trials]
     return trials[int(logs.argmax())]
+
+
+def _gain(unlike: Trial, alike: Trial) -> float:
+    """Return the log odds of unlike lenses against alike ones."""
+    evidence = _evidence([unlike, alike])
+    gain = float((evidence[0] - evidence[1]).sum())
+    return gain + _unlike(unlike.at) - _alike(alike.at)
 
 
 def _clearly_better(unlike: Trial, alike: Trial) -> bool:
     """Whether unlike lenses are far more likely than alike ones, beyond the scatter of frames."""
     evidence = _evidence([unlike, alike])
     gains = evidence[0] - evidence[1]
-    scatter = float(gains.std()) * np.sqrt(len(gains))
-    gain = float(gains.sum())
-    posterior = gain / TOO_SURE**2 + _unlike(unlike.at) - _alike(alike.at)
-    return bool(posterior > UNLIKE and gain > SURE * scatter)
+    scatter = float(gains.std() * np.sqrt(len(gains)))
+    return _gain(unlike, alike) > UNLIKE and float(gains.sum()) > SURE * scatter
 
 
 def _common_deviation(trials: list[Trial], best: Trial) -> float:
@@ -209,7 +219,7 @@ def _common_deviation(trials: list[Trial], best: Trial) -> float:
     shares = np.zeros(len(places))
     for _ in range(RESAMPLED):
         counts = np.bincount(rng.integers(frames, size=frames), minlength=frames)
-        logs = evidence @ counts / TOO_SURE**2 + prior
+        logs = evidence @ counts + prior
         densities = widths * np.exp(logs - logs.max())
         shares += densities / densities.sum()
     variance = float((shares / RESAMPLED) @ np.square(places - best.at.mean()))
@@ -247,11 +257,11 @@ def _about(problem: Problem, best: Trial) -> Steps[tuple[Float64, Float64, Float
         more, middle, less = _evidence([up, best, down])
         gradients[view] = (more - less) / (2 * FINE)
         curvature[view] = (2 * middle - more - less).sum() / FINE**2
-    held = (TOO_SURE / FOCAL_SDS[0]) ** 2
+    held = 1 / FOCAL_SDS[0] ** 2
     scatter = gradients - gradients.mean(1, keepdims=True)
     scores = scatter @ scatter.T
     sizes = np.sqrt(np.maximum(curvature, LEAST_INFORMATION) / scores.diagonal().clip(TINY))
     inverse = np.linalg.inv(sizes[:, None] * scores * sizes + held * np.eye(views))
-    covariance = TOO_SURE**2 * inverse + inverse @ scores @ inverse
+    covariance = inverse + inverse @ scores @ inverse
     deviations = np.sqrt(covariance.diagonal() + FINE**2 / 12)
     return gradients.sum(1) - held * best.at, inverse, deviations

@@ -20,6 +20,7 @@ Float64 = NDArray[np.float64]
 
 STARTS, FINALISTS = 6, 2
 OTHER_FOCALS, SWEEPS, SWEEP_ITERATIONS = (0.5, 2.0), 2, 6
+COMMON_FACTORS = (0.6, 1.6)  # of all focal lengths: clear keypoints may hold a rig where it began
 FIRST_ITERATIONS, MORE_ITERATIONS = 15, 20
 SAME = 0.03  # radians and share of focal lengths within which rigs count as one
 # A first adjustment believes no noise below this share of the subject's size, nor one above what
@@ -64,7 +65,7 @@ def likely_rigs(
 def _with_lenses(
     first: list[Adjusted], few: Seen, beliefs: Beliefs, least: float
 ) -> Steps[list[Adjusted]]:
-    """Adjust lenses, too, from the best rigs as they are, with lenses alike, and mirrored."""
+    """Adjust lenses, too, from the best rigs as they are, alike, mirrored, longer and shorter."""
     second = []
     for adjusted in first[:FINALISTS]:
         rig = adjusted.rig
@@ -74,8 +75,15 @@ def _with_lenses(
         for start in (rig, alike):
             yield
             second.append(_nearer(start, adjusted.points, few, beliefs, least))
-    mirror = _nearer(*necker(second[0].rig, second[0].points), few, beliefs, least)
-    finalists = ordered([*second, mirror], few, beliefs)
+    second.append(_nearer(*necker(second[0].rig, second[0].points), few, beliefs, least))
+    best = ordered(second, few, beliefs)[0]
+    for factor in COMMON_FACTORS:
+        yield
+        change = np.log(factor) * (beliefs.focal_sds > 0)
+        rig = refocused(best.rig, best.points, best.rig.log_focals + change)
+        points = robust_points(rig, few, np.maximum(best.noise, least))
+        second.append(_nearer(rig, points, few, beliefs, least))
+    finalists = ordered(second, few, beliefs)
     others = [each for each in finalists[1:] if not same_rig(each.rig, finalists[0].rig)]
     return [finalists[0], *others[:1]]
 
