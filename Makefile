@@ -32,9 +32,9 @@ check: lint
 	$(MAKE) --jobs 2 --output-sync types changed
 
 changed: .venv/ready .venv/page
-	rooms=$$($(BIN)/python tests/rooms_changed.py) && if [ -z "$$rooms" ]; \
+	packages=$$($(BIN)/python tests/packages_changed.py) && if [ -z "$$packages" ]; \
 	then echo "No file that has tests was changed."; \
-	else $(BIN)/pytest --numprocesses 2 --dist worksteal tests/test_floors.py $$rooms; fi
+	else $(BIN)/pytest --numprocesses 2 --dist worksteal tests/test_floors.py $$packages; fi
 
 lint: .venv/ready
 	$(BIN)/ruff check .

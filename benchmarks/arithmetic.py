@@ -1,6 +1,6 @@
 """The feed-forward arithmetic of a lift, in a form that any runtime takes, and what it costs.
 
-`models.network.priors` says what is computed and why. Here it has no branches, no
+`models.network.priors` explains the computation. Here it has no branches, no
 gradients and its constants are folded, so that it can be traced, exported and compared.
 """
 

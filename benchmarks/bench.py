@@ -13,7 +13,7 @@ from models.capture.metrics import Accuracy, pa_mpjpe, pck
 from models.capture.observations import as_observations
 from models.capture.triangulation import triangulate
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.settings.config import FitConfig, Refine
 from models.training.trainer import fit
 
@@ -75,9 +75,9 @@ class Bench:
         key: str = "",
         **changes: Any,
     ) -> Fit:
-        """Fit to some views; `key` tells keypoints and frames apart that are not the capture's.
+        """Fit to some views; `key` identifies keypoints and frames other than the capture's.
 
-        `timed`: the fit is told when the frames were taken.
+        `timed`: the fit gets the times of the frames.
         """
         config = self.config.model_copy(update={"seed": seed, **changes})
         name: Key = (views, key, sized, timed, config)
@@ -112,7 +112,7 @@ class Bench:
         unknown: bool = False,
         timed: bool = False,
         refine: Refine | None = None,
-    ) -> Lift:
+    ) -> LiftedFrames:
         """Lift every frame from some views; `known_as` are their numbers in the fit.
 
         `unknown`: as cameras that the fit does not know. `timed`: with the times of the frames.

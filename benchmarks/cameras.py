@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.captures import Capture, read_capture, said_beside
+from benchmarks.captures import Capture, fields_beside, read_capture
 from benchmarks.deviations import Kind, draw, found_by
 from benchmarks.rig import add_noise, find_lenses, hide
 from models.calibrating.result import CameraReport, camera_report
@@ -37,7 +37,7 @@ DRAWN_FRAMES = 100
 
 
 class Truth(NamedTuple):
-    """Cameras at rest as they are."""
+    """The true static cameras."""
 
     rotations: Float64  # (K, 3, 3)
     focals: Float64  # (K,) pixels
@@ -85,7 +85,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("captures", type=Path, nargs="*", help=".npz with points3d")
     parser.add_argument("--only", nargs="+", choices=HARMS, default=list(HARMS))
     parser.add_argument("--sizes", choices=("told", "untold", "both"), default="both")
-    parser.add_argument("--image-size", help="WxH of every view of captures that do not say")
+    parser.add_argument("--image-size", help="WxH of every view of captures without sizes")
     parser.add_argument("--moving", nargs="+", default=[], help="names of captures that move")
     parser.add_argument("--rigs", type=int, default=0, help="drawn rigs of unlike lenses")
     parser.add_argument("--steps", type=int, default=STEPS, help="of a fit; default: %(default)s")
@@ -98,24 +98,24 @@ def of_capture(path: Path, arguments: argparse.Namespace) -> Iterator[Row]:
     capture = read_capture(path)
     if capture.points3d is None:
         raise SystemExit(f"{path.name} has no points3d: nothing to measure against")
-    said = said_beside(path)
+    fields = fields_beside(path)
     moves = path.stem in arguments.moving
-    truth = None if moves else true_cameras(capture, said)
-    sizes = image_sizes(capture, said, arguments.image_size)
+    truth = None if moves else true_cameras(capture, fields)
+    sizes = image_sizes(capture, fields, arguments.image_size)
     for harm in arguments.only:
         keypoints = harmed(capture.keypoints, harm)
-        for told in (True, False):
-            if arguments.sizes == ("untold" if told else "told") or (told and sizes is None):
+        for given in (True, False):
+            if arguments.sizes == ("untold" if given else "told") or (given and sizes is None):
                 continue
             started = time.process_time()
             prior = fit(
                 keypoints,
                 FitConfig(steps=arguments.steps),
                 confidence=capture.confidence,
-                image_sizes=sizes if told else None,
+                image_sizes=sizes if given else None,
             )
             seconds = time.process_time() - started
-            case = f"{path.stem}, {harm}, {'sizes' if told else 'no sizes'}"
+            case = f"{path.stem}, {harm}, {'sizes' if given else 'no sizes'}"
             if prior.cameras is None:
                 raise SystemExit(f"{case}: no cameras were found")
             points = prior.lift(keypoints, confidence=capture.confidence).points3d
@@ -146,9 +146,9 @@ def compare(
     focal = rotation = np.nan
     if truth is not None:
         focal = float(100 * np.abs(found.focals.mean(1) / truth.focals - 1).max())
-        resting = np.flatnonzero(found.resting)
-        if len(resting) > 1:
-            rotation = rotation_error(found.rotations[resting], truth.rotations[resting])
+        static = np.flatnonzero(found.static)
+        if len(static) > 1:
+            rotation = rotation_error(found.rotations[static], truth.rotations[static])
     errors = [
         pa_mpjpe(image, true_points, reflection="never").mean
         for image in (points, points * [1, 1, -1])
@@ -176,22 +176,22 @@ def rotation_error(found: Float64, truth: Float64) -> float:
     return float(np.degrees(np.arccos(cosines.clip(-1, 1))).mean())
 
 
-def true_cameras(capture: Capture, said: dict[str, Any]) -> Truth | None:
-    """Return cameras as a file says them, or as the truth does; None where they cannot be told."""
-    if said.get("cameras"):
-        matrices = np.array([camera["K"] for camera in said["cameras"]])
+def true_cameras(capture: Capture, fields: dict[str, Any]) -> Truth | None:
+    """Return cameras from a file, or estimated from the truth; None where that is not possible."""
+    if fields.get("cameras"):
+        matrices = np.array([camera["K"] for camera in fields["cameras"]])
         focals = (matrices[:, 0, 0] + matrices[:, 1, 1]) / 2
-        return Truth(np.array([camera["R"] for camera in said["cameras"]]), focals)
+        return Truth(np.array([camera["R"] for camera in fields["cameras"]]), focals)
     found = find_lenses(capture.keypoints, np.asarray(capture.points3d))
     return None if found is None else Truth(found.rotations, found.focals)
 
 
 def image_sizes(
-    capture: Capture, said: dict[str, Any], option: str | None
+    capture: Capture, fields: dict[str, Any], option: str | None
 ) -> list[tuple[int, int]] | None:
-    """Return sizes of the images if the capture, the file beside it or the option says them."""
+    """Return sizes of the images from the capture, the file beside it or the option, if any."""
     views = capture.keypoints.shape[1]
-    given = capture.image_sizes if capture.image_sizes is not None else said.get("image_sizes")
+    given = capture.image_sizes if capture.image_sizes is not None else fields.get("image_sizes")
     if given is None and option is not None:
         width, _, height = option.partition("x")
         given = [(int(width), int(height))] * views
@@ -231,18 +231,18 @@ def bars(rows: list[Row]) -> dict[str, str]:
         return f"{sum(good)} of {len(good)}"
 
     drawn = [row for row in rows if row.case.startswith("drawn")]
-    told = [row for row in drawn if "no sizes" not in row.case]
-    untold = [row for row in drawn if "no sizes" in row.case]
+    given = [row for row in drawn if "no sizes" not in row.case]
+    unknown = [row for row in drawn if "no sizes" in row.case]
     return {
-        "resting or moving as they are": share([row.arrangement == row.expected for row in rows]),
-        "the right hand, or said to be unsure": share(
+        "static or moving as they are": share([row.arrangement == row.expected for row in rows]),
+        "the right handedness, or certainty below 0.99": share(
             [row.hand == "right" or row.certainty < 0.99 for row in rows]
         ),
-        "drawn rigs, sizes told: every focal length within 2 %": share(
-            [row.focal <= 2 for row in told]
+        "drawn rigs, sizes given: every focal length within 2 %": share(
+            [row.focal <= 2 for row in given]
         ),
         "drawn rigs, no sizes: every focal length within 6 %": share(
-            [row.focal <= 6 for row in untold]
+            [row.focal <= 6 for row in unknown]
         ),
     }
 

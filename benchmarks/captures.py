@@ -23,11 +23,11 @@ __all__ = [
     "CaptureError",
     "Float32",
     "add_options",
+    "fields_beside",
     "fitted",
     "from_options",
     "model_from_options",
     "read_capture",
-    "said_beside",
     "studio",
 ]
 
@@ -37,9 +37,9 @@ NOISE = 1.0  # pixels
 
 
 def studio(views: int = 4, keypoints: int = 17, *, frames: int = FRAMES, seed: int = 0) -> Capture:
-    """Make a capture of a figure that walks about before cameras at rest in a ring.
+    """Make a capture of a figure that walks about before static cameras in a ring.
 
-    Beyond the figure's own keypoints there are as many means of some of them as are asked for.
+    Further keypoints are means of some of the figure's own.
     """
     rng = np.random.default_rng(seed)
     points = synthetic_capture(frames=frames, views=1, seed=seed).points3d.astype(np.float64)
@@ -65,11 +65,11 @@ def studio(views: int = 4, keypoints: int = 17, *, frames: int = FRAMES, seed: i
     return Capture(seen.astype(np.float32), points3d=points.astype(np.float32), image_sizes=sizes)
 
 
-def said_beside(path: Path) -> dict[str, Any]:
-    """Return what CAPTURE.json beside CAPTURE.npz says, such as `image_sizes` and `edges`."""
+def fields_beside(path: Path) -> dict[str, Any]:
+    """Return the fields of CAPTURE.json beside CAPTURE.npz, such as `image_sizes` and `edges`."""
     beside = path.with_suffix(".json")
-    said: dict[str, Any] = json.loads(beside.read_text()) if beside.exists() else {}
-    return said
+    fields: dict[str, Any] = json.loads(beside.read_text()) if beside.exists() else {}
+    return fields
 
 
 def fitted(capture: Capture, config: FitConfig | None = None) -> FittedPrior:
@@ -87,11 +87,11 @@ def fitted(capture: Capture, config: FitConfig | None = None) -> FittedPrior:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what tells the capture and the model apart."""
+    """Add the options that choose the capture and the model."""
     parser.add_argument("--capture", type=Path, help=".npz; default: a synthetic one")
     parser.add_argument("--views", type=int, default=4, help="if synthetic: %(default)s")
     parser.add_argument("--keypoints", type=int, default=17, help="if synthetic: %(default)s")
-    parser.add_argument("--image-size", help="WxH of every view, if the file does not say")
+    parser.add_argument("--image-size", help="WxH of every view, if the file has no sizes")
     parser.add_argument("--model", type=Path, help="its weights; fitted and kept there if missing")
     parser.add_argument("--steps", type=int, help="of the fit; default: those of the configuration")
 

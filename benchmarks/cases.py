@@ -126,7 +126,7 @@ def detector(bench: Bench, seed: int) -> None:
 def swapped(bench: Bench, seed: int) -> None:
     """Limbs taken for those of the other side, in hundredths of the views of frames."""
     if (bench.partners == np.arange(len(bench.partners))).all():
-        return  # no names tell which side a keypoint is on
+        return  # without names the side of a keypoint is unknown
     for share in (4, 10) if bench.full else (4,):
         spoilt = swap_limbs(bench.keypoints, bench.partners, share / 100, seed)
         _score_spoilt(bench, seed, "swapped", share, spoilt)
@@ -161,7 +161,7 @@ def _score_spoilt(
 
 
 def miscalibration(bench: Bench, seed: int) -> None:
-    """TRNG whose calibration is off, beside a fit that is told nothing of the cameras."""
+    """TRNG with a wrong calibration, beside a fit without given cameras."""
     if bench.rig is None:
         return
     keypoints = bench.keypoints
@@ -186,8 +186,8 @@ def unseen(bench: Bench, seed: int) -> None:
     count = len(bench.keypoints)
     cut = round(SEEN * count)
     shuffled = np.random.default_rng(seed).permutation(count)
-    ways = {"first 70 %, lifts the rest": np.arange(cut)}
-    ways["random 70 %, lifts the rest"] = np.sort(shuffled[:cut])
+    ways = {"first 70 %, lifts all others": np.arange(cut)}
+    ways["random 70 %, lifts all others"] = np.sort(shuffled[:cut])
     for way, frames in ways.items():
         fitted = bench.fit(seed, bench.views, frames=frames, key=way)
         rest = np.ones(count, bool)

@@ -6,7 +6,7 @@
 Each round people upload, fit, lift, cancel and delete, while faults are injected; then everything
 that the service had acknowledged must be there, equal to the bit, and every job must have ended as
 it should. What does not hold is printed with the seed and the round that it was seen in.
-README.md says what is done, and what must hold.
+README.md describes the work and the checks.
 """
 
 import argparse

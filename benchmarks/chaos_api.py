@@ -24,12 +24,12 @@ class Api:
         self._lock = threading.Lock()
         self._report = report
 
-    def once(self, method: str, path: str, **said: Any) -> httpx2.Response | None:
+    def once(self, method: str, path: str, **options: Any) -> httpx2.Response | None:
         """Ask one API; None if it has no answer now (503 is none)."""
         with self._lock:
             client = next(self._turns)
         try:
-            answer = client.request(method, path, **said)
+            answer = client.request(method, path, **options)
         except httpx2.HTTPError:
             return None
         if answer.status_code == 503:
@@ -40,17 +40,17 @@ class Api:
         return answer
 
     def ask(
-        self, method: str, path: str, patience: float = PATIENCE_SECONDS, **said: Any
+        self, method: str, path: str, patience: float = PATIENCE_SECONDS, **options: Any
     ) -> httpx2.Response | None:
         """Ask until there is an answer; None if there is none for too long."""
         deadline = time.monotonic() + patience
-        while (answer := self.once(method, path, **said)) is None:
+        while (answer := self.once(method, path, **options)) is None:
             if time.monotonic() > deadline:
                 return None
             time.sleep(PAUSE_SECONDS)
         return answer
 
-    def read(self, path: str, **said: Any) -> httpx2.Response:
+    def read(self, path: str, **options: Any) -> httpx2.Response:
         """Read what must be there by now.
 
         Raises
@@ -58,7 +58,7 @@ class Api:
         TimeoutError
             If nothing answers.
         """
-        answer = self.ask("GET", path, **said)
+        answer = self.ask("GET", path, **options)
         if answer is None:
             raise TimeoutError(f"GET {path}: no answer for {PATIENCE_SECONDS:.0f} s")
         return answer

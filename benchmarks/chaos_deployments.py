@@ -167,9 +167,9 @@ class Embedded(Deployment):
         self._part("serve", *python("-m", "service.cli", "serve", *options))
 
     def redis_url(self) -> str:
-        """Return where `fewview serve` said that its queue is."""
-        said = self.parts[0].log.read_text(errors="replace")
-        return str(re.findall(r"^\S+ +queue +(\S+)", said, re.MULTILINE)[-1])
+        """Return the address of the queue that `fewview serve` printed."""
+        printed = self.parts[0].log.read_text(errors="replace")
+        return str(re.findall(r"^\S+ +queue +(\S+)", printed, re.MULTILINE)[-1])
 
     def records_away(self, mode: Mode, seconds: float) -> None:
         """Hold the lock of the records, longer or shorter than a process waits for it."""

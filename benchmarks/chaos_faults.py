@@ -53,7 +53,7 @@ def freeze(which: Processes) -> Fault:
 
 
 def freeze_worker(deployment: Deployment, random: Random, seconds: float) -> None:
-    """Have a worker and what it works at stand still, for less or for more than a lease."""
+    """Freeze a worker and its job, for less or for more than a lease."""
     workers = deployment.workers()
     if workers:
         worker = random.choice(workers)
@@ -64,7 +64,7 @@ def freeze_worker(deployment: Deployment, random: Random, seconds: float) -> Non
 
 
 def drain(which: Processes) -> Fault:
-    """Return the fault that one of some processes is told to leave, and started again."""
+    """Return the fault in which one of some processes gets SIGTERM, and is started again."""
 
     def fault(deployment: Deployment, random: Random, _seconds: float) -> None:
         if pids := which(deployment):

@@ -1,4 +1,4 @@
-"""What the service has acknowledged, and so must keep: every thing, with what it holds."""
+"""The resources that the service has acknowledged, and so must keep, with their contents."""
 
 import hashlib
 import threading
@@ -22,7 +22,7 @@ class Thing:
     recipe
         What it was made of: things of the same recipe hold the same, to the bit.
     identifier
-        None as long as no answer told it: then it may exist or not.
+        None until an answer has it: then it may exist or not.
     may_be_lost
         The queue that it was put on was wiped before anything was recorded.
     """
@@ -69,13 +69,13 @@ class Ledger:
         return [thing for thing in self.things if thing.kind in kinds and thing.is_kept]
 
     def differs(self, recipe: Hashable, digest: str) -> bool:
-        """Tell whether a thing holds something else than others of its recipe did."""
+        """Return whether a thing holds something else than others of its recipe did."""
         with self.lock:
             return self.first.setdefault(recipe, digest) != digest
 
 
 def digest_of(file: bytes) -> str:
-    """Return the digest of the arrays in a safetensors file, whatever else it says."""
+    """Return the digest of the arrays in a safetensors file, without its header."""
     digest = hashlib.sha256()
     for name, array in sorted(load(file).items()):
         digest.update(f"{name} {array.dtype} {array.shape}".encode())

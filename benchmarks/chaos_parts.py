@@ -54,7 +54,7 @@ class Part:
         return process.pid if process is not None and process.poll() is None else 0
 
     def start(self) -> None:
-        """Have the process started by whoever watches."""
+        """Let the supervisor start the process."""
         self._wanted = True
 
     def watch(self) -> None:
@@ -108,8 +108,8 @@ class Part:
                 if (found := ENDED.search(line.decode(errors="replace"))) is not None:
                     self.restarts += 1
                     if int(found[2]) not in MEANT:
-                        said = f"ended by itself with status {found[2]}"
-                        self._report(f"{self.name}: {found[1]} {said}")
+                        ended = f"ended by itself with status {found[2]}"
+                        self._report(f"{self.name}: {found[1]} {ended}")
 
 
 def parents() -> dict[int, int]:
@@ -150,10 +150,10 @@ def words(pid: int) -> str:
         return ""
 
 
-def those(pids: set[int], *said: str) -> Iterator[int]:
+def those(pids: set[int], *wanted: str) -> Iterator[int]:
     """Yield the processes whose command lines hold all these words, children of such left out."""
     of = parents()
-    named = {pid for pid in pids if all(word in words(pid) for word in said)}
+    named = {pid for pid in pids if all(word in words(pid) for word in wanted)}
     yield from sorted(pid for pid in named if of.get(pid) not in named)
 
 

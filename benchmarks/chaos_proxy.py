@@ -71,8 +71,8 @@ class Proxy:
             one = head.replace(b"\r\n\r\n", b"\r\nConnection: close\r\n\r\n")
             await self._pass_on(reader, writer, one)
             return
-        said = f"HTTP/1.1 {ANSWERS[self._mode]}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-        writer.write(said.encode())
+        answer = f"HTTP/1.1 {ANSWERS[self._mode]}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+        writer.write(answer.encode())
         await writer.drain()
         with suppress(TimeoutError):  # a client that is cut off as it writes sees no answer
             await asyncio.wait_for(reader.read(HEAD_BYTES), 1)

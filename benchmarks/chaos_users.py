@@ -100,10 +100,10 @@ class Users:
             chosen += random.sample(old, min(len(old), max(0, len(old) - most) + 1))
         return [partial(self.delete, thing) for thing in chosen]
 
-    def _make(self, thing: Thing, path: str, **said: Any) -> None:
-        headers = {"Idempotency-Key": f"{thing.name}-{path}"} | said.pop("headers", {})
+    def _make(self, thing: Thing, path: str, **options: Any) -> None:
+        headers = {"Idempotency-Key": f"{thing.name}-{path}"} | options.pop("headers", {})
         self._ledger.add(thing)
-        answer = self._api.ask("POST", path, headers=headers, **said)
+        answer = self._api.ask("POST", path, headers=headers, **options)
         if answer is None:
             self.counts["requests that were never answered"] += 1
         elif answer.status_code in (201, 202):
@@ -158,10 +158,10 @@ class Users:
     def queue_lift(self, name: str, model: str, recipe: str, refine: str) -> None:
         """Put a lift on the queue."""
         thing = Thing("lifts", name, ("lift", recipe, refine), self._round)
-        said = {"model_id": model, "dataset_id": self._base["long"].identifier, "name": name}
-        self._enqueue(thing, "worker.jobs.lift", **said, refine=refine)
+        options = {"model_id": model, "dataset_id": self._base["long"].identifier, "name": name}
+        self._enqueue(thing, "worker.jobs.lift", **options, refine=refine)
 
-    def _enqueue(self, thing: Thing, function: str, **said: Any) -> None:
+    def _enqueue(self, thing: Thing, function: str, **options: Any) -> None:
         thing.job_id = str(uuid.uuid4())
         self._ledger.add(thing)
         deadline = time.monotonic() + PATIENCE_SECONDS
@@ -169,7 +169,7 @@ class Users:
             try:
                 with Redis.from_url(self._redis_url(), socket_timeout=5) as connection:
                     queue = Queue("fits", connection=connection)
-                    queue.enqueue(function, kwargs=said, job_id=thing.job_id)
+                    queue.enqueue(function, kwargs=options, job_id=thing.job_id)
             except (RedisError, IndexError):
                 time.sleep(1)
                 continue

@@ -61,7 +61,7 @@ KINDS = (
 
 
 def draw(kind: Kind, seed: int, frames: int = FRAMES, noise: float = 1.5) -> RigCapture:
-    """Draw a rig of a kind and what it sees of a figure that walks about."""
+    """Draw a rig of a kind and its keypoints of a figure that walks about."""
     rng = np.random.default_rng([seed, kind.views, kind.alike])
     common = 1100 * np.exp(0.15 * rng.standard_normal())
     bending = 0.05 * rng.standard_normal()
@@ -78,7 +78,7 @@ def draw(kind: Kind, seed: int, frames: int = FRAMES, noise: float = 1.5) -> Rig
 
 
 def found_by(capture: RigCapture, *, sized: bool, seed: int = 0) -> tuple[SelfCalibration, Scene]:
-    """Find the cameras, with the sizes of the images told or not."""
+    """Estimate the cameras, with or without given image sizes."""
     sizes = [IMAGE_SIZE] * len(capture.lenses) if sized else None
     return finished(
         self_calibrate(
@@ -99,9 +99,9 @@ def scores(capture: RigCapture, found: SelfCalibration, scene: Scene) -> dict[st
         "centre": ((report.principal_points - centres) / report.principal_point_sds).ravel(),
         "radial": ((report.distortions[:, :2] - radial) / report.distortion_sds).ravel(),
     }
-    resting = np.flatnonzero(report.resting)
-    if len(resting):
-        found_scores |= _scores_of_poses(capture, report, found, scene, resting)
+    static = np.flatnonzero(report.static)
+    if len(static):
+        found_scores |= _scores_of_poses(capture, report, found, scene, static)
     return found_scores
 
 
@@ -110,9 +110,9 @@ def _scores_of_poses(
     report: CameraReport,
     found: SelfCalibration,
     scene: Scene,
-    resting: NDArray[np.int64],
+    static: NDArray[np.int64],
 ) -> dict[str, Float64]:
-    first, others = resting[0], resting[1:]
+    first, others = static[0], static[1:]
     truth, shifts = capture.rotations[0], capture.translations[0]
     relative = truth[others] @ truth[first].T
     apart = Rotation.from_matrix(report.rotations[others] @ relative.mT)
@@ -146,7 +146,7 @@ def table(kinds: Sequence[Kind], seeds: range) -> dict[Kind, dict[str, Float64]]
             capture = draw(kind, seed)
             found, scene = found_by(capture, sized=kind.sized, seed=seed)
             expected = [view not in kind.moving for view in range(kind.views)]
-            moved += found.resting.tolist() != (
+            moved += found.static.tolist() != (
                 expected if sum(expected) > 1 else [False] * kind.views
             )
             for name, part in scores(capture, found, scene).items():

@@ -1,10 +1,10 @@
-"""How true the structures are, on any capture with a ground truth: the paper's tables and more.
+"""The accuracy of structures on any capture with a ground truth: the paper's tables and more.
 
     python benchmarks/fidelity.py [CAPTURE.npz] [--full] [--seeds 0 1 2] [--only views noise ...]
                                   [--image-size WxH] [--every N] [--fps F] [--prior NAME]
                                   [--json FILE] [--output DIR]
 
-README.md says what each case measures. The truth takes no part in any fit.
+README.md describes the cases. No fit uses the truth.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench import PCK_MM, Bench
-from benchmarks.captures import said_beside
+from benchmarks.captures import fields_beside
 from benchmarks.cases import CASES
 from benchmarks.harms import keypoint_names, partners_by_name
 from benchmarks.report import TRNG, Report, draw, markdown
@@ -70,7 +70,9 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--unit", choices=list(MILLIMETRES), default="m", help="of points3d")
     parser.add_argument("--image-size", type=_size, help="WxH of every view, if the file has none")
     parser.add_argument("--every", type=_count, default=1, metavar="N", help="use every Nth frame")
-    parser.add_argument("--fps", type=float, help="of frames that follow each other: told as well")
+    parser.add_argument(
+        "--fps", type=float, help="of frames that follow each other: given to the fit as well"
+    )
     parser.add_argument("--steps", type=int, default=None, help="of a fit; fewer for a try")
     parser.add_argument(
         "--prior", choices=list(PRIOR_SETTINGS), default="hierarchical", help="to fit"
@@ -81,7 +83,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def prepare(arguments: argparse.Namespace) -> Bench:
-    """Read the capture, find its cameras from the truth, and say what there is."""
+    """Read the capture, estimate its cameras from the truth, and print both."""
     try:
         capture = read_capture(arguments.capture).frames(slice(None, None, arguments.every))
     except CaptureError as error:
@@ -100,7 +102,7 @@ def prepare(arguments: argparse.Namespace) -> Bench:
     frames, views, points, _ = capture.keypoints.shape
     say = f"{arguments.capture.stem}: {frames} frames, {views} views, {points} keypoints; "
     if rig is None:
-        print(say + f"the cameras do not all rest, so there is no {TRNG}")
+        print(say + f"not all cameras are static, so there is no {TRNG}")
     else:
         off = ", ".join(f"{residual:.2f}" for residual in rig.residuals)
         print(say + f"cameras for {TRNG} found from the truth, median residual {off} px")
@@ -112,7 +114,7 @@ def prepare(arguments: argparse.Namespace) -> Bench:
         given_confidence=capture.confidence,
         truth=capture.points3d,
         sizes=sizes,
-        edges=said_beside(arguments.capture).get("edges", capture.edges),
+        edges=fields_beside(arguments.capture).get("edges", capture.edges),
         config=FitConfig.model_validate(changes),
         metre=1000 / MILLIMETRES[arguments.unit],
         pair=tuple(arguments.pair),

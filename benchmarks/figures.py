@@ -138,8 +138,8 @@ def machine() -> dict[str, Any]:
     """Return what the figures depend on."""
     cpu = Path("/proc/cpuinfo")
     lines = cpu.read_text().splitlines() if cpu.exists() else []
-    said = dict(line.split(":", 1) for line in lines if ":" in line)
-    names = {name.strip(): value.strip() for name, value in said.items()}
+    fields = dict(line.split(":", 1) for line in lines if ":" in line)
+    names = {name.strip(): value.strip() for name, value in fields.items()}
     return {
         "processor": names.get("model name", platform.machine()),
         "instructions": [

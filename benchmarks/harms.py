@@ -1,11 +1,11 @@
-"""Plants harms in captures and asks whether the checks before a fit find them.
+"""Plants faults in captures and tests whether the checks before a fit find them.
 
 python benchmarks/harms.py CAPTURE.npz ... --cases 20
 
-A case is a harm of random size at a random place, with noise of 0 to 15 pixels, outliers or gaps;
-one in five has only two of the views. No fit is made. Names of keypoints, which say what left and
-right are, are read from `keypoint_names` in the file or from `keypoint_names` or `joint_names` in
-the .json file beside it; without them left and right are not exchanged.
+A case is a fault of random size at a random place, with noise of 0 to 15 pixels, outliers or gaps;
+one in five has only two of the views. No fit is made. Left and right are found from names of
+keypoints, which are read from `keypoint_names` in the file or from `keypoint_names` or
+`joint_names` in the .json file beside it; without names left and right are not exchanged.
 """
 
 import argparse
@@ -31,7 +31,7 @@ Rng = np.random.Generator
 # Noise in pixels, share of outliers, share of gaps: taken in turns.
 AS_THEY_ARE = FitConfig(outlier_rejection=False, denoising=False)
 SPOILT = ((0, 0, 0), (2, 0, 0), (5, 0, 0), (15, 0, 0), (5, 0.1, 0.3), (8, 0.1, 0))
-SAME_FRAMES = 0.97  # of all frames said rightly to be harmed or not
+SAME_FRAMES = 0.97  # of all frames that must be classified correctly
 SIDES = (("left", "right"), ("l", "r"))  # what a name begins or ends with
 JOINED = 100  # ranges: a finding that lists so many has joined some of them
 
@@ -141,7 +141,7 @@ HARMS: dict[str, Callable[[Float64, Rng, NDArray[np.intp]], Planted]] = {
 
 
 class Score(NamedTuple):
-    """What was said of one case."""
+    """The result of one case."""
 
     found: bool
     views: bool
@@ -150,21 +150,21 @@ class Score(NamedTuple):
 
 
 def judge(code: str, planted: Planted, findings: tuple[Finding, ...]) -> Score:
-    """Say whether a harm was found, and where it is."""
+    """Return whether a harm was found, and where it is."""
     warnings = [finding for finding in findings if finding.severity == "warning"]
     others = tuple(finding.code for finding in warnings if finding.code != code)
     mine = [finding for finding in findings if finding.code == code]
     if not mine:
         return Score(False, False, False, others)
     views, pair = set(mine[0].views), planted.keypoints.shape[1] == 2
-    told_apart = views == set(planted.views) or (not views and pair)
-    where = not planted.views or told_apart or (pair and views == {0, 1})
+    right_views = views == set(planted.views) or (not views and pair)
+    where = not planted.views or right_views or (pair and views == {0, 1})
     when = True
     if planted.frames is not None and len(mine[0].frames) < JOINED:
-        said = np.zeros(len(planted.frames), np.bool_)
-        for first, last in mine[0].frames or ((0, len(said) - 1),):
-            said[first : last + 1] = True
-        when = bool((said == planted.frames).mean() >= SAME_FRAMES)
+        marked = np.zeros(len(planted.frames), np.bool_)
+        for first, last in mine[0].frames or ((0, len(marked) - 1),):
+            marked[first : last + 1] = True
+        when = bool((marked == planted.frames).mean() >= SAME_FRAMES)
     return Score(True, where, when, others)
 
 
@@ -256,8 +256,8 @@ def keypoint_names(path: Path) -> list[str] | None:
         names = file["keypoint_names"].tolist() if "keypoint_names" in file else None
     beside = path.with_suffix(".json")
     if names is None and beside.exists():
-        said = json.loads(beside.read_text())
-        names = said.get("keypoint_names") or said.get("joint_names")
+        fields = json.loads(beside.read_text())
+        names = fields.get("keypoint_names") or fields.get("joint_names")
     return names
 
 

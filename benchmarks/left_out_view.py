@@ -3,10 +3,10 @@
     python -m benchmarks.left_out_view CAPTURE.npz [--steps N] [--times]
 
 Each view in turn is left out of every frame; the others are lifted, and the structure is projected
-into it. Measured is how far off its keypoints are. Beside it stands robust triangulation of the
+into it. The error is the distance to its keypoints. It is compared with robust triangulation of the
 same keypoints with a given calibration: `cameras` (`K`, `R`, `t`, lenses without distortion) and
-`image_sizes` in a CAPTURE.json next to CAPTURE.npz. Fits are told no calibration, and then that
-one. The cameras of a fit were found, or held, with all views; structures see the others alone.
+`image_sizes` in a CAPTURE.json next to CAPTURE.npz. One fit has no calibration, another has that
+one. The cameras of a fit were estimated, or held, with all views; structures use only the others.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.captures import Capture, read_capture, said_beside
+from benchmarks.captures import Capture, fields_beside, read_capture
 from benchmarks.figures import print_table
 from models.calibrating.result import CameraReport
 from models.capture.triangulation import triangulate
@@ -33,21 +33,24 @@ DROPPED = 1  # rays of a point that robust triangulation may leave out
 def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Predict views that are left out.")
-    parser.add_argument("capture", type=Path, help=".npz; a .json beside it tells its cameras")
+    parser.add_argument("capture", type=Path, help=".npz; a .json beside it has its cameras")
     parser.add_argument("--steps", type=int, default=FitConfig().steps, help="default: %(default)s")
-    parser.add_argument("--times", action="store_true", help="tell the fit when frames were taken")
+    parser.add_argument("--times", action="store_true", help="give the fit the times of the frames")
     arguments = parser.parse_args()
-    capture, said = read_capture(arguments.capture), said_beside(arguments.capture)
-    if "cameras" not in said or "image_sizes" not in said:
-        raise SystemExit(f"{arguments.capture.stem}.json must tell `cameras` and `image_sizes`")
+    capture, fields = read_capture(arguments.capture), fields_beside(arguments.capture)
+    if "cameras" not in fields or "image_sizes" not in fields:
+        raise SystemExit(f"{arguments.capture.stem}.json must have `cameras` and `image_sizes`")
     trusted: NDArray[np.bool_] = np.all(np.isfinite(capture.keypoints), -1)
     if capture.confidence is not None:
         trusted &= capture.confidence >= LEAST_CONFIDENCE
-    distances = {"triangulation": by_triangulation(capture, said, trusted)}
+    distances = {"triangulation": by_triangulation(capture, fields, trusted)}
     seconds = None
     if arguments.times:
-        seconds = np.arange(len(capture.keypoints)) / said["fps"]
-    for name, calibration in (("nothing told", None), ("calibration told", told(said))):
+        seconds = np.arange(len(capture.keypoints)) / fields["fps"]
+    for name, calibration in (
+        ("no calibration", None),
+        ("calibration given", as_calibration(fields)),
+    ):
         config = FitConfig(steps=arguments.steps)
         if calibration is not None:
             config = FitConfig.model_validate(config.model_dump() | {"calibration": calibration})
@@ -56,7 +59,7 @@ def main() -> None:
             config,
             confidence=capture.confidence,
             times=seconds,
-            image_sizes=[(int(width), int(height)) for width, height in said["image_sizes"]],
+            image_sizes=[(int(width), int(height)) for width, height in fields["image_sizes"]],
             edges=capture.edges,
         )
         distances[f"fit, {name}"] = by_lifts(prior, capture, seconds)
@@ -77,8 +80,8 @@ def main() -> None:
     )
 
 
-def told(said: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the calibration as a fit is told it."""
+def as_calibration(fields: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the calibration in the form of a fit's configuration."""
     return [
         {
             "intrinsics": {
@@ -91,16 +94,18 @@ def told(said: dict[str, Any]) -> list[dict[str, Any]]:
             "rotation": camera["R"],
             "translation": np.ravel(camera["t"]).tolist(),
         }
-        for camera in said["cameras"]
+        for camera in fields["cameras"]
     ]
 
 
-def by_triangulation(capture: Capture, said: dict[str, Any], trusted: NDArray[np.bool_]) -> Float64:
+def by_triangulation(
+    capture: Capture, fields: dict[str, Any], trusted: NDArray[np.bool_]
+) -> Float64:
     """Distances (N, K, P) in pixels to where the other views have keypoints; NaN where nowhere."""
     projections = np.stack(
         [
             np.array(camera["K"]) @ np.column_stack((camera["R"], np.ravel(camera["t"])))
-            for camera in said["cameras"]
+            for camera in fields["cameras"]
         ]
     )
     shown = np.where(trusted[..., None], capture.keypoints, np.nan)
@@ -117,7 +122,7 @@ def by_triangulation(capture: Capture, said: dict[str, Any], trusted: NDArray[np
 def by_lifts(prior: FittedPrior, capture: Capture, times: Float64 | None) -> Float64:
     """Distances (N, K, P) in pixels to where lifts of the other views have keypoints."""
     cameras = prior.cameras
-    if cameras is None or not cameras.resting.all():
+    if cameras is None or not cameras.static.all():
         raise SystemExit("cameras move: a view that is left out is nowhere to be predicted")
     views = capture.keypoints.shape[1]
     distances = np.empty(capture.keypoints.shape[:3])

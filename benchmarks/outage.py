@@ -55,7 +55,7 @@ async def measure_outage(
     done = sum(answer.status == 201 for answer in answers)
     title = (
         f"A lone client while the records are locked for {seconds:g} s and {WAITING} uploads wait "
-        f"({done} were stored in the end, the others told to come again)"
+        f"({done} were stored in the end, the others got 503)"
     )
     ratio = spread(locked.seconds)["p99 ms"] / spread(free.seconds)["p99 ms"]
     return {title: rows}, [Bar("records locked, one frame, p99 of that without", 1.2, ratio, "x")]

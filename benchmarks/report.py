@@ -27,7 +27,7 @@ class Found(NamedTuple):
 def precision_and_recall(
     probability: NDArray[np.floating[Any]], planted: NDArray[np.bool_]
 ) -> Found:
-    """Return how well `outlier_probability` (N, K, P) tells what was planted."""
+    """Return how well `outlier_probability` (N, K, P) marks the planted outliers."""
     found = probability > OUTLIER
     both = int((found & planted).sum())
     return Found(both / max(1, int(found.sum())), both / max(1, int(planted.sum())))
@@ -57,7 +57,7 @@ class Row:
         return (
             f"{self.case:<10}{self.how:<50}{names(self.views):<14}{level:>6}{self.seed:>6}"
             f"{self.error_mm:>8.2f}{100 * self.pck:>7.1f}{self.frames:>8}{seconds:>8}{focal:>8}"
-            f"{_said(self.found)}"
+            f"{_described(self.found)}"
         )
 
 
@@ -126,7 +126,7 @@ class Report:
         return {"medians": self.medians(), "rows": rows, "curves": curves}
 
 
-def _said(found: Found | None) -> str:
+def _described(found: Found | None) -> str:
     return "" if found is None else "  found: precision {:.3f}, recall {:.3f}".format(*found)
 
 
@@ -153,7 +153,7 @@ def markdown(medians: list[dict[str, Any]]) -> str:
             span = f"{row['least_mm']:.2f} to {row['most_mm']:.2f}" if len(row["seeds"]) > 1 else ""
             seconds = "" if row["fit_seconds"] is None else f"{row['fit_seconds']:.0f}"
             focal = "" if row["focal"] is None else f"{row['focal']:.0f}"
-            how = row["how"] + (_said(Found(*row["found"])) if row["found"] else "")
+            how = row["how"] + (_described(Found(*row["found"])) if row["found"] else "")
             lines.append(
                 f"| {how} | {names(row['views'])} | {level} | {row['error_mm']:.2f}"
                 f" | {span} | {100 * row['pck']:.1f} | {row['frames']} | {seconds} | {focal} |"

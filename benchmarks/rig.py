@@ -21,18 +21,18 @@ Size = tuple[int, int]
 LEAST_POINTS = 50  # six would do without noise
 MOST_POINTS = 3000  # that refine a lens
 OUTLIER = 3.0  # times the median residual: left out when the camera is found again
-RESTS = 0.1  # residual, as a share of the subject's size in the image, of a camera at rest
+STATIC = 0.1  # largest residual of a static camera, as a share of the subject's size in the image
 
 
 class Rig(NamedTuple):
-    """Cameras at rest, found from the truth."""
+    """Static cameras, estimated from the truth."""
 
     projections: Float64  # (K, 3, 4): pixels ~ projection @ (X, 1)
     residuals: Float64  # (K,) pixels, median over the keypoints
 
 
 def find_rig(keypoints: ArrayLike, points3d: ArrayLike) -> Rig | None:
-    """Find every view's projection from the truth; None where a view does not rest.
+    """Estimate every view's projection from the truth; None where a view is not static.
 
     The direct linear transform (Hartley & Zisserman, *Multiple View Geometry*, ch. 7) over all
     frames and keypoints of a view, in normalised coordinates, and again without what lies more
@@ -52,7 +52,7 @@ def find_rig(keypoints: ArrayLike, points3d: ArrayLike) -> Rig | None:
             projection = _linear(image[near], world[near])
             distances = np.linalg.norm(_project(projection, world) - image, axis=-1)
         size = float(np.median(seen.sizes[seen.usable[:, view], view]))
-        if not np.median(distances) < RESTS * size:
+        if not np.median(distances) < STATIC * size:
             return None
         projections.append(projection)
         residuals.append(float(np.median(distances)))
@@ -67,9 +67,9 @@ class TrueLenses(NamedTuple):
 
 
 def find_lenses(keypoints: ArrayLike, points3d: ArrayLike) -> TrueLenses | None:
-    """Find poses and lenses from the truth; None where a view does not rest.
+    """Estimate poses and lenses from the truth; None where a view is not static.
 
-    A linear transform takes the distortion of a lens for a shifted principal point and a turned
+    A linear transform explains the distortion of a lens by a shifted principal point and a turned
     camera. So it is refined by robust least squares over pose, focal lengths, principal point,
     three radial and two tangential coefficients.
     """

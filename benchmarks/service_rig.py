@@ -92,7 +92,7 @@ def copy_model(model: str, source: Service, target: Service) -> str:
 def service(*options: str, data: Path | None = None) -> Iterator[Service]:
     """Run a service with everything embedded; `options` are those of ``fewview serve``.
 
-    It stores in a folder `data` if that is told, else in a temporary one.
+    It stores in the folder `data` if that is given, else in a temporary one.
     """
     with (
         running_service(*options, data=data) as address,

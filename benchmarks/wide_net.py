@@ -32,8 +32,8 @@ from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import problem_of
 from models.capture.metrics import pa_mpjpe, procrustes_by_size
 from models.epipolar.robust_points import robust_points
-from models.epipolar.static_cameras import Seen, StaticCameras
-from models.lifting.lift import Lift
+from models.epipolar.static_cameras import SeenPoints, StaticCameras
+from models.lifting.lift import LiftedFrames
 from models.numerics.steps import finished
 from models.numerics.threads import use_threads
 from models.optics.lenses.projection import Lenses, project
@@ -145,14 +145,14 @@ def by_geometry(draw: Draw) -> Answer:
     pixels: Float64 = np.nan_to_num(draw.keypoints)
     problem = problem_of(pixels, weights, draw.sizes, FitConfig())
     found = finished(geometry_of(problem, list(range(draw.keypoints.shape[1]))))
-    if found is not None and len(found.resting) == 2 and found.resting.all():
+    if found is not None and len(found.static) == 2 and found.static.all():
         found = finished(scan_lenses(problem, found))
     if found is None:
         return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ("nothing",))
     rig = found.best.rig
     return Answer(
         found.best.points,
-        bool(found.resting.all()),
+        bool(found.static.all()),
         certainty([found.log_odds]),
         rig.rotations,
         np.exp(rig.log_focals) * problem.side,
@@ -173,9 +173,9 @@ def by_fit(draw: Draw) -> Answer:
     sds = cameras.focal_sds / cameras.focals.mean(1)
     return Answer(
         lift.points3d.astype(np.float64),
-        bool(cameras.resting.all()),
+        bool(cameras.static.all()),
         cameras.handedness_certainty,
-        np.where(cameras.resting[:, None, None], cameras.rotations, np.nan),
+        np.where(cameras.static[:, None, None], cameras.rotations, np.nan),
         cameras.focals.mean(1),
         sds,
         _reach(draw, lift),
@@ -192,7 +192,7 @@ def _without_cameras(
     return Answer(points, False, 0.0, rotations, unknown, unknown.copy(), reach, findings)
 
 
-def _reach(draw: Draw, lift: Lift) -> float:
+def _reach(draw: Draw, lift: LiftedFrames) -> float:
     """Largest distance of a reprojection from the centre of its image, in longer sides of it."""
     furthest = 0.0
     for k in range(draw.keypoints.shape[1]):
@@ -260,7 +260,7 @@ def triangulated(draw: Draw) -> Float64:
         images = pixels.transpose(1, 3, 0, 2).reshape(views, 2, -1) / side
         weights = np.isfinite(images).all(1).astype(float)
         twice = weights.sum(0) > 1
-        seen = Seen(np.nan_to_num(images[..., twice]), weights[:, twice])
+        seen = SeenPoints(np.nan_to_num(images[..., twice]), weights[:, twice])
         noise = np.full(views, max(draw.noise, 1e-3 * side / 10) / side)
         of_frames = np.full((len(pixels) * count, 3), np.nan)
         of_frames[twice] = robust_points(rig, seen, noise).T

@@ -21,7 +21,7 @@ class BuildError(Exception):
 
 
 def is_fresh() -> bool:
-    """Tell whether the page was built since its sources changed."""
+    """Return whether the page was built since its sources changed."""
     index = BUILT / "index.html"
     if not index.exists():
         return False

@@ -1,18 +1,18 @@
-"""The HTTP service, in rooms; each imports only from those before it.
+"""The HTTP service, in packages; each imports only from those before it.
 
 ``settings``
-    What can be set.
+    The settings of the service.
 ``http``
-    What any HTTP service needs: errors, limits, uploads, downloads, idempotency.
+    The parts of any HTTP service: errors, limits, uploads, downloads, idempotency.
 ``wire``
-    What travels: arrays, captures, cameras, and the messages of a stream.
+    The formats of messages: arrays, captures, cameras, and the messages of a stream.
 ``realtime``
     Lifts that are answered at once: the engine, ``POST /lift``, ``/lift/stream``.
 ``resources``
-    What is stored, one module for each name in the URLs.
+    Stored resources, one module for each name in the URLs.
 ``process``
     ``fewview serve``: the supervisor.
 
-``app`` puts the rooms together, ``cli`` is the ``fewview`` command, and ``openapi`` prints the
+``app`` combines the packages, ``cli`` is the ``fewview`` command, and ``openapi`` prints the
 document.
 """

@@ -42,7 +42,7 @@ class Create(StoreSettings, Quotas):
     )
 
     name: CliPositionalArg[str] = Field(
-        min_length=1, max_length=200, description="Who has it, to tell keys apart."
+        min_length=1, max_length=200, description="Its owner, to distinguish keys."
     )
     scopes: str = Field(
         "read,lift",

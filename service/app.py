@@ -218,7 +218,7 @@ def _make_engine(app: FastAPI, settings: Settings) -> Engine:
 
 
 def _set_bounds(app: FastAPI, settings: Settings) -> None:
-    """Say how much is done at a time."""
+    """Set the limits of concurrent work."""
     large = settings.large_at_a_time
     app.state.large_uploads = asyncio.Semaphore(large)
     app.state.readers = asyncio.Semaphore(large + SPARE_READERS)
@@ -270,7 +270,7 @@ def _show_documentation(app: FastAPI) -> None:
 
 
 def _describe(app: FastAPI) -> None:
-    """Complete the OpenAPI document with what FastAPI cannot see by itself."""
+    """Add to the OpenAPI document what FastAPI cannot derive from the code."""
     generate = app.openapi
 
     def openapi() -> dict[str, Any]:

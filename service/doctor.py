@@ -1,4 +1,4 @@
-"""What is right and what is wrong with a deployment, in words that say what to do."""
+"""The checks of ``fewview doctor``: what is right and wrong with a deployment, and what to do."""
 
 import os
 import shutil
@@ -28,7 +28,7 @@ from store.housekeeping import known_keys
 from store.ids import new_id
 from store.integrity import find_damage
 from store.mistakes import unknown
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 from store.settings import StoreSettings, shown
 from worker.queue import connect, open_queues
 
@@ -150,7 +150,7 @@ def _settings(settings: Settings) -> Iterator[Verdict]:
 
 
 def _space(settings: Settings) -> Iterator[Verdict]:
-    """Say how much room there is in the folders that are written to."""
+    """Report the free space of the folders that are written to."""
     folders = {settings.data_dir.absolute()}
     url, objects = settings.resolved_database_url, urlsplit(settings.resolved_store_url)
     if url.get_backend_name() == "sqlite":
@@ -162,7 +162,7 @@ def _space(settings: Settings) -> Iterator[Verdict]:
         room = shutil.disk_usage(folder)
         words = f"{room.free / 2**30:.1f} of {room.total / 2**30:.1f} GiB free in {folder}"
         if room.free < LITTLE_SPACE:
-            words += ": delete what is not needed, `fewview prune --help` says how, or make room"
+            words += ": free some space, or delete old records (see `fewview prune --help`)"
         state: Literal["ok", "warning", "failed"] = "ok"
         if room.free < LITTLE_SPACE:
             state = "failed" if room.free < TOO_LITTLE_SPACE else "warning"
@@ -170,7 +170,7 @@ def _space(settings: Settings) -> Iterator[Verdict]:
 
 
 def _confinement() -> Verdict:
-    """Say whether the kernel confines the processes that read uploads of detectors' files."""
+    """Report whether the kernel confines the processes that read uploaded files of detectors."""
     missing = {"landlock", "seccomp"}.difference(confinement.available())
     if not missing:
         return Verdict("ok", "uploads", "what reads a file of others can read nothing else")
@@ -226,7 +226,7 @@ def _jobs(store: Store, connection: Redis) -> Iterator[Verdict]:
     oldest = 0.0
     with store.reading() as session:
         now = clock.read(session)
-        for kind in (FitJob, LiftJob):
+        for kind in (FitRecord, LiftRecord):
             queued = kind.status == "queued"
             count, since = session.execute(
                 select(func.count(), func.min(kind.created_at)).where(queued)

@@ -21,12 +21,12 @@ SILENCE_SECONDS = 60.0  # a worker is heard of every two seconds
 
 
 class Health(Settings):
-    """Ask the API, or a worker, on this machine whether it does its work.
+    """Check whether the API, or a worker, of this machine is working.
 
-    Exits with 0 if so, else with 1 and one line. A worker is one of this host's name on the queue,
-    which does its work some seconds after it has started. While the queue is away nothing can be
-    said against it, and it goes on with its job. The
-    settings are those of what is asked: the same variables, or options. Proxies are not used.
+    Exits with 0 if so, else with 1 and one line. A worker is found on the queue by the name of this
+    host, some seconds after it has started. While the queue cannot be reached, a worker counts as
+    working. The settings are those of the checked process: the same variables, or options. Proxies
+    are not used.
     """
 
     model_config = SettingsConfigDict(cli_prog_name="fewview health", cli_kebab_case=True)
@@ -48,14 +48,14 @@ def _of_api(settings: Settings) -> tuple[bool, str]:
     try:
         connection.request("GET", "/health/ready")
         answer = connection.getresponse()
-        said = json.loads(answer.read())
+        document = json.loads(answer.read())
     except (OSError, HTTPException, ValueError) as error:
         return False, f"The API at {where} does not answer: {error}"
     finally:
         connection.close()
     if answer.status == 200:
         return True, "The API is ready."
-    return False, f"The API is not ready: {said.get('detail', answer.reason)}"
+    return False, f"The API is not ready: {document.get('detail', answer.reason)}"
 
 
 def _of_worker(settings: Settings) -> tuple[bool, str]:
@@ -76,5 +76,5 @@ def _of_worker(settings: Settings) -> tuple[bool, str]:
     if silence > SILENCE_SECONDS:
         return False, f"The worker of this host was last heard of {silence:.0f} s ago."
     if not working:
-        return False, "The worker of this host lives, but does no work: its log says why."
-    return True, "The worker does its work."
+        return False, "The worker of this host runs, but does no work: see its log for the reason."
+    return True, "The worker is working."

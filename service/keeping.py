@@ -61,18 +61,20 @@ class Restore(StoreSettings):
 
 
 class Prune(WorkerSettings):
-    """Delete what ended long ago, as the settings --keep-...-days say, and what crashes left.
+    """Delete jobs that ended long ago (the settings --keep-...-days), and leftovers of crashes.
 
     Workers do the same, hourly. Datasets and models are never deleted.
     """
 
     model_config = SettingsConfigDict(cli_prog_name="fewview prune", cli_kebab_case=True)
 
-    dry_run: CliImplicitFlag[bool] = Field(False, description="Delete nothing, say what would go.")
+    dry_run: CliImplicitFlag[bool] = Field(
+        False, description="Delete nothing, print what would be deleted."
+    )
 
 
 class Doctor(Settings):
-    """Examine a deployment and say in words what is wrong with it; the exit status is then 1."""
+    """Examine a deployment and print what is wrong with it; the exit status is then 1."""
 
     model_config = SettingsConfigDict(cli_prog_name="fewview doctor", cli_kebab_case=True)
 
@@ -100,7 +102,7 @@ def backup(arguments: list[str]) -> None:
     os.umask(0o077)  # captures are nobody else's
     with ending("backup"), closing(open_store(settings)) as store:
         outcome = backups.backup(
-            store, settings.folder, Progress(), project=settings.project, deep=settings.deep
+            store, settings.folder, CopyProgress(), project=settings.project, deep=settings.deep
         )
         _report("backup", "Backed up", outcome)
 
@@ -111,7 +113,7 @@ def restore(arguments: list[str]) -> None:
     with ending("restore"):
         keep_private(settings)
         with closing(Store(settings)) as store:
-            outcome = backups.restore(store, settings.folder, Progress())
+            outcome = backups.restore(store, settings.folder, CopyProgress())
         _report("restore", "Restored", outcome)
 
 
@@ -164,20 +166,20 @@ def doctor(arguments: list[str]) -> None:
     sys.exit(int(failed))
 
 
-class Progress:
+class CopyProgress:
     """A line of how far copying has come, on stderr: written over on a terminal."""
 
     def __init__(self) -> None:
-        self._said_at = time.monotonic()
+        self._printed_at = time.monotonic()
         self._terminal = sys.stderr.isatty()
 
     def __call__(self, done: int, count: int, size: int) -> None:
-        """Say that ``done`` of ``count`` objects, ``size`` bytes, are copied."""
+        """Print that ``done`` of ``count`` objects, ``size`` bytes, are copied."""
         now = time.monotonic()
         pause = 0.1 if self._terminal else LINE_SECONDS
-        if now - self._said_at < pause and not (self._terminal and done == count):
+        if now - self._printed_at < pause and not (self._terminal and done == count):
             return
-        self._said_at = now
+        self._printed_at = now
         line = f"{done} of {count} objects, {size / MEBIBYTE:.1f} MiB"
         end = "\r" if self._terminal and done < count else "\n"
         print(line, end=end, file=sys.stderr, flush=True)

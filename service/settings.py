@@ -51,9 +51,9 @@ class Settings(WorkerSettings):
         default_factory=lambda: min(4, max(1, usable_cores() // 2)),
         ge=1,
         le=64,
-        description="Processes that answer requests. They share what is said below of bodies in "
-        "hand, large ones, streams, threads and warm models: each may take its part. Default: one "
-        "for every two CPUs, up to 4.",
+        description="Processes that answer requests. They share the limits below on bodies in "
+        "hand, large bodies, streams, threads and warm models equally. Default: one for every two "
+        "CPUs, up to 4.",
     )
     workers: int | None = Field(
         None,
@@ -73,10 +73,10 @@ class Settings(WorkerSettings):
     max_pending_bytes: int | None = Field(
         None,
         ge=1024,
-        description="Bytes of bodies in hand at a time: coming in, waiting, being answered. A body "
-        "counts as 64 KiB at least, and a quarter is kept for those that have no more. "
-        "Beyond that a request is refused with 503. Default: 512 MiB, or what as many of the "
-        "largest bodies need as there are API processes.",
+        description="Bytes of bodies in hand at a time: received, waiting, or being answered. A "
+        "body counts as 64 KiB at least, and a quarter of the bytes is kept for bodies of that "
+        "size. Beyond the limit a request is refused with 503. Default: 512 MiB, or one largest "
+        "body for each API process, if that is more.",
     )
     large_at_a_time: int = Field(
         default_factory=lambda: min(4, usable_cores()),
@@ -204,14 +204,14 @@ class Settings(WorkerSettings):
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether a host, named or by address, is this machine for itself alone."""
+    """Return whether a host, by name or address, is loopback."""
     if host == "localhost" or host.endswith(".localhost"):
         return True
     return is_address(host) and ip_address(host).is_loopback
 
 
 def is_address(host: str) -> bool:
-    """Tell whether a host is an address, not a name."""
+    """Return whether a host is an address, not a name."""
     try:
         ip_address(host)
     except ValueError:

@@ -1,7 +1,7 @@
-"""Keys: what lets a client in, and what it may do.
+"""Keys, with which clients authenticate, and their scopes.
 
-A token is shown once, as its key is made; the records keep its SHA-256, so nobody who reads them
-can use it. Tokens have 256 random bits, which need neither salt nor a slow hash.
+A token is shown once, when its key is made. The records keep only its SHA-256, so that reading them
+does not give access. Tokens have 256 random bits, which need neither salt nor a slow hash.
 """
 
 import hashlib

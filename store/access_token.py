@@ -20,15 +20,15 @@ OPEN_TO_OTHERS = 0o077
 
 
 def ensure(data_dir: Path) -> str:
-    """Return the token of a data folder, which is made if it is not there.
+    """Return the token of a data folder, making it if it does not exist.
 
-    Processes that make it at once agree on one. Nobody ever sees a part of it.
+    Processes that make it at the same time agree on one. No process ever reads a part of it.
 
     Raises
     ------
     StoreError
         The file is another user's, others can read or write it, or it holds no token; the message
-        says how to mend it.
+        has the remedy.
     """
     path = (data_dir / NAME).absolute()
     try:
@@ -58,7 +58,7 @@ def _make(path: Path) -> None:
 def _read(path: Path) -> str:
     if path.is_symlink():
         raise StoreError(f"{path} is a link: delete it, and a new token will be made.")
-    # Without waiting for whoever writes into a pipe.
+    # Without waiting, if the file is a pipe.
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
         _check_closed(path, os.fstat(descriptor))
@@ -81,6 +81,6 @@ def _check_closed(path: Path, found: os.stat_result) -> None:
         )
     if found.st_mode & OPEN_TO_OTHERS:
         raise StoreError(
-            f"Other users can read {path}, or write it. If nobody has, close it with "
+            f"Other users can read {path}, or write it. If no one has done so, close it with "
             f"`chmod 600 {path}`; else delete it, and a new token will be made."
         )

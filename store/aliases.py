@@ -15,7 +15,7 @@ from store.database import Store
 from store.errors import InputError, NotFoundError
 from store.locks import alone
 from store.lookup import lock
-from store.records import Model, ModelAlias
+from store.records import ModelAlias, ModelRecord
 
 _PART = "[a-z0-9][a-z0-9._-]{0,63}"
 Alias = Annotated[str, Field(pattern=f"^{_PART}@{_PART}$")]
@@ -39,7 +39,7 @@ def put(store: Store, name: str, model_id: str) -> ModelAlias:
     """
     with store.writing() as session:
         alone(session, ModelAlias.__tablename__)
-        model = lock(session, Model, model_id)  # against deletion
+        model = lock(session, ModelRecord, model_id)  # against deletion
         alias = session.get(ModelAlias, (store.project, name))
         if alias is None:
             count = session.scalar(select(func.count(ModelAlias.name))) or 0
@@ -60,7 +60,7 @@ def delete(store: Store, name: str) -> None:
         alone(session, ModelAlias.__tablename__)
         alias = session.get(ModelAlias, (store.project, name))
         if alias is None:
-            raise NotFoundError(Model.noun, name)
+            raise NotFoundError(ModelRecord.noun, name)
         session.delete(alias)
         audit.note(session, "alias.delete", name)
 

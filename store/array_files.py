@@ -1,7 +1,7 @@
-"""Files of arrays that are never written: laid out, and read from the objects their bytes are in.
+"""Virtual files of arrays: only their layout is computed, and bytes are read from stored objects.
 
-Where each byte of such a file lies follows from the shapes of its arrays, so that any range of it
-can be read without the rest, however long it is.
+The place of each byte follows from the shapes of the arrays, so that any range of a file can be
+read without all other parts, however long it is.
 """
 
 import hashlib
@@ -210,7 +210,7 @@ def _zip_end(count: int, offset: int, directory_bytes: int) -> bytes:
     )
 
 
-_IN_EXTRA = 0xFFFFFFFF  # says that the number stands in the ZIP64 field
+_IN_EXTRA = 0xFFFFFFFF  # the number is in the ZIP64 field
 
 
 def _npy_header(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:

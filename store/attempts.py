@@ -11,7 +11,7 @@ from store import clock, fits, jobs, keys, lookup, models, webhooks
 from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import DamagedError, LeaseLostError
-from store.records import FitJob
+from store.records import FitRecord
 
 logger = logging.getLogger(__name__)
 
@@ -37,23 +37,23 @@ def claim(store: Store, fit_id: str, *, lease_seconds: float) -> Attempt | None:
     """Take a queued fit, or one whose holder's lease has run out; None if neither is so."""
     with store.writing() as session:
         now, prompt = clock.read_promptly(session)
-        waiting = FitJob.status == "queued"
-        ran_out = (FitJob.status == "running") & (FitJob.lease_expires_at < now)
+        waiting = FitRecord.status == "queued"
+        ran_out = (FitRecord.status == "running") & (FitRecord.lease_expires_at < now)
         number = session.scalar(
-            update(FitJob)
+            update(FitRecord)
             .where(
-                FitJob.id == fit_id,
+                FitRecord.id == fit_id,
                 waiting | ran_out if prompt else waiting,
-                FitJob.cancel_requested_at.is_(None),
+                FitRecord.cancel_requested_at.is_(None),
             )
             .values(
                 status="running",
-                attempt=FitJob.attempt + 1,
-                revision=FitJob.revision + 1,
+                attempt=FitRecord.attempt + 1,
+                revision=FitRecord.revision + 1,
                 lease_expires_at=clock.now() + lease_seconds,  # once the record is locked
-                started_at=func.coalesce(FitJob.started_at, now),  # of the first attempt
+                started_at=func.coalesce(FitRecord.started_at, now),  # of the first attempt
             )
-            .returning(FitJob.attempt)
+            .returning(FitRecord.attempt)
         )
     return None if number is None else Attempt(fit_id, number, lease_seconds)
 
@@ -68,7 +68,7 @@ def beat(store: Store, attempt: Attempt, progress: dict[str, Any] | None) -> boo
     """
     values: dict[str, Any] = {"lease_expires_at": clock.now() + attempt.lease_seconds}
     if progress is not None:
-        values |= {"progress": progress, "revision": FitJob.revision + 1}
+        values |= {"progress": progress, "revision": FitRecord.revision + 1}
     with store.writing() as session:
         asked = _write(session, attempt, values)
     return asked is not None
@@ -80,7 +80,9 @@ def save_checkpoint(store: Store, attempt: Attempt, data: bytes) -> None:
     store.objects.put(key, data)
     try:
         with store.writing() as session:
-            old = session.scalar(select(FitJob.checkpoint_key).where(FitJob.id == attempt.fit_id))
+            old = session.scalar(
+                select(FitRecord.checkpoint_key).where(FitRecord.id == attempt.fit_id)
+            )
             _write(session, attempt, {"checkpoint_key": key})
     except LeaseLostError:
         discard(store, key)
@@ -90,7 +92,7 @@ def save_checkpoint(store: Store, attempt: Attempt, data: bytes) -> None:
 
 def load_checkpoint(store: Store, fit_id: str) -> bytes | None:
     """Return the last checkpoint of a fit, or None if it has none that can be used."""
-    key = lookup.get(store, FitJob, fit_id).checkpoint_key
+    key = lookup.get(store, FitRecord, fit_id).checkpoint_key
     try:
         return None if key is None else store.objects.get(key)
     except (DamagedError, FileNotFoundError):
@@ -121,10 +123,10 @@ def succeed(
     str
         The model's identifier.
     """
-    fit = lookup.get(store, FitJob, attempt.fit_id)
-    said = {"name": fit.name, "tags": fit.tags, "user_metadata": fit.user_metadata}
-    said |= {"project": fit.project, "key_id": fit.key_id}
-    model = models.new_record(store, weights, fit_id=fit.id, **said, **describe)
+    fit = lookup.get(store, FitRecord, attempt.fit_id)
+    labels = {"name": fit.name, "tags": fit.tags, "user_metadata": fit.user_metadata}
+    labels |= {"project": fit.project, "key_id": fit.key_id}
+    model = models.new_record(store, weights, fit_id=fit.id, **labels, **describe)
     reconstruction_key = keys.of_reconstruction(fit.id, reconstruction)
     store.objects.put(reconstruction_key, reconstruction)
     try:
@@ -154,7 +156,7 @@ def end(
 ) -> None:
     """End the attempt's fit as ``failed`` or ``cancelled``."""
     with store.writing() as session:
-        locked = select(FitJob.checkpoint_key).where(FitJob.id == attempt.fit_id)
+        locked = select(FitRecord.checkpoint_key).where(FitRecord.id == attempt.fit_id)
         condemned = condemn(session, [session.scalar(locked.with_for_update())])
         _write(session, attempt, fits.ended(status) | {"error": error})
     discard(store, *condemned)
@@ -165,12 +167,14 @@ def release(store: Store, attempt: Attempt) -> None:
 
     If the user asked to cancel meanwhile, that is done instead.
     """
-    back = {"status": "queued", "lease_expires_at": None, "revision": FitJob.revision + 1}
+    back = {"status": "queued", "lease_expires_at": None, "revision": FitRecord.revision + 1}
     with store.writing() as session:
         asked = _write(session, attempt, back)
-        if asked is not None:  # nobody would claim it any more
+        if asked is not None:  # no worker would claim it any more
             session.execute(
-                update(FitJob).where(FitJob.id == attempt.fit_id).values(**fits.ended("cancelled"))
+                update(FitRecord)
+                .where(FitRecord.id == attempt.fit_id)
+                .values(**fits.ended("cancelled"))
             )
             _announce(session, attempt)
 
@@ -186,7 +190,7 @@ def give_up(store: Store, attempt: Attempt, why: str) -> None:
         If another attempt or a terminal state has taken this one's place.
     """
     with store.writing() as session:
-        fit = lookup.lock(session, FitJob, attempt.fit_id)
+        fit = lookup.lock(session, FitRecord, attempt.fit_id)
         if fit.attempt != attempt.number or fit.status != "running":
             raise _lost(attempt)
         fits.lose(session, fit, clock.read(session), "internal_error", why)
@@ -195,15 +199,15 @@ def give_up(store: Store, attempt: Attempt, why: str) -> None:
 def _write(session: Session, attempt: Attempt, values: dict[str, Any]) -> float | None:
     """Write as ``attempt``; return when cancellation was asked for, if it was."""
     statement = (
-        update(FitJob)
+        update(FitRecord)
         .where(
-            FitJob.id == attempt.fit_id,
-            FitJob.attempt == attempt.number,
-            FitJob.status == "running",
+            FitRecord.id == attempt.fit_id,
+            FitRecord.attempt == attempt.number,
+            FitRecord.status == "running",
         )
         .values(**values)
     )
-    row = session.execute(statement.returning(FitJob.cancel_requested_at)).first()
+    row = session.execute(statement.returning(FitRecord.cancel_requested_at)).first()
     if row is None:
         raise _lost(attempt)
     if values.get("status") in jobs.TERMINAL:
@@ -212,7 +216,7 @@ def _write(session: Session, attempt: Attempt, values: dict[str, Any]) -> float 
 
 
 def _announce(session: Session, attempt: Attempt) -> None:
-    fit = session.get(FitJob, attempt.fit_id, populate_existing=True)
+    fit = session.get(FitRecord, attempt.fit_id, populate_existing=True)
     assert fit is not None  # noqa: S101 (it was written just now)
     webhooks.announce(session, fit)
 

@@ -7,7 +7,7 @@ from store import clock
 from store.authors import author_of
 from store.database import Store
 from store.ids import new_id
-from store.records import AuditEntry
+from store.records import AuditRecord
 
 
 def note(session: Session, action: str, target: str) -> None:
@@ -24,7 +24,7 @@ def note(session: Session, action: str, target: str) -> None:
     if author is None:
         return
     session.add(
-        AuditEntry(
+        AuditRecord(
             id=new_id("audit"),
             at=clock.read(session),
             project=author.project,
@@ -43,11 +43,11 @@ def page(
     after: str | None = None,
     key_id: str | None = None,
     target: str | None = None,
-) -> list[AuditEntry]:
+) -> list[AuditRecord]:
     """Return up to ``limit`` entries of all projects, newest first, older than ``after``."""
-    query = select(AuditEntry).order_by(AuditEntry.id.desc()).limit(limit)
+    query = select(AuditRecord).order_by(AuditRecord.id.desc()).limit(limit)
     if after is not None:
-        query = query.where(AuditEntry.id < after)
+        query = query.where(AuditRecord.id < after)
     equal = {"key_id": key_id, "target": target}
     query = query.filter_by(**{name: value for name, value in equal.items() if value is not None})
     with store.reading() as session:
@@ -57,6 +57,6 @@ def page(
 def forget(store: Store, *, older_than_seconds: float) -> int:
     """Delete what was noted longer ago than that; return how many entries went."""
     with store.writing() as session:
-        old = delete(AuditEntry).where(AuditEntry.at < clock.now() - older_than_seconds)
+        old = delete(AuditRecord).where(AuditRecord.at < clock.now() - older_than_seconds)
         gone: int = session.execute(old).rowcount  # type: ignore[attr-defined]
     return gone

@@ -32,7 +32,7 @@ from store.records import (
     CondemnedObject,
     Delivery,
     Deployment,
-    FitJob,
+    FitRecord,
     IdempotencyKey,
     Record,
 )
@@ -41,12 +41,12 @@ FORMAT = 1  # of a backup; grows when older versions could not restore it
 SUMMARY = "backup.json"
 # What is of this deployment alone, or of the next minutes.
 LEFT_OUT = {kind.__tablename__ for kind in (Deployment, CondemnedObject, IdempotencyKey, Delivery)}
-CHECKPOINT = FitJob.checkpoint_key  # gone in seconds: a fit that runs starts anew when restored
+CHECKPOINT = FitRecord.checkpoint_key  # gone in seconds: a fit that runs starts anew when restored
 AT_A_TIME = 4  # objects in hand
 ROWS_AT_A_TIME = 500
 TRIES = 5
 
-Say = Callable[[int, int, int], None]  # objects done, of how many, and their bytes
+OnCopied = Callable[[int, int, int], None]  # objects done, of how many, and their bytes
 
 
 class Outcome(NamedTuple):
@@ -72,19 +72,19 @@ class Outcome(NamedTuple):
 
 
 def backup(
-    store: Store, folder: Path, say: Say, *, project: str | None = None, deep: bool = False
+    store: Store, folder: Path, say: OnCopied, *, project: str | None = None, deep: bool = False
 ) -> Outcome:
     """Bring the backup in a folder up to date, or make it; all objects copied are read again.
 
-    Objects that it has are not copied again; those that no record names any more leave it in the
-    end. What it was stays valid until this one is whole.
+    Objects that it has are not copied again; those that no record names any more are deleted at
+    the end. The previous backup stays valid until this one is complete.
 
     Parameters
     ----------
     project
         The one project to copy, with its keys and its part of the audit; None: all.
     deep
-        Read what was copied before again, too, and copy anew what is damaged.
+        Read objects that were copied before, too, and copy damaged ones again.
 
     Raises
     ------
@@ -97,7 +97,9 @@ def backup(
         return _backup(store, folder, say, project, deep=deep)
 
 
-def _backup(store: Store, folder: Path, say: Say, project: str | None, *, deep: bool) -> Outcome:
+def _backup(
+    store: Store, folder: Path, say: OnCopied, project: str | None, *, deep: bool
+) -> Outcome:
     target = Objects((folder / "objects").absolute().as_uri())
     for _ in range(TRIES):
         records = folder / f"records-{new_id('backup')}.jsonl"
@@ -133,11 +135,11 @@ def _backup(store: Store, folder: Path, say: Say, project: str | None, *, deep: 
     return Outcome(rows, len(named), copied, size, damaged)
 
 
-def restore(store: Store, folder: Path, say: Say) -> Outcome:
-    """Fill an empty deployment with a backup; it keeps an identity of its own.
+def restore(store: Store, folder: Path, say: OnCopied) -> Outcome:
+    """Fill an empty deployment with a backup; the deployment keeps its own identity.
 
-    Objects come first, then all records in one transaction: if this is interrupted, it can be done
-    again.
+    Objects come first, then all records in one transaction, so an interrupted restore can be
+    repeated.
 
     Raises
     ------
@@ -230,7 +232,7 @@ def _write_records(store: Store, file: Path, project: str | None) -> tuple[int, 
             query = _rows(table, project).execution_options(yield_per=ROWS_AT_A_TIME)
             for found in connection.execute(query).mappings():
                 row = dict(found)
-                if table.name == FitJob.__tablename__:
+                if table.name == FitRecord.__tablename__:
                     row[CHECKPOINT.key] = None
                 named.update(_keys_in(table, row))
                 lines.write(json.dumps([table.name, row]) + "\n")
@@ -294,7 +296,7 @@ def _refuse_full(store: Store, named: set[str]) -> None:
 
 
 def _copy(
-    source: Objects, target: Objects, named: set[str], say: Say, *, deep: bool
+    source: Objects, target: Objects, named: set[str], say: OnCopied, *, deep: bool
 ) -> tuple[int, int, set[str]]:
     """Copy what is not there; return how many, their bytes, and those that cannot be copied."""
     there = named & {key for key, _ in target.list()}

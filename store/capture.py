@@ -102,7 +102,7 @@ class Capture:
         return [int(count) for count in seen.sum((0, 2))]
 
     def to_bytes(self) -> bytes:
-        """Return the arrays as safetensors, which also say the CRC-32 of each."""
+        """Return the arrays as safetensors, with the CRC-32 of each in the header."""
         every = {name: getattr(self, name) for name in STORED}
         arrays = {n: np.ascontiguousarray(a) for n, a in every.items() if a is not None}
         header = safetensors_header(
@@ -152,9 +152,9 @@ class Capture:
 
 
 def checksums_in(header: dict[str, Any]) -> dict[str, int]:
-    """Return the CRC-32s of arrays, by name, that the header of a stored capture says.
+    """Return the CRC-32s of arrays, by name, from the header of a stored capture.
 
-    Captures that older versions stored say none.
+    Captures that older versions stored have none.
     """
     return {name: int(text) for name, text in header.get("__metadata__", {}).items()}
 

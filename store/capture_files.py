@@ -15,7 +15,7 @@ from store.database import Store
 from store.errors import DamagedError
 from store.lookup import lost
 from store.objects import Objects
-from store.records import Chunk, Dataset
+from store.records import Chunk, DatasetRecord
 
 DTYPES: dict[str, np.dtype[Any]] = {name: np.dtype("<f4") for name in ARRAYS} | {
     "times": np.dtype("<f8")
@@ -33,7 +33,7 @@ class _Place(NamedTuple):
     checksum: int | None
 
 
-def capture_file(store: Store, dataset: Dataset) -> LaidOutFile:
+def capture_file(store: Store, dataset: DatasetRecord) -> LaidOutFile:
     """Return the capture of a dataset as it is now, laid out as an npz file.
 
     Raises ``NotFoundError`` if the dataset was deleted since its record was read.
@@ -47,10 +47,10 @@ def capture_file(store: Store, dataset: Dataset) -> LaidOutFile:
             lambda _array, part: _checksum(store.objects, part),
         )
     except FileNotFoundError as error:
-        raise lost(store, Dataset, dataset.id, error) from error
+        raise lost(store, DatasetRecord, dataset.id, error) from error
 
 
-def _of_frames(store: Store, dataset: Dataset, chunks: Sequence[Chunk]) -> list[Array]:
+def _of_frames(store: Store, dataset: DatasetRecord, chunks: Sequence[Chunk]) -> list[Array]:
     layouts = [_layout(store.objects, chunk.key) for chunk in chunks]
     views, keypoints = dataset.views, dataset.keypoints
     shapes: dict[str, tuple[int, ...]] = {
@@ -75,11 +75,11 @@ def _of_frames(store: Store, dataset: Dataset, chunks: Sequence[Chunk]) -> list[
     return arrays
 
 
-def _of_description(dataset: Dataset) -> list[Array]:
-    """Return what a dataset's file says besides its frames."""
+def _of_description(dataset: DatasetRecord) -> list[Array]:
+    """Return the arrays of a dataset's file besides its frames."""
     skeleton = dataset.skeleton or {}
     sizes = dataset.image_sizes and [size or UNKNOWN_SIZE for size in dataset.image_sizes]
-    said = {
+    values = {
         "keypoint_names": skeleton.get("keypoint_names") or None,
         "edges": skeleton.get("edges") or None,
         "image_sizes": sizes or None,
@@ -87,7 +87,7 @@ def _of_description(dataset: Dataset) -> list[Array]:
         "fps": dataset.fps,
     }
     arrays = []
-    for name, value in said.items():
+    for name, value in values.items():
         if value is not None:
             array = np.asarray(value)
             array = array.astype(array.dtype.newbyteorder("<"))

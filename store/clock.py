@@ -1,7 +1,7 @@
 """The time of the records: one clock for all hosts that share them.
 
-Leases, and whatever else one host writes and another compares, are told by it, so a host whose own
-clock is wrong harms nothing.
+Leases, and all other times that one host writes and another compares, are in this time, so the
+clocks of hosts may be wrong.
 """
 
 import time
@@ -38,9 +38,10 @@ def read(session: Session) -> float:
 
 
 def read_promptly(session: Session) -> tuple[float, bool]:
-    """Begin the session's transaction; return what :class:`now` is, and whether that was prompt.
+    """Begin the session's transaction; return the time :class:`now`, and whether that was prompt.
 
-    If not, who holds a lease may have had to wait as long: one that ran out tells no death.
+    If not, holders of leases may have had to wait as long, and a lease that ran out does not mean
+    that its holder died.
     """
     asked_at = time.monotonic()
     time_now = read(session)

@@ -15,7 +15,7 @@ def combine(first: int, second: int, second_bytes: int) -> int:
     Parameters
     ----------
     first, second
-        What ``zlib.crc32`` says of each run.
+        The result of ``zlib.crc32`` for each run.
     second_bytes
         The length of the second.
     """

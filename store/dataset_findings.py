@@ -15,7 +15,7 @@ from models.findings.finding import Finding, dumped
 from store.capture import Capture, concatenate
 from store.database import Store
 from store.errors import DamagedError
-from store.records import Chunk, Dataset
+from store.records import Chunk, DatasetRecord
 
 logger = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ def of_new(capture: Capture, image_sizes: list[Any] | None) -> list[Any]:
     return dumped(_with(_absences(capture, capture.frames), found))
 
 
-def of_longer(store: Store, dataset: Dataset, added: Capture) -> list[Any]:
+def of_longer(store: Store, dataset: DatasetRecord, added: Capture) -> list[Any]:
     """Return the findings of a dataset to whose end frames are added, as plain data.
 
     A few of its chunks are looked at, and the added frames. What no frame had shown before, and
@@ -44,9 +44,9 @@ def of_longer(store: Store, dataset: Dataset, added: Capture) -> list[Any]:
         part = slice(0, min(chunk.frames, size))
         try:
             parts.append(Capture.frames_from(partial(store.objects.peek, chunk.key), part))
-        except FileNotFoundError:  # the dataset was deleted since: nobody will read its findings
+        except FileNotFoundError:  # the dataset was deleted since: its findings are not needed
             continue
-        except (DamagedError, *FAULTS):  # whoever needs the chunk will be refused
+        except (DamagedError, *FAULTS):  # the jobs that need the chunk will fail
             logger.exception("Findings are made without the damaged chunk %s", chunk.key)
             continue
         numbers.append(np.arange(chunk.first_frame, chunk.first_frame + part.stop))
@@ -74,7 +74,7 @@ def _absences(capture: Capture, frames: int) -> tuple[Finding, ...]:
 
 
 def _with(absent: Iterable[Finding], found: Sequence[Finding]) -> list[Finding]:
-    """Return what a sample tells, with what is absent from all frames and not from it alone."""
+    """Return the findings of a sample, with those of absences checked against all frames."""
     return [*absent, *(finding for finding in found if finding.code not in ABSENCES)]
 
 
@@ -91,7 +91,7 @@ def _still(before: Sequence[Any], now: Sequence[Finding]) -> Iterator[Finding]:
                 yield finding.model_copy(update={"views": views, "keypoints": keypoints})
 
 
-def _some_chunks(store: Store, dataset: Dataset) -> list[Chunk]:
+def _some_chunks(store: Store, dataset: DatasetRecord) -> list[Chunk]:
     """Return the chunks of a dataset, or some that are spread evenly over its frames."""
     mine = select(Chunk).where(Chunk.dataset_id == dataset.id)
     count = select(func.count()).select_from(mine.subquery())

@@ -20,14 +20,14 @@ from store.idempotency import Idempotency, claim, replayed
 from store.ids import new_id
 from store.labels import Labels
 from store.lookup import get, lock, lost
-from store.records import Chunk, Dataset, FitJob, LiftJob
+from store.records import Chunk, DatasetRecord, FitRecord, LiftRecord
 from store.space import discarded_if_full
 from store.usage import check_space
 
 
 @dataclass(frozen=True)
-class Description:
-    """What a user says of a dataset besides its arrays."""
+class CaptureDescription:
+    """The description of a dataset besides its arrays."""
 
     name: str
     skeleton: dict[str, Any] | None = None
@@ -41,16 +41,16 @@ class Description:
 def create(
     store: Store,
     capture: Capture,
-    description: Description,
+    description: CaptureDescription,
     *,
     idempotency: Idempotency | None = None,
-) -> Dataset:
+) -> DatasetRecord:
     """Store a capture as a new dataset, or return the one this request made before."""
     dataset_id = new_id("ds")
     with store.reading() as session:  # before anything is stored in vain
         earlier = replayed(session, idempotency)
     if earlier is not None:
-        return get(store, Dataset, earlier)
+        return get(store, DatasetRecord, earlier)
     key, size = _put_chunk(store, dataset_id, capture)
     dataset = described(store, capture, description)
     dataset.id, dataset.stored_bytes = dataset_id, size
@@ -64,13 +64,13 @@ def create(
             audit.note(session, "dataset.create", dataset_id)
     if earlier is not None:
         discard(store, key)
-        return get(store, Dataset, earlier)
+        return get(store, DatasetRecord, earlier)
     return dataset
 
 
-def described(store: Store, capture: Capture, description: Description) -> Dataset:
+def described(store: Store, capture: Capture, description: CaptureDescription) -> DatasetRecord:
     """Return the record that a capture would have; nothing is stored, and it has no identifier."""
-    return Dataset(
+    return DatasetRecord(
         name=description.name,
         created_at=time.time(),
         frames=capture.frames,
@@ -99,7 +99,7 @@ def append(
     *,
     max_frames: int,
     idempotency: Idempotency | None = None,
-) -> Dataset:
+) -> DatasetRecord:
     """Add frames at the end of a dataset.
 
     Raises
@@ -110,7 +110,7 @@ def append(
         If views or keypoints are not the dataset's, or it would grow beyond ``max_frames``; if
         only one of them has times, or those of the new frames are not later.
     """
-    dataset = get(store, Dataset, dataset_id)
+    dataset = get(store, DatasetRecord, dataset_id)
     expected = (dataset.views, dataset.keypoints)
     if capture.keypoints.shape[1:3] != expected:
         raise CaptureError(
@@ -125,7 +125,7 @@ def append(
             with store.reading() as session:
                 if replayed(session, idempotency) is not None:
                     break
-            dataset = get(store, Dataset, dataset_id)
+            dataset = get(store, DatasetRecord, dataset_id)
             if dataset.frames + capture.frames > max_frames:
                 raise CaptureError(
                     "keypoints",
@@ -139,7 +139,7 @@ def append(
                 if replayed(session, idempotency) is not None:
                     break
                 check_space(session, size)
-                columns["stored_bytes"] = Dataset.stored_bytes + size
+                columns["stored_bytes"] = DatasetRecord.stored_bytes + size
                 appended = _extend(session, dataset, columns)
                 if appended:
                     audit.note(session, "dataset.append", dataset_id)
@@ -151,14 +151,14 @@ def append(
                             key=key,
                         )
                     )
-                    claim(session, idempotency, dataset_id)  # nobody else has it: see above
+                    claim(session, idempotency, dataset_id)  # no other request has it: see above
     finally:
         if not appended:
             discard(store, key)
-    return get(store, Dataset, dataset_id)
+    return get(store, DatasetRecord, dataset_id)
 
 
-def _with(dataset: Dataset, capture: Capture) -> dict[str, Any]:
+def _with(dataset: DatasetRecord, capture: Capture) -> dict[str, Any]:
     """Return the columns of a dataset that a capture's frames are added to."""
     observed = zip(dataset.observed, capture.observed(), strict=True)
     return {
@@ -176,7 +176,7 @@ def _last_times(capture: Capture) -> list[float] | None:
     return None if capture.times is None else np.atleast_1d(capture.times[-1]).tolist()
 
 
-def _check_times(dataset: Dataset, capture: Capture) -> None:
+def _check_times(dataset: DatasetRecord, capture: Capture) -> None:
     """Raise ``CaptureError`` unless the times of new frames go on from those of the dataset."""
     last, times = dataset.last_times, capture.times
     if last is None and times is None:
@@ -199,7 +199,7 @@ def _check_times(dataset: Dataset, capture: Capture) -> None:
             raise CaptureError("times", str(error)) from error
 
 
-def times_of(dataset: Dataset, capture: Capture, first_frame: int = 0) -> Float64 | None:
+def times_of(dataset: DatasetRecord, capture: Capture, first_frame: int = 0) -> Float64 | None:
     """Return the times (N,) or (N, K) of a dataset's frames from ``first_frame`` on, in seconds.
 
     None if the dataset has neither times nor frames per second.
@@ -209,13 +209,13 @@ def times_of(dataset: Dataset, capture: Capture, first_frame: int = 0) -> Float6
     return (first_frame + np.arange(capture.frames)) / dataset.fps
 
 
-def _extend(session: Session, dataset: Dataset, columns: dict[str, Any]) -> bool:
+def _extend(session: Session, dataset: DatasetRecord, columns: dict[str, Any]) -> bool:
     """Write the columns, unless somebody else has added frames since the dataset was read."""
     written = session.execute(
-        update(Dataset)
-        .where(Dataset.id == dataset.id, Dataset.checksum == dataset.checksum)
+        update(DatasetRecord)
+        .where(DatasetRecord.id == dataset.id, DatasetRecord.checksum == dataset.checksum)
         .values(**columns)
-        .returning(Dataset.id)
+        .returning(DatasetRecord.id)
     )
     return written.first() is not None
 
@@ -232,7 +232,7 @@ def load(store: Store, dataset_id: str, *, frames: int | None = None) -> Capture
     try:
         return concatenate([Capture.from_bytes(store.objects.get(key)) for key in keys])
     except FileNotFoundError as error:
-        raise lost(store, Dataset, dataset_id, error) from error
+        raise lost(store, DatasetRecord, dataset_id, error) from error
 
 
 def load_frames(store: Store, dataset_id: str, start: int, stop: int) -> Capture:
@@ -270,7 +270,7 @@ def load_frames(store: Store, dataset_id: str, start: int, stop: int) -> Capture
             ]
         )
     except FileNotFoundError as error:
-        raise lost(store, Dataset, dataset_id, error) from error
+        raise lost(store, DatasetRecord, dataset_id, error) from error
 
 
 def delete(store: Store, dataset_id: str) -> None:
@@ -284,10 +284,10 @@ def delete(store: Store, dataset_id: str) -> None:
         If a fit or a lift of it is queued or running.
     """
     with store.writing() as session:
-        dataset = lock(session, Dataset, dataset_id)
+        dataset = lock(session, DatasetRecord, dataset_id)
         refuse = partial(jobs.refuse_if_used, session, "Dataset", dataset_id)
-        refuse(FitJob, FitJob.dataset_id == dataset_id)
-        refuse(LiftJob, LiftJob.dataset_id == dataset_id)
+        refuse(FitRecord, FitRecord.dataset_id == dataset_id)
+        refuse(LiftRecord, LiftRecord.dataset_id == dataset_id)
         chunks = session.scalars(select(Chunk.key).where(Chunk.dataset_id == dataset_id)).all()
         condemned = condemn(session, chunks)
         session.delete(dataset)

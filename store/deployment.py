@@ -1,7 +1,7 @@
 """The identity of a deployment, which its records and its objects both carry.
 
-Objects without the records that know them look like garbage, and records without their objects like
-losses. So nothing is read, served or deleted before both have said that they belong together.
+Objects without their records look like garbage, and records without their objects look like losses.
+So nothing is read, served or deleted before both identities were found to agree.
 """
 
 import json
@@ -16,7 +16,7 @@ from store.errors import DeploymentError
 from store.ids import new_id
 from store.locks import alone
 from store.objects import Objects
-from store.records import Chunk, Dataset, Deployment, FitJob, LiftJob, Model
+from store.records import Chunk, DatasetRecord, Deployment, FitRecord, LiftRecord, ModelRecord
 
 MARK = "deployment.json"
 
@@ -32,8 +32,8 @@ def agree(reading: Sessions, writing: Sessions, objects: Objects) -> str:
     Parameters
     ----------
     reading, writing
-        Give sessions of the records; only the latter hold their write lock, and are asked for only
-        where there is no identity yet: nobody's writes wait for objects that are away.
+        Give sessions of the records; only the latter hold their write lock. It is taken only if
+        there is no identity yet, so that no write waits for objects that cannot be reached.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _refuse_strangers(session: Session, objects: Objects) -> None:
             "FEWVIEW_DATABASE_URL missing or wrong? To start anew, choose another "
             "FEWVIEW_STORE_URL."
         )
-    kinds = (Dataset, FitJob, LiftJob, Model)
+    kinds = (DatasetRecord, FitRecord, LiftRecord, ModelRecord)
     if not any(session.scalar(select(kind.id).limit(1)) for kind in kinds):
         if next(objects.list(), None) is not None:
             raise DeploymentError(
@@ -104,7 +104,7 @@ def _refuse_strangers(session: Session, objects: Objects) -> None:
                 "FEWVIEW_STORE_URL."
             )
         return
-    for column in (Chunk.key, Model.weights_key):
+    for column in (Chunk.key, ModelRecord.weights_key):
         key = session.scalar(select(column).limit(1))
         if key is not None and not objects.has(key):
             raise DeploymentError(

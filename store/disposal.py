@@ -1,4 +1,4 @@
-"""Deleting objects whose records are gone. What fails is left to the sweep, and harms nobody."""
+"""Deleting objects whose records are gone. If it fails, the sweep deletes them later."""
 
 import logging
 from collections.abc import Iterable

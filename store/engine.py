@@ -15,7 +15,7 @@ from store.errors import StoreError
 from store.records import Record
 
 WAIT_SECONDS = 20  # for a lock, or for an answer
-# Of PostgreSQL. What the URL says of the same wins.
+# Of PostgreSQL. Options in the URL take precedence.
 CONNECTING = {
     "connect_timeout": "5",
     "tcp_user_timeout": f"{WAIT_SECONDS}000",  # a host that has vanished does not answer
@@ -51,15 +51,15 @@ def open_engine(url: URL, *, forks: bool) -> Engine:
 
 
 def insert(session: Session, kind: type[Record]) -> postgresql.Insert | sqlite.Insert:
-    """Return an INSERT that can be told what to do ON CONFLICT: both databases mean the same."""
+    """Return an INSERT with ON CONFLICT, which means the same in both databases."""
     is_sqlite = session.get_bind().dialect.name == "sqlite"
     return sqlite.insert(kind) if is_sqlite else postgresql.insert(kind)
 
 
 def _open_postgresql(url: URL, *, forks: bool) -> Engine:
     options = " ".join(f"-c {name}={value}" for name, value in SESSION.items())
-    said = url.query.get("options", "")
-    query = CONNECTING | dict(url.query) | {"options": f"{options} {said}".strip()}
+    given = url.query.get("options", "")
+    query = CONNECTING | dict(url.query) | {"options": f"{options} {given}".strip()}
     pool = POOL | {"pool_size": 1, "max_overflow": 1} if forks else POOL
     try:
         engine = create_engine(
@@ -99,7 +99,7 @@ def _open_sqlite(url: URL, *, forks: bool) -> Engine:
 
 
 def _configure_sqlite(connection: Any, _record: object) -> None:
-    connection.isolation_level = None  # transactions begin where _begin_sqlite says, not by guess
+    connection.isolation_level = None  # transactions begin in _begin_sqlite, not implicitly
     cursor = connection.cursor()
     cursor.execute(f"PRAGMA busy_timeout={WAIT_SECONDS * 1000}")
     cursor.execute("PRAGMA journal_mode=WAL")

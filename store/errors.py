@@ -90,7 +90,7 @@ class CaptureError(InputError):
 
 
 class ConfigError(InputError):
-    """A fit's configuration that speaks of views or keypoints which its dataset has not."""
+    """A fit's configuration names views or keypoints that its dataset does not have."""
 
 
 class SourceError(InputError):
@@ -123,5 +123,5 @@ class LeaseLostError(StoreError):
 
 def in_words(error: BaseException) -> str:
     """Return the first line of an error; what libraries add is for their authors."""
-    said = str(getattr(error, "orig", None) or error).strip().partition("\n")[0]
-    return said or type(error).__name__
+    line = str(getattr(error, "orig", None) or error).strip().partition("\n")[0]
+    return line or type(error).__name__

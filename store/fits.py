@@ -5,8 +5,8 @@
       │  └──cancel───────┼──────▶ cancelled
       └──released, or its lease expired
 
-Only the attempt that holds the lease may write; terminal states are never left. The queue carries
-work to workers and nothing more: what it says of a job is never asked.
+Only the attempt that holds the lease may write; terminal states are never left. The queue only
+carries work to workers: its status of a job is never used.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,7 +27,7 @@ from store.idempotency import Idempotency
 from store.labels import Labels
 from store.lookup import lock, lost
 from store.mistakes import unknown
-from store.records import Dataset, FitJob, LiftJob, Model
+from store.records import DatasetRecord, FitRecord, LiftRecord, ModelRecord
 
 
 def create(
@@ -37,16 +37,16 @@ def create(
     name: str,
     config: dict[str, Any],
     from_model: str | None = None,
-    labels: Labels = Labels(),  # noqa: B008 (nobody changes it)
+    labels: Labels = Labels(),  # noqa: B008 (never changed)
     job_id: str | None = None,
     max_queued: int | None = None,
     idempotency: Idempotency | None = None,
-) -> FitJob:
+) -> FitRecord:
     """Record a queued fit of the dataset as it is now.
 
-    What ``config``, fields of :class:`models.settings.config.FitConfig`, leaves out is filled in:
-    with defaults, or with what suits a start from the model ``from_model``. Keypoints that it tells
-    by name are kept by their indices in the dataset.
+    ``config`` has fields of :class:`models.settings.config.FitConfig`. The others are filled in
+    with defaults, or with those for a start from the model ``from_model``. Keypoints that are given
+    by name are stored as their indices in the dataset.
 
     A ``job_id`` that already has a fit gives that fit back; without one, the fit's own identifier
     is its job's.
@@ -56,25 +56,27 @@ def create(
     NotFoundError
         If there is no such dataset, or no such model.
     ConfigError
-        If the configuration speaks of views or keypoints that the dataset has not, or of another
-        prior or other sizes of it than the model.
+        If the configuration names views or keypoints that the dataset does not have, or another
+        prior or other sizes of it than the model's.
     SourceError
         If the model has other keypoints than the dataset.
     QueueFullError
         If ``max_queued`` fits wait already.
     """
 
-    def make(session: Session, fit_id: str) -> FitJob:
+    def make(session: Session, fit_id: str) -> FitRecord:
         # Locked against deletion, so that no fit is queued of a dataset that is gone.
-        dataset = lock(session, Dataset, dataset_id)
+        dataset = lock(session, DatasetRecord, dataset_id)
         complete = _by_index(FitConfig.model_validate(config), dataset)
         source = None
         if from_model is not None:
-            source = lock(session, Model, from_model, dataset.project)  # against deletion, too
+            source = lock(
+                session, ModelRecord, from_model, dataset.project
+            )  # against deletion, too
             complete = _suited(complete, source, dataset)
         filled_in = complete.model_dump(mode="json")
         _check(filled_in, dataset)
-        return FitJob(
+        return FitRecord(
             id=fit_id,
             name=name,
             dataset_id=dataset_id,
@@ -87,14 +89,14 @@ def create(
         )
 
     return jobs.create(
-        store, FitJob, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
+        store, FitRecord, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
     )
 
 
-def _suited(config: FitConfig, model: Model, dataset: Dataset) -> FitConfig:
+def _suited(config: FitConfig, model: ModelRecord, dataset: DatasetRecord) -> FitConfig:
     """Fill in a configuration for a start from a model; raise for one that does not suit it."""
-    if model.project != dataset.project:  # whoever queues jobs sees all projects
-        raise NotFoundError(Model.noun, model.id)
+    if model.project != dataset.project:  # jobs may be queued for all projects
+        raise NotFoundError(ModelRecord.noun, model.id)
     if model.keypoints != dataset.keypoints:
         raise SourceError(
             "from_model",
@@ -102,18 +104,18 @@ def _suited(config: FitConfig, model: Model, dataset: Dataset) -> FitConfig:
             f"{dataset.keypoints} as in the dataset, got {model.keypoints}",
         )
     source = FitConfig.model_validate(model.config)
-    has, told = source.model_dump(mode="json"), config.model_dump(mode="json", exclude_unset=True)
+    has, given = source.model_dump(mode="json"), config.model_dump(mode="json", exclude_unset=True)
     for field in ARCHITECTURE:
-        if told.get(field, has[field]) != has[field]:
+        if given.get(field, has[field]) != has[field]:
             raise ConfigError(
                 field,
                 f"a fit keeps the prior and the sizes of the model it starts from: expected "
-                f"{has[field]}, got {told[field]}; leave it out",
+                f"{has[field]}, got {given[field]}; leave it out",
             )
     return warm(config, source)
 
 
-def _by_index(config: FitConfig, dataset: Dataset) -> FitConfig:
+def _by_index(config: FitConfig, dataset: DatasetRecord) -> FitConfig:
     """Return a configuration with keypoints by index; raise ``ConfigError`` for an unknown name."""
     names = (dataset.skeleton or {}).get("keypoint_names") or []
 
@@ -123,7 +125,7 @@ def _by_index(config: FitConfig, dataset: Dataset) -> FitConfig:
         if not names:
             raise ConfigError(
                 field,
-                "the keypoints of this dataset have no names: tell the index, from 0, or give "
+                "the keypoints of this dataset have no names: use the index, from 0, or give "
                 "the dataset a skeleton with `keypoint_names`",
             )
         if keypoint not in names:
@@ -131,7 +133,7 @@ def _by_index(config: FitConfig, dataset: Dataset) -> FitConfig:
         return int(names.index(keypoint))
 
     def indices(keypoints: Sequence[Keypoint], field: str) -> tuple[int, ...]:
-        return tuple(index(told, f"{field}/{place}") for place, told in enumerate(keypoints))
+        return tuple(index(given, f"{field}/{place}") for place, given in enumerate(keypoints))
 
     found: dict[str, Any] = {}
     if config.known_length is not None:
@@ -142,8 +144,8 @@ def _by_index(config: FitConfig, dataset: Dataset) -> FitConfig:
     return config.model_copy(update=found)
 
 
-def _check(config: dict[str, Any], dataset: Dataset) -> None:
-    """Raise ``ConfigError`` for what a configuration cannot know by itself."""
+def _check(config: dict[str, Any], dataset: DatasetRecord) -> None:
+    """Raise ``ConfigError`` for errors that only the dataset reveals."""
     calibration, known_length = config.get("calibration"), config.get("known_length")
     if calibration is not None and len(calibration) != dataset.views:
         raise ConfigError(
@@ -163,7 +165,7 @@ def _check(config: dict[str, Any], dataset: Dataset) -> None:
             )
 
 
-def cancel(store: Store, fit_id: str) -> FitJob:
+def cancel(store: Store, fit_id: str) -> FitRecord:
     """Cancel a queued fit at once, or ask the attempt that runs it to stop.
 
     Cancelling a cancelled fit is no error.
@@ -176,7 +178,7 @@ def cancel(store: Store, fit_id: str) -> FitJob:
         If it has ended otherwise.
     """
     with store.writing() as session:
-        fit = jobs.lock_to_cancel(session, FitJob, fit_id)
+        fit = jobs.lock_to_cancel(session, FitRecord, fit_id)
         now = clock.read(session)
         if fit.status != "cancelled" and fit.cancel_requested_at is None:
             fit.cancel_requested_at = now
@@ -189,7 +191,7 @@ def cancel(store: Store, fit_id: str) -> FitJob:
 
 def recover(
     store: Store, *, expired: bool = True, on_loss: Callable[[], None] = lambda: None
-) -> list[FitJob]:
+) -> list[FitRecord]:
     """Deal with fits whose attempt died; return all queued fits, oldest first.
 
     A fit whose lease ran out is queued again, or cancelled if that was asked, or failed if it has
@@ -198,19 +200,19 @@ def recover(
     Parameters
     ----------
     expired
-        Whether a lease that ran out tells a death. It does not where the records were away until
-        just now: nobody could keep a lease.
+        Whether a lease that ran out means that the attempt died. It does not if the records could
+        not be reached until just now, for then no lease could be renewed.
     on_loss
         Called for each fit that was taken from an attempt that died.
     """
-    lost = (FitJob.status == "running") & (FitJob.lease_expires_at < clock.now())
-    queued = select(FitJob).where(FitJob.status == "queued").order_by(FitJob.id)
+    lost = (FitRecord.status == "running") & (FitRecord.lease_expires_at < clock.now())
+    queued = select(FitRecord).where(FitRecord.status == "queued").order_by(FitRecord.id)
     with store.reading() as session:  # the common case takes no write lock
-        any_lost = session.scalar(select(FitJob.id).where(lost).limit(1)) is not None
+        any_lost = session.scalar(select(FitRecord.id).where(lost).limit(1)) is not None
     if any_lost:
         with store.writing() as session:
             now, prompt = clock.read_promptly(session)
-            dead = select(FitJob).where(lost).with_for_update(skip_locked=True)
+            dead = select(FitRecord).where(lost).with_for_update(skip_locked=True)
             taken = list(session.scalars(dead)) if expired and prompt else []
             for fit in taken:
                 lose(
@@ -227,7 +229,7 @@ def recover(
         return list(session.scalars(queued))
 
 
-def lose(session: Session, fit: FitJob, now: float, code: str, why: str) -> None:
+def lose(session: Session, fit: FitRecord, now: float, code: str, why: str) -> None:
     """Queue a fit again whose attempt died or met an error; cancel it if that was asked.
 
     One that has had too many such attempts, none of which got further than the one before, fails,
@@ -254,18 +256,18 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
     Returns
     -------
     bool
-        Whether it was taken; whoever runs it must then be stopped.
+        Whether it was taken; the process that runs it must then be stopped.
     """
-    mine = (FitJob.job_id == job_id) & (FitJob.status == "running")
-    heeds_not = FitJob.cancel_requested_at <= clock.now() - patience_seconds
+    mine = (FitRecord.job_id == job_id) & (FitRecord.status == "running")
+    heeds_not = FitRecord.cancel_requested_at <= clock.now() - patience_seconds
     with store.reading() as session:
-        if session.scalar(select(FitJob.id).where(mine, heeds_not)) is None:
+        if session.scalar(select(FitRecord.id).where(mine, heeds_not)) is None:
             return False
     with store.writing() as session:
-        locked = select(FitJob.checkpoint_key).where(mine).with_for_update()
+        locked = select(FitRecord.checkpoint_key).where(mine).with_for_update()
         condemn(session, session.scalars(locked))
         taken = session.scalar(
-            update(FitJob).where(mine).values(**ended("cancelled")).returning(FitJob)
+            update(FitRecord).where(mine).values(**ended("cancelled")).returning(FitRecord)
         )
         if taken is not None:
             webhooks.announce(session, taken)
@@ -275,17 +277,19 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
 def delete(store: Store, fit_id: str) -> None:
     """Delete a fit that has ended, and its reconstruction; its model stays.
 
-    Raises as :func:`store.jobs.delete` does, and ``ConflictError`` while a lift finds up or the
-    floor of its room in the reconstruction: its parts would be in different rooms.
+    Raises as :func:`store.jobs.delete` does, and ``ConflictError`` while a lift uses the
+    reconstruction for up or the floor of its room: its parts would otherwise be in different rooms.
     """
 
-    def forget(session: Session, fit: FitJob) -> list[str]:
-        session.execute(update(Model).where(Model.fit_id == fit_id).values(fit_id=None))
-        of_model = LiftJob.model_id == fit.model_id  # locked by now: no lift of it begins
-        jobs.refuse_if_used(session, "Fit", fit_id, LiftJob, of_model, LiftJob.up.is_not(None))
+    def forget(session: Session, fit: FitRecord) -> list[str]:
+        session.execute(update(ModelRecord).where(ModelRecord.fit_id == fit_id).values(fit_id=None))
+        of_model = LiftRecord.model_id == fit.model_id  # locked by now: no lift of it begins
+        jobs.refuse_if_used(
+            session, "Fit", fit_id, LiftRecord, of_model, LiftRecord.up.is_not(None)
+        )
         return [key for key in (fit.reconstruction_key, fit.checkpoint_key) if key is not None]
 
-    jobs.delete(store, FitJob, fit_id, forget)
+    jobs.delete(store, FitRecord, fit_id, forget)
 
 
 def ended(status: str) -> dict[str, Any]:
@@ -295,25 +299,25 @@ def ended(status: str) -> dict[str, Any]:
         "finished_at": clock.now(),
         "lease_expires_at": None,
         "checkpoint_key": None,
-        "revision": FitJob.revision + 1,
+        "revision": FitRecord.revision + 1,
     }
 
 
-def _end(session: Session, fit: FitJob, status: str, now: float) -> None:
+def _end(session: Session, fit: FitRecord, status: str, now: float) -> None:
     condemn(session, [fit.checkpoint_key])
     fit.status, fit.finished_at = status, now
     fit.lease_expires_at = fit.checkpoint_key = None
     webhooks.announce(session, fit)
 
 
-def reconstruction_key(fit: FitJob) -> str:
+def reconstruction_key(fit: FitRecord) -> str:
     """Return where the reconstruction of a fit is; raise ``ConflictError`` if it has none."""
     if fit.reconstruction_key is None:
         raise ConflictError(f"Fit {fit.id!r} is {fit.status}: only a fit that succeeded has one.")
     return fit.reconstruction_key
 
 
-def load_reconstruction(store: Store, fit: FitJob) -> bytes:
+def load_reconstruction(store: Store, fit: FitRecord) -> bytes:
     """Return the reconstruction of a fit (safetensors).
 
     Raises
@@ -328,4 +332,4 @@ def load_reconstruction(store: Store, fit: FitJob) -> bytes:
     try:
         return store.objects.get(reconstruction_key(fit))
     except FileNotFoundError as error:
-        raise lost(store, FitJob, fit.id, error) from error
+        raise lost(store, FitRecord, fit.id, error) from error

@@ -15,10 +15,10 @@ from store.records import (
     Chunk,
     CondemnedObject,
     Deployment,
-    FitJob,
+    FitRecord,
     IdempotencyKey,
     LiftChunk,
-    Model,
+    ModelRecord,
 )
 
 logger = logging.getLogger(__name__)
@@ -31,11 +31,11 @@ LARGEST_SHARE = 0.1  # of all objects: crashes do not leave more, wrong records 
 FEW = 20  # whatever share that is
 KEYS = (
     Chunk.key,
-    FitJob.checkpoint_key,
-    FitJob.reconstruction_key,
+    FitRecord.checkpoint_key,
+    FitRecord.reconstruction_key,
     LiftChunk.arrays_key,
     LiftChunk.lines_key,
-    Model.weights_key,
+    ModelRecord.weights_key,
 )
 
 
@@ -53,10 +53,10 @@ def sweep(
     grace_seconds: float = GRACE_SECONDS,
     dry_run: bool = False,
 ) -> Swept:
-    """Condemn objects that no record points to; delete those that were condemned long enough ago.
+    """Mark objects that no record points to; delete those that were marked long enough ago.
 
-    What a record points to again by then is left alone. Idempotency keys a day old go, too. A dry
-    run tells what another would do, but for what puts that were killed left.
+    Objects that a record points to again by then are kept. Idempotency keys a day old are deleted,
+    too. A dry run reports what would be deleted, except for leftovers of killed uploads.
 
     Raises
     ------

@@ -63,10 +63,10 @@ def _scope(session: Session, request: Idempotency) -> str:
 
 
 def claim(session: Session, request: Idempotency | None, resource_id: str) -> str | None:
-    """Note, in the caller's transaction, what the request makes; or return what it made before.
+    """Record the result of a request in the caller's transaction, or return its earlier result.
 
-    Where the same request is in another transaction, its end is waited for: of requests that come
-    at once, one makes something.
+    If the same request is in another transaction, this waits for its end, so only one of several
+    simultaneous requests makes something.
 
     Raises
     ------

@@ -18,7 +18,7 @@ STEPS = 10_000  # of SQLite's machine between two looks at the clock
 
 
 def is_corrupt(error: BaseException) -> bool:
-    """Whether an error of the records says that their file is damaged."""
+    """Whether an error of the records means that their file is damaged."""
     code = getattr(getattr(error, "orig", None), "sqlite_errorcode", 0)
     return code & 0xFF in CORRUPT  # what an extended code adds is in higher bits
 

@@ -1,7 +1,7 @@
 """What fits and lifts have in common: work that is recorded here and carried by the queue.
 
-A function that treats both alike takes the kind of record, :class:`store.records.FitJob` or
-:class:`store.records.LiftJob`. What differs is in ``store.fits`` and ``store.lifts``.
+A function that treats both alike takes the kind of record, :class:`store.records.FitRecord` or
+:class:`store.records.LiftRecord`. What differs is in ``store.fits`` and ``store.lifts``.
 """
 
 from collections.abc import Callable
@@ -19,13 +19,13 @@ from store.idempotency import Idempotency, claim
 from store.ids import new_id
 from store.locks import alone
 from store.lookup import get, lock
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 from store.usage import check_queue
 
 TERMINAL = ("succeeded", "failed", "cancelled")
 MAX_CRASHES = 5  # workers that one fit, or one chunk of a lift, may take down
 
-Job = TypeVar("Job", FitJob, LiftJob)
+Job = TypeVar("Job", FitRecord, LiftRecord)
 Make = Callable[[Session, str], Job]  # of a record, in this session, with this identifier
 
 
@@ -67,12 +67,12 @@ def create(
 def refuse(
     store: Store, kind: type[Job], *, job_id: str, error: dict[str, Any], **columns: Any
 ) -> str:
-    """Record a job that can never run, so that whoever queued it can read why; return its id.
+    """Record a job that can never run, so that its producer can read why; return its id.
 
     Parameters
     ----------
     columns
-        What the job said of itself.
+        The fields of the job.
     """
     with store.writing() as session:
         alone(session, kind.__tablename__)
@@ -131,7 +131,7 @@ def delete(
     Parameters
     ----------
     forget
-        Removes what else the records say of the job, and returns the keys of its objects.
+        Removes other records of the job, and returns the keys of its objects.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Under which keys objects lie: ``datasets/ds_.../chunk_....SUM.safetensors`` and so on.
+"""The keys of objects: ``datasets/ds_.../chunk_....SUM.safetensors`` and so on.
 
-``SUM`` is the CRC-32 of the object, in hexadecimal: whoever reads it can tell whether it is what
-was written. Objects of older versions have none.
+``SUM`` is the CRC-32 of the object, in hexadecimal, with which a reader checks that the object is
+undamaged. Objects of older versions have none.
 """
 
 import re
@@ -56,5 +56,5 @@ def checksum_of(key: str) -> int | None:
 
 
 def is_ours(key: str) -> bool:
-    """Tell whether an object is one that Fewview writes; no other is ever deleted."""
+    """Return whether an object is one that Fewview writes; no other is ever deleted."""
     return _OURS.fullmatch(key) is not None

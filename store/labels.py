@@ -1,4 +1,4 @@
-"""Tags and metadata: what people say of anything stored, to find it again."""
+"""Tags and metadata, with which people find stored resources."""
 
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
@@ -71,7 +71,7 @@ METADATA = "Anything of yours, kept and given back; 64 KiB of JSON at most."
 
 
 class Labels(BaseModel):
-    """What can be said of anything as it is made."""
+    """The labels of a new resource."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -84,7 +84,7 @@ class Labels(BaseModel):
 
 
 def labels_of(record: Labelled) -> dict[str, Any]:
-    """Return what is said of a record, by the names of the fields; older ones may hold nothing."""
+    """Return the labels of a record, by the names of the fields; older records may have none."""
     return {"tags": record.tags or [], "metadata": record.user_metadata or {}}
 
 
@@ -121,12 +121,12 @@ def says(dialect: str, kind: type[Labelled], key: str, text: str) -> ColumnEleme
         return or_(*(kept.contains({key: value}) for value in meant))
     members = func.json_each(kind.user_metadata).table_valued("key", "value", "type")
     value, is_a = members.c.value, members.c.type
-    said = (is_a == "text") & (value == text)
+    equals = (is_a == "text") & (value == text)
     if number is not None:
-        said |= is_a.in_(("integer", "real")) & (value == number)
+        equals |= is_a.in_(("integer", "real")) & (value == number)
     if text in TRUTHS:
-        said |= is_a == text
-    return select(literal(1)).select_from(members).where(members.c.key == key, said).exists()
+        equals |= is_a == text
+    return select(literal(1)).select_from(members).where(members.c.key == key, equals).exists()
 
 
 TRUTHS = {"true": [True], "false": [False]}

@@ -14,9 +14,9 @@ from store.disposal import discard
 from store.errors import LeaseLostError
 from store.ids import new_id
 from store.lift_files import Layout, pack
-from store.records import LiftChunk, LiftJob
+from store.records import LiftChunk, LiftRecord
 
-RECENT_CHUNKS = 16  # by whose pace the time left is told
+RECENT_CHUNKS = 16  # whose pace predicts the time left
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def join(lift_id: str, *, lease_seconds: float) -> Helper:
 def claim(
     store: Store, helper: Helper, *, on_loss: Callable[[], None] = lambda: None
 ) -> LiftChunk | None:
-    """Take the first chunk that nobody has, or None; chunks whose lease ran out are anyone's.
+    """Claim the first free chunk, or None; a chunk whose lease ran out is free.
 
     The first claim starts the lift. A lift fails when one of its chunks has taken down too many
     workers. `on_loss` is called if the chunk was taken from one that died.
@@ -92,7 +92,7 @@ def beat(store: Store, helper: Helper, _progress: object = None) -> None:
         & LiftChunk.finished_at.is_(None)
     )
     with store.reading() as session:  # the common case takes no write lock
-        status = session.scalar(select(LiftJob.status).where(LiftJob.id == helper.lift_id))
+        status = session.scalar(select(LiftRecord.status).where(LiftRecord.id == helper.lift_id))
         left = session.scalar(
             select(func.min(LiftChunk.lease_expires_at) - clock.now()).where(mine)
         )
@@ -112,7 +112,7 @@ def finish(
     arrays: dict[str, Any],
     lines: bytes,
     findings: Iterable[Finding] = (),
-) -> LiftJob:
+) -> LiftRecord:
     """Store a chunk's result, for good; the last chunk's ends the lift. Returns the lift.
 
     Parameters
@@ -130,7 +130,7 @@ def finish(
         If the chunk is no longer this helper's.
     """
     with store.reading() as session:  # an older version may have begun it, with fewer arrays
-        layout = session.scalar(select(LiftJob.layout).where(LiftJob.id == helper.lift_id))
+        layout = session.scalar(select(LiftRecord.layout).where(LiftRecord.id == helper.lift_id))
     packed = pack({name: arrays[name] for name, *_ in layout} if layout else arrays)
     arrays_key, lines_key = keys.of_lifted(helper.lift_id, packed.data, lines)
     done = False
@@ -153,7 +153,7 @@ def finish(
     return lift
 
 
-def _count(session: Session, lift: LiftJob, chunk: LiftChunk, layout: Layout) -> None:
+def _count(session: Session, lift: LiftRecord, chunk: LiftChunk, layout: Layout) -> None:
     """Count a finished chunk, and end the lift with its last."""
     lift.layout = lift.layout or layout
     lift.chunks_done += 1
@@ -165,8 +165,8 @@ def _count(session: Session, lift: LiftJob, chunk: LiftChunk, layout: Layout) ->
         lift.seconds_left = _seconds_left(session, lift)
 
 
-def _seconds_left(session: Session, lift: LiftJob) -> float | None:
-    """Tell how long the frames left take, at the pace of the chunks finished last."""
+def _seconds_left(session: Session, lift: LiftRecord) -> float | None:
+    """Predict how long the frames left take, at the pace of the chunks finished last."""
     session.flush()
     recent = session.scalars(
         select(LiftChunk)
@@ -209,7 +209,7 @@ def fail(store: Store, helper: Helper, code: str, message: str) -> None:
     discard(store, *condemned)
 
 
-def _lose(session: Session, lift: LiftJob, chunk: LiftChunk, code: str, why: str) -> list[str]:
+def _lose(session: Session, lift: LiftRecord, chunk: LiftChunk, code: str, why: str) -> list[str]:
     """Free a chunk that took down its helper; return the objects of a lift that fails of it."""
     chunk.crashes += 1
     chunk.holder = chunk.lease_expires_at = None
@@ -228,13 +228,13 @@ def _lose(session: Session, lift: LiftJob, chunk: LiftChunk, code: str, why: str
     )
 
 
-def _running(session: Session, lift_id: str) -> LiftJob | None:
+def _running(session: Session, lift_id: str) -> LiftRecord | None:
     """Lock a lift before any of its chunks, as everyone does; None if it has ended or is gone."""
-    lift = session.get(LiftJob, lift_id, with_for_update=True)
+    lift = session.get(LiftRecord, lift_id, with_for_update=True)
     return None if lift is None or lift.status in jobs.TERMINAL else lift
 
 
-def _held(session: Session, helper: Helper, chunk: LiftChunk) -> tuple[LiftJob, LiftChunk]:
+def _held(session: Session, helper: Helper, chunk: LiftChunk) -> tuple[LiftRecord, LiftChunk]:
     lift = _running(session, helper.lift_id)
     mine = session.get(LiftChunk, (chunk.lift_id, chunk.first_frame), with_for_update=True)
     if lift is None or mine is None or mine.holder != helper.token:

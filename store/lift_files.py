@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from typing_extensions import TypeAliasType
 
 from store.array_files import Array, LaidOutFile, Part, Span, npz_file, safetensors_header
-from store.records import LiftChunk, LiftJob
+from store.records import LiftChunk, LiftRecord
 
 ResultFormat = TypeAliasType("ResultFormat", Literal["jsonl", "npz", "safetensors"])
 
@@ -55,7 +55,7 @@ def pack(arrays: dict[str, NDArray[Any]]) -> Packed:
 
 
 def result_file(
-    lift: LiftJob, chunks: Sequence[LiftChunk], wanted: ResultFormat, metadata: dict[str, str]
+    lift: LiftRecord, chunks: Sequence[LiftChunk], wanted: ResultFormat, metadata: dict[str, str]
 ) -> LaidOutFile:
     """Return the result of a lift that succeeded, laid out in a format.
 

@@ -23,7 +23,7 @@ from store.errors import LiftError, NotFoundError
 from store.idempotency import Idempotency
 from store.labels import Labels
 from store.lookup import lock
-from store.records import Dataset, LiftChunk, LiftJob, Model
+from store.records import DatasetRecord, LiftChunk, LiftRecord, ModelRecord
 
 CHUNK_NUMBERS = 2**20  # keypoints of a chunk, over all views: its results take some 30 MB
 
@@ -39,11 +39,11 @@ def create(
     frame: str = "canonical",
     up: Sequence[float] | str | None = None,
     chunk_frames: int,
-    labels: Labels = Labels(),  # noqa: B008 (nobody changes it)
+    labels: Labels = Labels(),  # noqa: B008 (never changed)
     job_id: str | None = None,
     max_queued: int | None = None,
     idempotency: Idempotency | None = None,
-) -> LiftJob:
+) -> LiftRecord:
     """Record a queued lift of the dataset as it is now.
 
     A ``job_id`` that already has a lift gives that lift back; without one, the lift's own
@@ -54,7 +54,7 @@ def create(
     frame, up
         The frame of reference of the result, and up in a room; see `worker.rooms`.
     chunk_frames
-        Most frames to do in one go; fewer where there are many views and keypoints.
+        Most frames of a chunk; fewer if there are many views and keypoints.
 
     Raises
     ------
@@ -66,17 +66,17 @@ def create(
         If ``max_queued`` lifts wait already.
     """
 
-    def make(session: Session, lift_id: str) -> LiftJob:
+    def make(session: Session, lift_id: str) -> LiftRecord:
         # Locked against deletion, so that no lift is queued of what is gone.
-        dataset = lock(session, Dataset, dataset_id)
-        model = lock(session, Model, model_id, dataset.project)
-        if model.project != dataset.project:  # whoever queues jobs sees all projects
+        dataset = lock(session, DatasetRecord, dataset_id)
+        model = lock(session, ModelRecord, model_id, dataset.project)
+        if model.project != dataset.project:  # jobs may be queued for all projects
             raise NotFoundError("model", model_id)
         _check(views, dataset, model)
         if up is not None and frame != "room":
-            raise LiftError("up", "up is of a room: ask for frame=room too, or leave it out")
+            raise LiftError("up", "up needs frame=room: give that too, or leave up out")
         chunks = _cut(lift_id, dataset, chunk_frames)
-        lift = LiftJob(
+        lift = LiftRecord(
             id=lift_id,
             name=name,
             dataset_id=dataset_id,
@@ -97,11 +97,11 @@ def create(
         return lift
 
     return jobs.create(
-        store, LiftJob, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
+        store, LiftRecord, make, job_id=job_id, max_queued=max_queued, idempotency=idempotency
     )
 
 
-def _cut(lift_id: str, dataset: Dataset, chunk_frames: int) -> list[LiftChunk]:
+def _cut(lift_id: str, dataset: DatasetRecord, chunk_frames: int) -> list[LiftChunk]:
     """Cut a dataset's frames into chunks; fewer frames a chunk where each has many numbers."""
     size = max(1, min(chunk_frames, CHUNK_NUMBERS // (dataset.views * dataset.keypoints)))
     return [
@@ -115,7 +115,7 @@ def _cut(lift_id: str, dataset: Dataset, chunk_frames: int) -> list[LiftChunk]:
     ]
 
 
-def _check(views: list[int] | None, dataset: Dataset, model: Model) -> None:
+def _check(views: list[int] | None, dataset: DatasetRecord, model: ModelRecord) -> None:
     """Raise ``LiftError`` for what the worker could not lift."""
     if dataset.keypoints != model.keypoints:
         raise LiftError(
@@ -132,17 +132,17 @@ def _check(views: list[int] | None, dataset: Dataset, model: Model) -> None:
         raise LiftError("views", f"expected indices below {MAX_VIEWS}, got {max(views)}")
 
 
-def helped(store: Store, job_id: str) -> LiftJob | None:
+def helped(store: Store, job_id: str) -> LiftRecord | None:
     """Return the lift that a queue job asked for, or helps with; or None."""
     with store.reading() as session:
-        return session.scalar(select(LiftJob).where(_asked_by(job_id)))
+        return session.scalar(select(LiftRecord).where(_asked_by(job_id)))
 
 
 def _asked_by(job_id: str) -> ColumnElement[bool]:
-    return (LiftJob.job_id == job_id) | (LiftJob.id == helped_by(job_id))
+    return (LiftRecord.job_id == job_id) | (LiftRecord.id == helped_by(job_id))
 
 
-def waiting_job(lift: LiftJob) -> str:
+def waiting_job(lift: LiftRecord) -> str:
     """Return the identifier of the queue job that calls the next helper.
 
     The first is the job that asked for the lift; each that starts makes the next.
@@ -155,10 +155,10 @@ def helped_by(job_id: str) -> str:
     return job_id.rpartition("-")[0]
 
 
-def call_next(store: Store, lift_id: str, job_id: str) -> LiftJob | None:
+def call_next(store: Store, lift_id: str, job_id: str) -> LiftRecord | None:
     """Note that ``job_id`` has started; return the lift if another job may help beside it."""
     with store.writing() as session:
-        lift = session.get(LiftJob, lift_id, with_for_update=True)
+        lift = session.get(LiftRecord, lift_id, with_for_update=True)
         if lift is None or lift.status in jobs.TERMINAL or waiting_job(lift) != job_id:
             return None
         lift.helpers += 1
@@ -168,17 +168,19 @@ def call_next(store: Store, lift_id: str, job_id: str) -> LiftJob | None:
     return None if unclaimed is None else lift
 
 
-def recover(store: Store, *, expired: bool = True) -> list[LiftJob]:
+def recover(store: Store, *, expired: bool = True) -> list[LiftRecord]:
     """Return the lifts that have chunks for a helper to do, oldest first.
 
     `expired` as in :func:`store.fits.recover`.
     """
     todo = claimable(expired=expired)
-    chunks = select(LiftChunk.first_frame).where(LiftChunk.lift_id == LiftJob.id, *todo)
-    active = LiftJob.status.in_(("queued", "running"))
+    chunks = select(LiftChunk.first_frame).where(LiftChunk.lift_id == LiftRecord.id, *todo)
+    active = LiftRecord.status.in_(("queued", "running"))
     with store.reading() as session:
         return list(
-            session.scalars(select(LiftJob).where(active, chunks.exists()).order_by(LiftJob.id))
+            session.scalars(
+                select(LiftRecord).where(active, chunks.exists()).order_by(LiftRecord.id)
+            )
         )
 
 
@@ -196,8 +198,8 @@ def claimable(*, expired: bool = True) -> tuple[ColumnElement[bool], ...]:
     return LiftChunk.finished_at.is_(None), free
 
 
-def cancel(store: Store, lift_id: str) -> LiftJob:
-    """Cancel a lift at once, whoever works at it. Cancelling a cancelled lift is no error.
+def cancel(store: Store, lift_id: str) -> LiftRecord:
+    """Cancel a lift at once, even while workers lift it. Cancelling it again is no error.
 
     Raises
     ------
@@ -208,7 +210,7 @@ def cancel(store: Store, lift_id: str) -> LiftJob:
     """
     keys: list[str] = []
     with store.writing() as session:
-        lift = jobs.lock_to_cancel(session, LiftJob, lift_id)
+        lift = jobs.lock_to_cancel(session, LiftRecord, lift_id)
         if lift.status != "cancelled":
             keys = end(session, lift, "cancelled")
     discard(store, *keys)
@@ -216,7 +218,7 @@ def cancel(store: Store, lift_id: str) -> LiftJob:
 
 
 def end(
-    session: Session, lift: LiftJob, status: str, error: dict[str, Any] | None = None
+    session: Session, lift: LiftRecord, status: str, error: dict[str, Any] | None = None
 ) -> list[str]:
     """End a lift; return the objects that are to be deleted once that is committed.
 
@@ -232,7 +234,7 @@ def end(
     return condemn(session, _drop_chunks(session, lift))
 
 
-def _drop_chunks(session: Session, lift: LiftJob) -> list[str]:
+def _drop_chunks(session: Session, lift: LiftRecord) -> list[str]:
     gone = session.execute(
         sql_delete(LiftChunk)
         .where(LiftChunk.lift_id == lift.id)
@@ -242,22 +244,22 @@ def _drop_chunks(session: Session, lift: LiftJob) -> list[str]:
 
 
 def was_cancelled(store: Store, job_id: str, *, patience_seconds: float) -> bool:
-    """Tell whether the lift that a running job helps with was cancelled some time ago.
+    """Return whether the lift that a running job helps with was cancelled some time ago.
 
-    Whoever runs it must then be stopped.
+    The process that runs it must then be stopped.
     """
     with store.reading() as session:
-        cancelled = (_asked_by(job_id)) & (LiftJob.status == "cancelled")
-        long_ago = LiftJob.finished_at < clock.now() - patience_seconds
-        return session.scalar(select(LiftJob.id).where(cancelled, long_ago)) is not None
+        cancelled = (_asked_by(job_id)) & (LiftRecord.status == "cancelled")
+        long_ago = LiftRecord.finished_at < clock.now() - patience_seconds
+        return session.scalar(select(LiftRecord.id).where(cancelled, long_ago)) is not None
 
 
 def delete(store: Store, lift_id: str) -> None:
     """Delete a lift that has ended, and its result; raises as :func:`store.jobs.delete` does."""
-    jobs.delete(store, LiftJob, lift_id, _drop_chunks)
+    jobs.delete(store, LiftRecord, lift_id, _drop_chunks)
 
 
-def finished_chunks(store: Store, lift: LiftJob) -> list[LiftChunk]:
+def finished_chunks(store: Store, lift: LiftRecord) -> list[LiftChunk]:
     """Return the chunks of a lift that are done, in the order of their frames."""
     query = (
         select(LiftChunk)

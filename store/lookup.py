@@ -14,21 +14,21 @@ from store.errors import DamagedError, NotFoundError, StoreError
 from store.labels import says, tagged
 from store.records import (
     DEFAULT_PROJECT,
-    Dataset,
-    FitJob,
+    DatasetRecord,
+    FitRecord,
     Job,
-    LiftJob,
-    Model,
+    LiftRecord,
     ModelAlias,
+    ModelRecord,
 )
 
 HALF_A_MICROSECOND = 0.5e-6
 
-Resource = TypeVar("Resource", Dataset, Model, FitJob, LiftJob)
+Resource = TypeVar("Resource", DatasetRecord, ModelRecord, FitRecord, LiftRecord)
 
 
 class Filters(NamedTuple):
-    """What records must have; what is None or empty allows anything.
+    """The conditions on records; None or empty allows anything.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Filters(NamedTuple):
     metadata
         These texts under these keys, as :func:`store.labels.says` compares them.
     equal
-        What columns must hold.
+        Required values of columns.
     """
 
     ids: Sequence[str] = ()
@@ -52,7 +52,7 @@ class Filters(NamedTuple):
     equal: Mapping[str, str | None] = {}
 
     def __bool__(self) -> bool:
-        """Tell whether anything is asked for."""
+        """Return whether there is any condition."""
         moments = (self.created_before, self.created_after)
         return any((self.ids, self.tags, self.metadata)) or any(
             value is not None for value in (*moments, *self.equal.values())
@@ -67,14 +67,14 @@ def get(store: Store, kind: type[Resource], identifier: str) -> Resource:
 
 
 def is_alias(identifier: str) -> bool:
-    """Tell an alias of a model from an identifier."""
+    """Return whether a name is an alias of a model rather than an identifier."""
     return "@" in identifier
 
 
 def resolved(
     session: Session, kind: type[Resource], identifier: str, project: str | None = None
 ) -> str:
-    """Return the identifier that an alias stands for, of a model; any other as it is.
+    """Return the model's identifier for an alias; any other identifier as it is.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def resolved(
     NotFoundError
         If there is no such alias.
     """
-    if kind is not Model or not is_alias(identifier):
+    if kind is not ModelRecord or not is_alias(identifier):
         return identifier
     author = author_of(session)
     whose = project or (DEFAULT_PROJECT if author is None else author.project)
@@ -107,7 +107,7 @@ def lost(
 
 
 def reader_of(store: Store, kind: type[Resource], identifier: str) -> GetRange:
-    """Return what reads ranges of a record's objects, and raises as `lost` says for one that is."""
+    """Return a reader of ranges of a record's objects, which raises `lost` for missing ones."""
 
     def read(key: str, start: int, end: int) -> bytes:
         try:
@@ -121,7 +121,7 @@ def reader_of(store: Store, kind: type[Resource], identifier: str) -> GetRange:
 def lock(
     session: Session, kind: type[Resource], identifier: str, project: str | None = None
 ) -> Resource:
-    """Return a record in a transaction that writes; nobody else changes it until its end.
+    """Return a record in a transaction that writes; it is locked until its end.
 
     Raises ``NotFoundError`` if there is none; ``project`` is as :func:`resolved` takes it.
     """

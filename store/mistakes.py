@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel
 
-MOST = 50  # mistakes that are told: a body may hold a million
+MOST = 50  # mistakes that are reported: a body may have a million
 LONGEST = 100  # characters of a name that others are compared with
 
 
@@ -52,7 +52,7 @@ def summary(found: Sequence[Mistake]) -> str:
 
 
 def unknown(noun: str, name: str, known: Collection[str]) -> str:
-    """Say that a field or parameter is not known, and which one may be meant."""
+    """Return that a field or parameter is unknown, and which one may be meant."""
     if not known:
         return f"unknown {noun}: there are none here"
     near = get_close_matches(name[:LONGEST], known, n=1)

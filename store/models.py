@@ -16,7 +16,7 @@ from store.errors import ConflictError, DamagedError
 from store.idempotency import Idempotency, claim, replayed
 from store.ids import new_id
 from store.lookup import get, lock, lost
-from store.records import FitJob, LiftJob, Model, ModelAlias
+from store.records import FitRecord, LiftRecord, ModelAlias, ModelRecord
 from store.space import discarded_if_full
 from store.usage import check_space
 
@@ -28,12 +28,12 @@ class Whereabouts(NamedTuple):
     fit_id: str | None
 
 
-def new_record(store: Store, weights: bytes, **columns: Any) -> Model:
+def new_record(store: Store, weights: bytes, **columns: Any) -> ModelRecord:
     """Store the weights and return the model's record, not yet written."""
     model_id = new_id("mdl")
     key = keys.of_weights(model_id, weights)
     store.objects.put(key, weights)
-    return Model(
+    return ModelRecord(
         id=model_id,
         created_at=time.time(),
         weights_key=key,
@@ -46,12 +46,12 @@ def new_record(store: Store, weights: bytes, **columns: Any) -> Model:
 
 def create(
     store: Store, weights: bytes, *, idempotency: Idempotency | None = None, **columns: Any
-) -> Model:
+) -> ModelRecord:
     """Store imported weights as a model, or return the one this request made before."""
     with store.reading() as session:  # before anything is stored in vain
         earlier = replayed(session, idempotency)
     if earlier is not None:
-        return get(store, Model, earlier)
+        return get(store, ModelRecord, earlier)
     model = new_record(store, weights, **owned_by(store.author), **columns)
     with discarded_if_full(store, model.weights_key), store.writing() as session:
         earlier = claim(session, idempotency, model.id)
@@ -61,18 +61,20 @@ def create(
             audit.note(session, "model.create", model.id)
     if earlier is not None:
         discard(store, model.weights_key)
-        return get(store, Model, earlier)
+        return get(store, ModelRecord, earlier)
     return model
 
 
 def whereabouts(store: Store, model_ids: Sequence[str]) -> dict[str, Whereabouts]:
     """Return of these models those that are there, by identifier."""
-    query = select(Model.id, Model.weights_key, Model.fit_id).where(Model.id.in_(model_ids))
+    query = select(ModelRecord.id, ModelRecord.weights_key, ModelRecord.fit_id).where(
+        ModelRecord.id.in_(model_ids)
+    )
     with store.reading() as session:
         return {row.id: Whereabouts(row.weights_key, row.fit_id) for row in session.execute(query)}
 
 
-def load_weights(store: Store, model: Model) -> bytes:
+def load_weights(store: Store, model: ModelRecord) -> bytes:
     """Return a model's weights.
 
     Raises
@@ -85,7 +87,7 @@ def load_weights(store: Store, model: Model) -> bytes:
     try:
         weights = store.objects.get(model.weights_key)
     except FileNotFoundError as error:
-        raise lost(store, Model, model.id, error) from error
+        raise lost(store, ModelRecord, model.id, error) from error
     if hashlib.sha256(weights).hexdigest() != model.weights_checksum:
         raise DamagedError(model.weights_key)
     return weights
@@ -103,16 +105,18 @@ def delete(store: Store, model_id: str) -> None:
     """
     with store.writing() as session:
         # Its fit before the model itself: as all do.
-        session.execute(update(FitJob).where(FitJob.model_id == model_id).values(model_id=None))
-        model = lock(session, Model, model_id)
+        session.execute(
+            update(FitRecord).where(FitRecord.model_id == model_id).values(model_id=None)
+        )
+        model = lock(session, ModelRecord, model_id)
         alias = session.scalar(select(ModelAlias.name).where(ModelAlias.model_id == model.id))
         if alias is not None:
             raise ConflictError(
                 f"Model {model.id!r} has the alias {alias!r}: move or delete that first."
             )
         refuse = partial(jobs.refuse_if_used, session, "Model", model_id)
-        refuse(LiftJob, LiftJob.model_id == model_id)
-        refuse(FitJob, FitJob.from_model == model_id)
+        refuse(LiftRecord, LiftRecord.model_id == model_id)
+        refuse(FitRecord, FitRecord.from_model == model_id)
         condemned = condemn(session, [model.weights_key])
         session.delete(model)
         audit.note(session, "model.delete", model_id)

@@ -178,7 +178,7 @@ class Objects:
             return {key for key in threads.map(harmed, listed) if key is not None}
 
     def has(self, key: str) -> bool:
-        """Tell whether there is an object under ``key``."""
+        """Return whether there is an object under ``key``."""
         try:
             with self._naming(key):
                 obstore.head(self._store, key)

@@ -13,7 +13,7 @@ from store.database import Store
 from store.fits import reconstruction_key
 from store.lift_files import DTYPES
 from store.lookup import lost
-from store.records import FitJob
+from store.records import FitRecord
 
 PART_BYTES = 256 * 1024  # of arrays read at a time; as JSON they take six times as much
 
@@ -28,7 +28,7 @@ class _Stored(NamedTuple):
 
 
 def reconstruction_file(
-    store: Store, fit: FitJob, wanted: Literal["npz", "safetensors"], metadata: dict[str, str]
+    store: Store, fit: FitRecord, wanted: Literal["npz", "safetensors"], metadata: dict[str, str]
 ) -> LaidOutFile | None:
     """Return the reconstruction of a fit in a format; None for an older version's, which is less.
 
@@ -53,7 +53,7 @@ def reconstruction_file(
 
 
 def reconstruction_parts(
-    store: Store, fit: FitJob, wanted: range | None = None
+    store: Store, fit: FitRecord, wanted: range | None = None
 ) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield the arrays of a fit's reconstruction for some of its frames after others.
 
@@ -79,21 +79,21 @@ def reconstruction_parts(
         try:
             read = store.objects.get_ranges(reconstruction_key(fit), ranges)
         except FileNotFoundError as error:
-            raise lost(store, FitJob, fit.id, error) from error
+            raise lost(store, FitRecord, fit.id, error) from error
         yield {
             name: np.frombuffer(b"".join(pieces), DTYPES[kind]).reshape(-1, *shape[1:])
             for (name, kind, shape, _), pieces in zip(found, _batches(read, len(runs)), strict=True)
         }
 
 
-def _stored(store: Store, fit: FitJob) -> list[_Stored]:
+def _stored(store: Store, fit: FitRecord) -> list[_Stored]:
     """Return the arrays of a fit's reconstruction in the order of their bytes."""
     key, objects = reconstruction_key(fit), store.objects
     try:
         size = int.from_bytes(objects.get_range(key, 0, 8), "little")
         header: dict[str, Any] = json.loads(objects.get_range(key, 8, 8 + size))
     except FileNotFoundError as error:
-        raise lost(store, FitJob, fit.id, error) from error
+        raise lost(store, FitRecord, fit.id, error) from error
     header.pop("__metadata__", None)
     spans = {
         name: Span(key, *(8 + size + offset for offset in about["data_offsets"]))

@@ -37,9 +37,9 @@ class Owned:
 
 
 class Labelled:
-    """Columns of what people say of anything stored; older records hold null.
+    """Columns of names, tags and metadata; older records hold null.
 
-    `unlisted` names those columns that are read one by one, and not in lists.
+    `unlisted` names the columns that are left out of lists.
     """
 
     unlisted: ClassVar[tuple[str, ...]] = ()
@@ -48,7 +48,7 @@ class Labelled:
     user_metadata: Mapped[dict[str, Any] | None]
 
 
-class Dataset(Labelled, Owned, Record):
+class DatasetRecord(Labelled, Owned, Record):
     """A stored capture: what is known of it without reading its arrays."""
 
     noun: ClassVar = "dataset"  # in messages and URLs
@@ -68,7 +68,7 @@ class Dataset(Labelled, Owned, Record):
     fps: Mapped[float | None]
     last_times: Mapped[list[Any] | None]  # seconds, of the last frame, one or one a view
     view_names: Mapped[list[Any] | None]
-    notes: Mapped[list[Any] | None]  # of whoever read the files that it came in
+    notes: Mapped[list[Any] | None]  # of the reader of the files that it came in
     findings: Mapped[list[Any] | None]  # as JSON, see models.findings; None: never looked for
 
 
@@ -106,7 +106,7 @@ class Job(Labelled, Owned):
     findings: Mapped[list[Any] | None]
 
 
-class FitJob(Job, Record):
+class FitRecord(Job, Record):
     """A fit job.
 
     ``attempt`` is the fencing token: it grows with every claim, and a write that carries an older
@@ -130,7 +130,7 @@ class FitJob(Job, Record):
     model_id: Mapped[str | None] = mapped_column(index=True)
 
 
-class LiftJob(Job, Record):
+class LiftRecord(Job, Record):
     """The lift of a whole dataset. ``helpers`` counts the queue jobs that have worked at it."""
 
     noun: ClassVar = "lift"
@@ -174,7 +174,7 @@ class LiftChunk(Record):
     checksums: Mapped[dict[str, Any] | None]  # CRC-32 of each array's bytes
 
 
-class Model(Labelled, Owned, Record):
+class ModelRecord(Labelled, Owned, Record):
     """A fitted prior: its weights are an object, its figures are here."""
 
     noun: ClassVar = "model"
@@ -212,7 +212,7 @@ class ModelAlias(Owned, Record):
     moved_at: Mapped[float]
 
 
-class Webhook(Owned, Record):
+class WebhookRecord(Owned, Record):
     """A URL that is notified when jobs of a project end; see ``store.webhooks``."""
 
     noun: ClassVar = "webhook"
@@ -244,7 +244,7 @@ class Delivery(Record):
 
 
 class Deployment(Record):
-    """The one row that says whose records these are: see ``store.deployment``."""
+    """The one row with the identity of the deployment: see ``store.deployment``."""
 
     __tablename__ = "deployment"
 
@@ -292,7 +292,7 @@ class AccessKey(Record):
     revoked_at: Mapped[float | None]
 
 
-class AuditEntry(Record):
+class AuditRecord(Record):
     """Who changed what: written in the transaction of the change, and never changed itself."""
 
     __tablename__ = "audit"

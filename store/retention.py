@@ -7,7 +7,7 @@ from sqlalchemy import select
 from store import audit, clock, fits, lifts
 from store.database import Store
 from store.errors import ConflictError, NotFoundError
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 
 DAY_SECONDS = 24 * 3600.0
 AT_A_TIME = 10_000  # of a kind; what is left goes with the next housekeeping
@@ -32,12 +32,12 @@ class Retention(NamedTuple):
     audit: float | None = None
 
 
-def outdated(store: Store, keep: Retention) -> list[FitJob | LiftJob]:
+def outdated(store: Store, keep: Retention) -> list[FitRecord | LiftRecord]:
     """Return what has ended longer ago than it is to be kept, oldest first."""
-    found: list[FitJob | LiftJob] = []
-    kinds: tuple[tuple[type[FitJob | LiftJob], float | None], ...] = (
-        (FitJob, keep.fits),
-        (LiftJob, keep.lifts),
+    found: list[FitRecord | LiftRecord] = []
+    kinds: tuple[tuple[type[FitRecord | LiftRecord], float | None], ...] = (
+        (FitRecord, keep.fits),
+        (LiftRecord, keep.lifts),
     )
     with store.reading() as session:
         for kind, succeeded in kinds:
@@ -52,12 +52,12 @@ def outdated(store: Store, keep: Retention) -> list[FitJob | LiftJob]:
     return found
 
 
-def prune(store: Store, keep: Retention) -> list[FitJob | LiftJob]:
+def prune(store: Store, keep: Retention) -> list[FitRecord | LiftRecord]:
     """Delete what is outdated and return it; what others still need is left for later."""
-    gone: list[FitJob | LiftJob] = []
+    gone: list[FitRecord | LiftRecord] = []
     for job in outdated(store, keep):
         try:
-            if isinstance(job, FitJob):
+            if isinstance(job, FitRecord):
                 fits.delete(store, job.id)
             else:
                 lifts.delete(store, job.id)

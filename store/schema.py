@@ -24,29 +24,29 @@ MIGRATIONS = Path(__file__).parent / "migrations"
 State = Literal["empty", "older", "current", "newer"]
 
 
-class Version(NamedTuple):
-    """What the tables of some records are like to this code, and their revision if they tell."""
+class SchemaState(NamedTuple):
+    """The state of the tables as seen by this code, and their revision if they have one."""
 
     state: State
     revision: str | None
 
 
-def version(connection: Connection) -> Version:
-    """Tell which version the tables are of."""
+def version(connection: Connection) -> SchemaState:
+    """Return the version of the tables."""
     found = inspect(connection)
     revision = None
     if found.has_table("alembic_version"):
         revision = connection.scalar(text("SELECT version_num FROM alembic_version"))
     if revision is None:
         some = any(found.has_table(table.name) for table in Record.metadata.sorted_tables)
-        return Version("older" if some else "empty", None)
+        return SchemaState("older" if some else "empty", None)
     if revision not in REVISIONS:
-        return Version("newer", revision)
-    return Version("current" if revision == REVISIONS[-1] else "older", revision)
+        return SchemaState("newer", revision)
+    return SchemaState("current" if revision == REVISIONS[-1] else "older", revision)
 
 
-def look(engine: Engine) -> Version:
-    """Tell the same of the records of an engine."""
+def look(engine: Engine) -> SchemaState:
+    """Return the same for the records of an engine."""
     with engine.connect() as connection:
         return version(connection)
 
@@ -73,7 +73,7 @@ def prepare(engine: Engine, *, embedded: bool) -> None:
         migrate(engine)
 
 
-def migrate(engine: Engine) -> Version:
+def migrate(engine: Engine) -> SchemaState:
     """Bring the tables to the version of this code; return which they were of.
 
     All of it happens or nothing. Of several processes the first does it and the others wait.
@@ -100,7 +100,7 @@ def migrate(engine: Engine) -> Version:
 
 
 def _upgrade(connection: Connection) -> None:
-    logging.getLogger("alembic").setLevel(logging.WARNING)  # before it says what it imports
+    logging.getLogger("alembic").setLevel(logging.WARNING)  # before it logs its imports
     from alembic import command  # noqa: PLC0415 (takes long to import, and is hardly ever needed)
     from alembic.config import Config  # noqa: PLC0415
 

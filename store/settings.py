@@ -72,7 +72,7 @@ class StoreSettings(BaseSettings):
 
 
 def shown(url: object) -> str:
-    """Return a URL for people to read: without its user and password, and what it is asked."""
+    """Return a URL for people to read: without user, password and query."""
     return re.sub(r"^([^:]+://)[^/]*@", r"\1***@", str(url)).partition("?")[0]
 
 

@@ -16,7 +16,7 @@ OBJECTS_FULL = (*(f"(os error {number})" for number in FULL), "InsufficientStora
 
 
 def is_full(error: BaseException | None) -> bool:
-    """Whether an error of records, objects or files says that a disk, or a quota, is full."""
+    """Whether an error of records, objects or files means that a disk, or a quota, is full."""
     if error is None:
         return False
     found = getattr(error, "orig", None) or error  # of the database's driver
@@ -33,7 +33,7 @@ def is_full(error: BaseException | None) -> bool:
 def discarded_if_full(store: Store, key: str) -> Iterator[None]:
     """Delete an object if there is no space for its record.
 
-    Only then: after other errors nobody knows whether the record was written.
+    Only then: after other errors the record may have been written.
     """
     try:
         yield

@@ -10,9 +10,9 @@ from store.housekeeping import SWEEP_SECONDS
 from store.records import (
     CondemnedObject,
     Deployment,
-    FitJob,
+    FitRecord,
     LiftChunk,
-    LiftJob,
+    LiftRecord,
 )
 from store.usage import STORED
 
@@ -29,7 +29,7 @@ class Tally(NamedTuple):
     oldest_seconds
         Time since the oldest of those that wait was made; 0 where none waits.
     expired
-        Running fits, or chunks of lifts, whose lease has run out and which nobody has taken yet.
+        Running fits, or chunks of lifts, whose lease has run out and which are not taken over yet.
     """
 
     jobs: dict[str, int]
@@ -61,16 +61,16 @@ class Tallies(NamedTuple):
 
 def read(store: Store) -> Tallies:
     """Return what the records hold now."""
-    running = FitJob.status == "running"
+    running = FitRecord.status == "running"
     leases = {
-        "fit": select(func.count()).where(running, FitJob.lease_expires_at < clock.now()),
+        "fit": select(func.count()).where(running, FitRecord.lease_expires_at < clock.now()),
         "lift": select(func.count()).where(
             LiftChunk.finished_at.is_(None), LiftChunk.lease_expires_at < clock.now()
         ),
     }
     kinds = {}
     with store.reading() as session:
-        for kind in (FitJob, LiftJob):
+        for kind in (FitRecord, LiftRecord):
             by_status = select(kind.status, func.count()).group_by(kind.status)
             found = dict.fromkeys(STATUSES, 0)
             found.update((status, count) for status, count in session.execute(by_status))

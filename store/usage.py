@@ -9,9 +9,9 @@ from store.authors import Author, author_of
 from store.database import Store
 from store.errors import QuotaError
 from store.locks import alone
-from store.records import Dataset, FitJob, LiftJob, Model
+from store.records import DatasetRecord, FitRecord, LiftRecord, ModelRecord
 
-STORED = (Dataset, FitJob, LiftJob, Model)
+STORED = (DatasetRecord, FitRecord, LiftRecord, ModelRecord)
 
 
 def check_space(session: Session, more: int) -> None:
@@ -33,7 +33,7 @@ def check_queue(session: Session) -> None:
     author = author_of(session)
     if author is None:
         return
-    check_space(session, 1)  # of a result, whose size nobody knows yet
+    check_space(session, 1)  # of a result of unknown size
     if author.quotas.queued_jobs is None:
         return
     alone(session, f"quotas of {author.key_id}")
@@ -42,7 +42,7 @@ def check_queue(session: Session) -> None:
             select(func.count(kind.id)).where(kind.key_id == author.key_id, kind.status == "queued")
         )
         or 0
-        for kind in (FitJob, LiftJob)
+        for kind in (FitRecord, LiftRecord)
     )
     if waiting >= author.quotas.queued_jobs:
         raise QuotaError(

@@ -25,7 +25,7 @@ from store.database import Store
 from store.errors import InputError, NotFoundError
 from store.ids import new_id
 from store.locks import alone
-from store.records import AccessKey, Delivery, FitJob, LiftJob, Webhook
+from store.records import AccessKey, Delivery, FitRecord, LiftRecord, WebhookRecord
 
 WebhookEvent = TypeAliasType(
     "WebhookEvent",
@@ -63,8 +63,8 @@ class Due(NamedTuple):
     attempt: int
 
 
-def create(store: Store, url: str, events: Sequence[WebhookEvent]) -> Webhook:
-    """Make a webhook; its secret, which signs what it gets, is in the record.
+def create(store: Store, url: str, events: Sequence[WebhookEvent]) -> WebhookRecord:
+    """Make a webhook; its secret, which signs its messages, is in the record.
 
     Raises
     ------
@@ -72,10 +72,10 @@ def create(store: Store, url: str, events: Sequence[WebhookEvent]) -> Webhook:
         If the project has as many as it may.
     """
     with store.writing() as session:
-        alone(session, Webhook.__tablename__)
-        if (session.scalar(select(func.count(Webhook.id))) or 0) >= MAX_WEBHOOKS:
+        alone(session, WebhookRecord.__tablename__)
+        if (session.scalar(select(func.count(WebhookRecord.id))) or 0) >= MAX_WEBHOOKS:
             raise InputError("url", f"expected {MAX_WEBHOOKS} webhooks at most; delete some first")
-        webhook = Webhook(
+        webhook = WebhookRecord(
             id=new_id("wh"),
             created_at=clock.read(session),
             url=url,
@@ -88,7 +88,7 @@ def create(store: Store, url: str, events: Sequence[WebhookEvent]) -> Webhook:
     return webhook
 
 
-def get(store: Store, webhook_id: str) -> Webhook:
+def get(store: Store, webhook_id: str) -> WebhookRecord:
     """Return a webhook; raise ``NotFoundError`` if there is none."""
     with store.reading() as session:
         return _found(session, webhook_id)
@@ -101,11 +101,11 @@ def delete(store: Store, webhook_id: str) -> None:
         audit.note(session, "webhook.delete", webhook_id)
 
 
-def page(store: Store, *, limit: int, after: str | None = None) -> list[Webhook]:
+def page(store: Store, *, limit: int, after: str | None = None) -> list[WebhookRecord]:
     """Return up to ``limit`` webhooks, newest first, older than ``after``."""
-    query = select(Webhook).order_by(Webhook.id.desc()).limit(limit)
+    query = select(WebhookRecord).order_by(WebhookRecord.id.desc()).limit(limit)
     if after is not None:
-        query = query.where(Webhook.id < after)
+        query = query.where(WebhookRecord.id < after)
     with store.reading() as session:
         return list(session.scalars(query))
 
@@ -122,10 +122,10 @@ def deliveries(
         return list(session.scalars(query.order_by(Delivery.id.desc()).limit(limit)))
 
 
-def announce(session: Session, job: FitJob | LiftJob) -> None:
+def announce(session: Session, job: FitRecord | LiftRecord) -> None:
     """Have the webhooks of its project get to know that a job ends, in that transaction."""
     event = f"{job.noun}.{job.status}"
-    query = select(Webhook).where(Webhook.project == job.project)
+    query = select(WebhookRecord).where(WebhookRecord.project == job.project)
     for webhook in session.scalars(query, execution_options=ALL_PROJECTS).all():
         if event not in webhook.events or _waiting(session, webhook) >= MAX_WAITING:
             continue
@@ -143,12 +143,12 @@ def announce(session: Session, job: FitJob | LiftJob) -> None:
         )
 
 
-def _waiting(session: Session, webhook: Webhook) -> int:
+def _waiting(session: Session, webhook: WebhookRecord) -> int:
     waits = (Delivery.webhook_id == webhook.id) & Delivery.next_at.is_not(None)
     return session.scalar(select(func.count(Delivery.id)).where(waits)) or 0
 
 
-def _payload(event: str, job: FitJob | LiftJob, now: float) -> dict[str, Any]:
+def _payload(event: str, job: FitRecord | LiftRecord, now: float) -> dict[str, Any]:
     """Return what a receiver gets: as little as it takes to ask for the job itself."""
     ended = datetime.fromtimestamp(now, UTC).isoformat(timespec="milliseconds")
     data = {
@@ -163,7 +163,7 @@ def _payload(event: str, job: FitJob | LiftJob, now: float) -> dict[str, Any]:
 
 
 def any_due(store: Store) -> bool:
-    """Tell whether a delivery is to be attempted now."""
+    """Return whether a delivery is to be attempted now."""
     with store.reading() as session:
         return session.scalar(select(Delivery.id).where(_due()).limit(1)) is not None
 
@@ -174,9 +174,9 @@ def take_due(store: Store, limit: int) -> list[Due]:
     Those of a webhook whose key is no longer in force end: nothing of them is sent.
     """
     query = (
-        select(Delivery, Webhook, AccessKey)
-        .join(Webhook)
-        .outerjoin(AccessKey, AccessKey.id == Webhook.key_id)
+        select(Delivery, WebhookRecord, AccessKey)
+        .join(WebhookRecord)
+        .outerjoin(AccessKey, AccessKey.id == WebhookRecord.key_id)
     )
     taken = []
     with store.writing() as session:
@@ -234,8 +234,8 @@ def _in_force(key: AccessKey, now: float) -> bool:
     return key.revoked_at is None and (key.expires_at is None or key.expires_at > now)
 
 
-def _found(session: Session, webhook_id: str) -> Webhook:
-    webhook = session.get(Webhook, webhook_id)
+def _found(session: Session, webhook_id: str) -> WebhookRecord:
+    webhook = session.get(WebhookRecord, webhook_id)
     if webhook is None:
-        raise NotFoundError(Webhook.noun, webhook_id)
+        raise NotFoundError(WebhookRecord.noun, webhook_id)
     return webhook

@@ -124,29 +124,29 @@ class Popen(subprocess.Popen[Any]):
     server: ForkServer | None = None
 
     def _execute_child(self, *arguments: Any) -> None:
-        told = dict(zip(NAMES, arguments, strict=True))
-        command = [os.fspath(word) for word in told["args"]]
+        parameters = dict(zip(NAMES, arguments, strict=True))
+        command = [os.fspath(word) for word in parameters["args"]]
         if command[: len(python())] != python():
             super()._execute_child(*arguments)  # type: ignore[misc]
             return
         if Popen.server is None or Popen.server.owner != os.getpid():
             Popen.server = ForkServer.start()
-        streams = {0: told["p2cread"], 1: told["c2pwrite"], 2: told["errwrite"]}
+        streams = {0: parameters["p2cread"], 1: parameters["c2pwrite"], 2: parameters["errwrite"]}
         given = {number: number if fd == -1 else fd for number, fd in streams.items()}
-        given |= {fd: fd for fd in told["pass_fds"]}
+        given |= {fd: fd for fd in parameters["pass_fds"]}
         request = Request(
             os.getpid(),
             command,
-            str(Path(told["cwd"] or ".").resolve()),
-            dict(os.environ if told["env"] is None else told["env"]),
+            str(Path(parameters["cwd"] or ".").resolve()),
+            dict(os.environ if parameters["env"] is None else parameters["env"]),
             list(given),
-            told["start_new_session"],
+            parameters["start_new_session"],
             _mask(),
         )
         self.pid = Popen.server.run(request, list(given.values()))
         self._child_created = True
         ends = ("p2cread", "p2cwrite", "c2pread", "c2pwrite", "errread", "errwrite")
-        self._close_pipe_fds(*(told[end] for end in ends))  # type: ignore[attr-defined]
+        self._close_pipe_fds(*(parameters[end] for end in ends))  # type: ignore[attr-defined]
 
 
 def _mask() -> int:

@@ -1,6 +1,6 @@
 """The order of the house: what may import what, and how large a thing may grow.
 
-A folder imports only from the floors below it, a room only from the rooms below it.
+A folder imports only from the floors below it, a package only from those below it.
 """
 
 import ast
@@ -15,8 +15,8 @@ import pytest
 ROOT = Path(__file__).parent.parent
 FLOORS = ("models", "store", "worker", "service")  # from the bottom
 CLIENT = "fewview"  # stands apart, in `client/`
-# Rooms and modules of a floor from the bottom; those of one line do not import each other.
-ROOMS = {
+# Packages and modules of a floor from the bottom; those of one line do not import each other.
+PACKAGES = {
     "models": (
         ("settings",),
         ("findings",),
@@ -101,7 +101,7 @@ def imports(module: str) -> frozenset[str]:
 
 
 def parts(module: str) -> tuple[str, str]:
-    """Return the floor and the room of a module; the room is empty for a floor's own `__init__`."""
+    """Return the floor and the package of a module, the latter empty for a floor's `__init__`."""
     floor, _, rest = module.partition(".")
     return floor, rest.partition(".")[0]
 
@@ -115,17 +115,21 @@ def test_a_floor_imports_only_from_floors_below(floor: str) -> None:
         assert not {parts(name)[0] for name in imports(module)} & above, module
 
 
-@pytest.mark.parametrize("floor", ROOMS)
-def test_a_room_imports_only_from_rooms_below(floor: str) -> None:
-    level = {room: number for number, rooms in enumerate(ROOMS[floor]) for room in rooms}
+@pytest.mark.parametrize("floor", PACKAGES)
+def test_a_package_imports_only_from_packages_below(floor: str) -> None:
+    level = {
+        package: number for number, packages in enumerate(PACKAGES[floor]) for package in packages
+    }
     mine = [module for module in modules() if parts(module)[0] == floor and parts(module)[1]]
-    assert {parts(module)[1] for module in mine} == level.keys(), "the order must name every room"
+    assert {parts(module)[1] for module in mine} == level.keys(), (
+        "the order must name every package"
+    )
     for module in mine:
-        room = parts(module)[1]
+        package = parts(module)[1]
         for name in imports(module):
             imported = parts(name)[1]
-            if parts(name)[0] == floor and imported and imported != room:
-                assert level[imported] < level[room], f"{module} imports {name}"
+            if parts(name)[0] == floor and imported and imported != package:
+                assert level[imported] < level[package], f"{module} imports {name}"
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
@@ -151,7 +155,7 @@ def test_a_floor_knows_nothing_of_what_others_do(floor: str, foreign: set[str]) 
 
 
 @pytest.mark.parametrize("part", LIGHT)
-def test_what_forks_and_what_is_told_to_a_fit_load_neither_torch_nor_numba(part: str) -> None:
+def test_forking_code_and_settings_load_neither_torch_nor_numba(part: str) -> None:
     inside = [module for module in modules() if f"{module}.".startswith(f"{part}.")]
     assert inside
     code = f"import sys, {', '.join(inside)}; print({{'torch', 'numba'}} & sys.modules.keys())"

@@ -6,10 +6,10 @@ _NAT64 = IPv6Network("64:ff9b::/96")  # RFC 6052: the last 32 bits are an IPv4 a
 
 
 def is_public(address: str) -> bool:
-    """Tell whether an address is one of the internet at large.
+    """Return whether an address is public.
 
-    Not so are loopback, private and link-local networks, addresses shared behind a provider's NAT,
-    multicast, and what is reserved; nor IPv6 addresses that stand for such an IPv4 address.
+    Loopback, private and link-local networks, addresses shared behind a provider's NAT, multicast
+    and reserved addresses are not, nor are IPv6 addresses that contain such an IPv4 address.
 
     Raises
     ------

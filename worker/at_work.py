@@ -1,7 +1,7 @@
-"""Which workers do their work: signs that they leave on the queue, which vanish by themselves.
+"""Signs of working workers: keys on the queue that expire by themselves.
 
-RQ's heartbeat says that a process lives. A sign here says that a worker has looked after the
-records and come back from looking for jobs, or that it runs one. No clocks are compared.
+RQ's heartbeat shows that a process lives. A sign here shows that a worker has updated the records
+and has returned from looking for jobs, or that it runs one. No clocks are compared.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ def leave_sign(connection: Redis, worker: str) -> None:
 
 
 def is_at_work(connection: Redis, worker: str) -> bool:
-    """Tell whether the worker with this key of RQ's does its work."""
+    """Return whether the worker with this key of RQ is working."""
     return bool(connection.exists(_SIGN + worker))
 
 

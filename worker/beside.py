@@ -30,7 +30,7 @@ class Beside:
         self._process: ForkProcess | None = None
 
     def is_running(self) -> bool:
-        """Tell whether the process that was started last goes on."""
+        """Return whether the process that was started last is still running."""
         if self._process is not None and not self._process.is_alive():
             self._process.close()
             self._process = None

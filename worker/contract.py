@@ -1,4 +1,4 @@
-"""The queues' contract: the names of their jobs, and what a job may say."""
+"""The queues' contract: the names of their jobs, and the fields of a job."""
 
 import pickle
 import re
@@ -135,7 +135,7 @@ class KnownJob(Job):
             self.meta = {}
 
     def dependencies_are_met(self, *how: Any, **more: Any) -> bool:
-        """Tell whether nothing is waited for any more; a job that cannot be read waits for none."""
+        """Return whether no other job is waited for; a job that cannot be read waits for none."""
         return not self._dependency_ids or super().dependencies_are_met(*how, **more)
 
     def check_function(self) -> None:
@@ -155,7 +155,7 @@ class KnownJob(Job):
 
 
 def is_of_wrong_type(error: Exception) -> bool:
-    """Tell whether Redis says that a key holds another type, for somebody else wrote it."""
+    """Return whether Redis reports that a key has another type, because a stranger wrote it."""
     return isinstance(error, ResponseError) and "WRONGTYPE" in str(error)
 
 
@@ -172,7 +172,7 @@ def _inflated(data: bytes) -> bytes:
 
 
 class FitArguments(BaseModel):
-    """What :data:`FIT_JOB` may be told, in this order."""
+    """The arguments of :data:`FIT_JOB`, in this order."""
 
     dataset_id: Text
     config: FitConfig | None = None
@@ -183,13 +183,13 @@ class FitArguments(BaseModel):
 
 
 class HelpArguments(BaseModel):
-    """What :data:`HELP_JOB` may be told."""
+    """The arguments of :data:`HELP_JOB`."""
 
     lift_id: Text
 
 
 class LiftArguments(BaseModel):
-    """What :data:`LIFT_JOB` may be told, in this order."""
+    """The arguments of :data:`LIFT_JOB`, in this order."""
 
     model_id: Text
     dataset_id: Text
@@ -203,12 +203,12 @@ class LiftArguments(BaseModel):
 
 
 def arguments_of(job: KnownJob) -> dict[str, Any]:
-    """Return what a job that asks for a fit or a lift says, by name, not yet checked.
+    """Return the arguments of a job that asks for a fit or a lift, by name, not yet checked.
 
     Raises
     ------
     ValueError
-        If there is something among it that nobody asked for.
+        If there are unknown arguments.
     """
     known = tuple((LiftArguments if job.func_name == LIFT_JOB else FitArguments).model_fields)
     if len(job.args) > len(known):

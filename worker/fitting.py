@@ -18,7 +18,7 @@ from models.capture.metrics import Reflection, pa_mpjpe, pck
 from models.capture.motion import with_neighbours
 from models.findings.finding import dumped, log_findings
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift, join
+from models.lifting.lift import LiftedFrames, join
 from models.numerics.tensor_files import WeightsError
 from models.numerics.threads import use_cores, use_threads
 from models.settings.config import FitConfig
@@ -28,7 +28,7 @@ from store.attempts import Attempt
 from store.capture import Capture, Float64
 from store.database import Store
 from store.errors import LeaseLostError
-from store.records import Dataset, FitJob, Model
+from store.records import DatasetRecord, FitRecord, ModelRecord
 from worker.cores import usable_cores
 from worker.heartbeat import Heartbeat
 from worker.needs import gpu_pays
@@ -47,8 +47,8 @@ def run_attempt(
 ) -> None:
     """Run a claimed fit until it succeeds, fails, is cancelled, or this process must leave.
 
-    The outcome is in the fit's record; :func:`worker.outcomes.recorded` says what errors lead to.
-    A fault of ours, and RQ's own timeout, fail the fit and are raised again.
+    The outcome is in the fit's record; see :func:`worker.outcomes.recorded` for errors. A fault of
+    ours, and RQ's own timeout, fail the fit and are raised again.
     """
     use_threads(settings.fit_threads)
     use_cores(settings.cores or usable_cores())  # which changes no digit, and is over soon
@@ -131,7 +131,7 @@ def _reconstruct(
     capture: Capture,
     times: Float64 | None,
     stopped: Callable[[], bool],
-) -> Lift | None:
+) -> LiftedFrames | None:
     """Lift every frame of the fitted capture; None if the attempt has to end before."""
     keypoints, trust = in_step(capture.keypoints, capture.confidence, times, prior.capture.clocks)
     lifts = []
@@ -160,9 +160,9 @@ def _device(settings: WorkerSettings, capture: Capture, config: FitConfig) -> st
     return "cuda" if pays and torch.cuda.is_available() else "cpu"
 
 
-def _load(store: Store, attempt: Attempt) -> tuple[FitJob, Dataset, Capture, bytes | None]:
-    fit = lookup.get(store, FitJob, attempt.fit_id)
-    dataset = lookup.get(store, Dataset, fit.dataset_id)
+def _load(store: Store, attempt: Attempt) -> tuple[FitRecord, DatasetRecord, Capture, bytes | None]:
+    fit = lookup.get(store, FitRecord, attempt.fit_id)
+    dataset = lookup.get(store, DatasetRecord, fit.dataset_id)
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
     return fit, dataset, capture, attempts.load_checkpoint(store, fit.id)
 
@@ -177,18 +177,18 @@ def _save_checkpoint(store: Store, attempt: Attempt, checkpoint: bytes) -> None:
         logger.warning("Fit %s goes on without a checkpoint: %s", attempt.fit_id, error)
 
 
-def _load_prior(store: Store, fit: FitJob) -> FittedPrior | None:
+def _load_prior(store: Store, fit: FitRecord) -> FittedPrior | None:
     """Load the prior that a fit starts with, None if it starts with none."""
     if fit.from_model is None:
         return None
-    model = lookup.get(store, Model, fit.from_model)
+    model = lookup.get(store, ModelRecord, fit.from_model)
     return FittedPrior.from_bytes(models.load_weights(store, model))
 
 
 def _resume(
     capture: Capture,
     times: Float64 | None,
-    dataset: Dataset,
+    dataset: DatasetRecord,
     config: FitConfig,
     source: Callable[[], FittedPrior | None],
     checkpoint: bytes | None,
@@ -215,7 +215,7 @@ def _resume(
     return make(start=source())
 
 
-def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]:
+def evaluate(prior: FittedPrior, lift: LiftedFrames, capture: Capture) -> dict[str, Any]:
     """Measure the lift of a capture; the ground truth, if there is one, is used here alone.
 
     Returns
@@ -223,7 +223,7 @@ def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]
     dict
         ``reprojection_error`` in pixels, mean over all views of all frames; ``pa_mpjpe`` and
         ``pck`` (share of keypoints within ``pck_threshold``) in the truth's unit, or None. A
-        mirror image is an error where the fit could tell the hand.
+        mirror image counts as an error if the fit could decide the handedness.
     """
     figures: dict[str, Any] = {
         "reprojection_error": float(np.nanmean(lift.reprojection_errors)),
@@ -244,7 +244,7 @@ def evaluate(prior: FittedPrior, lift: Lift, capture: Capture) -> dict[str, Any]
 
 
 def _reflection(prior: FittedPrior) -> Reflection:
-    """Say whether a mirror image is forgiven: only where the fit could not tell the hand."""
+    """Return whether a mirror image is allowed: only if the fit could not decide the handedness."""
     found = prior.cameras
     decided = found is not None and found.handedness_certainty >= DECIDED
     return "never" if decided else "either"
@@ -255,7 +255,7 @@ def _fail(store: Store, attempt: Attempt, code: str, message: str) -> None:
 
 
 def _finite(figures: dict[str, Any]) -> dict[str, Any]:
-    """Return the figures with None for what JSON cannot say."""
+    """Return the figures with None for numbers that JSON cannot represent."""
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in figures.items()

@@ -1,4 +1,4 @@
-"""What a running attempt must keep doing, and what it must listen to."""
+"""The heartbeat of a running attempt: it renews the lease and watches for a cancel."""
 
 import contextvars
 import logging

@@ -1,4 +1,4 @@
-"""What one worker of all does hourly: what was kept long enough goes, and what nobody knows."""
+"""The hourly work of one of all workers: deleting old records and objects without a record."""
 
 import logging
 

@@ -13,7 +13,7 @@ from store import attempts, jobs, lift_chunks, lookup
 from store.database import Store
 from store.errors import NotFoundError
 from store.jobs import Job
-from store.records import FitJob, LiftChunk, LiftJob
+from store.records import FitRecord, LiftChunk, LiftRecord
 from worker import counts
 from worker.contract import HelpArguments, KnownJob
 from worker.heartbeat import Heartbeat
@@ -42,13 +42,13 @@ def fit(
     dataset_id
         A stored dataset.
     config
-        Fields of :class:`models.settings.config.FitConfig`; what is left out has its default.
+        Fields of :class:`models.settings.config.FitConfig`; the others have their defaults.
     name
-        For people to tell fits and models apart.
+        A name for people.
     from_model
         A fitted model of the same keypoints, whose weights the fit starts with.
     tags, metadata
-        Of yours, to find the fit and its model by.
+        For finding the fit and its model.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def fit(
         If the fit failed: its code and message, as in the record.
     """
     with _opened() as (job, store, settings):
-        fit_id = _waiting(partial(_recorded, store, FitJob, job, settings))
+        fit_id = _waiting(partial(_recorded, store, FitRecord, job, settings))
         if fit_id is None:
             return {"fit_id": recorded_as(job), "status": None, "model_id": None}
         attempt = _waiting(
@@ -76,7 +76,7 @@ def fit(
                 from worker.fitting import run_attempt  # noqa: PLC0415 (torch takes seconds)
 
                 run_attempt(store, attempt, heartbeat, settings)
-        record = _waiting(partial(lookup.get, store, FitJob, fit_id))
+        record = _waiting(partial(lookup.get, store, FitRecord, fit_id))
         _report(record)
     return {"fit_id": record.id, "status": record.status, "model_id": record.model_id}
 
@@ -99,17 +99,17 @@ def lift(
     model_id, dataset_id
         A fitted model, a stored dataset of the same keypoints.
     name
-        For people to tell lifts apart.
+        A name for people.
     refine, views, frame, up
         As in ``POST /lift``.
     tags, metadata
-        Of yours, to find the lift by.
+        For finding the lift.
 
     Returns
     -------
     dict
         ``lift_id`` and ``status``, as ``GET /lifts/{id}`` gives them. The job may end before its
-        lift does: other jobs carry on with it.
+        lift does: other jobs then continue it.
 
     Raises
     ------
@@ -117,17 +117,17 @@ def lift(
         If the lift failed: its code and message, as in the record.
     """
     with _opened() as (job, store, settings):
-        lift_id = _waiting(partial(_recorded, store, LiftJob, job, settings))
+        lift_id = _waiting(partial(_recorded, store, LiftRecord, job, settings))
         if lift_id is None:
             return {"lift_id": recorded_as(job), "status": None}
         return _help(job, store, settings, lift_id)
 
 
 def help_lift(lift_id: str) -> dict[str, str | None]:
-    """Do chunks of a recorded lift until none is left, or others have waited long enough.
+    """Lift chunks of a recorded lift until none is left, or other work has waited long enough.
 
-    While there are more chunks than helpers, one such job waits on the queue. Whoever takes it
-    puts the next one there, and so every worker that has nothing else to do helps.
+    While there are more chunks than helpers, one such job waits on the queue. The worker that takes
+    it puts the next one there, so that every idle worker helps.
     """
     asked = HelpArguments(lift_id=lift_id)  # by a stranger, perhaps
     with _opened() as (job, store, settings):
@@ -148,7 +148,7 @@ def _help(
 
             do_chunks(store, helper, chunk, claim, heartbeat, settings, time_slice)
     try:
-        record = _waiting(partial(lookup.get, store, LiftJob, lift_id))
+        record = _waiting(partial(lookup.get, store, LiftRecord, lift_id))
     except NotFoundError:  # deleted since the job was queued
         return {"lift_id": lift_id, "status": None}
     _report(record)
@@ -172,8 +172,8 @@ def _recorded(store: Store, kind: type[Job], job: KnownJob, settings: WorkerSett
     return adopt(store, job, settings) if recorded_as(job) is None else None
 
 
-def _report(record: FitJob | LiftJob) -> None:
-    """Say how a job ended; raise ``RuntimeError`` for one that failed, for RQ to see."""
+def _report(record: FitRecord | LiftRecord) -> None:
+    """Return the outcome of a job; raise ``RuntimeError`` if it failed, for RQ to see."""
     logger.info("%s: %s", record.id, record.status)
     if record.error is not None:
         raise RuntimeError(f"{record.error['code']}: {record.error['message']}")

@@ -10,7 +10,7 @@ from models.capture.motion import with_neighbours
 from models.findings.finding import Finding, log_findings
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
-from models.lifting.lift import Lift, join
+from models.lifting.lift import LiftedFrames, join
 from models.lifting.lift_findings import lift_findings
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
@@ -19,7 +19,7 @@ from store.capture import Capture, Float64
 from store.database import Store
 from store.errors import ConflictError
 from store.lift_chunks import Helper
-from store.records import Dataset, LiftChunk, LiftJob, Model
+from store.records import DatasetRecord, LiftChunk, LiftRecord, ModelRecord
 from worker.heartbeat import Heartbeat
 from worker.outcomes import Outcomes, recorded
 from worker.patience import patiently
@@ -44,8 +44,8 @@ def do_chunks(
 ) -> None:
     """Do a claimed chunk and then others, until none is left or this process must leave.
 
-    What comes of it is in the records; :func:`worker.outcomes.recorded` says what errors lead to.
-    A fault of ours costs its chunk a try, and is raised again.
+    The results are in the records; see :func:`worker.outcomes.recorded` for errors. A fault of ours
+    costs its chunk a try, and is raised again.
     """
     use_threads(settings.fit_threads)
     chunk: LiftChunk | None = first
@@ -72,12 +72,12 @@ def do_chunks(
 
 
 def _load_prior(store: Store, lift_id: str) -> FittedPrior:
-    model = lookup.get(store, Model, lookup.get(store, LiftJob, lift_id).model_id)
+    model = lookup.get(store, ModelRecord, lookup.get(store, LiftRecord, lift_id).model_id)
     return FittedPrior.from_bytes(models.load_weights(store, model))
 
 
 def _find_room(store: Store, lift_id: str, prior: FittedPrior) -> Room | None:
-    lift = lookup.get(store, LiftJob, lift_id)
+    lift = lookup.get(store, LiftRecord, lift_id)
     if lift.frame != "room":
         return None
     up = tuple(lift.up) if isinstance(lift.up, list) else lift.up
@@ -95,9 +95,9 @@ class _Loaded(NamedTuple):
     own: slice  # the frames of the chunk among these
 
 
-def _load_in_step(store: Store, lift: LiftJob, chunk: LiftChunk, prior: FittedPrior) -> _Loaded:
-    """Load a chunk's frames with the views in step, as far as the dataset tells times."""
-    dataset = lookup.get(store, Dataset, lift.dataset_id)
+def _load_in_step(store: Store, lift: LiftRecord, chunk: LiftChunk, prior: FittedPrior) -> _Loaded:
+    """Load a chunk's frames with the views in step, if the dataset has times."""
+    dataset = lookup.get(store, DatasetRecord, lift.dataset_id)
     own = slice(chunk.first_frame, chunk.first_frame + chunk.frames)
     capture = datasets.load_frames(store, dataset.id, own.start, own.stop)
     times = datasets.times_of(dataset, capture, own.start)
@@ -116,7 +116,7 @@ def _load_in_step(store: Store, lift: LiftJob, chunk: LiftChunk, prior: FittedPr
     return _Loaded(Capture(*read), times, slice(own.start - around.start, own.stop - around.start))
 
 
-def _lift(loaded: _Loaded, start: int, job: LiftJob, prior: FittedPrior) -> Lift:
+def _lift(loaded: _Loaded, start: int, job: LiftRecord, prior: FittedPrior) -> LiftedFrames:
     """Lift some of a chunk's frames."""
     keypoints, trust, times = loaded.capture.keypoints, loaded.capture.confidence, loaded.times
     first = loaded.own.start + start
@@ -141,9 +141,9 @@ def _do(
     room: Room | None,
 ) -> None:
     """Do one chunk, unless the process must leave: then it is given back."""
-    lift = lookup.get(store, LiftJob, helper.lift_id)
+    lift = lookup.get(store, LiftRecord, helper.lift_id)
     loaded = _load_in_step(store, lift, chunk, prior)
-    parts: list[Lift] = []
+    parts: list[LiftedFrames] = []
     findings: list[Finding] = []
     for start in range(0, chunk.frames, SLICE_FRAMES):
         if heartbeat.lost:

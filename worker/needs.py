@@ -6,16 +6,16 @@ from models.settings.config import FitConfig
 from store import lookup
 from store.database import Store
 from store.errors import NotFoundError
-from store.records import Dataset, FitJob, LiftJob
+from store.records import DatasetRecord, FitRecord, LiftRecord
 from worker.settings import QueueName
 
 GPU_MULTIPLICATIONS = 200_000_000  # in a step: about what a core does while a GPU is given its work
 
 
 def gpu_pays(config: FitConfig, views: int, keypoints: int) -> bool:
-    """Tell whether a GPU takes such training steps sooner than a processor core.
+    """Return whether a GPU takes such training steps faster than a processor core.
 
-    A step of small dictionaries is over before a GPU has begun it.
+    For small dictionaries, starting a step on a GPU takes longer than the whole step on a CPU.
     """
     from models.network.priors.registry import outline  # noqa: PLC0415 (torch takes seconds)
 
@@ -23,13 +23,13 @@ def gpu_pays(config: FitConfig, views: int, keypoints: int) -> bool:
     return frame * config.batch_size >= GPU_MULTIPLICATIONS
 
 
-def queue_for(store: Store, record: FitJob | LiftJob) -> QueueName:
+def queue_for(store: Store, record: FitRecord | LiftRecord) -> QueueName:
     """Return the queue on which a fit or a call for help with a lift is to wait."""
-    if isinstance(record, LiftJob):
+    if isinstance(record, LiftRecord):
         return "lifts"
     try:
-        dataset = lookup.get(store, Dataset, record.dataset_id)
+        dataset = lookup.get(store, DatasetRecord, record.dataset_id)
         config = FitConfig.model_validate(record.config)
-    except (NotFoundError, ValidationError):  # which the fit will say
+    except (NotFoundError, ValidationError):  # which the fit will report
         return "fits"
     return "gpu-fits" if gpu_pays(config, dataset.views, dataset.keypoints) else "fits"

@@ -13,23 +13,23 @@ from store.space import is_full
 
 logger = logging.getLogger(__name__)
 
-# What users of the API read of errors that are not theirs; the worker's log says more.
+# The messages that users of the API get for errors that are not theirs; the log has the details.
 OBJECTS_AWAY = "The objects (arrays and weights) could not be read or written for too long."
 DISK_FULL = "There was no space left to store what was made."
-FAULT = "This is a fault in Fewview; the worker's log says more."
+FAULT = "This is a fault in Fewview; the worker's log has the details."
 
 
 class Outcomes(NamedTuple):
-    """What may be recorded of some work; all do nothing, or raise, if it is another's by now.
+    """The outcomes of some work. All do nothing, or raise, if another worker has taken it over.
 
     Attributes
     ----------
     fail
         End it as failed, with a code and a message: it can never succeed.
     try_again
-        Give it back to be tried again, and say why; after too many tries it fails.
+        Give it back to be tried again, with the reason; after too many tries it fails.
     fault
-        What a fault of ours leads to, given in words.
+        Record a fault of ours, with a message.
     unusable
         The code of input that ``models`` refuses (``ValueError``).
     """

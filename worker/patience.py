@@ -1,4 +1,4 @@
-"""Waiting out outages of records and objects, with the work that is in hand kept."""
+"""Waiting out outages of records and objects without losing the work in hand."""
 
 import logging
 import random
@@ -21,9 +21,9 @@ OUTAGES = (OperationalError, InterfaceError, TimeoutError, ObjectStoreError, OSE
 
 
 def is_outage(error: BaseException) -> bool:
-    """Tell whether an error says that records or objects are away, and nothing about what is asked.
+    """Return whether an error means that records or objects cannot be reached.
 
-    That something does not exist (``FileNotFoundError``) is an answer.
+    That something does not exist (``FileNotFoundError``) is an answer, and no outage.
     """
     return isinstance(error, OUTAGES) and not isinstance(error, FileNotFoundError)
 

@@ -1,8 +1,8 @@
-"""Reading what strangers wrote as plain data, within bounds: JSON, and pickles that name nothing.
+"""Reading untrusted JSON and pickles as plain data, within bounds.
 
-No pickle is unpickled: its operations are walked, and those that make plain data are carried out
-here. So nothing is imported or called, no memory is set aside because a length claims it, and no
-key is hashed but text, for which nobody can foresee collisions.
+No pickle is unpickled. Its operations are walked, and those that make plain data are executed here.
+So nothing is imported or called, no memory is allocated for a claimed length, and only text is
+hashed, for which collisions cannot be prepared.
 """
 
 import json

@@ -66,7 +66,7 @@ def children() -> set[int]:
 
 
 def end_children(spared: Collection[int]) -> set[int]:
-    """Kill the children of this process but for some, and their orphans; return who they were.
+    """Kill the children of this process except some, and their orphans; return their ids.
 
     Orphans come to this process only after ``adopt_orphans``.
     """

@@ -19,7 +19,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from store.database import Store
 from store.lifts import waiting_job
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 from store.settings import shown
 from worker import logs
 from worker.contract import (
@@ -60,13 +60,13 @@ def connect(url: str, *, retries: int, timeout_seconds: float = 5.0) -> Redis:
 
 
 def check_reachable(url: AnyUrl) -> None:
-    """Raise ``ValueError`` if Redis does not answer now, in words for whoever starts something."""
+    """Raise ``ValueError``, with a message for the user, if Redis does not answer now."""
     try:
         with connect(str(url), retries=0, timeout_seconds=START_PATIENCE_SECONDS) as connection:
             connection.ping()
     except RedisError as error:
         raise ValueError(
-            f"Redis at {shown(url)} cannot be reached ({error}): start it, or say where "
+            f"Redis at {shown(url)} cannot be reached ({error}): start it, or give its address "
             "it is with --redis-url."
         ) from error
 
@@ -113,7 +113,7 @@ class WorkQueue(Queue):
         return Taken(self.key, connection=self.connection)
 
     def has_work(self) -> bool:
-        """Tell whether jobs wait; those that a worker has taken and not begun do, too."""
+        """Return whether jobs wait, including those that a worker has taken and not begun."""
         return bool(self.connection.exists(self.key, self.intermediate_queue_key))
 
     @classmethod
@@ -171,7 +171,7 @@ def forget_cancelled(queue: Queue) -> None:
             queue.connection.delete(Job.key_for(job_id))  # which need not be read for that
 
 
-def enqueue(queue: Queue, record: FitJob | LiftJob, asked_by: str | None = None) -> None:
+def enqueue(queue: Queue, record: FitRecord | LiftRecord, asked_by: str | None = None) -> None:
     """Put a recorded fit on the queue, as any producer would, or a call for help with a lift.
 
     Twice is harmless: only one job can claim the fit, or a chunk of the lift.
@@ -181,7 +181,7 @@ def enqueue(queue: Queue, record: FitJob | LiftJob, asked_by: str | None = None)
     asked_by
         The identifier of the request that asked for it, for the worker's log.
     """
-    if isinstance(record, FitJob):
+    if isinstance(record, FitRecord):
         function, job_id = FIT_JOB, record.job_id
         arguments = {"dataset_id": record.dataset_id, "config": record.config, "name": record.name}
         if record.from_model is not None:
@@ -200,10 +200,10 @@ def enqueue(queue: Queue, record: FitJob | LiftJob, asked_by: str | None = None)
     )
 
 
-def enqueue_again(connection: Redis, store: Store, record: FitJob | LiftJob) -> None:
+def enqueue_again(connection: Redis, store: Store, record: FitRecord | LiftRecord) -> None:
     """Put on the queue what was lost there, for the same request, if an earlier job names it."""
     earlier = [record.job_id]
-    if isinstance(record, LiftJob):
+    if isinstance(record, LiftRecord):
         earlier.insert(0, waiting_job(record))
     jobs = KnownJob.fetch_many(earlier, connection, PlainDataSerializer)
     noted = (job.meta.get("request_id") for job in jobs if job is not None)
@@ -211,7 +211,7 @@ def enqueue_again(connection: Redis, store: Store, record: FitJob | LiftJob) -> 
     enqueue(open_queue(connection, queue_for(store, record)), record, asked_by)
 
 
-def offer(connection: Redis, store: Store, record: FitJob | LiftJob) -> None:
+def offer(connection: Redis, store: Store, record: FitRecord | LiftRecord) -> None:
     """Do the same on the queue for what the record needs, if queue and records can be reached.
 
     If they cannot, a reconciler will when they are back.

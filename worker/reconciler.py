@@ -16,7 +16,7 @@ from store.database import Store
 from store.errors import InputError, NotFoundError
 from store.labels import Labels, storable
 from store.mistakes import mistakes, summary
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 from worker import counts
 from worker.contract import (
     HELP_JOB,
@@ -82,7 +82,7 @@ class Reconciler:
         )
         if time.monotonic() - now > clock.PROMPT_SECONDS:
             self.unsettle()
-        work: dict[str, FitJob | LiftJob] = {fit.job_id: fit for fit in queued}
+        work: dict[str, FitRecord | LiftRecord] = {fit.job_id: fit for fit in queued}
         work |= {
             lifts.waiting_job(lift): lift for lift in lifts.recover(self._store, expired=expired)
         }
@@ -97,9 +97,9 @@ class Reconciler:
                 del self._lost_since[job_id]
 
     def adopt(self, queue: WorkQueue, job_id: str) -> bool:
-        """Record what a job on a queue asks for, unless that is known; return whether it may run.
+        """Record the request of a job on a queue, if it is new; return whether it may run.
 
-        Whatever is wrong with one job keeps nobody from the others: it is set aside.
+        An error of one job does not affect others: the job is set aside.
         """
         try:
             if not self._record(queue, job_id):
@@ -118,7 +118,7 @@ class Reconciler:
     def _record(self, queue: WorkQueue, job_id: str) -> bool:
         """Record what a job asks for, unless that is known; return whether there is such a job."""
         if (
-            jobs.by_job(self._store, FitJob, job_id) is None
+            jobs.by_job(self._store, FitRecord, job_id) is None
             and lifts.helped(self._store, job_id) is None
         ):
             try:
@@ -147,15 +147,15 @@ class Reconciler:
             dataset_id="",
         )
         if queue.name == "lifts":
-            refuse(LiftJob, name="lift", model_id="")
+            refuse(LiftRecord, name="lift", model_id="")
         else:
-            refuse(FitJob, name="fit", config={})
+            refuse(FitRecord, name="fit", config={})
         queue.connection.lrem(queue.key, 0, name)  # type: ignore[arg-type]
         queue.intermediate_queue.set_aside(name)
 
 
 def _is_of_the_job(error: Exception) -> bool:
-    """Tell whether an error is of what a job says, and not of records or objects that are away."""
+    """Return whether an error is due to the job itself, and not to an outage."""
     if isinstance(error, StatementError) and isinstance(error.orig, StopRequested):
         return False  # SIGTERM raised it
     if isinstance(error, SQLAlchemyError):
@@ -164,7 +164,7 @@ def _is_of_the_job(error: Exception) -> bool:
 
 
 def calls(job: KnownJob, function: str) -> bool:
-    """Tell whether a job calls a function; one that cannot be read calls none."""
+    """Return whether a job calls a function; one that cannot be read calls none."""
     try:
         return bool(job.func_name == function)
     except DeserializationError:
@@ -181,7 +181,7 @@ def recorded_as(job: KnownJob) -> str | None:
 
 
 def adopt(store: Store, job: KnownJob, settings: WorkerSettings) -> str:
-    """Record the fit or the lift that a job asks for, whoever queued it; return its identifier.
+    """Record the fit or the lift that a job of any producer asks for; return its identifier.
 
     A job that can never run is recorded as failed, so that its producer can read why.
     """
@@ -208,9 +208,9 @@ def adopt(store: Store, job: KnownJob, settings: WorkerSettings) -> str:
 
 
 def _refuse(store: Store, job: KnownJob, arguments: dict[str, object], error: Exception) -> str:
-    """Record a fit or a lift that failed before it began, with what its job said."""
+    """Record a fit or a lift that failed before it began, with the fields of its job."""
 
-    def said(name: str, otherwise: str = "") -> str:
+    def text_of(name: str, otherwise: str = "") -> str:
         return storable(str(arguments.get(name) or otherwise))[:200]
 
     code = f"{error.kind}_not_found" if isinstance(error, NotFoundError) else "invalid_arguments"
@@ -219,12 +219,12 @@ def _refuse(store: Store, job: KnownJob, arguments: dict[str, object], error: Ex
         store,
         job_id=job.id,
         error={"code": code, "message": storable(_in_words(error)[:LONGEST_MESSAGE])},
-        dataset_id=said("dataset_id"),
+        dataset_id=text_of("dataset_id"),
     )
     if calls(job, LIFT_JOB):
-        return refusal(LiftJob, name=said("name", "lift"), model_id=said("model_id"))
+        return refusal(LiftRecord, name=text_of("name", "lift"), model_id=text_of("model_id"))
     return refusal(
-        FitJob, name=said("name", "fit"), config={}, from_model=said("from_model") or None
+        FitRecord, name=text_of("name", "fit"), config={}, from_model=text_of("from_model") or None
     )
 
 

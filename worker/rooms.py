@@ -1,4 +1,4 @@
-"""The room of a model: the frame of reference of its cameras at rest, in which a subject moves."""
+"""The room of a model: the frame of reference of its static cameras, in which a subject moves."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from safetensors.numpy import load
 
 from models.calibrating.result import CameraReport
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.network.answers import NOT_IN_ROOM
 from models.settings.rooms import Up
 from store import fits, lookup
 from store.database import Store
 from store.errors import ConflictError
-from store.records import FitJob, Model
+from store.records import FitRecord, ModelRecord
 
 Arrays = dict[str, NDArray[Any]]
 Float64 = NDArray[np.float64]
@@ -38,14 +38,14 @@ class Room:
     translations: Float64
 
     def knows(self, views: Sequence[int] | None, count: int) -> bool:
-        """Tell whether it is known which of the fit's the ``count`` views of a lift are."""
+        """Return whether the ``count`` views of a lift are known views of the fit."""
         return views is not None or count == len(self.rotations)
 
     def place_arrays(self, arrays: Arrays, views: Sequence[int] | None = None) -> Arrays:
         """Return the arrays of a lift of some views of the fit in the room.
 
-        Each frame is placed on its own. Those that have a structure and no place get the finding
-        `not_in_room`; so do all where the views are not known.
+        Each frame is placed on its own. Frames with a structure and without a place get the finding
+        `not_in_room`, and so do all frames of unknown views.
         """
         count = arrays["scales"].shape[1]
         if views is not None:
@@ -62,34 +62,34 @@ class Room:
         placed["findings"] = findings | (NOT_IN_ROOM * (there & ~here)).astype(np.uint8)
         return placed
 
-    def place(self, lift: Lift, views: Sequence[int] | None) -> Lift:
+    def place(self, lift: LiftedFrames, views: Sequence[int] | None) -> LiftedFrames:
         """Return a lift in the room; see :meth:`place_arrays`."""
         return lift._replace(**self.place_arrays(lift.arrays, views))
 
 
 def find_room(store: Store, model_id: str, cameras: CameraReport | None, up: Up | None) -> Room:
-    """Return the room of a model: y up and level if `up` is said, else as its cameras are.
+    """Return the room of a model: with y up if `up` is given, else as its cameras are.
 
-    Up is a vector in the frame of reference of the model's cameras, or found from the frames that
-    the model was fitted to. Their feet, where keypoints are named so, are on the floor, y = 0.
+    Up is a vector in the frame of reference of the model's cameras, or estimated from the frames
+    that the model was fitted to. Their feet, if keypoints are named so, are on the floor, y = 0.
 
     Raises
     ------
     NotFoundError
         If there is no such model.
     ConflictError
-        If its cameras do not rest, or `up` is to be found and cannot be.
+        If it has no static cameras, or `up` is to be estimated and cannot be.
     """
-    if cameras is None or not cameras.resting.any():
+    if cameras is None or not cameras.static.any():
         arrangement = "unknown" if cameras is None else cameras.arrangement
         raise ConflictError(
-            f"Model {model_id!r} has no room: none of its cameras rest (arrangement: "
-            f"{arrangement}). Ask for frame=canonical, or fit with `refine` and cameras at rest."
+            f"Model {model_id!r} has no room: none of its cameras is static (arrangement: "
+            f"{arrangement}). Ask for frame=canonical, or fit with `refine` and static cameras."
         )
     if up is None:
         return Room(cameras.rotations, cameras.translations)
-    model = lookup.get(store, Model, model_id)
-    frames = _fitted_frames(store, model, len(cameras.resting))
+    model = lookup.get(store, ModelRecord, model_id)
+    frames = _fitted_frames(store, model, len(cameras.static))
     if up == "auto" and not len(frames["points3d"]):
         raise ConflictError(
             f"up: 'auto' is found from the frames of the fit, and model {model_id!r} has none: it "
@@ -111,10 +111,10 @@ def find_room(store: Store, model_id: str, cameras: CameraReport | None, up: Up 
     return Room(room.rotations, room.translations)
 
 
-def _fitted_frames(store: Store, model: Model, views: int) -> Arrays:
+def _fitted_frames(store: Store, model: ModelRecord, views: int) -> Arrays:
     """Return the reconstruction of a model's fit; no frames where there is none."""
     if model.fit_id is not None:
-        return load(fits.load_reconstruction(store, lookup.get(store, FitJob, model.fit_id)))
+        return load(fits.load_reconstruction(store, lookup.get(store, FitRecord, model.fit_id)))
     return {
         "points3d": np.empty((0, model.keypoints, 3)),
         "rotations": np.empty((0, views, 3, 3)),

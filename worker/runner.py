@@ -1,4 +1,4 @@
-"""The worker process: waits for jobs and runs each in a process of its own."""
+"""The worker process: it waits for jobs and runs each in a separate process."""
 
 import logging
 import os
@@ -23,7 +23,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from store import fits, housekeeping, jobs, lifts, webhooks
 from store.database import Store
 from store.private import keep_private
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 from worker import at_work, logs
 from worker.beside import FORK, Beside
 from worker.contract import RESULT_SECONDS, KnownJob, PlainDataSerializer, is_of_wrong_type
@@ -68,7 +68,7 @@ class JobWorker(Worker):
         self._store = store
         self._reconciler = Reconciler(store, connection, settings)
         self._rounds = 0
-        self._asked_at = time.monotonic()  # nobody sweeps in the way of the first jobs
+        self._asked_at = time.monotonic()  # the first jobs are not delayed by housekeeping
         self._sweep = Beside(keep_house, settings)
         self._delivery = Beside(_deliver, settings)
 
@@ -78,7 +78,7 @@ class JobWorker(Worker):
         return IDLE_SECONDS
 
     def heartbeat(self, timeout: int | None = None, pipeline: Pipeline | None = None) -> None:
-        """Tell Redis that this worker lives, and look after the records."""
+        """Report to Redis that this worker lives, and update the records."""
         super().heartbeat(timeout, pipeline)
         if pipeline is None and not self.is_horse:
             looked = self._look_after_records()
@@ -96,7 +96,7 @@ class JobWorker(Worker):
             at_work.leave_sign(self.connection, self.key)
 
     def run_maintenance_tasks(self) -> None:
-        """Clean RQ's registries; what is wrong in them keeps nobody from work."""
+        """Clean RQ's registries; errors in them do not stop this worker."""
         try:
             super().run_maintenance_tasks()  # type: ignore[no-untyped-call]
         except (StopRequested, *REDIS_AWAY):
@@ -143,10 +143,10 @@ class JobWorker(Worker):
             self._sweep.start()
 
     def execute_job(self, job: Job, queue: Queue) -> None:
-        """Run a job in a process of its own, whatever limits its producer set or left out.
+        """Run a job in a separate process, whatever limits its producer set or left out.
 
-        It is recorded before, and until then stays where reconcilers find it: nothing that ends
-        that process, or this one, can lose it.
+        It is recorded before it runs, and until then stays where reconcilers find it. So it cannot
+        be lost if that process, or this one, ends.
         """
         assert isinstance(queue, WorkQueue)  # noqa: S101 (this worker has no others)
         if not self._reconciler.adopt(queue, job.id):
@@ -172,7 +172,7 @@ class JobWorker(Worker):
             raise StopRequested
 
     def handle_exception(self, job: Job, *exc_info: Any) -> None:
-        """Log what ended a job: one line if the record says why, else with the traceback."""
+        """Log why a job ended: one line if the record has the reason, else with the traceback."""
         why = self._recorded_failure(job)
         if why is None:
             super().handle_exception(job, *exc_info)
@@ -186,7 +186,7 @@ class JobWorker(Worker):
         started_job_registry: StartedJobRegistry | None = None,
         exc_string: str = "",
     ) -> None:
-        """Have the producer read why a job failed: in one line if the record says why."""
+        """Store in RQ why a job failed: one line if the record has the reason."""
         why = self._recorded_failure(job)
         exc_string = exc_string if why is None else f"RuntimeError: {why}"
         super().handle_job_failure(job, queue, started_job_registry, exc_string)
@@ -194,11 +194,11 @@ class JobWorker(Worker):
     def _recorded_failure(self, job: Job) -> str | None:
         """Return code and message of the fit or the lift that a job asked for, if it failed.
 
-        None for a fault of Fewview's own: then the exception says more.
+        None for a fault of Fewview: then the exception has the details.
         """
         with suppress(SQLAlchemyError):
-            record = jobs.by_job(self._store, FitJob, job.id) or jobs.by_job(
-                self._store, LiftJob, job.id
+            record = jobs.by_job(self._store, FitRecord, job.id) or jobs.by_job(
+                self._store, LiftRecord, job.id
             )
             if record is not None and record.error and record.error["code"] != "internal_error":
                 return f"{record.error['code']}: {record.error['message']}"
@@ -213,7 +213,7 @@ class JobWorker(Worker):
         super().prepare_job_execution(job, remove_from_intermediate_queue=True)
 
     def handle_warm_shutdown_request(self) -> None:
-        """Have the running job save what it has and go back to the queue, then leave."""
+        """Make the running job save its state and go back to the queue, then leave."""
         super().handle_warm_shutdown_request()  # type: ignore[no-untyped-call]
         self.stopping = True
         self._have_job_saved()

@@ -103,7 +103,7 @@ class WorkerSettings(StoreSettings):
     webhook_private_targets: bool = Field(
         False,
         description="Whether webhooks may name hosts of private networks and of this machine, and "
-        "`http://`. Then whoever may make webhooks reaches what workers reach.",
+        "`http://`. Clients that may make webhooks can then reach all that workers reach.",
     )
 
     log_format: LogFormat = Field(

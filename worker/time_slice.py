@@ -1,4 +1,4 @@
-"""Sharing workers: how long a lift of days may keep one, and how others come to help."""
+"""Sharing workers: how long a long lift may keep one, and how others help."""
 
 import time
 from contextlib import suppress
@@ -29,14 +29,14 @@ class TimeSlice:
             offer(self._connection, store, lift)
 
     def is_over(self) -> bool:
-        """Tell whether the worker is to be given back to other work of its that waits.
+        """Return whether the worker should stop for other waiting work.
 
-        The queues are asked once a turn: when they are away, every question takes seconds.
+        The queues are asked once a turn, because every question takes seconds while they are away.
         """
         now = time.monotonic()
         if now < self._ends:
             return now > self._last
-        self._ends = now + self._settings.lift_turn_seconds  # if nobody waits, another begins
+        self._ends = now + self._settings.lift_turn_seconds  # if no job waits, another turn begins
         with suppress(RedisError):
             return any(
                 lifts.helped_by(job_id) != self._lift_id

@@ -30,7 +30,7 @@ class _Outcome(NamedTuple):
 
 
 class _PrivateError(Exception):
-    """A name stands for an address that no message may be sent to."""
+    """A name resolves to an address to which no message may be sent."""
 
 
 def deliver(settings: WorkerSettings) -> None:

@@ -10,7 +10,7 @@ Float64 = NDArray[np.float64]
 
 Unit = Literal["m", "mm"]
 UNITS: tuple[Unit, ...] = ("m", "mm")
-USUAL_RATE = 30.0  # frames per second where nobody said and a format must
+USUAL_RATE = 30.0  # frames per second if unknown, in formats that need a rate
 UNEVEN = 0.5  # of a frame: as far as a time may be from the regular one next to it
 
 
@@ -18,25 +18,25 @@ UNEVEN = 0.5  # of a frame: as far as a time may be from the regular one next to
 class Animation:
     """N frames of P points in one frame of reference, right-handed.
 
-    Tools for animation and biomechanics expect y up, as `fewview.room.to_room` gives it where up is
-    known; writers turn nothing.
+    Tools for animation and biomechanics expect y up, as `fewview.room.to_room` returns it if up is
+    known; writers do not rotate anything.
 
     Attributes
     ----------
     points
         (N, P, 3); a point with a coordinate that is not finite is missing, and NaN altogether.
     unit
-        Of the points; None is unknown, as after a fit that was told no length.
+        Of the points; None is unknown, as after a fit without a known length.
     fps
         Frames per second, where times are evenly spaced.
     times
         (N,) seconds, rising.
     keypoint_names
-        P names, each but once.
+        P different names.
     edges
         (first, second) keypoints that are joined, counted from 0.
     numbers
-        (N,) numbers of the frames, rising, where they do not simply count from 0.
+        (N,) numbers of the frames, rising, if they do not simply count from 0.
 
     Raises
     ------
@@ -103,7 +103,7 @@ class Animation:
 
     @property
     def rate(self) -> float:
-        """Frames per second: as told, by the median step of the times, or else 30."""
+        """Frames per second: as given, by the median step of the times, or else 30."""
         if self.fps is not None:
             return float(self.fps)
         if self.times is not None and len(self.times) > 1:
@@ -117,7 +117,7 @@ class Animation:
 
     @property
     def seconds(self) -> Float64:
-        """The time (N,) of each frame, seconds: as told, or from 0 by `rate`."""
+        """The time (N,) of each frame, seconds: as given, or from 0 by `rate`."""
         if self.times is not None:
             return self.times
         frames = np.array(self.frames, np.float64)

@@ -20,21 +20,21 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
-    help="3D from the 2D keypoints of a few cameras that nobody calibrated.",
+    help="3D from the 2D keypoints of a few uncalibrated cameras.",
 )
 # Commands of the server, which has its own distribution: they read their options themselves.
 OF_SERVER = {
     "serve": "Run the API; with no settings at all also a queue and a worker.",
     "worker": "Run a worker that does what is on the queue: fits and lifts.",
     "precompile": "Compile the server's inner loops ahead, which the first fit else does.",
-    "health": "Tell whether the API, or a worker, of this machine does its work: for containers.",
+    "health": "Check whether the API, or a worker, of this machine is working: for containers.",
     "backup": "Copy everything that a deployment holds into a folder, while it runs.",
     "restore": "Fill an empty deployment with a backup.",
     "migrate": "Bring the tables of the records to this version.",
     "prune": "Delete fits and lifts that ended long ago, and what crashes left.",
     "key": "Make, list and revoke the keys that let clients in.",
     "audit": "Print who changed what.",
-    "doctor": "Examine a deployment, and say what to do.",
+    "doctor": "Examine a deployment, and print what to do.",
 }
 ELSEWHERE = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
 

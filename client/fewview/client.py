@@ -75,29 +75,29 @@ class Api(Resource[Driver]):
         confidence
             (N, K, P) in [0, 1]; 0 is not observed.
         times
-            When the frames were taken, (N,) or (N, K) seconds, rising: they are then one film, and
-            smoothed in time if the model was fitted to one. None: those of the capture, if it is
-            one that tells them or a rate; else each frame is lifted on its own.
+            Times of the frames, (N,) or (N, K) seconds, rising: they are then one film, and
+            smoothed in time if the model was fitted to one. None: those of the capture, if it has
+            times or a rate; else each frame is lifted on its own.
         refine
             ``auto``, ``full`` or ``off``: where frames are refined in perspective. None: as in
             the fit.
         views
-            Which K views of the fit these are; None if they are all, or not said.
+            Which K views of the fit these are; None if they are all, or unknown.
         frame
-            The frame of reference of points and cameras: ``canonical``, as without, is centred and
-            turns with the subject; ``room`` is that of the model's cameras at rest.
+            The frame of reference of points and cameras: ``canonical``, the default, is centred and
+            turns with the subject; ``room`` is that of the model's static cameras.
         up
-            In the room: ``auto`` or a vector (3,), in the room as it is without, that becomes y.
-            Feet, where keypoints are named so, are then on the floor, y = 0.
+            The direction of up in the room, which becomes y: ``auto`` or a vector (3,) in the room
+            without `up`. Feet, if keypoints are named so, are then on the floor, y = 0.
 
         Raises
         ------
         NotFound
             There is no such model.
         Conflict
-            It has no room, since none of its cameras rest, or up was not found.
+            It has no room, because none of its cameras is static, or up could not be estimated.
         InvalidRequest
-            The keypoints are not those of the model; ``errors`` say what is expected.
+            The keypoints are not those of the model; ``errors`` have what is expected.
         """
         return self._call(
             lift_request(
@@ -122,7 +122,7 @@ class Client(Api[Blocking]):
     Parameters
     ----------
     url
-        Where the service is; else what ``FEWVIEW_URL`` says, else http://127.0.0.1:8000.
+        The address of the service; default: ``FEWVIEW_URL``, else http://127.0.0.1:8000.
     key
         Lets the client in, as ``fewview key create`` prints it. None: the one in ``FEWVIEW_KEY``,
         else the token in the data folder of a service on this machine, if there is one. An empty
@@ -130,15 +130,15 @@ class Client(Api[Blocking]):
     timeout
         Seconds that the service may stay silent.
     patience
-        Seconds for which requests are tried again while it is away or busy; 0: once only.
+        Seconds for which requests are repeated while it is away or busy; 0: never.
     headers
-        Sent with every request. An ``Authorization`` among them, for a proxy, takes the place of
-        the key, and so do a user and a password in the URL.
+        Sent with every request. An ``Authorization`` among them, for a proxy, replaces the key, and
+        so do a user and a password in the URL.
 
     Raises
     ------
     ValueError
-        The URL is none, or the key has characters that no header can hold.
+        The URL is invalid, or the key has characters that a header cannot have.
     """
 
     def __init__(

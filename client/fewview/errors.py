@@ -21,7 +21,7 @@ from typing import Any, Protocol
 
 
 class FewviewError(Exception):
-    """Any error of the client; its message says what to do."""
+    """Any error of the client; its message has the remedy."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class FieldError:
 
 
 class ApiError(FewviewError):
-    """The service refused a request, and said why (RFC 9457).
+    """The service refused a request, with a reason (RFC 9457).
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class ApiError(FewviewError):
 
 
 class InvalidRequest(ApiError):  # noqa: N818
-    """What was sent is wrong; ``errors`` say where."""
+    """The request is wrong; ``errors`` name the fields."""
 
 
 class Unauthorized(ApiError):  # noqa: N818
@@ -132,7 +132,7 @@ class JobFailed(FewviewError):  # noqa: N818
 
 
 class FormatError(FewviewError, ValueError):
-    """A file is not what its reader expects, or cannot be written; the message says what to do."""
+    """A file is not what its reader expects, or cannot be written; the message has the remedy."""
 
 
 _REMEDIES = {  # by codes, which the message ends with

@@ -24,7 +24,7 @@ class Evaluation:
         rotated (Dabhi et al., 3DV 2021, "Evaluation metrics").
     mpjpe
         Mean error after one similarity, by least squares (Umeyama, 1991), aligned all frames
-        together: it tells whether a walking subject walks. NaN where the frames share no room.
+        together, so it includes the motion of a walking subject. NaN if frames share no room.
     pck, thresholds
         (T,) share of keypoints, each frame aligned alone, that lie within each of the (T,)
         thresholds.
@@ -66,13 +66,13 @@ def evaluate(
         Largest threshold of the curve, in the unit of the truth; None: a third of the truth's
         usual radius, which is about 150 mm of a person.
     mirrored_too
-        Forgive a mirror image: take all structures mirrored if that is nearer to the truth. A
-        frame of another hand than the others is never forgiven.
+        Allow a mirror image: mirror all structures if they are then nearer to the truth. A single
+        frame of the other handedness is never allowed.
 
     Raises
     ------
     ValueError
-        If the shapes differ, or no frame has three keypoints that both know.
+        If the shapes differ, or no frame has three keypoints that are known in both.
     """
     x, y = (np.asarray(array, np.float64) for array in (points, truth))
     if x.shape != y.shape or x.ndim != 3 or x.shape[2] != 3:

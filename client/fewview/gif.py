@@ -14,7 +14,7 @@ from fewview.errors import FormatError
 
 Float64 = NDArray[np.float64]
 
-MOST = 100  # frames of a GIF, unless told
+MOST = 100  # frames of a GIF by default
 MARGIN = 0.1  # of the keypoints' extent, about them in the views
 SEEN, FOUND = "#d1495b", "#00798c"
 # From the room's axes to those of the drawing, x right, y away, z up.
@@ -34,18 +34,18 @@ def write_gif(
     up: Literal["y", "-y", "z"] = "y",
     frames: int = MOST,
 ) -> Path:
-    """Write a GIF of an animation, and of what cameras of its room saw and see of it.
+    """Write a GIF of an animation, with keypoints and reprojections in the cameras of its room.
 
     Parameters
     ----------
     animation
-        N frames of P points; where there are more frames than `frames`, every so many are drawn,
-        in their own time.
+        N frames of P points; if there are more than `frames`, a regular part of them is drawn, at
+        their own times.
     keypoints, cameras
         (N, K, P, 2) pixels, and the K cameras, in the room of the points. Views without a pose are
         left out. Keypoints are drawn as dots, reprojections as crosses and sticks.
     up
-        Which axis leads up: 'y' as `to_room` gives it where up is known, '-y' otherwise.
+        The axis that points up: 'y' as from `to_room` if up is known, '-y' otherwise.
 
     Raises
     ------

@@ -45,12 +45,12 @@ def joints_of(names: Sequence[str] | None) -> list[list[int]]:
 
 
 def scaled_to(room: Room, height: float, names: Sequence[str] | None) -> Room:
-    """Return the room in the unit of a body's height; a few percent off, by what bodies differ.
+    """Scale a room so that the body has its height; the error is a few percent, as bodies differ.
 
-    The body's length is that of the chain from the middle of the shoulders over that of the hips
-    along the legs to the ankles, whatever the pose. Head, neck and feet are left out, since
-    detectors' keypoints do not reach their ends: of the height, the chain is the share that adults
-    have on average. Children and animals have others.
+    The measured length is that of the chain from the middle of the shoulders over that of the hips
+    along the legs to the ankles, in any pose. Head, neck and feet are left out, because detectors'
+    keypoints do not reach their ends. The chain is the average share of an adult's height; children
+    and animals have other shares.
 
     Raises
     ------

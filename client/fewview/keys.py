@@ -23,7 +23,7 @@ OPEN_TO_OTHERS = 0o077
 
 
 class Key(httpx2.Auth):
-    """Puts a key into every request; ``find`` is asked each time, and may know of none."""
+    """Puts a key into every request; ``find`` is called each time, and may return none."""
 
     def __init__(self, find: Callable[[], str | None]) -> None:
         self._find = find
@@ -75,7 +75,7 @@ def _checked(key: str, name: str = "key") -> str | None:
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether a host of a URL is this machine by itself."""
+    """Return whether a host of a URL is loopback."""
     return bool(_addresses(host))
 
 
@@ -99,8 +99,8 @@ def token_in(folder: Path) -> str | None:
 def _token_for(folder: Path, host: str, port: int) -> str | None:
     """Return the token of a data folder if it may be sent to a port of this machine.
 
-    Before the service has started, any user may listen there, and would be shown the token. So it
-    is sent to none but root, the user of this process and the file's, as far as the system says.
+    Before the service has started, any user may listen there and would get the token. So it is sent
+    only to root, the user of this process and the owner of the file, if the system reports users.
     """
     found = _read(folder / TOKEN_FILE)
     if found is None:
@@ -108,7 +108,7 @@ def _token_for(folder: Path, host: str, port: int) -> str | None:
     token, owner = found
     try:
         listening = [find((address, port)) for address in _addresses(host)]
-    except OSError:  # it does not say
+    except OSError:  # the system does not report it
         return token
     users = {at.uid for at in listening if at and at.state == LISTENING and at.inode != 0}
     return token if users and users <= {0, os.geteuid(), owner} else None

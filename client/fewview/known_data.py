@@ -45,13 +45,13 @@ def human36m(keypoints: File, truth: File, *, subject: str, action: str) -> Capt
     https://github.com/facebookresearch/VideoPose3D): `data_2d_h36m_*.npz` holds `positions_2d`, of
     each subject and action a list of an array (N, 17, 2) of pixels for each camera (or (N, 32, 2));
     `data_3d_h36m.npz` holds `positions_3d`, arrays (N, 32, 3). Detections of some cameras go on
-    longer than the truth: all end with the shortest, as there. Nothing of the pickles in them is
-    run.
+    longer than the truth: all end with the shortest, as there. The pickles in them are not
+    executed.
 
     Raises
     ------
     FormatError
-        The files have another layout, or no such subject or action; it says which there are.
+        The files have another layout, or no such subject or action; the message lists them.
     """
     views = _chosen(Path(keypoints), "positions_2d", subject, action)
     points = np.asarray(_chosen(Path(truth), "positions_3d", subject, action), np.float32)
@@ -111,11 +111,11 @@ def openmonkeystudio(folder: File, *, batch: str) -> Capture:
     """Return a batch of OpenMonkeyStudio: a macaque, a view for each camera, 13 keypoints, truth.
 
     The layout is that of the README of https://github.com/OpenMonkeyStudio/OMS_Data: `Data.mat`
-    holds what was labelled in each image, (y, x) from the corner of the crop that the image is;
-    `Batch7/crop_para.mat` says where the crops of a batch lie in the cameras' images, and
-    `Batch7/coords_3D.mat` where the keypoints are in space. Frames are those that have 3D. A view
-    is named by its camera; most cameras show few frames, so a part of the up to 62 views is what
-    one fits. Needs SciPy (`pip install 'fewview[mat]'`).
+    has the labels of each image, (y, x) from the corner of the crop that the image is.
+    `Batch7/crop_para.mat` has the places of the crops in the cameras' images, and
+    `Batch7/coords_3D.mat` the keypoints in space. Frames are those that have 3D. A view is named by
+    its camera. Most cameras show few frames, so one usually fits a part of the up to 62 views.
+    Needs SciPy (`pip install 'fewview[mat]'`).
 
     Raises
     ------
@@ -170,7 +170,7 @@ def _moving(positions: Any) -> Any:
 
 
 def _chosen(file: Path, name: str, subject: str, action: str) -> Any:
-    """Return what an npz says of an action: one object array, which is a pickle."""
+    """Return an action in an npz: one object array, which is a pickle."""
     try:
         with zipfile.ZipFile(file) as archive:
             if archive.getinfo(f"{name}.npy").file_size > MAX_BYTES:

@@ -1,4 +1,4 @@
-"""Where the frames of a lift are in a room whose cameras at rest are known."""
+"""Placing the frames of a lift in a room whose static cameras are known."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ AGREE = np.cos(np.radians(2))  # poses of two views of a frame that contradict e
 
 
 class Places(NamedTuple):
-    """What leads N frames to the room, `X_room = s Q X + p`; NaN where a frame has no place."""
+    """Similarities of N frames into the room, `X_room = s Q X + p`; NaN if a frame has no place."""
 
     scales: Float64  # (N,) s
     turns: Float64  # (N, 3, 3) Q, rotations
@@ -36,19 +36,20 @@ def find_places(
     rig_shifts: Float64,
     lone: float | None = None,
 ) -> Places:
-    """Return the places of frames by their V views at rest, the one that is believed first.
+    """Compute the places of frames from their V static views, the preferred view first.
 
-    `X_room = C_v^T (s (R_v X + t_v) - d_v)` for each of them; the rotations agree, and so do the
-    baselines between the cameras, in direction: their lengths give s.
+    `X_room = C_v^T (s (R_v X + t_v) - d_v)` for each of them. The rotations agree, and so do the
+    directions of the baselines between the cameras; their lengths give s.
 
     Parameters
     ----------
     turns, shifts, known
-        R (N, V, 3, 3), t (N, V, 3) from canonical frames to cameras, and where (N, V) they are.
+        R (N, V, 3, 3), t (N, V, 3) from canonical frames to cameras, and whether (N, V) they are
+        known.
     rig_turns, rig_shifts
         C (V, 3, 3), d (V, 3) from the room to the cameras.
     lone
-        The s of frames that show no baseline; None takes the median of the others, or 1.
+        The s of frames without a baseline; None: the median of the others, or 1.
     """
     frames, views = known.shape
     if not views:
@@ -91,9 +92,9 @@ def find_places(
 def _places_by_first(
     turns: Float64, shifts: Float64, known: Bool, rig_turns: Float64, rig_shifts: Float64
 ) -> Places:
-    """Return the places of frames by the first view at rest that each shows, in the room's unit.
+    """Compute the places of frames from the first static view of each, in the room's unit.
 
-    Views that were lifted with this rig say the same, each of them; in a stream every frame counts.
+    All views that were lifted with this rig give the same place.
     """
     each, first = np.arange(len(known)), known.argmax(1)
     turned_back = rig_turns[first].transpose(0, 2, 1)
@@ -104,29 +105,30 @@ def _places_by_first(
 
 
 def in_room(lift: Mapping[str, Array], rig_turns: Float64, rig_shifts: Float64) -> dict[str, Array]:
-    """Return the arrays of a lift of N frames of K views, said in the room.
+    """Transform the arrays of a lift of N frames of K views into the room.
 
-    Every frame has cameras of its own, so that points project to where they did: by `R X + t` and
-    the lens in perspective, by `s (R X)_xy + t_xy` in weak perspective. In a frame without a place
-    points and cameras are NaN, and `camera_models` -1.
+    The cameras of every frame are transformed too, so that points project to the same pixels: by
+    `R X + t` and the lens in perspective, by `s (R X)_xy + t_xy` in weak perspective. In a frame
+    without a place points and cameras are NaN, and `camera_models` -1.
 
-    A lift has the unit of its first view. If that rests it is the room's, and a frame is placed by
-    the first view at rest that it shows; if it moves, by all, whose baselines tell the unit.
+    A lift has the unit of its first view. If that view is static, this is the room's unit, and a
+    frame is placed by its first static view. If it moves, a frame is placed by all static views,
+    whose baselines give the unit.
 
     Parameters
     ----------
     lift
-        Canonical, by the names that :class:`~fewview.Lift` has; others are left as they are.
+        Canonical arrays by the names of :class:`~fewview.Lift`; others are left as they are.
     rig_turns, rig_shifts
         (K, 3, 3) and (K, 3) from the room to the cameras, NaN for those that move.
     """
     turns, shifts = (np.asarray(lift[name], np.float64) for name in ("rotations", "translations"))
-    models, rests = lift["camera_models"], np.asarray(np.isfinite(rig_shifts).all(1))
-    poses = turns[:, rests], shifts[:, rests], models[:, rests] > 0
-    if rests[0]:
-        places = _places_by_first(*poses, rig_turns[rests], rig_shifts[rests])
+    models, static = lift["camera_models"], np.asarray(np.isfinite(rig_shifts).all(1))
+    poses = turns[:, static], shifts[:, static], models[:, static] > 0
+    if static[0]:
+        places = _places_by_first(*poses, rig_turns[static], rig_shifts[static])
     else:
-        places = find_places(*poses, rig_turns[rests], rig_shifts[rests], lone=np.nan)
+        places = find_places(*poses, rig_turns[static], rig_shifts[static], lone=np.nan)
     somewhere = np.isfinite(places.scales + places.shifts[:, 0])
     size = np.where(somewhere, places.scales, np.nan)[:, None]
     scales = lift["scales"] / size
@@ -134,7 +136,7 @@ def in_room(lift: Mapping[str, Array], rig_turns: Float64, rig_shifts: Float64) 
     moved = np.einsum("nkij,nj->nki", turned, places.shifts)
     weak = shifts - scales[..., None] * moved
     deep = size[..., None] * shifts - moved
-    said = {
+    in_room = {
         "points3d": places.of(lift["points3d"]),
         "rotations": np.where(somewhere[:, None, None, None], turned, np.nan),
         "scales": scales,
@@ -142,7 +144,7 @@ def in_room(lift: Mapping[str, Array], rig_turns: Float64, rig_shifts: Float64) 
     }
     return {
         **lift,
-        **{name: array.astype(lift[name].dtype) for name, array in said.items()},
+        **{name: array.astype(lift[name].dtype) for name, array in in_room.items()},
         "camera_models": np.where(somewhere[:, None], models, -1).astype(models.dtype),
     }
 

@@ -1,4 +1,4 @@
-"""What comes of a fit, as files: the animation in one room, the cameras, the weights, figures."""
+"""The results of a fit as files: the animation in one room, the cameras, the weights, figures."""
 
 import numpy as np
 
@@ -10,15 +10,15 @@ from fewview.room import Room, to_room
 
 
 def room_of(lift: Lift, cameras: Cameras, capture: Capture) -> tuple[Room | None, list[str]]:
-    """Place all frames in one room: y up where up can be found, else the first view's axes.
+    """Place all frames in one room: y up if up can be estimated, else the first view's axes.
 
     Returns
     -------
     tuple
-        The room, None where no frame has a perspective pose; and what is to be said of it.
+        The room, None if no frame has a perspective pose; and notes about it.
     """
-    resting = [view.index for view in cameras.views if view.resting]
-    reference = resting[0] if resting else 0
+    static = [view.index for view in cameras.views if view.resting]
+    reference = static[0] if static else 0
     reasons: list[str] = []
     for up in ("auto", None):
         try:
@@ -35,7 +35,7 @@ def room_of(lift: Lift, cameras: Cameras, capture: Capture) -> tuple[Room | None
             reasons.append(str(error))
         else:
             return room, [*reasons, *room.notes]
-    return None, [*reasons[-1:], "structures stay canonical: every frame in axes of its own"]
+    return None, [*reasons[-1:], "structures stay canonical: every frame has its own axes"]
 
 
 def animation_of(

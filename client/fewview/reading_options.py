@@ -16,24 +16,24 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """Options of reading; `fewview.read` says more of each.
+    """Options of reading; `fewview.read` explains them.
 
     Attributes
     ----------
     format
-        Name of the format; None to find out from the content.
+        Name of the format; None to find it from the content.
     person
         "auto", a number, the name of a track or individual, or one of these for each camera; text
         such as "0,1,0" is a list.
     min_confidence
-        Detections that are less sure are gaps.
+        Detections with less confidence are gaps.
     skeleton
-        Name of a skeleton that gives the keypoints their names and edges.
+        Name of a skeleton with the names and edges of the keypoints.
     align
         "index": frames of the same number belong together. "time": frames of the nearest time.
-        "auto": by time where the cameras' rates or times differ.
+        "auto": by time if the cameras' rates or times differ.
     fps
-        Frames per second, where a file has no times: of all, or text such as
+        Frames per second, if a file has no times: of all, or text such as
         "cam1=60,cam2=30".
     image_size
         (width, height) in pixels of all views, of each, or by their names; text such as
@@ -41,20 +41,20 @@ class ReadingOptions:
     untrusted
         Whether to refuse formats whose readers have to trust their files.
     columns
-        What the columns of a table hold, such as "x={}_x,y={}_y,frame=No".
+        The contents of a table's columns, such as "x={}_x,y={}_y,frame=No".
     cameras
         Names of the views that are wanted, in their order; text with commas is a list.
     trial
-        Name of the trial, or of the detector, whose files are meant, where they are of several.
+        Name of the trial, or of the detector, to read, if there are files of several.
     y
-        "down", as in images; "up" where y counts from the lower edge.
+        "down", as in images; "up" if y counts from the lower edge.
     mirror
         Names of the views whose images are mirrored; text with commas is a list.
 
     Raises
     ------
     FormatError
-        If one of them cannot be.
+        If one of them is invalid.
     """
 
     format: str | None = None
@@ -87,8 +87,8 @@ class ReadingOptions:
         Raises
         ------
         FormatError
-            If one cannot be, there are too many or too few, or it names no view. No view may be
-            named "": it stands for any.
+            If one is invalid, there are too many or too few, or it names no view. No view may have
+            the name "", which means any view.
         """
         given = self.image_size
         if isinstance(given, str):

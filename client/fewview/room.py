@@ -1,8 +1,8 @@
-"""All frames of a lift in one room: that of cameras at rest, in which a walking subject walks.
+"""All frames of a lift in one room: that of static cameras, in which a walking subject walks.
 
 A lift's structures are canonical: centred, and turning with the subject from frame to frame. Only
-the cameras' poses, `x_cam = R X + t`, say where a frame's structure is; cameras that rest keep
-their poses relative to each other, and so all of them agree on one room.
+the cameras' poses, `x_cam = R X + t`, give the place of a frame's structure. Static cameras keep
+their poses relative to each other, so all of them agree on one room.
 """
 
 from collections.abc import Sequence
@@ -35,11 +35,11 @@ class Room:
     points
         (N, P, 3) in the unit of the lift; NaN in frames that have no perspective pose.
     rotations, translations
-        (K, 3, 3) and (K, 3): `x_cam = R X_room + t` of the views at rest, NaN for the others.
+        (K, 3, 3) and (K, 3): `x_cam = R X_room + t` of static views, NaN for the others.
     missing
         How many frames have no place in the room.
     notes
-        What was done and found, in sentences for people.
+        Sentences for people on what was done and estimated.
     """
 
     points: Float64
@@ -56,8 +56,8 @@ class Room:
     ) -> list[Camera]:
         """Return the K views of the lift as cameras of this room; those that move have no pose.
 
-        A view's lens is the median over the frames that it is perspective in; names and image
-        sizes (width, height) go into files.
+        A view's lens is the median over its perspective frames; names and image sizes (width,
+        height) are for files.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class Room:
             models = np.asarray(lift.camera_models)[:, view]
             if not (models > 0).any():
                 raise ValueError(
-                    f"{name} is nowhere perspective: no calibration can say its camera"
+                    f"{name} is never perspective: no calibration can describe its camera"
                 )
             fx, fy, cx, cy, *distortion = np.median(
                 np.concatenate((lift.focals, lift.principal_points, lift.distortions), axis=-1)[
@@ -78,14 +78,14 @@ class Room:
                 ].astype(np.float64),
                 axis=0,
             )
-            rests = bool(np.isfinite(self.translations[view]).all())
+            static = bool(np.isfinite(self.translations[view]).all())
             found.append(
                 Camera(
                     name,
                     np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
                     np.array(distortion),
-                    self.rotations[view] if rests else None,
-                    self.translations[view] if rests else None,
+                    self.rotations[view] if static else None,
+                    self.translations[view] if static else None,
                     sizes[view] if sizes else None,
                     bool(models.max() == FISHEYE),
                 )
@@ -106,9 +106,9 @@ def to_room(
 ) -> Room:
     """Place the frames of a lift or a reconstruction in one room.
 
-    Every view at rest says where the structure of a frame is; those of a frame that agree are
-    averaged, and of two that contradict each other the reference is believed. A frame whose unit
-    is another than that of the rig (where a moving camera gives it) is scaled by its baselines.
+    Every static view gives a place of a frame's structure. Views that agree are averaged; if two
+    contradict each other, the reference is used. A frame with another unit than the rig's (that of
+    a moving camera) is scaled by its baselines.
 
     Parameters
     ----------
@@ -116,24 +116,24 @@ def to_room(
         (N, P, 3), (N, K, 3, 3), (N, K, 3), (N, K), as lifts give them. Views of
         `camera_models` 0 or -1 and those whose pose is not finite are left out.
     cameras
-        The K views as a fit found them or as they were calibrated; a view without a pose moves.
-        Without them the relative poses that the frames have in common are taken.
+        The K views as a fit estimated them or as they were calibrated; a view without a pose moves.
+        The default are the relative poses that the frames have in common.
     reference
         The view whose axes the room has: x right, y down, z forward, its origin at the camera.
-        None takes the frame of reference in which `cameras` are said.
+        None takes the frame of reference in which `cameras` are more.
     up
         A vector in the axes of the reference, 'auto' or None. If it is known the room is turned:
         y up, x level and to the right of the reference, z = x cross y.
     floor
-        Whether y = 0 is to be the floor; None does so where up is known and feet are named.
+        Whether y = 0 is to be the floor; None: if up is known and feet are named.
     keypoint_names
-        P names, which tell feet.
+        P names, by which feet are found.
 
     Raises
     ------
     ValueError
         If shapes do not fit, no frame has a perspective pose of the reference or of `cameras`, or
-        up or the floor was asked for and cannot be found.
+        up or the floor was asked for and cannot be estimated.
     """
     turns, shifts = (np.asarray(array, np.float64) for array in (rotations, translations))
     known = _known_poses(points3d, turns, shifts, camera_models)
@@ -173,12 +173,12 @@ def in_rig(
     rig_rotations, rig_translations
         (K, 3, 3) and (K, 3) from the room to the cameras, NaN for views that move.
     believed
-        Of two views that contradict each other.
+        The view to use if two contradict each other.
 
     Raises
     ------
     ValueError
-        If shapes do not fit, or up or the floor was asked for and cannot be found.
+        If shapes do not fit, or up or the floor was asked for and cannot be estimated.
     """
     turns, shifts = (np.asarray(array, np.float64) for array in (rotations, translations))
     known = _known_poses(points3d, turns, shifts, camera_models)
@@ -201,13 +201,13 @@ def in_rig(
         notes.append(
             f"in {places.contradicted} frames views contradict each other: the fewer were left"
         )
-    axes, drop, said = _upright(placed, up, floor, feet_of(keypoint_names))
+    axes, drop, more = _upright(placed, up, floor, feet_of(keypoint_names))
     return Room(
         points=placed @ axes.T - drop,
         rotations=rig_rotations @ axes.T,
         translations=rig_translations + rig_rotations @ (axes.T @ drop),
         missing=missing,
-        notes=(*notes, *said),
+        notes=(*notes, *more),
     )
 
 
@@ -233,7 +233,7 @@ def _rig(
     cameras: Sequence[Camera] | None,
     reference: int | None,
 ) -> tuple[Float64, Float64, list[str]]:
-    """Return the poses (K, 3, 3), (K, 3) of views at rest, room to camera, NaN if they move."""
+    """Return the poses (K, 3, 3), (K, 3) of static views, room to camera, NaN if they move."""
     views = turns.shape[1]
     if cameras is None:
         rig_turns, rig_shifts = _common_rig(turns, shifts, known, reference)
@@ -241,12 +241,12 @@ def _rig(
         if len(cameras) != views:
             raise ValueError(f"{len(cameras)} cameras were given for {views} views")
         rig_turns, rig_shifts = _given_rig(cameras, reference)
-    at_rest = np.isfinite(rig_shifts).all(1)
-    if not known[:, at_rest].any():
-        raise ValueError("no frame has a perspective pose of a camera at rest")
+    are_static = np.isfinite(rig_shifts).all(1)
+    if not known[:, are_static].any():
+        raise ValueError("no frame has a perspective pose of a static camera")
     notes = []
-    if at_rest.sum() == 1 and views > 1:
-        notes = [f"no view rests with view {at_rest.argmax()}: the room is its own"]
+    if are_static.sum() == 1 and views > 1:
+        notes = [f"no other view is static with view {are_static.argmax()}: the room is its own"]
     return rig_turns, rig_shifts, notes
 
 
@@ -304,7 +304,7 @@ def _relative_pose(
 def _upright(
     placed: Float64, up: Up, floor: bool | None, feet: list[int]
 ) -> tuple[Float64, Float64, list[str]]:
-    """Return the rotation (3, 3) of the room to its final axes, what is taken off, and notes."""
+    """Return the rotation (3, 3) of the room to its axes, the offset of the floor, and notes."""
     if up is None:
         if floor:
             raise ValueError("the floor needs `up`")
@@ -313,8 +313,8 @@ def _upright(
     if isinstance(up, str):
         if up != "auto":
             raise ValueError(f"up must be 'auto' or a vector (x, y, z), not {up!r}")
-        up, said = find_up(placed, feet)
-        notes.append(said)
+        up, more = find_up(placed, feet)
+        notes.append(more)
     axes = upright_axes(up)
     if floor and not feet:
         raise ValueError("the floor needs names of keypoints, feet among them")

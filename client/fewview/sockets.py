@@ -1,6 +1,6 @@
-"""Which user has a TCP socket of this machine: Linux answers it over netlink (sock_diag(7)).
+"""The user of a TCP socket of this machine, from Linux over netlink (sock_diag(7)).
 
-It names the user who made the socket, whoever holds it now.
+This is the user who made the socket, even if another holds it now.
 """
 
 import errno
@@ -50,14 +50,14 @@ def plain(address: Address) -> Address:
 
 
 def find(source: End, target: End | None = None) -> Socket | None:
-    """Return the connection between two ends, else who listens at the first; None if nobody does.
+    """Return the connection between two ends, else the listener at the first; None without either.
 
-    It takes some 50 microseconds and waits for nobody. IPv4 must be written as such.
+    It takes some 50 microseconds and never waits. IPv4 must be written as such.
 
     Raises
     ------
     OSError
-        The system does not say.
+        The system does not provide it.
     """
     if sys.platform != "linux":
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))

@@ -12,7 +12,7 @@ Up = ArrayLike | Literal["auto"] | None
 
 FEET = re.compile(r"foot|feet|ankle|heel|toe|paw|hoof|hooves", re.IGNORECASE)
 LOW = 0.1  # the share of the frames' lowest feet that may be below the floor
-ONE_WAY = 0.8  # of the long axes' spread must lie along their mean, or they say nothing of up
+ONE_WAY = 0.8  # of the long axes' spread must lie along their mean, or up is undetermined
 WIDE = 0.25  # of the body's height: a floor that feet cover less than this has no slope to see
 STEEPEST = np.cos(np.radians(30))  # a plane more oblique to the body than this is no floor
 
@@ -23,11 +23,11 @@ def feet_of(names: Sequence[str] | None) -> list[int]:
 
 
 def find_up(points: Float64, feet: Sequence[int]) -> tuple[Float64, str]:
-    """Return the unit vector up (3,) in the axes of points (N, P, 3), and what it rests on.
+    """Estimate the unit vector up (3,) in the axes of points (N, P, 3); return also a note on it.
 
-    Where feet are known they are below the rest of the body, and where they were put down over a
-    wide enough place, the plane of their lowest positions is level. Otherwise the body's long axis
-    stands upright on average, with its upper end where a camera's is (-y).
+    If feet are known, they are below the other keypoints. If they were put down over a wide enough
+    area, the plane of their lowest positions is level. Otherwise the body's long axis is upright on
+    average, with its upper end towards the top of the images (-y).
 
     Raises
     ------
@@ -82,12 +82,12 @@ def floor_height(points: Float64, feet: Sequence[int]) -> float:
 
 
 def _above_feet(points: Float64, feet: Sequence[int]) -> Float64:
-    """Return the median direction (3,) from the feet to the rest of the body."""
-    rest = np.delete(points, feet, axis=1)
-    whole = np.isfinite(points[:, feet]).all((1, 2)) & np.isfinite(rest).any((1, 2))
-    if not whole.any() or not rest.shape[1]:
-        raise ValueError("no frame shows feet and the rest of the body: give `up`")
-    direction = np.nanmean(rest[whole], axis=1) - points[whole][:, feet].mean(1)
+    """Return the median direction (3,) from the feet to the other keypoints."""
+    body = np.delete(points, feet, axis=1)
+    whole = np.isfinite(points[:, feet]).all((1, 2)) & np.isfinite(body).any((1, 2))
+    if not whole.any() or not body.shape[1]:
+        raise ValueError("no frame shows feet and the body above them: give `up`")
+    direction = np.nanmean(body[whole], axis=1) - points[whole][:, feet].mean(1)
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     up = np.median(direction, axis=0)
     return np.asarray(up / np.linalg.norm(up), dtype=np.float64)

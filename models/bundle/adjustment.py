@@ -1,7 +1,7 @@
 """Perspective maximum-a-posteriori adjustment of all frames and the rig that they share.
 
-Levenberg-Marquardt with analytic Jacobians on the problem of `models.bundle.problem`; what concerns
-one frame is compiled.
+Levenberg-Marquardt with analytic Jacobians on the problem of `models.bundle.problem`; the parts of
+one frame are compiled.
 """
 
 import math
@@ -38,11 +38,11 @@ LONGEST_FOCAL_STEP = 0.5  # of the log focal length in one iteration
 
 
 class RigPrior(NamedTuple):
-    """Gaussian on what all frames share, eleven numbers a view; T = 11 K."""
+    """Gaussian prior of the numbers that all frames share, eleven for each view; T = 11 K."""
 
     mean: Rig
     precision: Float64  # (T, T)
-    free: NDArray[np.bool_]  # (T,) the others stay as they are
+    free: NDArray[np.bool_]  # (T,) whether a number may change
 
     def offset(self, rig: Rig) -> Float64:
         """Return the rig minus the mean, (T,); extrinsics to first order."""
@@ -71,7 +71,7 @@ class Adjusted(NamedTuple):
 
 
 def move_scene(scene: Scene, points_step: Float64, rest_step: Float64) -> Scene:
-    """Apply steps of the points (N, P, 3) and of the rest (N, R) to a scene."""
+    """Apply steps of the points (N, P, 3) and of the other unknowns (N, R) to a scene."""
     frames, groups = scene.sizes.shape
     pose = rest_step[:, : POSE * groups].reshape(frames, groups, POSE)
     return Scene(
@@ -112,13 +112,13 @@ def adjust(
 ) -> Steps[Adjusted]:
     """Adjust frames and rig together, yielding after each iteration.
 
-    The `bones` of the subject have a say in what is shared; frames follow as their keypoints and
-    the shape prior have it. Frames without a finite cost at the start have no say.
+    The lengths of `bones` enter the equations of the shared numbers only; frames follow by their
+    keypoints and the shape prior. Frames without a finite cost at the start are ignored.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        When what is free of the rig is not determined at all.
+        When the free numbers of the rig are not determined at all.
     """
     costs = costs_of(views, rig, prior, scene)
     kept = np.isfinite(costs)  # (N,)
@@ -157,7 +157,7 @@ def _shared_equations(
     bones: BoneLengths | None,
     kept: NDArray[np.bool_],
 ) -> tuple[Float64, Float64]:
-    """Matrix (F, F) and right-hand side (F,) of what is free of the shared."""
+    """Return matrix (F, F) and right-hand side (F,) of the free shared numbers."""
     free = rig_prior.free
     information = reduced.information.sum(0) + rig_prior.precision[np.ix_(free, free)]
     right = reduced.right.sum(0) - (rig_prior.precision @ rig_prior.offset(rig))[free]
@@ -180,7 +180,7 @@ def _solved(
     rig_prior: RigPrior,
     scene: Scene,
 ) -> tuple[Rig, Scene]:
-    """Solve for the shared, then for every frame; the rig and the scene after that step."""
+    """Solve for the shared numbers, then for every frame; return rig and scene after that step."""
     damped = information + np.diag(damping * information.diagonal() + 1e-12)
     free_step = np.asarray(np.linalg.solve(damped, right), np.float64)  # (F,)
     step = np.zeros(len(rig_prior.free))

@@ -11,26 +11,26 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
-LEAST_SCATTER = 0.003  # of a log length: keypoints do not sit on bones, so none is held steadier
-UNSTEADY = 0.04  # of a log length: what scatters more is no bone
-OUTLIER = 2.0  # scatters beyond which a length pulls ever less
-LEAST_FRAMES = 5  # in which both ends of a bone are told
-UNKNOWN = 1e3  # scatter of a distance that is told in fewer
-ROUNDS = 10  # of taking the frames' sizes from the bones and choosing these anew
+LEAST_SCATTER = 0.003  # of a log length: keypoints do not sit on bones, so none is held tighter
+UNSTEADY = 0.04  # of a log length: a distance that scatters more is no bone
+OUTLIER = 2.0  # scatters beyond which a length has less and less weight
+LEAST_FRAMES = 5  # in which a bone is measured
+UNKNOWN = 1e3  # scatter of a distance that is measured in fewer
+ROUNDS = 10  # of estimating the frames' sizes from the bones and choosing these again
 NORMAL = 1.4826  # standard deviations in a median absolute deviation
 TINY = 1e-12
 
 
 class BoneLengths(NamedTuple):
-    """E = P - 1 distances that connect all keypoints, the size of every frame being free.
+    """E = P - 1 distances that connect all keypoints; the size of every frame is free.
 
-    They need not be anatomical bones: what moves as one, such as the hips, counts.
+    They need not be anatomical bones: keypoints that move together, such as the hips, count.
     """
 
     ends: Int64  # (2, E) keypoints
     lengths: Float64  # (E,) log, median
     scatter: Float64  # (E,) of the log lengths, standard deviation
-    told: Bool  # (N, E) which of them views tell in each of N frames, or (1, E) in all frames
+    measured: Bool  # (N, E) whether views measure them in each of N frames, or (1, E) in all frames
 
     @property
     def steady(self) -> bool:
@@ -38,35 +38,35 @@ class BoneLengths(NamedTuple):
         return bool(lower_median(self.scatter) < UNSTEADY)
 
     def offsets(self, points: Float64) -> Float64:
-        """Log lengths (N, E) in structures (N, P, 3), less the usual ones and the frame's size."""
+        """Return log lengths (N, E) in structures (N, P, 3), less the usual ones and the size."""
         offsets = _log_lengths(points, self.ends) - self.lengths
-        return offsets - self.mean(offsets, self.told)
+        return offsets - self.mean(offsets, self.measured)
 
     def derivatives(self, points: Float64, by: Float64) -> Float64:
-        """Derive the offsets: (N, E, T), from how the points move, (N, P, 3, T)."""
+        """Return derivatives (N, E, T) of the offsets from those of the points, (N, P, 3, T)."""
         a, b = self.ends
         apart = points[:, a] - points[:, b]  # (N, E, 3)
         along = apart / np.square(apart).sum(-1, keepdims=True).clip(TINY)
         derived = (along[:, :, None] @ (by[:, a] - by[:, b]))[:, :, 0]  # (N, E, T)
-        left: Float64 = derived - self.mean(derived.mT, self.told[:, None]).mT
+        left: Float64 = derived - self.mean(derived.mT, self.measured[:, None]).mT
         return left
 
-    def mean(self, offsets: Float64, told: Bool) -> Float64:
-        """Mean (..., 1) of the offsets (..., E) that are told, each as surely as it is steady."""
-        weights = told / np.square(self.scatter)
+    def mean(self, offsets: Float64, measured: Bool) -> Float64:
+        """Return means (..., 1) of measured offsets (..., E), by inverse squared scatter."""
+        weights = measured / np.square(self.scatter)
         total = weights.sum(-1, keepdims=True)
         mean: Float64 = (offsets * weights).sum(-1, keepdims=True) / np.maximum(total, TINY)
         return mean
 
     def precision(self, offsets: Float64) -> Float64:
-        """Inverse variances (N, E), less for outliers; 0 for what is no bone."""
-        steady = self.told & (self.scatter < UNSTEADY)
+        """Return inverse variances (N, E), less for outliers; 0 for distances that are no bones."""
+        steady = self.measured & (self.scatter < UNSTEADY)
         precision: Float64 = steady / (np.square(self.scatter) * (1 + self._squared(offsets)))
         return precision
 
     def cost(self, points: Float64) -> Float64:
         """Minus twice the log likelihood (N,) of the lengths, up to a constant (Cauchy's)."""
-        steady = self.told & (self.scatter < UNSTEADY)
+        steady = self.measured & (self.scatter < UNSTEADY)
         cost: Float64 = OUTLIER**2 * (steady * np.log1p(self._squared(self.offsets(points)))).sum(
             -1
         )
@@ -76,39 +76,39 @@ class BoneLengths(NamedTuple):
         return np.square(offsets / (OUTLIER * self.scatter))
 
 
-def find_bone_lengths(points: Float64, told: Bool | None = None) -> BoneLengths:
+def find_bone_lengths(points: Float64, measured: Bool | None = None) -> BoneLengths:
     """Find the distances that scatter least in structures (N, P, 3).
 
-    Frames that lie askew count little: the scatter is the median absolute deviation. `told` (N, P)
-    are the keypoints that several views tell, by default all: a distance to another one is what a
-    prior makes of it, and says nothing.
+    Wrong frames count little, because the scatter is the median absolute deviation. `measured` (N,
+    P) are the keypoints seen by two views or more, by default all: a distance to any other keypoint
+    comes from a prior, and is no measurement.
     """
     count = points.shape[1]
     pairs = np.stack(np.triu_indices(count, 1))  # (2, P (P - 1) / 2)
     both, enough = np.ones((1, pairs.shape[1]), np.bool_), np.ones(pairs.shape[1], np.bool_)
-    if told is not None:
-        both = told[:, pairs[0]] & told[:, pairs[1]]  # (N, P (P - 1) / 2)
+    if measured is not None:
+        both = measured[:, pairs[0]] & measured[:, pairs[1]]  # (N, P (P - 1) / 2)
         enough = both.sum(0) >= LEAST_FRAMES
     lengths = _log_lengths(points, pairs)
-    sizes = _median_of_told(lengths - _median_of_told(lengths, both, 0), both, 1)  # (N, 1)
+    sizes = _median_of_measured(lengths - _median_of_measured(lengths, both, 0), both, 1)  # (N, 1)
     for _ in range(ROUNDS):
         scaled = lengths - sizes
-        middle = _median_of_told(scaled, both, 0)[0]
-        deviation = NORMAL * _median_of_told(np.abs(scaled - middle), both, 0)[0]
+        middle = _median_of_measured(scaled, both, 0)[0]
+        deviation = NORMAL * _median_of_measured(np.abs(scaled - middle), both, 0)[0]
         scatter = np.sqrt(np.square(deviation) + LEAST_SCATTER**2)
         scatter = np.where(enough, scatter, UNKNOWN)
         tree = _lightest_tree(scatter, pairs, count)
         bones = BoneLengths(pairs[:, tree], middle[tree], scatter[tree], both[:, tree])
-        sizes = bones.mean(lengths[:, tree] - bones.lengths, bones.told)
+        sizes = bones.mean(lengths[:, tree] - bones.lengths, bones.measured)
     return bones
 
 
-def _median_of_told(numbers: Float64, told: Bool, axis: int) -> Float64:
-    """Return the lower medians of those numbers that are told, 0 where none is; axes are kept."""
-    if told.all():
+def _median_of_measured(numbers: Float64, measured: Bool, axis: int) -> Float64:
+    """Return the lower medians of the measured numbers, 0 without any; axes are kept."""
+    if measured.all():
         return np.asarray(lower_median(numbers, axis, keepdims=True), np.float64)
-    rising = np.sort(np.where(told, numbers, np.inf), axis)
-    middle = np.maximum(told.sum(axis, keepdims=True) - 1, 0) // 2
+    rising = np.sort(np.where(measured, numbers, np.inf), axis)
+    middle = np.maximum(measured.sum(axis, keepdims=True) - 1, 0) // 2
     medians = np.take_along_axis(rising, middle, axis)
     return np.where(np.isfinite(medians), medians, 0.0)
 

@@ -1,4 +1,4 @@
-"""Eliminating frames: what their normal equations leave for what all frames share, compiled.
+"""Eliminating frames: their normal equations reduced to the shared numbers, compiled.
 
 Points are eliminated first (Schur complement), then each frame's poses and shape, so the cost is
 linear in frames and points (Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000; Hartley &
@@ -26,15 +26,15 @@ Float64 = NDArray[np.float64]
 
 
 class Reduced(NamedTuple):
-    """What N frames say of the T free numbers that they share, and their answer to these.
+    """The equations of N frames for the T free numbers that they share, and their own steps.
 
-    A frame whose equations are not positive definite says nothing and stays: all its numbers are 0.
+    If a frame's equations are not positive definite, all its numbers are 0, and it stays as it is.
     """
 
     information: Float64  # (N, T, T)
     right: Float64  # (N, T) right-hand side: minus half of the gradient
-    points: Float64  # (N, P, 3) step of the points if nothing shared moves
-    points_by_shared: Float64  # (N, P, 3, T) and how it changes if it does
+    points: Float64  # (N, P, 3) step of the points with the shared numbers held
+    points_by_shared: Float64  # (N, P, 3, T) its derivative by the shared numbers
     rest: Float64  # (N, R) step of the poses and components, likewise
     rest_by_shared: Float64  # (N, R, T)
 
@@ -42,7 +42,7 @@ class Reduced(NamedTuple):
 def eliminate_frames(
     equations: NormalEquations, free: NDArray[np.bool_], damping: float
 ) -> Reduced:
-    """Eliminate points, then the other R unknowns of each frame; `free` (T,) of the shared stay."""
+    """Eliminate points, then the R other unknowns of each frame; keep the `free` (T,) ones."""
     frames, count, _, columns = equations.coupling.shape
     size, shared = columns - len(free), int(free.sum())
     kept = np.concatenate((np.arange(size), size + np.flatnonzero(free)))
@@ -119,7 +119,7 @@ def _say_nothing(frame: Reduced) -> None:
 
 @inner
 def _keep(source: NormalEquations, kept: NDArray[np.int64], out: NormalEquations) -> None:
-    """Write the equations of some of the unknowns beside the points, as if others were zero."""
+    """Write the equations of some of the unknowns besides the points, as if others were zero."""
     copy(source.points, out.points)
     copy(source.points_right, out.points_right)
     for a in range(len(kept)):
@@ -133,7 +133,7 @@ def _keep(source: NormalEquations, kept: NDArray[np.int64], out: NormalEquations
 
 @inner
 def _reduce(complement: Float64, right: Float64, answers: Float64, frame: Reduced) -> None:
-    """Write the frame's own step and what is left for the shared, from the solved (T + 1, R)."""
+    """Write the frame's own step and the equations of the shared, from the solved (T + 1, R)."""
     size, shared = len(frame.rest), len(frame.right)
     rest = answers[shared]
     copy(rest, frame.rest)
@@ -149,7 +149,7 @@ def _reduce(complement: Float64, right: Float64, answers: Float64, frame: Reduce
 
 @inner
 def _points_by_shared(own: NormalEquations, inverses: Float64, frame: Reduced) -> None:
-    """Write how the points' step changes with the shared: inverse blocks times what pulls."""
+    """Write the derivative of the points' step by the shared: inverse blocks times the coupling."""
     size, shared = len(frame.rest), len(frame.right)
     pull = np.empty((3, shared))
     for p in range(len(frame.points)):
@@ -170,7 +170,7 @@ def _points_by_shared(own: NormalEquations, inverses: Float64, frame: Reduced) -
 
 @inner
 def dot(a: Float64, b: Float64) -> float:
-    """Sum the products of numbers, as many as `b` has."""
+    """Return the sum of products of the numbers of two arrays, as many as `b` has."""
     total = 0.0
     for i in range(len(b)):
         total += a[i] * b[i]

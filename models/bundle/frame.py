@@ -1,7 +1,7 @@
-"""One frame's posterior, compiled: its cost, and the way down to its optimum.
+"""One frame's posterior, compiled: its cost, and its optimum.
 
-`models.bundle.problem` says what the unknowns are. All tuples are those of one frame: P keypoints,
-K views, G groups, Q components, R = 7 G + Q unknowns beside the points.
+`models.bundle.problem` defines the unknowns. All tuples are those of one frame: P keypoints, K
+views, G groups, Q components, R = 7 G + Q unknowns besides the points.
 """
 
 import math
@@ -27,7 +27,7 @@ from models.optics.lenses.projection import project_into
 
 Float64 = NDArray[np.float64]
 
-NEAREST_DEPTH = 1e-2  # units of the structure: no camera sees what is nearer to it or behind it
+NEAREST_DEPTH = 1e-2  # units of the structure: no camera sees points nearer to it or behind it
 # Levenberg-Marquardt: share of the diagonal that is added to it, and when to stop.
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e9
 CONVERGED = 1e-7  # relative decrease of the cost
@@ -35,7 +35,7 @@ CONVERGED = 1e-7  # relative decrease of the cost
 
 @inner
 def make_scene(count: int, groups: int) -> Scene:
-    """Return room for the unknowns of a frame."""
+    """Return buffers for the unknowns of a frame."""
     return Scene(
         np.empty((count, 3)), np.empty((groups, 3, 3)), np.empty((groups, 3)), np.empty(groups)
     )

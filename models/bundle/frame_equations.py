@@ -1,6 +1,6 @@
 """One frame's normal equations, compiled: linearised, then reduced by eliminating the points.
 
-The unknowns beside the points stand in this order: for each group g its pose (7 columns from 7 g),
+The unknowns besides the points are in this order: for each group g its pose (7 columns from 7 g),
 then the components of the shape prior (Q columns from 7 G); if the equations are those of the rig,
 too, eleven columns for each view, from 7 G + Q + 11 k.
 """
@@ -18,20 +18,20 @@ from models.optics.lenses.projection import differentiate_into
 
 Float64 = NDArray[np.float64]
 
-OUTLIER = 3.0  # noise standard deviations from which a keypoint pulls with constant force (Huber)
-SIMILARITY = 7  # numbers of a structure that cameras explain, not its shape
+OUTLIER = 3.0  # noise standard deviations from which a keypoint's gradient is constant (Huber)
+SIMILARITY = 7  # numbers of a structure that belong to cameras, not to its shape
 TINY = 1e-12  # least squared residual, and least number on a diagonal
 SIZE = 6  # place of the log size in a pose
 
 
 class NormalEquations(NamedTuple):
-    """Normal equations of a frame, or with a leading N of N; C = R + T columns beside the points.
+    """Normal equations of a frame, or with a leading N of N; C = R + T columns besides the points.
 
     R = 7 G + Q are the frame's own; T = 11 K are shared by all frames, or T = 0.
     """
 
     points: Float64  # (P, 3, 3) blocks on the diagonal
-    coupling: Float64  # (P, 3, C) of the points and the rest
+    coupling: Float64  # (P, 3, C) of the points and the other unknowns
     rest: Float64  # (C, C)
     points_right: Float64  # (P, 3) right-hand side: minus half of the gradient
     rest_right: Float64  # (C,)
@@ -39,7 +39,7 @@ class NormalEquations(NamedTuple):
 
 @inner
 def make_equations(count: int, columns: int) -> NormalEquations:
-    """Return room for the equations of a frame."""
+    """Return buffers for the equations of a frame."""
     return NormalEquations(
         np.empty((count, 3, 3)),
         np.empty((count, 3, columns)),
@@ -65,7 +65,7 @@ def equations_of_frame(equations: NormalEquations, n: int) -> NormalEquations:
 def whiten(points: Float64, prior: ShapePrior, out: Float64) -> tuple[float, float]:
     """Write the prior's precision times (points - mean), (P, 3).
 
-    Returns minus twice the log density, and the inverse variance of what is beside the components.
+    Returns minus twice the log density, and the inverse variance of the isotropic part.
     """
     size, mean, basis = prior.basis.shape[1], prior.means, prior.basis
     z = np.zeros(size)
@@ -88,7 +88,7 @@ def whiten(points: Float64, prior: ShapePrior, out: Float64) -> tuple[float, flo
     if not prior.heavy:
         return squared, weight
     freedom = 3 * len(points) - SIMILARITY
-    share = min(freedom / max(squared, TINY), 1.0)  # s^2 over the square of the scale it asks for
+    share = min(freedom / max(squared, TINY), 1.0)  # s^2 over the square of the best scale
     for p in range(len(points)):
         for i in range(3):
             out[p, i] *= share
@@ -125,7 +125,7 @@ def point_in_camera_into(rig: Rig, view: int, held: Float64, camera: Float64) ->
 def linearise(
     views: Views, rig: Rig, prior: ShapePrior, scene: Scene, out: NormalEquations
 ) -> None:
-    """Write the normal equations; if there is room, also of the rig, eleven numbers a view."""
+    """Write the normal equations; if `out` has columns for them, also those of the rig."""
     own = POSE * len(scene.sizes) + prior.basis.shape[1]  # columns of the frame alone
     shared = len(out.rest_right) > own
     columns = POSE + (VIEW if shared else 0)  # that one keypoint depends on
@@ -181,9 +181,9 @@ def _linearise_view(
     right: Float64,
     out: NormalEquations,
 ) -> None:
-    """Add what the keypoints of a view say: of the points to `out`, of pose and view to `block`.
+    """Add the terms of a view's keypoints: those of points to `out`, of pose and view to `block`.
 
-    Fields of tuples are looked up here once for all keypoints: counting references costs.
+    Fields of tuples are looked up once for all keypoints, because counting references takes time.
     """
     group = rig.groups[view]
     growth = math.exp(scene.sizes[group])
@@ -243,7 +243,7 @@ def _by_view_into(
     arm: Float64,
     by: Float64,
 ) -> None:
-    """Write the derivatives of a pixel by the eleven numbers of its view; `arm` (3,) is room."""
+    """Write the derivatives of a pixel by its view's eleven numbers; `arm` (3,) is a buffer."""
     for i in range(3):  # C v
         arm[i] = camera[i] - rig.translations[view, i]
     for a in range(2):
@@ -256,7 +256,7 @@ def _by_view_into(
 
 @inner
 def _by_rotation_vector_into(by: Float64, arm: Float64, out: Float64) -> None:
-    """Derive by the vector of a small rotation of `arm` (3,): by (3,) times -[arm]_x."""
+    """Write the derivative by a small rotation vector of `arm` (3,): by (3,) times -[arm]_x."""
     out[0] = arm[1] * by[2] - arm[2] * by[1]
     out[1] = arm[2] * by[0] - arm[0] * by[2]
     out[2] = arm[0] * by[1] - arm[1] * by[0]
@@ -304,9 +304,9 @@ def eliminate(
     reduced: Float64,
     right: Float64,
 ) -> None:
-    """Eliminate the points: their damped inverse blocks (P, 3, 3) and the Schur complement.
+    """Eliminate the points: write their damped inverse blocks (P, 3, 3) and the Schur complement.
 
-    Of the complement (C, C) the lower half is written, and its right-hand side (C,).
+    Only the lower half of the complement (C, C) is written, and its right-hand side (C,).
     """
     size = len(right)
     block, carried = np.empty((3, 3)), np.empty((3, size))
@@ -338,7 +338,7 @@ def eliminate(
 def back_substitute(
     equations: NormalEquations, inverses: Float64, rest_step: Float64, points_step: Float64
 ) -> None:
-    """Write the step of the points (P, 3) that belongs to that of the rest."""
+    """Write the step of the points (P, 3) from that of the other unknowns."""
     left = np.empty(3)
     for p in range(len(points_step)):
         for i in range(3):

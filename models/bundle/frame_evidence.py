@@ -1,4 +1,4 @@
-"""How likely a rig and a shape model make the keypoints of each frame, whatever its structure.
+"""The marginal likelihood of each frame's keypoints under a rig and a shape model.
 
 Laplace's method: structure and poses are integrated out about their best values (MacKay,
 *Information Theory, Inference, and Learning Algorithms*, 2003, ch. 27). The best structure alone
@@ -14,17 +14,17 @@ from models.bundle.scene_adjustment import adjust_frames, normal_equations
 
 Float64 = NDArray[np.float64]
 
-FREEDOM = 8.0  # of the multivariate t by which a frame unlike all others counts little; a guess
+FREEDOM = 8.0  # of the multivariate t, with which a frame unlike all others counts little; a guess
 ITERATIONS = 15
 TINY = 1e-12
 
 
 def log_evidence(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> Float64:
-    """Return the log likelihood (N,) of what each frame shows, up to a constant of the keypoints.
+    """Return the log likelihood (N,) of each frame's keypoints, up to a constant.
 
-    `scene` is a start that is adjusted first. For each group of views, the subject is as likely in
-    every part of the image and at every order of distance, so that a rig that is larger as a whole
-    is no likelier. NaN where a frame cannot be explained.
+    `scene` is a start that is adjusted first. For each group of views, the prior of the subject's
+    place is uniform over the image and over the log distance, so the overall size of a rig does not
+    matter. NaN where a frame cannot be explained.
     """
     scene, costs = adjust_frames(views, rig, prior, scene, iterations=ITERATIONS)
     numbers = 2 * (views.weights > 0).sum((1, 2))  # (N,)

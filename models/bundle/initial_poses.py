@@ -15,10 +15,10 @@ from models.numerics.threads import empty_aligned
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-# Pull to the mean of what the views say along their rays, as a share of the pull across them: it
-# decides only where all rays are nearly parallel.
+# Weight of the mean of the views' positions along their rays, relative to that across them: it
+# matters only where all rays are nearly parallel.
 ALONG_RAYS = 1e-3
-MOST_GROWTH = 10.0  # a view's depth says that a group is at most so many times larger or smaller
+MOST_GROWTH = 10.0  # largest factor by which a view's depth may change the size of a group
 
 
 class WeakPerspectiveScene(NamedTuple):
@@ -67,11 +67,11 @@ def start_view(
     rotation: Float64,
     translation: Float64,
 ) -> None:
-    """Write R (3, 3) and t (3,) in perspective of one view seen with weak perspective."""
+    """Compute R (3, 3) and t (3,) in perspective from one view's weak-perspective camera."""
     lenses = rig.lenses
     x = (weak_translation[0] - lenses.centres[view, 0]) / lenses.focals[view, 0]
     y = (weak_translation[1] - lenses.centres[view, 1]) / lenses.focals[view, 1]
-    # A camera that looks past the subject sees it rotated by the angle it looks past.
+    # A camera that points past the subject sees it rotated by the angle between.
     sine = math.sqrt(x * x + y * y)
     angle = math.atan(sine) / max(sine, 1e-12)
     past = np.empty((3, 3))
@@ -84,7 +84,7 @@ def start_view(
 def gather(scene: Scene, rig: Rig, seen: Bool) -> Scene:
     """Turn poses of every view (a group for each) into poses of the rig's groups.
 
-    A group's pose is what its views that are there, `seen` (N, K), say of it together.
+    A group's pose is estimated from those of its views that are there, `seen` (N, K).
     """
     frames = len(scene.points)
     gathered = Scene(
@@ -111,9 +111,9 @@ def gather_frame(
 ) -> None:
     """Write the poses of a frame's groups from those (K, 3, 3) and (K, 3) of its views.
 
-    For each group two least-squares problems and a mean: the rotation nearest to those that its
-    views say, the point nearest to their rays to the structure, and the size at which that point
-    has the depths that they say. The points of `out` stay as they are.
+    For each group two least-squares problems and a mean are solved: the rotation nearest to those
+    of its views, the point nearest to their rays to the structure, and the size at which that point
+    has their depths. The points of `out` stay as they are.
     """
     shares = np.empty(len(seen))
     for g in range(len(out.sizes)):
@@ -129,7 +129,7 @@ def gather_frame(
 
 @inner
 def _share_votes(rig: Rig, seen: Bool, group: int, shares: Float64) -> tuple[int, int]:
-    """Write the views' shares (K,) in a group's pose; return its number of views, and the last.
+    """Write the views' weights (K,) in a group's pose; return its number of views, and the last.
 
     The views that are there share equally; if none is, all of the group's do.
     """
@@ -164,8 +164,8 @@ def _nearest_point_to_rays_into(
 ) -> None:
     """Write the point v (3,) of a group that minimises sum |A (C v + d)|^2 over its views.
 
-    A = 1 - u u^T takes the part across the view's ray u to the structure. The mean of C^T (t - d),
-    where the views say that the structure is, pulls weakly.
+    A = 1 - u u^T projects onto the plane across the view's ray u to the structure. The mean of
+    C^T (t - d), the views' estimates of the structure's place, is a weak prior.
     """
     normal, inverted, across = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     target, mean = np.empty(3), np.empty(3)
@@ -206,7 +206,7 @@ def _nearest_point_to_rays_into(
 
 @inner
 def _log_size(rig: Rig, translations: Float64, shares: Float64, centre: Float64) -> float:
-    """Mean log ratio of a group's distance from its views to what these say of it."""
+    """Return the mean log ratio of a group's distance from its views to the views' estimates."""
     log_size = 0.0
     camera = np.empty(3)
     for k in range(len(shares)):

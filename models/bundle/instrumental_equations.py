@@ -1,10 +1,10 @@
-"""Normal equations of resting cameras, linearised at keypoints from which noise was removed.
+"""Normal equations of static cameras, linearised at keypoints from which noise was removed.
 
-Removing noise pulls keypoints to where they usually are. A rig that is adjusted to such keypoints
-is adjusted to that pull, too; detected keypoints are not pulled, but too noisy to linearise at.
-Here each does what it is good for: derivatives are those at clear keypoints, the right-hand sides
-are detected ones. Noise is then in the right-hand sides alone, and errs to neither side
-(Reiersol, *Confluence analysis by means of instrumental sets of variables*, 1945).
+Removing noise pulls keypoints towards their usual positions. A rig that is adjusted to such
+keypoints is biased by this. Detected keypoints have no such bias, but are too noisy to linearise
+at. So both are used: derivatives are those at clear keypoints, right-hand sides are those of
+detected ones. Noise is then in the right-hand sides alone, and causes no bias (Reiersol,
+*Confluence analysis by means of instrumental sets of variables*, 1945).
 """
 
 import math
@@ -39,20 +39,20 @@ class NoisyFrames(NamedTuple):
 
 
 class InstrumentalEquations(NamedTuple):
-    """What points tell of the T = 11 K shared numbers, points eliminated, and how they follow."""
+    """Equations of the T = 11 K shared numbers, with points eliminated, and the points' moves."""
 
     information: Float64  # (T, T)
     right: Float64  # (T,)
-    by_shared: Float64  # (N, P, 3, T) how points follow the shared numbers
-    clear_moves: Float64  # (N, P, 3) to where clear keypoints have the points
-    detected_moves: Float64  # (N, P, 3) to where detected keypoints have them
-    covariances: Float64  # (N, P, 3, 3) of the latter; 0 where no two views tell
-    told: NDArray[np.bool_]  # (N, P) by two views or more
+    by_shared: Float64  # (N, P, 3, T) derivative of the points by the shared numbers
+    clear_moves: Float64  # (N, P, 3) to the points of clear keypoints
+    detected_moves: Float64  # (N, P, 3) to those of detected keypoints
+    covariances: Float64  # (N, P, 3, 3) of the latter; 0 where fewer than two views see the point
+    measured: NDArray[np.bool_]  # (N, P) whether two views or more see the point
 
 
 def triangulate_clear(frames: NoisyFrames, rig: Rig) -> Float64:
-    """Points (N, P, 3) in the frame of the views that rest, as pinholes; NaN where not told."""
-    views = np.flatnonzero(rig.resting)
+    """Return points (N, P, 3) in the static views' frame, as pinholes; NaN if not measured."""
+    views = np.flatnonzero(rig.static)
     lenses = rig.lenses.of(views)
     flat = (frames.clear[:, views] - lenses.centres[:, None]) / lenses.focals[:, None]
     shown = np.where(frames.weights[:, views, :, None] > 0, flat, np.nan)
@@ -61,9 +61,9 @@ def triangulate_clear(frames: NoisyFrames, rig: Rig) -> Float64:
 
 
 def linearise_at_clear(frames: NoisyFrames, rig: Rig, points: Float64) -> InstrumentalEquations:
-    """Linearise at points (N, P, 3) in the frame of the views that rest; others say nothing.
+    """Linearise at points (N, P, 3) in the frame of the static views; other views are ignored.
 
-    Where a detected keypoint lies many times the noise off, it counts less.
+    A detected keypoint counts less if it is many times the noise off.
     """
     count, keypoints, _ = points.shape
     total = VIEW * len(rig.groups)
@@ -78,7 +78,7 @@ def linearise_at_clear(frames: NoisyFrames, rig: Rig, points: Float64) -> Instru
         np.zeros((count, keypoints), np.bool_),
     )
     there: NDArray[np.bool_] = np.all(np.isfinite(points), -1)  # (N, P)
-    weights = frames.weights * rig.resting[:, None] * there[:, None]
+    weights = frames.weights * rig.static[:, None] * there[:, None]
     frames = frames._replace(weights=weights)
     in_slices(
         count,
@@ -113,7 +113,7 @@ def _linearise(
                         frames, rig, points[n, p], n, k, p, by_point[k], by_view[k], residuals
                     )
                 seen += own[k] > 0
-            out.told[n, p] = seen > 1
+            out.measured[n, p] = seen > 1
             for moves in (out.clear_moves[n, p], out.detected_moves[n, p]):
                 fill(moves, 0)
             fill(out.by_shared[n, p], 0)
@@ -134,7 +134,7 @@ def _differentiate(
     by_view: Float64,
     residuals: Float64,
 ) -> float:
-    """Write derivatives and both residuals of a pixel; returns its weight, 0 behind the camera."""
+    """Write derivatives and both residuals of a pixel; return its weight, 0 behind the camera."""
     arm, camera, pixel = np.empty(3), np.empty(3), np.empty(2)
     by_camera, by_lens = np.empty((2, 3)), np.empty((2, LENS))
     rotation = rig.rotations[k]
@@ -177,7 +177,7 @@ def _eliminate(
     coupling: Float64,
     out: InstrumentalEquations,
 ) -> None:
-    """Add what a point tells of the shared numbers, and write how it follows them."""
+    """Add a point's equations of the shared numbers, and write its derivative by them."""
     fill(inverse, 0)
     fill(coupling, 0)
     clear, detected = out.clear_moves[n, p], out.detected_moves[n, p]
@@ -218,7 +218,7 @@ def _add_view(
     coupling: Float64,
     pulls: Float64,
 ) -> None:
-    """Add what a view tells of a point."""
+    """Add a view's information on a point."""
     for a in range(2):
         for i in range(3):
             u = weight * by_point[a, i]
@@ -239,7 +239,7 @@ def _add_shared(
     information: Float64,
     right: Float64,
 ) -> None:
-    """Add what a view tells of its shared numbers, were the point known."""
+    """Add a view's equations of its shared numbers, as if the point were known."""
     for a in range(2):
         for i in range(VIEW):
             u = weight * by_view[a, i]

@@ -1,10 +1,10 @@
-"""Structures that a fit knows, and the shape prior that those most like a frame make for it.
+"""Known structures of a fit, and the shape prior from those most similar to a frame.
 
-Where few views tell a keypoint, the network's answer and its errors, which are the same for every
-frame, say little. A capture comes back to its poses, and where it does, the structures nearest to
-a frame say more: their mean and how they differ are a Gaussian prior of this frame alone. It is
-non-local Bayes (Lebrun, Buades and Morel, *A Nonlocal Bayesian Image Denoising Algorithm*, 2013)
-with structures in the place of patches.
+For a keypoint seen by fewer than two views, the network's answer with one covariance for all frames
+is a weak prior. Captures repeat poses, and then the structures nearest to a frame are a better one:
+their mean and their differences make a Gaussian prior of this frame alone. This is non-local Bayes
+(Lebrun, Buades and Morel, *A Nonlocal Bayesian Image Denoising Algorithm*, 2013) with structures in
+place of patches.
 """
 
 import math
@@ -23,9 +23,9 @@ Int64 = NDArray[np.int64]
 
 NEIGHBOURS = 10  # that make a prior where views hide keypoints
 NOISY_NEIGHBOURS = 20  # and where keypoints are noisy
-LEAST_STRUCTURES = 40  # to look among: of fewer, ten are no neighbours
-WEIGHTS = np.array([0.01, 0.1, 1.0])  # of a keypoint that no view told, that one did, that more did
-ALONG_RAY = 0.25  # weight of a difference that the only view of a keypoint hardly sees
+LEAST_STRUCTURES = 40  # with fewer, ten are no neighbours
+WEIGHTS = np.array([0.01, 0.1, 1.0])  # of a keypoint seen by no view, by one, by more
+ALONG_RAY = 0.25  # weight of a difference along the ray of a keypoint's only view
 # Variance beside the neighbours' directions, in mean variances of their coordinates: where views
 # hide keypoints, and where keypoints are noisy.
 SPREAD, NOISY_SPREAD = 1.0, 0.1
@@ -33,11 +33,11 @@ LEAST_SPREAD = 1e-4  # standard deviation, radii of the structure
 
 
 class KnownStructures(NamedTuple):
-    """T structures in the frame of reference of a fit's shapes; of none, nothing is known."""
+    """T structures in the frame of reference of a fit's shapes; there may be none."""
 
     points: Float64  # (T, P, 3) aligned to the mean of the shapes
     weights: Float64  # (T, P) of `WEIGHTS`
-    believed: Float64  # (V,) 1 if they better frames of one view, two, ... V or more; else 0
+    believed: Float64  # (V,) 1 if they improve frames of one view, two, ... V or more; else 0
 
     def to_arrays(self) -> Arrays:
         """Return the structures as tensors, for a file."""
@@ -69,7 +69,7 @@ class KnownStructures(NamedTuple):
 
 
 def no_structures(keypoints: int) -> KnownStructures:
-    """Return structures of which there are none."""
+    """Return an empty set of structures."""
     return KnownStructures(np.zeros((0, keypoints, 3)), np.zeros((0, keypoints)), np.zeros(1))
 
 
@@ -77,10 +77,10 @@ def no_structures(keypoints: int) -> KnownStructures:
 def prior_of_neighbours(
     known: KnownStructures, points: Float64, views: Int64, rays: Float64, size: int, spread: float
 ) -> ShapePrior:
-    """Return the shape prior that the `size` known structures nearest to `points` (P, 3) make.
+    """Return the shape prior from the `size` known structures nearest to `points` (P, 3).
 
-    Points are aligned to the mean of the shapes. `views` (P,) is how many views show a keypoint;
-    where it is one, `rays` (P, 3) is the unit vector along which that view sees it.
+    Points are aligned to the mean of the shapes. `views` (P,) counts the views that show a
+    keypoint; if it is one, `rays` (P, 3) is the unit vector of that view's ray.
     """
     count = len(points)
     nearest = np.zeros(size, np.int64)
@@ -95,7 +95,7 @@ def prior_of_neighbours(
     for p in range(count):
         for i in range(3):
             mean[p, i] /= weight[p]
-    # The mean of so few is itself off by its share of their variance.
+    # The mean of so few has an error of its own: its share of their variance.
     basis, variance = np.empty((3 * count, size)), 0.0
     for q in range(size):
         for p in range(count):
@@ -120,7 +120,7 @@ def prior_of_neighbours(
 def _find_nearest(
     known: KnownStructures, points: Float64, views: Int64, rays: Float64, nearest: Int64
 ) -> None:
-    """Write which structures differ least from `points` in what views tell, nearest first."""
+    """Write the structures that differ least from `points` where views measure, nearest first."""
     distances = np.full(len(nearest), np.inf)
     most = max(float((views > 0).sum()), WEIGHTS[0])  # the weight of all, as none is over 1
     for t in range(len(known.points)):

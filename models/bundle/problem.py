@@ -1,10 +1,10 @@
-"""What bundle adjustment knows and looks for, as named arrays that compiled functions take.
+"""The data and unknowns of bundle adjustment, as named arrays that compiled functions take.
 
 Every frame has a structure X (P, 3) with a Gaussian shape prior, and every *group* of cameras has
-a similarity per frame, `v = e^a R X + t`. Cameras that rest relative to each other form a group and
-see it through extrinsics that all frames share, `x_cam = C v + d`; a camera that moves on its own
-is a group of one, with C = 1 and d = 0. A rig at rest, moving cameras and any mixture of the two
-are thus one problem.
+a similarity per frame, `v = e^a R X + t`. Cameras that are static relative to each other form a
+group and see it through extrinsics that all frames share, `x_cam = C v + d`. A moving camera is a
+group of one, with C = 1 and d = 0. So a static rig, moving cameras and any mixture of the two are
+one problem.
 
 Everything is float64: N frames, K views, P keypoints, G groups, Q components of the shape prior.
 Compiled functions of one frame take the same tuples without the leading N.
@@ -25,26 +25,26 @@ Tuple = TypeVar("Tuple", bound=NamedTuple)
 POSE = 7  # unknowns of a group in a frame: rotation vector, translation, log size
 LENS = 5  # of a lens: log focal length, principal point (x, y), first two radial coefficients
 EXTRINSICS = 6  # of a camera in its group: rotation vector, translation
-VIEW = LENS + EXTRINSICS  # what all frames share of a view
+VIEW = LENS + EXTRINSICS  # numbers of a view that all frames share
 FOCAL, CENTRE_X, CENTRE_Y, RADIAL, RADIAL_2 = range(LENS)  # places among a view's eleven numbers
 
-SIZE_SD = 0.3  # of the log size of a subject from frame to frame, seen by cameras at rest
-FIXED = 1e8  # inverse variance of what does not vary
+SIZE_SD = 0.3  # of the log size of a subject from frame to frame, seen by static cameras
+FIXED = 1e8  # inverse variance of numbers that are held
 
 
 class Views(NamedTuple):
-    """What was seen, and how surely."""
+    """Keypoints and their weights."""
 
     keypoints: Float64  # (N, K, P, 2) pixels, any finite number where the weight is 0
     weights: Float64  # (N, K, P) confidence over noise variance, 1 / pixels^2
 
     def of(self, frames: Int64 | slice) -> "Views":
-        """Return what was seen in some of the frames."""
+        """Return the keypoints of some of the frames."""
         return Views(*(array[frames] for array in self))
 
 
 class Rig(NamedTuple):
-    """What all frames share of K views; see `make_rig`."""
+    """The numbers of K views that all frames share; see `make_rig`."""
 
     lenses: Lenses
     groups: Int64  # (K,) the group of each view, 0 to G - 1
@@ -63,16 +63,16 @@ class Rig(NamedTuple):
         return np.bincount(self.groups, minlength=self.group_count)
 
     @property
-    def resting(self) -> NDArray[np.bool_]:
-        """Which views (K,) rest relative to another."""
+    def static(self) -> NDArray[np.bool_]:
+        """Which views (K,) are static relative to another."""
         return self.members[self.groups] > 1
 
 
 class ShapePrior(NamedTuple):
-    """About a mean per frame: x = mean + s (B z + e), z ~ N(0, 1), e ~ N(0, spread^2).
+    """Gaussian about a mean per frame: x = mean + s (B z + e), z ~ N(0, 1), e ~ N(0, spread^2).
 
-    With `heavy` tails the scale of a frame is s or, if its structure says so, more: the density is
-    the profile of the Gaussian over all scales from s on. See `make_shape_prior`.
+    With `heavy` tails the scale of a frame may be larger than s, if its structure fits that better:
+    the density is the profile of the Gaussian over all scales from s on. See `make_shape_prior`.
     """
 
     means: Float64  # (N, P, 3)
@@ -104,8 +104,8 @@ class Scene(NamedTuple):
 def make_rig(lenses: Lenses, groups: Int64, rotations: Float64, translations: Float64) -> Rig:
     """Lay out a rig for compiled functions.
 
-    Where several views see a group, its size varies from frame to frame by `SIZE_SD`. With one view
-    the size is held: it and the distance are one.
+    If several views see a group, its size varies from frame to frame by `SIZE_SD`. With one view
+    the size is held, because only its ratio to the distance is determined.
     """
     members = np.bincount(groups)
     return Rig(
@@ -118,7 +118,7 @@ def make_rig(lenses: Lenses, groups: Int64, rotations: Float64, translations: Fl
 
 
 def moving_rig(lenses: Lenses) -> Rig:
-    """Return the rig in which every view is a group of its own."""
+    """Return the rig in which every view is a separate group."""
     views = len(lenses.focals)
     return make_rig(
         lenses, np.arange(views), np.tile(np.eye(3), (views, 1, 1)), np.zeros((views, 3))
@@ -143,13 +143,13 @@ def make_shape_prior(
 
 
 def contiguous(arrays: Tuple) -> Tuple:
-    """Return named arrays laid out in C order: compiled functions are made for no other."""
+    """Return named arrays laid out in C order, as compiled functions need them."""
     laid_out: Any = map(np.ascontiguousarray, arrays)
     return type(arrays)._make(laid_out)
 
 
 def points_in_cameras(scene: Scene, rig: Rig) -> Float64:
-    """Points in every camera's frame (N, K, P, 3)."""
+    """Return the points in every camera's frame (N, K, P, 3)."""
     turned = scene.points[:, None] @ scene.rotations.mT  # (N, G, P, 3)
     grown = np.exp(scene.sizes)[..., None, None] * turned
     held = grown[:, rig.groups] + scene.translations[:, rig.groups, None]  # v, (N, K, P, 3)
@@ -159,7 +159,7 @@ def points_in_cameras(scene: Scene, rig: Rig) -> Float64:
 
 @inner
 def views_of_frame(views: Views, n: int) -> Views:
-    """Return what was seen in frame n: (K, P, 2) and (K, P)."""
+    """Return keypoints and weights of frame n: (K, P, 2) and (K, P)."""
     return Views(views.keypoints[n], views.weights[n])
 
 

@@ -1,4 +1,4 @@
-"""All frames of a scene, each on its own: costs, normal equations and optima, in threads."""
+"""All frames of a scene separately: costs, normal equations and optima, in threads."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from models.numerics.threads import empty_aligned, in_slices
 
 Float64 = NDArray[np.float64]
 
-FRAMES_AT_A_TIME = 16  # that a thread takes
+FRAMES_AT_A_TIME = 16  # in one slice of a thread
 
 
 def costs_of(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> Float64:
@@ -58,7 +58,7 @@ def _costs(
 def normal_equations(
     views: Views, rig: Rig, prior: ShapePrior, scene: Scene, *, shared: bool
 ) -> NormalEquations:
-    """Linearise every frame; with `shared`, also in what all frames share (T = 11 K, else 0)."""
+    """Linearise every frame; with `shared`, also in the shared numbers (T = 11 K, else 0)."""
     views, scene = contiguous(views), contiguous(scene)
     frames, count, _ = scene.points.shape
     columns = POSE * rig.group_count + prior.basis.shape[1]
@@ -101,7 +101,7 @@ def _linearise(
 def adjust_frames(
     views: Views, rig: Rig, prior: ShapePrior, scene: Scene, *, iterations: int = 20
 ) -> tuple[Scene, Float64]:
-    """Adjust every frame on its own, the rig as it is; the scene and its costs (N,).
+    """Adjust every frame separately, with a fixed rig; return the scene and its costs (N,).
 
     A frame with a point behind a camera stays as it is, with an infinite cost.
     """

@@ -1,4 +1,4 @@
-"""The Gaussian shape model: what structures vary like, learnt from structures and covariances."""
+"""The Gaussian shape model: the variation of structures, learnt from these and covariances."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,10 +11,10 @@ from models.numerics.rotations import nearest_rotations
 
 Float64 = NDArray[np.float64]
 
-MOST_COMPONENTS = 40  # of a shape model; the rest of the variance is isotropic
-LEAST_ERROR = 1e-3  # root-mean-square error, in radii of the structure, that no network falls below
+MOST_COMPONENTS = 40  # of a shape model; the remaining variance is isotropic
+LEAST_ERROR = 1e-3  # smallest root-mean-square error of a network, in radii of the structure
 LEAST_SHARE = 0.05  # of it, in each coordinate that is not along a component
-ALIGNMENTS = 5  # rounds of aligning to the mean and taking it anew
+ALIGNMENTS = 5  # rounds of aligning to the mean and computing it again
 SIMILARITY = 7  # directions in which shifts, scale and rotations move a structure
 TINY = 1e-12
 
@@ -31,9 +31,9 @@ class ShapeModel(NamedTuple):
 
 
 class NetworkErrors(NamedTuple):
-    """How far the network's structures are off: by s (B z + e), s for the number of views it saw.
+    """The errors of the network's structures: s (B z + e), with s for the number of views.
 
-    Empty scales stand for errors that were not learnt.
+    Empty scales mean that errors were not learnt.
     """
 
     basis: Float64  # (P, 3, Q)
@@ -47,7 +47,7 @@ class NetworkErrors(NamedTuple):
 
 
 class Similarity(NamedTuple):
-    """What takes structures to a mean: scale (x - centre) Q."""
+    """The similarity that takes structures to a mean: scale (x - centre) Q."""
 
     scales: Float64  # (N,)
     rotations: Float64  # (N, 3, 3) Q, acting on row vectors
@@ -55,7 +55,7 @@ class Similarity(NamedTuple):
 
 
 def align(points: Float64, mean: Float64) -> tuple[Float64, Similarity]:
-    """Bring structures (N, P, 3) onto `mean` (P, 3) or (N, P, 3), never mirrored, by least squares.
+    """Align structures (N, P, 3) to `mean` (P, 3) or (N, P, 3), never mirrored, by least squares.
 
     Umeyama, *Least-squares estimation of transformation parameters*, 1991.
     """
@@ -68,10 +68,10 @@ def align(points: Float64, mean: Float64) -> tuple[Float64, Similarity]:
 
 
 def learn_shapes(points: Float64, covariances: Float64, *, floor: float) -> ShapeModel:
-    """Maximum likelihood of structures (N, P, 3) that are themselves known up to covariances.
+    """Fit a shape model by maximum likelihood to structures (N, P, 3) with covariances.
 
-    `covariances` (N, 3 P, 3 P) is added to the scatter (the M-step of EM); similarities, which
-    cameras explain, are projected out; `floor` is the least standard deviation.
+    `covariances` (N, 3 P, 3 P) are added to the scatter (the M-step of EM). Similarities, which
+    belong to the cameras, are projected out. `floor` is the least standard deviation.
     """
     frames, count, _ = points.shape
     mean = points.mean(0)
@@ -90,7 +90,7 @@ def learn_shapes(points: Float64, covariances: Float64, *, floor: float) -> Shap
 
 
 def unknown_network_errors(keypoints: int) -> NetworkErrors:
-    """Return errors that were not learnt."""
+    """Return the value for errors that were not learnt."""
     return NetworkErrors(np.zeros((keypoints, 3, 0)), 1.0, np.zeros(0))
 
 
@@ -99,13 +99,13 @@ def learn_network_errors(
 ) -> NetworkErrors:
     """Learn from errors (N, P, 3) in the frame of `mean` (P, 3), an array per number of views.
 
-    All of them tell in which directions the network errs; how far is learnt from the frames
+    The directions of the errors are learnt from all frames, their sizes from the frames
     `sizes_from` (N,) alone.
     """
     own = [np.sqrt(np.square(part).sum(-1).mean(-1)) for part in errors]  # of every frame
     judged = zip(own, sizes_from, strict=True)
     scales = np.array([lower_median(part[which]) for part, which in judged]).clip(LEAST_ERROR)
-    # A frame that is off by far counts no more than others; it is what heavy tails are for.
+    # A frame with a large error counts no more than others; heavy tails account for it.
     flat = np.concatenate(
         [
             part / alone.clip(scale)[:, None, None]
@@ -126,7 +126,7 @@ def similarity_directions(mean: Float64) -> Float64:
 
 
 def _components(mean: Float64, scatter: Float64, floor: float) -> ShapeModel:
-    """Decompose a scatter (3 P, 3 P), less what similarities of the mean explain."""
+    """Decompose a scatter (3 P, 3 P) with similarities of the mean projected out."""
     count = len(mean)
     kept_directions = 3 * count - SIMILARITY
     similarity = similarity_directions(mean)

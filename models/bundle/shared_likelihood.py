@@ -1,12 +1,12 @@
-"""What the keypoints say of the numbers that all frames share, at an optimum: how surely, and why.
+"""The likelihood of the numbers that all frames share, at an optimum, and its curvature.
 
-The log likelihood about the optimum is a parabola in the F free numbers, each frame following as
-its own optimum does. Three things make it less sharp than the normal equations of `adjustment` are:
-nothing is damped here; the shape model and the bone lengths were learnt from the same keypoints and
-follow the shared numbers, too (the missing information of EM: Louis, *Finding the observed
-information matrix when using the EM algorithm*, 1982); and errors of a detector are alike in all
-keypoints of a frame and in all frames of a keypoint (Cameron, Gelbach & Miller, *Robust inference
-with multiway clustering*, 2011).
+The log likelihood about the optimum is a parabola in the F free numbers, with each frame at its own
+optimum. Three things make it less sharp than the normal equations of `adjustment`. Nothing is
+damped here. The shape model and the bone lengths were learnt from the same keypoints and follow the
+shared numbers, too (the missing information of EM: Louis, *Finding the observed information matrix
+when using the EM algorithm*, 1982). And errors of a detector are correlated in all keypoints of a
+frame and in all frames of a keypoint (Cameron, Gelbach & Miller, *Robust inference with multiway
+clustering*, 2011).
 """
 
 from typing import NamedTuple
@@ -31,17 +31,17 @@ STEP = 1e-5  # of a shared number, for differences of pixels
 
 
 class SharedLikelihood(NamedTuple):
-    """A parabola in F shared numbers about where they are."""
+    """A parabola in F shared numbers about their present values."""
 
     score: Float64  # (F,) its slope
-    curvature: Float64  # (F, F) for the shape model and bone lengths as they are
-    learnt: Float64  # (F, F) the part of it that learning these takes away
-    clustered: Float64  # (F, F) covariance of the score, from its parts' own scatter
-    growth: Float64  # (G, F) of the mean log size of what each group sees
+    curvature: Float64  # (F, F) with shape model and bone lengths fixed
+    learnt: Float64  # (F, F) the part of it that is lost because these are learnt
+    clustered: Float64  # (F, F) covariance of the score, from the scatter of its parts
+    growth: Float64  # (G, F) derivative of the mean log size in each group
 
     @property
     def information(self) -> Float64:
-        """Inverse covariance (F, F) of the shared numbers, as far as keypoints tell them."""
+        """Inverse covariance (F, F) of the shared numbers from keypoints alone."""
         return self.curvature - self.learnt
 
 
@@ -55,10 +55,10 @@ def likelihood_of_shared(
     bones: BoneLengths | None = None,
     by_keypoint: bool = True,
 ) -> SharedLikelihood:
-    """Return the likelihood of what is `free` (T,) of the shared; F of them.
+    """Return the likelihood of the `free` (T,) shared numbers; F of them.
 
-    The prior must be a learnt shape model: the same for all frames. Without `by_keypoint` errors
-    count as alike within a frame only, which takes less time.
+    The prior must be a learnt shape model, the same for all frames. Without `by_keypoint` errors
+    count as correlated within frames only, which takes less time.
     """
     equations = normal_equations(views, rig, prior, scene, shared=True)
     reduced = eliminate_frames(equations, free, LEAST_DAMPING)
@@ -80,7 +80,7 @@ def likelihood_of_shared(
 
 
 def _growth(reduced: Reduced, scene: Scene) -> Float64:
-    """How the mean log size (G, F) of what each group sees follows the shared numbers."""
+    """Return the derivative (G, F) of the mean log size in each group by the shared numbers."""
     centred = scene.points - scene.points.mean(1, keepdims=True)  # (N, P, 3)
     along = centred / np.square(centred).sum((1, 2), keepdims=True)
     structures = np.einsum("npi,npif->f", along, reduced.points_by_shared) / len(along)
@@ -91,9 +91,9 @@ def _growth(reduced: Reduced, scene: Scene) -> Float64:
 
 
 def _learnt_shapes(reduced: Reduced, prior: ShapePrior, scene: Scene) -> Float64:
-    """Information (F, F) that is lost since mean and covariance of the shapes are learnt.
+    """Return the information (F, F) lost because mean and covariance of the shapes are learnt.
 
-    With x the structures and x' what they do as a shared number moves, the scatter S changes by
+    With structures x and their derivatives x' by a shared number, the scatter S changes by
     S' = mean (x x'^T + x' x^T), and a Gaussian that follows it loses N/2 tr(S^-1 S' S^-1 S').
     """
     frames, count, _ = scene.points.shape
@@ -113,7 +113,7 @@ def _learnt_shapes(reduced: Reduced, prior: ShapePrior, scene: Scene) -> Float64
     axes = np.linalg.qr(root @ prior.basis)[0] if prior.basis.shape[1] else prior.basis  # (3 P, Q)
     along = axes.T @ changes  # (F, Q, 3 P)
     within = along @ axes  # (F, Q, Q)
-    # The model follows what touches its components, and the size of what is beside them.
+    # The model follows changes of its components, and the size of the isotropic part.
     rest = (changes.trace(axis1=1, axis2=2) - within.trace(axis1=1, axis2=2))[:, None]
     beside = max(size - away.shape[1] - axes.shape[1], 1)
     flat_along, flat_within = (a.reshape(len(a), -1) for a in (along, within))
@@ -157,7 +157,7 @@ def _scores_of_keypoints(
 
 
 class _OfBones(NamedTuple):
-    """What bone lengths say, as `SharedLikelihood` has it."""
+    """The terms of bone lengths in `SharedLikelihood`."""
 
     scores: Float64  # (N, E, F)
     curvature: Float64  # (F, F)

@@ -1,4 +1,4 @@
-"""How surely each frame's structure is known, its poses being unknown, too; compiled."""
+"""Covariances of each frame's structure, with poses marginalised; compiled."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ Float64 = NDArray[np.float64]
 
 
 def structure_covariances(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> Float64:
-    """Covariances (N, 3 P, 3 P) of the structures about their best values (Laplace).
+    """Return covariances (N, 3 P, 3 P) of the structures about their best values (Laplace).
 
     NaN for a frame whose normal equations are not positive definite.
     """

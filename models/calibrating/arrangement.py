@@ -1,6 +1,6 @@
-"""Which cameras rest relative to each other, and where.
+"""Which cameras are static relative to each other, and their poses.
 
-What a view's keypoints say in frames that nothing was learnt from decides, not the cameras.
+The decision is by the prediction of hidden keypoints in held-out frames.
 """
 
 import math
@@ -19,7 +19,7 @@ from models.calibrating.handedness import (
     Corners,
     Handed,
     certainty,
-    same_hand,
+    same_handedness,
     volume,
 )
 from models.calibrating.keypoint_rig import KeypointRig, rig_from_keypoints
@@ -35,7 +35,7 @@ from models.calibrating.prediction import (
 )
 from models.calibrating.problem import (
     CLEAR,
-    Problem,
+    CalibrationProblem,
     Solution,
     grouped,
 )
@@ -49,16 +49,16 @@ Bool = NDArray[np.bool_]
 
 MEDIAN_ROUNDS = 10  # of reweighting for a median of rotations
 LEAST_ANGLE = 1e-4  # radians, below which rotations weigh alike there
-MORE_ROUNDS = 2  # of learning, for what has been learnt from nearly the same frames
-SURE = 3.0  # standard errors by which hidden keypoints must speak against rest
-MORE_NOISE = 1.4  # times the noise of moving cameras: no rig at rest has more
-NEARLY = 3.0  # times the errors of lens models: what predicts so well may not be learnt to the end
+MORE_ROUNDS = 2  # of learning, for a solution learnt from nearly the same frames
+SURE = 3.0  # standard errors by which static cameras must predict worse to be rejected
+MORE_NOISE = 1.4  # times the noise of moving cameras: a static rig may not have more
+NEARLY = 3.0  # times the errors of lens models: a rig that predicts so well may not have converged
 LAST_ROUNDS = 8  # of learning, before it counts as moving
-NEGLIGIBLE = 0.05  # nats of a keypoint, of what lens models leave
+NEGLIGIBLE = 0.05  # nats of a keypoint, due to errors of lens models
 
 
 class RelativePose(NamedTuple):
-    """What takes the frame of view j to that of view k: x_k = R x_j + t, robust means."""
+    """The pose of view k relative to view j: x_k = R x_j + t, robust means."""
 
     rotation: Float64  # (3, 3)
     translation: Float64  # (3,) units of the structure
@@ -68,66 +68,72 @@ class RelativePose(NamedTuple):
 RelativePoses = dict[tuple[int, int], RelativePose]  # by views j < k
 
 
-class Rest(NamedTuple):
-    """Which cameras rest."""
+class StaticViews(NamedTuple):
+    """The static cameras, and why they are."""
 
     solution: Solution
     reason: str
-    # Log odds (N,) of its hand against the other, frame by frame, by each way there is to tell it.
+    # Log odds (N,) of its handedness against the other, frame by frame, from each evidence.
     evidence: list[Float64]
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
-    # Standard deviations (K, VIEW) of cameras that are those of the rigid scene, not of the shapes;
-    # infinite of those that are not. None: no camera is.
+    # Standard deviations (K, VIEW) of cameras that were estimated from the rigid scene rather than
+    # with shapes; infinite for the others. None: no camera was.
     kept: Float64 | None = None
 
 
-class Candidate(NamedTuple):
-    """Cameras at rest that are tried: a start on all frames."""
+class RigCandidate(NamedTuple):
+    """A static rig to try: a start on all frames."""
 
     source: str  # in words
     start: Solution
-    members: list[int]  # the views that rest
+    members: list[int]  # the static views
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
-    kept: Float64 | None = None  # as in `Rest`
+    kept: Float64 | None = None  # as in `StaticViews`
 
 
-class Judged(NamedTuple):
-    """A candidate after learning, and what it predicts of keypoints it was not shown."""
+class JudgedRig(NamedTuple):
+    """A candidate after learning, and its prediction of hidden keypoints."""
 
-    candidate: Candidate
+    candidate: RigCandidate
     learnt: Solution  # of the frames to learn from
-    distances: Float64  # (J, K, P) pixels, NaN where not asked
-    against: Float64  # (K,) nats by which hidden keypoints speak against rest, beyond chance
+    distances: Float64  # (J, K, P) pixels, NaN where not predicted
+    against: Float64  # (K,) nats by which static cameras predict worse, beyond chance
 
     @property
     def merits(self) -> tuple[bool, int]:
-        """Whether the keypoints bear it, and how many views rest."""
+        """Whether the keypoints agree with it, and its number of static views."""
         members = self.candidate.members
         return bool((self.against[members] <= 0).all()), len(members)
 
 
-def find_rest(
-    problem: Problem, handed: Handed, moving: Solution, *, declared: bool, hint: Corners | None
-) -> Steps[Rest]:
-    """Say which views rest relative to each other, and put them at rest.
+def find_static(
+    problem: CalibrationProblem,
+    handed: Handed,
+    moving: Solution,
+    *,
+    declared: bool,
+    hint: Corners | None,
+) -> Steps[StaticViews]:
+    """Find which views are static relative to each other, and estimate their poses.
 
     There are two ways to a rig: keypoints alone, and the relative rotations of the `moving`
     solution. Each rig is learnt from a part of the frames, like the moving cameras. In the other
-    frames some keypoints are hidden, and predicted from the rest. Views rest if they are predicted
-    no worse for it. Otherwise the view that suffers most moves, and the others are tried again.
-    Views that are `declared` to rest are joined in any case. The `hint` are four keypoints that
-    tell the hand (see `choose_hand`); `handed` is what the moving solution was learnt from.
+    frames some keypoints are hidden, and predicted from all others. Views are static if the
+    prediction is no worse than with moving cameras. Otherwise the worst view becomes moving, and
+    the others are tried again. Views that are `declared` static are joined in any case. The `hint`
+    are four keypoints that determine the handedness (see `choose_handedness`); `handed` is the
+    solution from which the moving one was learnt.
     """
     split = split_frames(len(problem.keypoints))
-    alone = Candidate("", moving, [], problem.lens_groups)
+    alone = RigCandidate("", moving, [], problem.lens_groups)
     unjoined = yield from _judge(alone, problem, split, rounds=MORE_ROUNDS)
-    members, reason = list(range(len(moving.rig.groups))), "no two views see enough together"
+    members, reason = list(range(len(moving.rig.groups))), "no two views share enough keypoints"
     while len(members) > 1:
         found = yield from rig_from_keypoints(problem, moving, members)
         candidates = [] if found is None else _by_keypoints(problem, moving, found, hint)
         groups = problem.lens_groups if found is None else found.lens_groups
         if len(members) == 2:
-            # Two views say little of their lenses without shapes, which moving cameras have learnt.
+            # Two views need shapes to determine their lenses, which moving cameras have learnt.
             joined = _by_rotations(problem, moving, members, groups)
             candidates = [*([] if joined is None else [joined]), *candidates]
         rival = None if declared else unjoined
@@ -138,49 +144,49 @@ def find_rest(
                 best = yield from _best([joined], problem, split, rival, best)
         if best is None:
             break
-        resting = best.candidate.members
+        static = best.candidate.members
         figures = (
             f"hidden keypoints are predicted to {typical_distance(best.distances):.3g} px if views"
-            f" {resting} rest ({best.candidate.source}),"
+            f" {static} are static ({best.candidate.source}),"
             f" to {typical_distance(unjoined.distances):.3g} px if all move"
         )
         if best.merits[0]:
             whole = _on_all_frames(best, split)
             kept = _believing(problem, best.candidate)
             solution = yield from learn(kept, whole, rounds=MORE_ROUNDS)
-            said = "the cameras were declared static; " if declared else ""
+            prefix = "the cameras were declared static; " if declared else ""
             evidence = _evidence(solution, handed, found)
-            return Rest(
+            return StaticViews(
                 solution,
-                said + figures,
+                prefix + figures,
                 evidence,
                 best.candidate.lens_groups,
                 best.candidate.kept,
             )
-        worst = max(resting, key=list(best.against).__getitem__)
-        reason = f"{figures}: view {worst} speaks against rest"
-        members = [view for view in resting if view != worst]
-    return Rest(moving, reason, _evidence(moving, handed, None), problem.lens_groups)
+        worst = max(static, key=list(best.against).__getitem__)
+        reason = f"{figures}: view {worst} is not static"
+        members = [view for view in static if view != worst]
+    return StaticViews(moving, reason, _evidence(moving, handed, None), problem.lens_groups)
 
 
 def _by_keypoints(
-    problem: Problem, moving: Solution, found: KeypointRig, hint: Corners | None
-) -> list[Candidate]:
-    """Return the rig that keypoints alone say, and its mirror image if they hardly tell which."""
+    problem: CalibrationProblem, moving: Solution, found: KeypointRig, hint: Corners | None
+) -> list[RigCandidate]:
+    """Return the rig from keypoints alone, and its mirror image if they hardly distinguish both."""
     noise = max(found.noise, moving.measured_noise)
     kept = found.deviations if len(found.members) > 2 and noise > CLEAR * problem.size else None
     members, groups = found.members, found.lens_groups
-    ours = Candidate("from keypoints", found.start, members, groups, kept)
-    theirs = Candidate("from keypoints, mirrored", found.mirror, members, groups, kept)
+    ours = RigCandidate("from keypoints", found.start, members, groups, kept)
+    theirs = RigCandidate("from keypoints, mirrored", found.mirror, members, groups, kept)
     if hint is not None:
         return [ours if volume(found.start.scene.points, hint) > 0 else theirs]
     return [ours] if certainty([found.log_odds]) > DECIDED else [ours, theirs]
 
 
 def _by_rotations(
-    problem: Problem, moving: Solution, members: list[int], groups: NDArray[np.int64]
-) -> Candidate | None:
-    """Return the rig that the relative rotations of the moving solution say."""
+    problem: CalibrationProblem, moving: Solution, members: list[int], groups: NDArray[np.int64]
+) -> RigCandidate | None:
+    """Return the rig from the relative rotations of the moving solution."""
     seen = (problem.weights > 0).sum(-1) >= MIN_KEYPOINTS
     relative: RelativePoses = {}
     for j, k in combinations(members, 2):
@@ -190,14 +196,14 @@ def _by_rotations(
     joined = _largest_component(relative, len(moving.rig.groups))
     if len(joined) < 2:
         return None
-    return Candidate("from rotations", _at_rest(moving, relative, joined, seen), joined, groups)
+    return RigCandidate("from rotations", _at_rest(moving, relative, joined, seen), joined, groups)
 
 
-def _believing(problem: Problem, candidate: Candidate) -> Problem:
-    """Return the problem with lenses as alike as the candidate's, or cameras that stay as they are.
+def _believing(problem: CalibrationProblem, candidate: RigCandidate) -> CalibrationProblem:
+    """Return the problem with the candidate's lens groups, or with cameras that are held.
 
-    Noisy structures are adjusted towards the shape model, and focal lengths follow them: they
-    come out 5 to 20 % short. Points at rest that three views see have no such prior.
+    Noisy structures are adjusted towards the shape model, and focal lengths follow: they come out 5
+    to 20 % short. Points of a rigid scene that three views see have no such prior.
     """
     problem = problem._replace(lens_groups=candidate.lens_groups)
     if candidate.kept is None:
@@ -206,33 +212,33 @@ def _believing(problem: Problem, candidate: Candidate) -> Problem:
 
 
 def _judge(
-    candidate: Candidate,
-    problem: Problem,
+    candidate: RigCandidate,
+    problem: CalibrationProblem,
     split: Split,
     *,
     rounds: int = ROUNDS,
     learnt: Solution | None = None,
-) -> Steps[Judged]:
-    """Learn from one part of the frames, or go on to, and predict hidden keypoints of the other."""
+) -> Steps[JudgedRig]:
+    """Learn, or learn on, from one part of the frames; predict hidden keypoints of the other."""
     part = _believing(problem, candidate).of(split.learning)
     start = candidate.start.of(split.learning) if learnt is None else learnt
     learnt = yield from learn(part, start, rounds=rounds)
     yield
     others = candidate.start.scene.of(split.judging)
     distances = predicted_distances(problem.of(split.judging), learnt, others)
-    return Judged(candidate, learnt, distances, np.zeros(distances.shape[1]))
+    return JudgedRig(candidate, learnt, distances, np.zeros(distances.shape[1]))
 
 
 def _best(
-    candidates: list[Candidate],
-    problem: Problem,
+    candidates: list[RigCandidate],
+    problem: CalibrationProblem,
     split: Split,
-    moving: Judged | None,
-    best: Judged | None = None,
-) -> Steps[Judged | None]:
-    """Judge candidates against the best so far, and against `moving` unless rest is declared.
+    moving: JudgedRig | None,
+    best: JudgedRig | None = None,
+) -> Steps[JudgedRig | None]:
+    """Compare candidates with the best so far, and with `moving` unless declared static.
 
-    What the keypoints do not determine is no rig.
+    A candidate that the keypoints do not determine is dropped.
     """
     for candidate in candidates:
         try:
@@ -241,7 +247,7 @@ def _best(
             continue
         asked = problem.of(split.judging)
         if moving is not None:
-            judged = judged._replace(against=_against_rest(asked, moving, judged))
+            judged = judged._replace(against=_against_static(asked, moving, judged))
             # With noise, more rounds only pull cameras further towards the shape model.
             clear = moving.learnt.measured_noise < CLEAR * problem.size
             near = typical_distance(judged.distances) < NEARLY * LENS_ERRORS * asked.side
@@ -249,31 +255,32 @@ def _best(
                 judged = yield from _judge(
                     candidate, problem, split, rounds=LAST_ROUNDS, learnt=judged.learnt
                 )
-                judged = judged._replace(against=_against_rest(asked, moving, judged))
+                judged = judged._replace(against=_against_static(asked, moving, judged))
         best = _better(asked, best, judged)
     return best
 
 
-def _better(asked: Problem, first: Judged | None, other: Judged) -> Judged:
-    """Return the other if it has greater merits, or predicts better beyond chance."""
+def _better(asked: CalibrationProblem, first: JudgedRig | None, other: JudgedRig) -> JudgedRig:
+    """Return the other if it ranks higher, or predicts better beyond chance."""
     if first is None or other.merits != first.merits:
         return other if first is None or other.merits > first.merits else first
     return other if predicts_better(asked, first.distances, other.distances) else first
 
 
 def _evidence(solution: Solution, handed: Handed, found: KeypointRig | None) -> list[Float64]:
-    """Return what moving cameras and the rig from keypoints say for a solution's hand."""
+    """Return the log odds of a solution's handedness from moving cameras and the rig."""
     evidence = [(handed.solution.scene.points, handed.log_odds)]
     if found is not None:
         evidence.append((found.start.scene.points, found.log_odds))
     return [
-        odds if same_hand(solution.scene.points, points) else -odds for points, odds in evidence
+        odds if same_handedness(solution.scene.points, points) else -odds
+        for points, odds in evidence
     ]
 
 
-def _against_rest(asked: Problem, moving: Judged, resting: Judged) -> Float64:
-    """By how much (K,) hidden keypoints speak against rest, beyond what chance explains; nats."""
-    both = (moving.distances, resting.distances)
+def _against_static(asked: CalibrationProblem, moving: JudgedRig, static: JudgedRig) -> Float64:
+    """Return by how many nats (K,) static cameras predict hidden keypoints worse, beyond chance."""
+    both = (moving.distances, static.distances)
     noise = common_noise(list(both), asked.side)
     free, joined = (surprise(distances, asked.weights, noise) for distances in both)
     worse = joined - free  # (J, K)
@@ -283,10 +290,10 @@ def _against_rest(asked: Problem, moving: Judged, resting: Judged) -> Float64:
         if len(known) > 1:
             error = float(known.std(ddof=1)) / math.sqrt(len(known))
             against[k] = known.mean() - SURE * error - NEGLIGIBLE
-    # Few hidden keypoints say little; the noise of all that were learnt from counts, too.
+    # Few hidden keypoints have little information; the noise of those learnt from counts, too.
     bearable = math.hypot(MORE_NOISE * moving.learnt.measured_noise, LENS_ERRORS * asked.side)
-    if resting.learnt.measured_noise > bearable:
-        members = resting.candidate.members
+    if static.learnt.measured_noise > bearable:
+        members = static.candidate.members
         most = float(against[members].max())
         if most == -math.inf:  # no keypoint could be hidden
             against[members] = NEGLIGIBLE
@@ -295,8 +302,8 @@ def _against_rest(asked: Problem, moving: Judged, resting: Judged) -> Float64:
     return against
 
 
-def _on_all_frames(judged: Judged, split: Split) -> Solution:
-    """Return what was learnt from one part of the frames as a start on all of them."""
+def _on_all_frames(judged: JudgedRig, split: Split) -> Solution:
+    """Return the solution learnt from one part of the frames as a start on all of them."""
     start, learnt = judged.candidate.start, judged.learnt
     points, similarity = align(start.scene.points, learnt.shapes.mean)
     scene = regauge(start.scene, points, similarity, learnt.rig)
@@ -306,7 +313,7 @@ def _on_all_frames(judged: Judged, split: Split) -> Solution:
 
 
 def _relative_pose(scene: Scene, seen: Bool, j: int, k: int) -> RelativePose | None:
-    """Return the pose of view k relative to view j, each a group; None if it cannot be told."""
+    """Return the pose of view k relative to view j, each a group; None if undetermined."""
     both = seen[:, j] & seen[:, k]
     if both.sum() < 2:
         return None
@@ -322,7 +329,7 @@ def _relative_pose(scene: Scene, seen: Bool, j: int, k: int) -> RelativePose | N
 
 
 def _angles(rotations: Float64) -> Float64:
-    """Angles (n,) in radians of rotations (n, 3, 3)."""
+    """Return the angles (n,) in radians of rotations (n, 3, 3)."""
     cosines = (rotations.trace(axis1=-2, axis2=-1) - 1) / 2
     angles: Float64 = np.arccos(cosines.clip(-1, 1))
     return angles
@@ -339,11 +346,11 @@ def _largest_component(relative: RelativePoses, views: int) -> list[int]:
 
 
 def _at_rest(moving: Solution, relative: RelativePoses, members: list[int], seen: Bool) -> Solution:
-    """Join `members` of the moving solution to one group; the others stay on their own."""
+    """Join `members` of the moving solution to one group; the others stay separate."""
     rig, scene = moving.rig, moving.scene
     rotations, translations = rig.rotations.copy(), rig.translations.copy()
     placed = {members[0]}
-    while len(placed) < len(members):  # along the surest relative poses
+    while len(placed) < len(members):  # along the most certain relative poses
         options = [pair for pair in relative if (pair[0] in placed) != (pair[1] in placed)]
         j, k = min(options, key=lambda pair: relative[pair].scatter)
         rotation, translation, _ = relative[j, k]

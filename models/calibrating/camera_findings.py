@@ -1,4 +1,4 @@
-"""What is to be said of cameras once they are found: doubtful lenses, noise, views face to face."""
+"""Findings about estimated cameras: doubtful lenses, noise, views that face each other."""
 
 from collections.abc import Iterator
 from itertools import combinations
@@ -12,7 +12,7 @@ from models.findings.finding import Finding
 from models.optics.lenses.projection import PINHOLE
 
 NOISY = 0.2  # of a view's radius: at a person's, 10 cm
-UNSURE_FOCAL = 0.2  # standard deviation of its log: the prior alone has little more
+UNSURE_FOCAL = 0.2  # standard deviation of its log: that of the prior is little larger
 SHORTEST, LONGEST = 0.35, 6.0  # focal lengths in sides of the image: fields of view of 110, 10 deg
 MOST_BENT = 1.0  # first radial coefficient, of a pinhole
 OFF_CENTRE = (
@@ -24,7 +24,7 @@ NARROW = 10.0  # degrees between two directions of view, or missing to 180
 def camera_findings(found: SelfCalibration, images: Images, size: float) -> tuple[Finding, ...]:
     """Return findings of cameras of views of `images`, whose root-mean-square radius is `size`.
 
-    What the user told of a camera is kept, and nothing is said of it.
+    Given numbers of a camera are kept and get no findings.
     """
     return (*_lenses(found, images), *_noise(found, size), *_opposite(found))
 
@@ -62,12 +62,12 @@ def _noise(found: SelfCalibration, size: float) -> Iterator[Finding]:
 
 
 def _opposite(found: SelfCalibration) -> Iterator[Finding]:
-    """Yield the pairs of resting views if all face each other or look from the same side."""
-    resting = np.flatnonzero(found.resting)
+    """Yield the pairs of static views if all face each other or look from the same side."""
+    static = np.flatnonzero(found.static)
     axes = found.rig.rotations[:, 2]  # (K, 3) directions of view in the common frame
     angles = {
         (int(a), int(b)): float(np.degrees(np.arccos(np.clip(axes[a] @ axes[b], -1, 1))))
-        for a, b in combinations(resting, 2)
+        for a, b in combinations(static, 2)
     }
     if angles and all(min(angle, 180 - angle) < NARROW for angle in angles.values()):
         for pair, angle in angles.items():

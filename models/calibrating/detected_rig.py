@@ -1,9 +1,10 @@
-"""Cameras at rest, adjusted to keypoints as they were detected and to lengths that stay the same.
+"""Static cameras, adjusted to keypoints as they were detected and to constant lengths.
 
-Where noise was removed, or shapes were learnt, keypoints are pulled to where they usually are, and
-cameras follow: with two views, focal lengths come out 5 to 20 % short, or long. See
-`models.bundle.instrumental_equations` for how that is kept out. Two views alone say nearly nothing
-of their focal lengths; that edges of a skeleton stay equally long wherever they point does.
+Removing noise and learning shapes pull keypoints towards their usual positions, and cameras follow:
+with two views, focal lengths come out 5 to 20 % short, or long.
+`models.bundle.instrumental_equations` explains how this bias is avoided. Two views alone hardly
+determine their focal lengths. Edges of a skeleton do, because they have the same length in every
+direction.
 """
 
 import math
@@ -25,13 +26,13 @@ from models.numerics.steps import Steps
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
-ROUNDS = 30  # of linearising anew, at most
+ROUNDS = 30  # of linearising, at most
 CONVERGED, LONGEST_STEP = 1e-3, 0.15  # radians, logarithms and baselines, in a round
 MOST_NUMBERS = 8_000_000  # of derivatives: 64 MB
-MOST_EDGES = 128  # that are asked: each frame has a matrix of as many rows
-GAUGE = 1e6  # inverse variance of how large the whole is, which nothing tells
+MOST_EDGES = 128  # that are used: each frame has a matrix of as many rows
+GAUGE = 1e6  # inverse variance of the overall size, which is undetermined
 # Lengths are in units of each edge's usual length.
-LEAST_SCATTER = 0.02  # keypoints do not sit on bones, so no length is held steadier
+LEAST_SCATTER = 0.02  # keypoints do not sit on bones, so no length is held tighter
 LEAST_FRAMES = 40  # that show an edge
 UNKNOWN = 1e12  # variance of a length that was not measured
 TINY = 1e-12
@@ -40,33 +41,33 @@ TINY = 1e-12
 def adjust_to_detected(
     frames: NoisyFrames, edges: Int64, rig: Rig, believed: RigPrior
 ) -> Steps[tuple[Rig, Float64] | None]:
-    """Adjust what is free of the cameras that rest, and yield after every round.
+    """Adjust the free numbers of static cameras, and yield after every round.
 
     Parameters
     ----------
     frames
-        As many as there are; too many for the memory are thinned out, and so are edges.
+        All frames; if they are too many for the memory they are thinned out, and so are edges.
     edges
-        (E, 2) keypoints whose distance may stay the same; how far it does is learnt.
+        (E, 2) keypoints whose distances may be constant; their scatter is learnt.
     rig
-        To begin with. Its views that rest are one group.
+        The start. Its static views are one group.
     believed
-        Of the rig beforehand, and what of it is free.
+        The prior of the rig, with its free numbers.
 
     Returns
     -------
-    The rig, and standard deviations (K, VIEW) of it, infinite for views that move; None if rounds
-    come to no end.
+    The rig, and its standard deviations (K, VIEW), infinite for views that move; None if rounds do
+    not converge.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        When what is free is not determined.
+        When free numbers are not determined.
     """
-    resting = rig.resting
+    static = rig.static
     edges = edges[:: max(1, -(-len(edges) // MOST_EDGES))]
-    frames = _thinned(frames, max(3 * frames.weights.shape[2], len(edges)) * VIEW * len(resting))
-    free = believed.free & np.repeat(resting, VIEW)
+    frames = _thinned(frames, max(3 * frames.weights.shape[2], len(edges)) * VIEW * len(static))
+    free = believed.free & np.repeat(static, VIEW)
     points = triangulate_clear(frames, rig)
     for _ in range(ROUNDS):
         equations = linearise_at_clear(frames, rig, points)
@@ -88,14 +89,14 @@ def adjust_to_detected(
         rig = move_rig(rig, step)
         yield
         if longest < CONVERGED:
-            variances = np.where(np.repeat(resting, VIEW), 0.0, np.inf)
+            variances = np.where(np.repeat(static, VIEW), 0.0, np.inf)
             variances[free] = np.linalg.inv(inner).diagonal()
             return rig, np.sqrt(variances).reshape(-1, VIEW)
     return None
 
 
 def _thinned(frames: NoisyFrames, numbers: int) -> NoisyFrames:
-    """Return as many frames as have `MOST_NUMBERS`, so many each."""
+    """Return so many frames that all have at most `MOST_NUMBERS` together."""
     every = math.ceil(len(frames.weights) * numbers / MOST_NUMBERS)
     return NoisyFrames(
         frames.clear[::every], frames.detected[::every], frames.weights[::every], frames.noise
@@ -103,32 +104,32 @@ def _thinned(frames: NoisyFrames, numbers: int) -> NoisyFrames:
 
 
 def _growing(rig: Rig) -> Float64:
-    """Return the direction (T,) in which the whole grows about its first camera, of length 1."""
-    first, growing = int(rig.resting.argmax()), np.zeros((len(rig.groups), VIEW))
+    """Return the unit vector (T,) along which the whole rig grows about its first camera."""
+    first, growing = int(rig.static.argmax()), np.zeros((len(rig.groups), VIEW))
     centre = -rig.rotations[first].T @ rig.translations[first]
-    growing[:, TRANSLATION] = (rig.rotations @ centre + rig.translations) * rig.resting[:, None]
+    growing[:, TRANSLATION] = (rig.rotations @ centre + rig.translations) * rig.static[:, None]
     growing /= max(float(np.linalg.norm(growing)), TINY)
     return growing.ravel()
 
 
 def _units(rig: Rig) -> Float64:
-    """Return what counts as 1 of the numbers of every view, (K, VIEW)."""
+    """Return the scales (K, VIEW) of the numbers of every view."""
     units = np.ones((len(rig.groups), VIEW))
     units[:, CENTRE] = rig.lenses.focals
-    units[:, TRANSLATION] = np.linalg.norm(rig.translations[rig.resting], axis=1).max()
+    units[:, TRANSLATION] = np.linalg.norm(rig.translations[rig.static], axis=1).max()
     return units
 
 
 def _equations_of_edges(
     equations: InstrumentalEquations, points: Float64, edges: Int64
 ) -> tuple[Float64, Float64]:
-    """Return matrix (T, T) and right-hand side (T,) of what edges say that stay equally long.
+    """Return matrix (T, T) and right-hand side (T,) of edges of constant length.
 
-    Lengths are measured along the direction that an edge has in clear points. They are relative to
-    the whole, and subjects may differ in size from frame to frame.
+    Lengths are measured along the direction of an edge in clear points. They are relative to the
+    whole, and subjects may differ in size from frame to frame.
     """
     a, b = edges.T
-    known = equations.told[:, a] & equations.told[:, b]  # (N, E)
+    known = equations.measured[:, a] & equations.measured[:, b]  # (N, E)
     often = known.sum(0) >= LEAST_FRAMES
     a, b, known = a[often], b[often], known[:, often]
     if not len(a):
@@ -143,20 +144,20 @@ def _equations_of_edges(
     weights = _weights_of_edges(measured, known, _covariances(along, a, b, equations.covariances))
     derived = along[..., None, :] @ (equations.by_shared[:, a] - equations.by_shared[:, b])
     derived = derived[..., 0, :]  # (N, E, T)
-    # Where subjects differ in size, they differ from place to place, as though lenses were bent.
+    # Subjects that differ in size in different places look like distortion.
     derived.reshape(*known.shape, -1, VIEW)[..., BENDING] = 0
     derived = derived - lengths[..., None] * derived.mean((0, 1), where=known[..., None])
     rows = np.concatenate((derived, measured[..., None]), -1)  # (N, E, T + 1)
     weighted, width = weights @ rows, rows.shape[-1]
     products = rows.reshape(-1, width).T @ weighted.reshape(-1, width)
-    # The usual lengths are eliminated: they are what the measured ones say.
+    # The usual lengths are eliminated: they are estimated from the measured ones.
     by_lengths = weighted.sum(0)  # (E, T + 1)
     products -= by_lengths.T @ np.linalg.solve(weights.sum(0), by_lengths)
     return products[:-1, :-1], -products[:-1, -1]
 
 
 def _weights_of_edges(measured: Float64, known: NDArray[np.bool_], covariances: Float64) -> Float64:
-    """Inverse covariances (N, E, E) of lengths (N, E) that vary beyond those of their noise."""
+    """Return inverse covariances (N, E, E) of lengths (N, E): those of noise and true variation."""
     variances = np.where(known, covariances.diagonal(axis1=1, axis2=2), np.inf)
     means, scatter = random_effects(measured, variances)
     every = np.arange(len(means))
@@ -172,7 +173,7 @@ def _weights_of_edges(measured: Float64, known: NDArray[np.bool_], covariances: 
 
 
 def _covariances(along: Float64, a: Int64, b: Int64, of_points: Float64) -> Float64:
-    """Covariances (N, E, E) of lengths along directions: edges that share a point err together."""
+    """Return covariances (N, E, E) of lengths along directions; edges may share points."""
     covariances = np.zeros((len(along), len(a), len(a)))
     for p in range(of_points.shape[1]):
         edges = np.flatnonzero((a == p) | (b == p))

@@ -1,4 +1,4 @@
-"""How surely a rig is known: standard deviations of what a self-calibration found of it."""
+"""Standard deviations of the cameras of a self-calibration."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,25 +7,25 @@ from models.bundle.bone_lengths import find_bone_lengths
 from models.bundle.problem import LENS, VIEW, Rig
 from models.bundle.shared_likelihood import SharedLikelihood, likelihood_of_shared
 from models.calibrating.lens_prior import rig_prior
-from models.calibrating.problem import CLEAR, Problem, Solution
+from models.calibrating.problem import CLEAR, CalibrationProblem, Solution
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-MOST_LEARNT = 0.98  # share of what keypoints say of a direction that learning the shapes takes away
-# Adjusting noisy structures towards the shape model pulls the cameras of two views at rest, which
-# nothing else holds: on drawn rigs errors are so many times what the information says.
+MOST_LEARNT = 0.98  # largest share of a direction's information that is lost to learning the shapes
+# Adjusting noisy structures towards the shape model biases the cameras of two static views, which
+# are held by nothing else: on drawn rigs errors are so many times those of the information.
 PULLED = 2.0
-# What holds where no keypoint does: a rotation vector in radians, a translation in structures.
+# Standard deviations without any keypoint: rotation vector in radians, translation in structures.
 WIDEST_ROTATION, WIDEST_TRANSLATION = np.pi, 1e3
 
 
-def deviations(problem: Problem, solution: Solution) -> Float64:
-    """Return standard deviations (K, 11) of a finished solution; 0 for what was kept.
+def deviations(problem: CalibrationProblem, solution: Solution) -> Float64:
+    """Return standard deviations (K, 11) of a finished solution; 0 for numbers that were held.
 
-    Of the posterior in which the shape model and bone lengths are learnt from the same keypoints,
-    made wider where errors are seen to be alike within frames and keypoints. Translations are in
-    units of the structure: how surely their ratio to it is known.
+    They are those of the posterior in which the shape model and bone lengths are learnt from the
+    same keypoints, widened by the correlation of errors within frames and keypoints. Those of
+    translations are of their ratio to the structure.
     """
     rig, scene = solution.rig, solution.scene
     prior = rig_prior(problem, rig, given_poses=solution.given_poses)
@@ -37,7 +37,7 @@ def deviations(problem: Problem, solution: Solution) -> Float64:
         solution.prior,
         scene,
         free=prior.free,
-        bones=find_bone_lengths(scene.points, problem.told) if solution.with_bones else None,
+        bones=find_bone_lengths(scene.points, problem.measured) if solution.with_bones else None,
     )
     held = prior.precision + np.diag(_widest(len(rig.groups)))
     held = held[np.ix_(prior.free, prior.free)]
@@ -51,7 +51,7 @@ def deviations(problem: Problem, solution: Solution) -> Float64:
 
 
 def _variances(likelihood: SharedLikelihood, held: Float64, reported: Float64) -> Float64:
-    """Variances (T,) of `reported` (T, F) times the free numbers; `held` (F, F) by their prior."""
+    """Return variances (T,) of `reported` (T, F) times the free numbers, given `held` (F, F)."""
     fixed = np.linalg.inv(likelihood.curvature + held)  # shapes and bones as they are
     root = np.linalg.cholesky(fixed)
     values, vectors = np.linalg.eigh(root.T @ likelihood.learnt @ root)
@@ -65,9 +65,10 @@ def _variances(likelihood: SharedLikelihood, held: Float64, reported: Float64) -
 
 
 def _reported(rig: Rig, free: Bool, likelihood: SharedLikelihood, scaled: Bool) -> Float64:
-    """Derive what is reported, (T, F): translations are so relative to the structures' size.
+    """Return derivatives (T, F) of the reported numbers by the free ones.
 
-    Not in groups (G,) that are `scaled`, whose unit two told poses give.
+    Translations are reported relative to the structures' size, except in groups (G,) that are
+    `scaled`, whose unit two given poses fix.
     """
     rows = np.eye(len(free))[:, free].reshape(len(rig.groups), VIEW, -1)
     growth = np.where(scaled[:, None], 0, likelihood.growth)[rig.groups]  # (K, F)
@@ -76,7 +77,7 @@ def _reported(rig: Rig, free: Bool, likelihood: SharedLikelihood, scaled: Bool) 
 
 
 def _widest(views: int) -> Float64:
-    """Inverse variances (T,) that keep what no keypoint tells finite."""
+    """Return inverse variances (T,) that keep undetermined numbers finite."""
     precision = np.zeros((views, VIEW))
     precision[:, LENS : LENS + 3] = 1 / WIDEST_ROTATION**2
     precision[:, LENS + 3 :] = 1 / WIDEST_TRANSLATION**2

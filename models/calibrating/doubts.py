@@ -1,9 +1,9 @@
-"""Whether the keypoints bear out what was told of lenses and poses, view by view.
+"""Whether the keypoints agree with given lenses and poses, view by view.
 
-At the solution in which all told numbers are kept, one linearisation says how much better the
-keypoints would be explained if one view's lens or pose were free (a score test; Cox & Hinkley,
-*Theoretical Statistics*, sec. 9.3), and where it would go. So nothing is learnt anew unless
-something told is doubtful, and a view that is off is told from its neighbours, which suffer too.
+At the solution with all given numbers held, one linearisation gives how much better the keypoints
+would be explained if one view's lens or pose were free (a score test; Cox & Hinkley, *Theoretical
+Statistics*, sec. 9.3), and how far it would move. So nothing is learnt again unless a given value
+is doubtful, and a wrong view is distinguished from its neighbours, whose errors grow too.
 """
 
 import math
@@ -25,7 +25,7 @@ from models.bundle.problem import (
 from models.bundle.shared_likelihood import likelihood_of_shared
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.lens_prior import PINHOLE, rig_prior
-from models.calibrating.problem import Problem, Solution, copied, reprojection_distances
+from models.calibrating.problem import CalibrationProblem, Solution, copied, reprojection_distances
 from models.findings.advice import attempt_steps
 from models.numerics.medians import lower_median
 from models.numerics.steps import Steps
@@ -34,61 +34,61 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Part = Literal["lens", "pose"]
 
-# How far calibrations are off that nothing happened to; also the standard deviations of the prior
-# about what is refined. Focal lengths as a share of themselves, principal points of the image's
-# side, radial coefficients as they are, rotations in degrees, translations as a share of the
-# distance of the subject.
+# Usual errors of correct calibrations; also the standard deviations of the prior of refined
+# numbers. Focal lengths as a share of themselves, principal points of the image's side, radial
+# coefficients in their unit, rotations in degrees, translations as a share of the distance of the
+# subject.
 USUAL_FOCAL_ERROR, USUAL_CENTRE_ERROR, USUAL_RADIAL_ERROR = 0.02, 0.01, 0.1
 USUAL_TURN, USUAL_SHIFT = 0.8, 0.02
-# What is off by more than so many times of that is refused; below, it is refined.
+# A value that is off by more than so many usual errors is refused; below, it is refined.
 GROSS = 4.0
-# A view's noise with what was told, over its noise without: from here on it is doubtful, if it is
-# off by more than usual, and if it is grossly off.
+# A view's noise with the given values, over its noise without. From these ratios on it is doubtful,
+# if it is off by more than usual, and if it is far off.
 DOUBTFUL, DOUBTFUL_IF_GROSS = 2.5, 1.3
-MOST_OF_TOTAL = 0.9999  # share of the residuals that a linearisation can promise to take away
-TOGETHER = 2.0  # times the gain of one view: what frees all lenses at once must promise
+MOST_OF_TOTAL = 0.9999  # largest share of the residuals that a linearisation may predict to remove
+TOGETHER = 2.0  # times the gain of one view that freeing all lenses at once must have
 AS_GOOD = 0.9  # share of the best gain from which two explanations of a view are equally good
-KEPT_IF = 0.98  # share of the noise to which freeing something must really bring it
+KEPT_IF = 0.98  # share of the noise to which freeing a value must really reduce it
 MOST_DOUBTS = 12  # that are settled one after the other
-RIDGE = 1e-9  # share of the diagonal, where nothing tells a number
+RIDGE = 1e-9  # share of the diagonal, for numbers that are undetermined
 
 
 class Doubt(NamedTuple):
-    """Something that was told and that the keypoints contradict."""
+    """A given value that the keypoints contradict."""
 
     views: tuple[int, ...]
     part: Part
     gain: float  # of the robust squared residuals in variances, if it were free
-    ratio: float  # the view's noise with what was told, over its noise without, as predicted
+    ratio: float  # the view's noise with the given value, over its noise without, as predicted
     off: float  # how far off it is, in usual errors of calibrations, as predicted
 
 
 class Checked(NamedTuple):
-    """A solution, and what of the told things it does without."""
+    """A solution, and the given values that it does not use."""
 
-    problem: Problem
+    problem: CalibrationProblem
     solution: Solution
     doubts: tuple[Doubt, ...]
 
 
-class Candidate(NamedTuple):
-    """Something that was told and might be wrong."""
+class FreedNumbers(NamedTuple):
+    """A given value that may be wrong."""
 
     views: tuple[int, ...]
     part: Part
     numbers: Bool  # (K, VIEW) that would be free
 
 
-def check_told(problem: Problem, solution: Solution) -> Steps[Checked]:
-    """Refine or refuse, one by one, what was given and is contradicted; most often nothing is.
+def check_given(problem: CalibrationProblem, solution: Solution) -> Steps[Checked]:
+    """Refine or refuse given values that are contradicted, one by one; most often there are none.
 
-    Ends when fewer than two given poses are left: which of them is wrong cannot be known then. If
-    it fails, that is logged, and everything stays as it was given.
+    Ends when fewer than two given poses are left, since it is then unknown which is wrong. An error
+    is logged, and everything stays as it was given.
     """
     return (yield from attempt_steps(_checked(problem, solution), Checked(problem, solution, ())))
 
 
-def _checked(problem: Problem, solution: Solution) -> Steps[Checked]:
+def _checked(problem: CalibrationProblem, solution: Solution) -> Steps[Checked]:
     found: list[Doubt] = []
     settled: set[tuple[int, Part]] = set()
     for _ in range(MOST_DOUBTS):
@@ -111,13 +111,13 @@ def _checked(problem: Problem, solution: Solution) -> Steps[Checked]:
 
 
 def _worst_doubts(
-    problem: Problem, solution: Solution, settled: set[tuple[int, Part]]
+    problem: CalibrationProblem, solution: Solution, settled: set[tuple[int, Part]]
 ) -> list[Doubt]:
-    """Return what explains most if it is freed, if anything is doubtful; none otherwise.
+    """Return the doubtful value that explains most if it is freed; none if nothing is doubtful.
 
     A camera that was turned and a principal point that is off look nearly alike, as do a focal
-    length and a distance. So there may be two explanations of one view, the nearest first, by
-    which its doubts are measured, too.
+    length and a distance. So there may be two explanations of one view. The smaller change comes
+    first, and measures the doubt.
     """
     candidates = [
         candidate
@@ -146,33 +146,35 @@ def _is_doubtful(doubt: Doubt) -> bool:
     return doubt.ratio > (DOUBTFUL_IF_GROSS if doubt.off > GROSS else DOUBTFUL)
 
 
-def _candidates(problem: Problem, solution: Solution) -> list[Candidate]:
-    """Every view's lens and pose that was told, and all lenses together."""
+def _candidates(problem: CalibrationProblem, solution: Solution) -> list[FreedNumbers]:
+    """Return every view's given lens and pose, and all lenses together."""
     views = len(problem.poses)
-    resting = solution.rig.resting
+    static = solution.rig.static
     lenses, candidates = [], []
     for k in range(views):
         numbers = np.zeros((views, VIEW), bool)
         numbers[k, :LENS] = np.isfinite(problem.lens_sds[k])
-        if not resting[k]:  # its principal point and its direction are nearly one
+        if not static[k]:  # its principal point and its direction are nearly one
             numbers[k, CENTRE_X : CENTRE_Y + 1] = False
         if numbers.any():
-            lenses.append(Candidate((k,), "lens", numbers))
+            lenses.append(FreedNumbers((k,), "lens", numbers))
     candidates += lenses
     if len(lenses) > 1:
         every = np.any([candidate.numbers for candidate in lenses], 0)
-        candidates.append(Candidate(tuple(c.views[0] for c in lenses), "lens", every))
+        candidates.append(FreedNumbers(tuple(c.views[0] for c in lenses), "lens", every))
     given = solution.given_poses
     if given is not None and given.held.sum() > 1:
         for k in np.flatnonzero(given.held).tolist():
             numbers = np.zeros((views, VIEW), bool)
             numbers[k, LENS:] = True
-            candidates.append(Candidate((k,), "pose", numbers))
+            candidates.append(FreedNumbers((k,), "pose", numbers))
     return candidates
 
 
-def _scored(problem: Problem, solution: Solution, candidates: list[Candidate]) -> list[Doubt]:
-    """Say of every candidate what freeing it would gain, and how far its numbers would go."""
+def _scored(
+    problem: CalibrationProblem, solution: Solution, candidates: list[FreedNumbers]
+) -> list[Doubt]:
+    """Compute for every candidate the gain of freeing it, and how far its numbers would move."""
     views = len(problem.poses)
     prior = rig_prior(problem, solution.rig, given_poses=solution.given_poses)
     wanted = prior.free | np.any([candidate.numbers.ravel() for candidate in candidates], 0)
@@ -189,7 +191,7 @@ def _scored(problem: Problem, solution: Solution, candidates: list[Candidate]) -
     right = likelihood.score - (prior.precision @ prior.offset(solution.rig))[index]
 
     def best_step(free: Bool) -> tuple[float, Float64]:
-        """Twice the gain in log likelihood, and the step (K, VIEW), if these (T,) are free."""
+        """Return twice the gain in log likelihood and the step (K, VIEW) with these (T,) free."""
         these = free[index]
         matrix = information[np.ix_(these, these)]
         matrix = matrix + np.diag(RIDGE * matrix.diagonal())
@@ -213,7 +215,7 @@ def _scored(problem: Problem, solution: Solution, candidates: list[Candidate]) -
     return doubts
 
 
-def how_far(problem: Problem, view: int, step: Float64, distance: float) -> float:
+def how_far(problem: CalibrationProblem, view: int, step: Float64, distance: float) -> float:
     """Return the size of a step (VIEW,) of one view's numbers, in usual errors of calibrations."""
     side = float(problem.images.sizes[view].max())
     errors = usual_errors(side, distance)
@@ -240,7 +242,7 @@ def usual_errors(side: float, distance: float) -> Float64:
     return errors
 
 
-def distances_of_subject(problem: Problem, solution: Solution) -> Float64:
+def distances_of_subject(problem: CalibrationProblem, solution: Solution) -> Float64:
     """Median distance (K,) of the subject from each camera, units of the structure."""
     centres = points_in_cameras(solution.scene, solution.rig).mean(2)  # (N, K, 3)
     distances = np.linalg.norm(centres, axis=-1)
@@ -253,7 +255,7 @@ def distances_of_subject(problem: Problem, solution: Solution) -> Float64:
     )
 
 
-def _robust_total(problem: Problem, solution: Solution) -> float:
+def _robust_total(problem: CalibrationProblem, solution: Solution) -> float:
     """Return the sum of the squared residuals in variances of the noise, with Huber's tails."""
     distances = reprojection_distances(problem, solution.rig, solution.scene)
     squared = problem.weights * np.square(distances / solution.noise)
@@ -261,8 +263,10 @@ def _robust_total(problem: Problem, solution: Solution) -> float:
     return max(float(robust.sum()), 1e-9)
 
 
-def _without(problem: Problem, solution: Solution, doubt: Doubt) -> tuple[Problem, Solution]:
-    """Return problem and start with something told refined, or refused if it is grossly off."""
+def _without(
+    problem: CalibrationProblem, solution: Solution, doubt: Doubt
+) -> tuple[CalibrationProblem, Solution]:
+    """Return problem and start with a given value refined, or refused if it is far off."""
     gross = doubt.off > GROSS
     distances = distances_of_subject(problem, solution)
     for view in doubt.views:
@@ -273,9 +277,9 @@ def _without(problem: Problem, solution: Solution, doubt: Doubt) -> tuple[Proble
         elif gross:
             problem, solution = _refuse_lens(problem, solution, view)
         else:
-            told = np.isfinite(problem.lens_sds[view])
+            given = np.isfinite(problem.lens_sds[view])
             sds = problem.lens_sds.copy()
-            sds[view, told] = errors[:LENS][told]
+            sds[view, given] = errors[:LENS][given]
             problem = problem._replace(lens_sds=sds)
     return problem, solution
 
@@ -289,10 +293,12 @@ def _with_pose_sds(solution: Solution, view: int, sds: Float64 | float) -> Solut
     return solution._replace(given_poses=given._replace(sds=changed))
 
 
-def _refuse_lens(problem: Problem, solution: Solution, view: int) -> tuple[Problem, Solution]:
-    """Look for a view's lens as though it had not been told; the told focal length is a start."""
-    usual, told, ours = problem.usual.lenses, problem.reference.lenses, solution.rig.lenses
-    reference, start = copied(told), copied(ours)
+def _refuse_lens(
+    problem: CalibrationProblem, solution: Solution, view: int
+) -> tuple[CalibrationProblem, Solution]:
+    """Estimate a view's lens as if it had not been given, starting from the given focal length."""
+    usual, given, ours = problem.usual.lenses, problem.reference.lenses, solution.rig.lenses
+    reference, start = copied(given), copied(ours)
     sds = problem.lens_sds.copy()
     sds[view] = np.inf
     for lenses in (reference, start):

@@ -25,7 +25,7 @@ from models.bundle.shape_model import ShapeModel, Similarity, align, learn_shape
 from models.bundle.shared_likelihood import SharedLikelihood, likelihood_of_shared
 from models.bundle.structure_covariances import structure_covariances
 from models.calibrating.lens_prior import rig_prior
-from models.calibrating.problem import Problem, Solution
+from models.calibrating.problem import CalibrationProblem, Solution
 from models.numerics.steps import Steps
 from models.optics.lenses.projection import project
 
@@ -37,29 +37,29 @@ ROUNDS_WITH_BONES = 20  # at most: until no focal length changes
 SETTLED = 3e-4  # by more than this share
 ADJUSTMENTS, REFINEMENTS = 10, 15  # iterations, of frames and rig together, of frames alone
 LEAST_SPREAD = 0.02  # of the shape model, in radii of the structure
-LEAST_SPREAD_WITH_BONES = 0.1  # lenses are then the bones' business
-LEAST_NOISE = 3e-4  # of the image's side: what lens models leave
+LEAST_SPREAD_WITH_BONES = 0.1  # lenses are then determined by bones
+LEAST_NOISE = 3e-4  # of the image's side: errors of lens models
 LEAST_MEASURED = 1e-5  # of the image's side: less is as good as none
-FAR = 10.0  # noise standard deviations from which a keypoint says nothing of the noise
+FAR = 10.0  # noise standard deviations from which a keypoint is not used to estimate the noise
 COOLING = 0.25  # the noise falls no faster than to this share in a round
-MOST_LEARNT = 0.95  # of what there is to do in a direction: no more than 19 rounds are skipped
-# And no more of a lens (log focal length, principal point in image sides, radial coefficients), of
-# a rotation in radians, and of a translation in structures.
+MOST_LEARNT = 0.95  # of the remaining way in a direction: at most 19 rounds are skipped
+# And at most so much of a lens (log focal length, principal point in image sides, radial
+# coefficients), of a rotation in radians, and of a translation in structures.
 LONGEST_LEAP = np.array([0.05, 0.03, 0.03, 0.05, 0.1, *[0.05] * 3, *[0.5] * 3])
 
 FRAMES_AT_A_TIME = 128  # whose covariances are in memory together with their equations
 
 
 class Uncertainty(NamedTuple):
-    """How surely structures are known, and what that says of the noise."""
+    """Covariances of structures, and the resulting correction of the noise."""
 
-    frames: NDArray[np.int64]  # (M,) for which it could be told
+    frames: NDArray[np.int64]  # (M,) for which they are determined
     covariances: Float64  # (M, 3 P, 3 P) of their structures
-    noise_factor: float  # of the noise that was assumed, to what the residuals say
+    noise_factor: float  # ratio of the noise in the residuals to the assumed one
 
 
 def learn(
-    problem: Problem,
+    problem: CalibrationProblem,
     solution: Solution,
     *,
     with_bones: bool = False,
@@ -68,8 +68,8 @@ def learn(
 ) -> Steps[Solution]:
     """Maximise expectations from a solution on.
 
-    With `with_bones`, constant lengths of bones are weighed as well, and the shape model less. No
-    noise below `least_noise`, a share of the image's side, is reckoned with.
+    With `with_bones`, constant lengths of bones are used as well, and the shape model has less
+    weight. `least_noise`, a share of the image's side, is the lower limit of the noise.
     """
     rig, scene, prior, noise = solution.rig, solution.scene, solution.prior, solution.noise
     focals = rig.lenses.focals
@@ -86,12 +86,12 @@ def learn(
                 prior,
                 scene,
                 rig_prior=believed,
-                bones=find_bone_lengths(scene.points, problem.told) if with_bones else None,
+                bones=find_bone_lengths(scene.points, problem.measured) if with_bones else None,
                 iterations=ADJUSTMENTS,
             )
         yield
         if np.ptp(prior.means, axis=0).max() == 0 and believed.free.any():
-            bones = find_bone_lengths(scene.points, problem.told) if with_bones else None
+            bones = find_bone_lengths(scene.points, problem.measured) if with_bones else None
             likelihood = likelihood_of_shared(
                 views,
                 rig,
@@ -131,10 +131,10 @@ def learn(
 def _ahead(
     likelihood: SharedLikelihood, believed: RigPrior, before: Rig, now: Rig, side: float
 ) -> Rig:
-    """Return the rig that further rounds would come to, from what one round changed.
+    """Extrapolate the rig to which further rounds would converge, from the change in one round.
 
-    Expectation maximisation is slow where the shapes that it learns follow the rig: of the way to
-    the optimum a round does the share that learning does not take away (Louis, 1982).
+    Expectation maximisation is slow where the learnt shapes follow the rig: a round goes only the
+    share of the way to the optimum that is not lost to learning (Louis, 1982).
     """
     free = believed.free
     held = believed.precision[np.ix_(free, free)] + np.diag(
@@ -152,7 +152,7 @@ def _ahead(
 
 
 def regauge(scene: Scene, points: Float64, similarity: Similarity, rig: Rig) -> Scene:
-    """Give the structures another frame of reference, in which they are `points` (N, P, 3).
+    """Transform the structures into another frame of reference, where they are `points` (N, P, 3).
 
     Groups of several views take the scale into their size, those of one into their distance.
     """
@@ -171,12 +171,12 @@ def regauge(scene: Scene, points: Float64, similarity: Similarity, rig: Rig) -> 
 def uncertainty(
     views: Views, rig: Rig, prior: ShapePrior, scene: Scene, explained: Bool
 ) -> Uncertainty:
-    """Say how surely the structures of the frames `explained` (N,) are known.
+    """Compute covariances of the structures of the frames `explained` (N,).
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        When that can be said of no frame.
+        When they exist for no frame.
     """
     which, covariances, squared, freedom = [], [], 0.0, 0.0
     frames = np.flatnonzero(explained)
@@ -202,7 +202,7 @@ class _NoiseTerms(NamedTuple):
 def _noise_terms(
     views: Views, rig: Rig, prior: ShapePrior, scene: Scene, covariances: Float64
 ) -> _NoiseTerms:
-    """Sum robust residuals over the noise, and count observations less what they determine."""
+    """Sum robust residuals over the noise, and compute their degrees of freedom."""
     pixels = project(points_in_cameras(scene, rig), rig.lenses)
     squared = views.weights * np.square(pixels - views.keypoints).sum(-1)  # (N, K, P)
     seen = (views.weights > 0) & (squared < FAR**2)
@@ -212,7 +212,7 @@ def _noise_terms(
     trace = covariances.trace(axis1=1, axis2=2)
     trace = trace - (components.T * (covariances @ prior.basis)).sum((1, 2))
     structure = len(prior.basis) - trace / (prior.scale * prior.spread) ** 2  # (N,)
-    # A group of one view has no size of its own.
+    # The size of a group of one view is held.
     numbers = np.where(rig.members > 1, POSE, POSE - 1)
     belongs: Bool = rig.groups[:, None] == np.arange(rig.group_count)  # (K, G)
     observed: Bool = np.any(seen, -1)  # (N, K)

@@ -1,8 +1,8 @@
-"""Static cameras that keypoints settle without a network.
+"""Static cameras from keypoints, without a network.
 
-Where static views see one rigid scene (`models.epipolar.static_rig`), geometry gives the cameras in
-seconds, as surely as anything later could. Lenses of two views are scanned by the evidence of
-shapes (`models.calibrating.lens_scan`). Shapes are learnt with these cameras.
+If static views see one rigid scene (`models.epipolar.static_rig`), geometry gives the cameras in
+seconds, as accurately as any later step. Lenses of two views are scanned by the evidence of shapes
+(`models.calibrating.lens_scan`). Shapes are learnt with these cameras.
 """
 
 from typing import NamedTuple
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from models.bundle.problem import FOCAL, Scene
 from models.bundle.scene_adjustment import adjust_frames
 from models.bundle.shape_model import align
-from models.calibrating.doubts import check_told
+from models.calibrating.doubts import check_given
 from models.calibrating.expectation_maximisation import about_model, learn, regauge
 from models.calibrating.handedness import DECIDED, Corners, certainty, volume
 from models.calibrating.keypoint_rig import geometry_of, lens_kinds, start_from_geometry
 from models.calibrating.lens_scan import scan_lenses
-from models.calibrating.problem import Problem, Solution
+from models.calibrating.problem import CalibrationProblem, Solution
 from models.calibrating.search import Arranged
 from models.epipolar.static_rig import StaticRig
 from models.numerics.steps import Steps
@@ -27,27 +27,29 @@ from models.settings.config import FitConfig
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
-EXPLAINED = 0.15  # of the subject's size: geometry leaves more noise than this to shapes
+EXPLAINED = 0.15  # of the subject's size: with more noise, cameras are estimated with shapes
 ITERATIONS = 15  # of adjusting the structures of all frames
 
 
 class Settled(NamedTuple):
-    """Static cameras that keypoints alone give."""
+    """Static cameras from keypoints alone."""
 
     arranged: Arranged  # with the frames that shapes were learnt from
     start: Solution  # of all frames, before shapes were learnt
 
 
-def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Steps[Settled | None]:
+def settle_by_geometry(
+    problem: CalibrationProblem, config: FitConfig, *, most: int
+) -> Steps[Settled | None]:
     """Find static cameras from all frames, and shapes from `most` of them.
 
-    None where geometry does not decide: cameras that move, poses that were given, a handedness that
-    keypoints leave open, given lenses that keypoints contradict.
+    None where geometry does not decide: cameras that move, given poses, a handedness that keypoints
+    leave open, given lenses that keypoints contradict.
     """
     if problem.posed or config.cameras == "moving":
         return None
     views = len(problem.poses)
-    found, hand = yield from _static_rig(problem, config.hand)
+    found, certain = yield from _static_rig(problem, config.corners)
     started = None if found is None else start_from_geometry(problem, found)
     if found is None or started is None:
         return None
@@ -57,38 +59,40 @@ def settle_by_geometry(problem: Problem, config: FitConfig, *, most: int) -> Ste
     kept = grouped.of(frames)._replace(kept=np.ones(views, bool))
     solution = yield from learn(kept, whole.of(frames))
     free = kept._replace(kept=np.zeros(views, bool))
-    checked = yield from check_told(free, solution)
+    checked = yield from check_given(free, solution)
     if checked.doubts:
         return None
     reason = (
         f"keypoints of all frames are one rigid scene of {views} static cameras,"
         f" to {found.noise * problem.side:.3g} px (from keypoints)"
     )
-    arranged = Arranged(solution, checked, reason, hand, (), kept=deviations)
+    arranged = Arranged(solution, checked, reason, certain, (), kept=deviations)
     return Settled(arranged, whole)
 
 
-def _static_rig(problem: Problem, corners: Corners | None) -> Steps[tuple[StaticRig | None, float]]:
-    """Find static cameras and the certainty of their handedness; None where something is open."""
+def _static_rig(
+    problem: CalibrationProblem, corners: Corners | None
+) -> Steps[tuple[StaticRig | None, float]]:
+    """Find static cameras and the certainty of their handedness; None if anything is undecided."""
     views = len(problem.poses)
     known = np.isfinite(problem.lens_sds[:, FOCAL])
     if views < 2 or (views == 2 and known.sum() == 1):
         return None, 0.0
     found = yield from geometry_of(problem, list(range(views)))
-    if found is None or not found.resting.all():
+    if found is None or not found.static.all():
         return None, 0.0
-    found, hand = _handed(found, corners)
-    if hand < DECIDED or found.noise * problem.side > EXPLAINED * problem.size:
-        return None, hand
+    found, certain = _handed(found, corners)
+    if certain < DECIDED or found.noise * problem.side > EXPLAINED * problem.size:
+        return None, certain
     if views == 2 and not known.any():
         found = yield from scan_lenses(problem, found)
-    return found, hand
+    return found, certain
 
 
 def _handed(found: StaticRig, corners: Corners | None) -> tuple[StaticRig, float]:
-    """Return the rig, or its mirror image, and how certain its handedness is.
+    """Return the rig, or its mirror image, and the certainty of its handedness.
 
-    The volume of four keypoints decides, if they were given.
+    The volume of four keypoints decides, if they are given.
     """
     if corners is None:
         return found, certainty([found.log_odds])
@@ -100,8 +104,8 @@ def _handed(found: StaticRig, corners: Corners | None) -> tuple[StaticRig, float
     return found, 1.0
 
 
-def structures_of_all(problem: Problem, learnt: Solution, start: Solution) -> Scene:
-    """Adjust the structures of all frames to cameras and shapes as they were learnt of some."""
+def structures_of_all(problem: CalibrationProblem, learnt: Solution, start: Solution) -> Scene:
+    """Adjust the structures of all frames, with cameras and shapes learnt from some."""
     points, similarity = align(start.scene.points, learnt.shapes.mean)
     scene = regauge(start.scene, points, similarity, learnt.rig)
     prior = about_model(learnt.shapes, len(points))

@@ -1,6 +1,6 @@
-"""Which of two mirror images the structures are: the one that perspective explains better.
+"""The handedness of structures: the mirror image that perspective explains better.
 
-What frames say is kept as log odds, frame by frame, so that it can be said how sure the hand is.
+The log odds of every frame are kept, so that the certainty of the handedness can be computed.
 """
 
 import math
@@ -13,7 +13,7 @@ from models.bundle.problem import Scene, ShapePrior, make_shape_prior
 from models.bundle.scene_adjustment import adjust_frames
 from models.bundle.shape_model import align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, uncertainty
-from models.calibrating.problem import Problem, Solution
+from models.calibrating.problem import CalibrationProblem, Solution
 from models.network.settling import mirror_images
 from models.numerics.medians import lower_median
 from models.numerics.steps import Steps
@@ -25,25 +25,25 @@ FIRST_SPREAD = 0.2  # of a structure about the network's, in units of its radius
 FIRST_NOISE = 0.03  # of a keypoint, as a share of its view's size
 ITERATIONS = 15
 DECISIVE = 0.5  # a frame leaves the handedness of the others if its cost falls below this share
-ORDINARY_FRAMES = 0.95  # quantile of the costs; what costs more than twice that has no say
+ORDINARY_FRAMES = 0.95  # quantile of the costs; frames above twice that are ignored
 
 
-DECIDED = 0.99  # certainty from which the hand counts as known
-LOUDEST = 10.0  # median log odds that one frame says at most
+DECIDED = 0.99  # certainty from which the handedness counts as known
+LOUDEST = 10.0  # limit of the median log odds of a frame
 
 
 class Handed(NamedTuple):
-    """A solution with the hand that moving cameras say."""
+    """A solution with the handedness from moving cameras."""
 
     solution: Solution
-    log_odds: Float64  # (N,) what each frame says for it and against its mirror image
+    log_odds: Float64  # (N,) of each frame, for it and against its mirror image
 
 
 class NothingFoundError(Exception):
     """The keypoints do not determine any cameras."""
 
 
-def same_hand(points: Float64, others: Float64) -> bool:
+def same_handedness(points: Float64, others: Float64) -> bool:
     """Whether most structures (N, P, 3) are no mirror images of the others (N, P, 3)."""
     centred = others - others.mean(1, keepdims=True)
     distances = []
@@ -53,10 +53,12 @@ def same_hand(points: Float64, others: Float64) -> bool:
     return bool((distances[0] < distances[1]).mean() > 0.5)
 
 
-def choose_hand(problem: Problem, scene: Scene, hint: Corners | None) -> Steps[Handed]:
-    """Refine a scene as the network has it and mirrored; what explains the keypoints better stays.
+def choose_handedness(
+    problem: CalibrationProblem, scene: Scene, hint: Corners | None
+) -> Steps[Handed]:
+    """Refine a scene as from the network and mirrored; return the one that fits keypoints better.
 
-    The `hint` are four keypoints whose volume is positive in most frames: it decides instead.
+    The `hint` are four keypoints whose volume is positive in most frames; if given, it decides.
 
     Raises
     ------
@@ -82,7 +84,7 @@ def choose_hand(problem: Problem, scene: Scene, hint: Corners | None) -> Steps[H
     if hint is not None:
         mirror = volume(scenes[0].points, hint) < 0
     ours, theirs = int(mirror), int(not mirror)
-    # A frame that the network mirrored is turned back, if its keypoints say so decidedly.
+    # A frame that the network mirrored is turned back, if its keypoints clearly favour that.
     turned_back = costs[theirs] < DECISIVE * costs[ours]  # (N,)
     best = _choose_frames(turned_back, scenes[theirs], scenes[ours])
     log_odds = (costs[theirs].clip(max=bound) - costs[ours].clip(max=bound)) / 2
@@ -95,11 +97,11 @@ def choose_hand(problem: Problem, scene: Scene, hint: Corners | None) -> Steps[H
 
 
 def certainty(evidence: list[Float64]) -> float:
-    """Return how sure the hand is, between 0 and 1, from what frames say for it.
+    """Return the certainty of the handedness, between 0 and 1, from the log odds of frames.
 
     Each piece of `evidence` is an array (N,) of log odds. Frames repeat errors of lenses and
-    detectors, so a sum of log odds alone says too much: the scatter over the frames counts, too.
-    Pieces are put together as Stouffer did (*The American Soldier*, 1949).
+    detectors, so the sum of log odds alone would be too certain: the scatter over the frames
+    counts, too. Pieces are combined as by Stouffer (*The American Soldier*, 1949).
     """
     scores = [_score(log_odds) for log_odds in evidence]
     score = sum(scores) / math.sqrt(max(len(scores), 1))
@@ -107,7 +109,7 @@ def certainty(evidence: list[Float64]) -> float:
 
 
 def _score(log_odds: Float64) -> float:
-    """Return the standard normal number that frames (N,) are worth together."""
+    """Return the standard normal number equivalent to the log odds of frames (N,)."""
     known = log_odds[np.isfinite(log_odds) & (log_odds != 0)]
     if len(known) < 2:
         return 0.0
@@ -122,13 +124,13 @@ def _score(log_odds: Float64) -> float:
 
 
 def mirrored(scene: Scene) -> Scene:
-    """Return the mirror image of a scene, which weak perspective sees alike."""
+    """Return the mirror image of a scene, which looks the same in weak perspective."""
     points, rotations = mirror_images(scene.points, scene.rotations)
     return scene._replace(points=points, rotations=rotations)
 
 
 def _choose_frames(which: NDArray[np.bool_], some: Scene, others: Scene) -> Scene:
-    """Take the frames `which` (N,) from one scene and the rest from another."""
+    """Take the frames `which` (N,) from one scene and all others from another."""
     return Scene(
         *(
             np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
@@ -144,5 +146,5 @@ def volume(points: Float64, corners: Corners) -> float:
 
 
 def _about_structures(points: Float64) -> ShapePrior:
-    """Return the prior that structures are like these (N, P, 3), alike in every direction."""
+    """Return the isotropic prior about structures (N, P, 3)."""
     return make_shape_prior(points, np.zeros((points.shape[1], 3, 0)), FIRST_SPREAD)

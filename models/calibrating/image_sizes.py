@@ -1,4 +1,4 @@
-"""The images that keypoints come from: their sizes as told, or as far as keypoints say them."""
+"""The images that keypoints come from: their sizes as given, or estimated from keypoints."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -18,9 +18,9 @@ EMPTY = (0.0, 1.0)  # least and most coordinate where there is no keypoint
 class Images(NamedTuple):
     """The images of K views; pixels, in the keypoints' coordinates."""
 
-    sizes: Float64  # (K, 2) width and height, told or guessed
-    middles: Float64  # (K, 2) where they have their middles
-    told: Bool  # (K,) whether the user told the size
+    sizes: Float64  # (K, 2) width and height, given or estimated
+    middles: Float64  # (K, 2) their middles
+    known: Bool  # (K,) whether the user gave the size
 
     @property
     def side(self) -> float:
@@ -29,7 +29,7 @@ class Images(NamedTuple):
 
 
 def images_of(keypoints: Float64, weights: Float64, image_sizes: ImageSizes | None) -> Images:
-    """Return the images as they were told; a guess for all views whose sizes are unknown.
+    """Return the images as they were given, with one estimate for all views of unknown size.
 
     Coordinates (N, K, P, 2) count from the image's top-left corner, so an image is no smaller than
     the largest of them. Subjects keep as far from one side of the image as from the other, over
@@ -38,10 +38,10 @@ def images_of(keypoints: Float64, weights: Float64, image_sizes: ImageSizes | No
     """
     views = keypoints.shape[1]
     given = [None] * views if image_sizes is None else list(image_sizes)
-    told = np.array([size is not None for size in given])
-    guess, middle = _guess(keypoints[:, ~told], weights[:, ~told] > 0)
+    known = np.array([size is not None for size in given])
+    guess, middle = _guess(keypoints[:, ~known], weights[:, ~known] > 0)
     sizes = np.array([guess if size is None else np.array(size, float) for size in given])
-    return Images(sizes, np.where(told[:, None], sizes / 2, middle), told)
+    return Images(sizes, np.where(known[:, None], sizes / 2, middle), known)
 
 
 def _guess(keypoints: Float64, seen: Bool) -> tuple[Float64, Float64]:

@@ -1,4 +1,4 @@
-"""Static cameras that keypoints alone give, as a start: cameras, structures, poses."""
+"""Static cameras from keypoints alone, as a start: cameras, structures, poses."""
 
 from typing import NamedTuple
 
@@ -20,16 +20,16 @@ from models.bundle.problem import (
 )
 from models.bundle.shape_model import ShapeModel, align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, regauge
-from models.calibrating.handedness import mirrored, same_hand
+from models.calibrating.handedness import mirrored, same_handedness
 from models.calibrating.lens_groups import find_lens_groups
 from models.calibrating.lens_prior import (
     CENTRE_SD,
     FOCAL_SDS,
     RADIAL_2_SDS,
     RADIAL_SDS,
-    UNTOLD_CENTRE_SD,
+    UNKNOWN_CENTRE_SD,
 )
-from models.calibrating.problem import Problem, Solution, grouped
+from models.calibrating.problem import CalibrationProblem, Solution, grouped
 from models.epipolar.pairs import Beliefs
 from models.epipolar.rig_certainty import FocalLikelihood
 from models.epipolar.static_cameras import StaticCameras
@@ -40,19 +40,19 @@ from models.optics.lenses.projection import Lenses, project
 
 Float64 = NDArray[np.float64]
 
-FOCAL_SD, UNTOLD_FOCAL_SD = 0.5, 0.6  # of the log focal length, with and without the image's size
+FOCAL_SD, UNKNOWN_FOCAL_SD = 0.5, 0.6  # of the log focal length, with and without the image's size
 STRAIGHTENINGS = 8  # steps that undo a lens
-STRAY = 4.0  # radii of a structure beyond which a point is none of it
+STRAY = 4.0  # radii of a structure beyond which a point does not belong to it
 ROUNDS = 5  # of aligning structures and filling their gaps
-LEAST_VIEWS = 3  # that hold lenses: two explain almost all keypoints with many lenses
-LEAST_KNOWN = 4  # points that tell a structure's pose
+LEAST_VIEWS = 3  # that determine lenses: two explain almost all keypoints with many lenses
+LEAST_KNOWN = 4  # points that determine a structure's pose
 
 
 class KeypointRig(NamedTuple):
-    """Static cameras as keypoints alone give them, and the starts that they make."""
+    """Static cameras from keypoints alone, and the starts from them."""
 
     start: Solution
-    mirror: Solution  # of the other hand
+    mirror: Solution  # of the other handedness
     members: list[int]  # the static views
     noise: float  # pixels
     log_odds: Float64  # (N,) of each frame, for the start and against its mirror image
@@ -61,7 +61,7 @@ class KeypointRig(NamedTuple):
 
 
 def rig_from_keypoints(
-    problem: Problem, moving: Solution, among: list[int]
+    problem: CalibrationProblem, moving: Solution, among: list[int]
 ) -> Steps[KeypointRig | None]:
     """Find static cameras `among` some views; the others move as in `moving`.
 
@@ -70,7 +70,7 @@ def rig_from_keypoints(
     found = yield from geometry_of(problem, among)
     if found is None:
         return None
-    members = [int(k) for k in np.flatnonzero(found.resting)]
+    members = [int(k) for k in np.flatnonzero(found.static)]
     noise = max(found.noise * problem.side, moving.noise)
 
     best, mirror = _structures(found.best.points), _structures(found.mirror.points)
@@ -78,7 +78,7 @@ def rig_from_keypoints(
         return None
 
     def start_of(rig: StaticCameras, structures: _Structures) -> Solution:
-        lenses = _lenses(problem, moving.rig, rig, found.resting)
+        lenses = _lenses(problem, moving.rig, rig, found.static)
         start = _start(moving, rig, members, lenses, structures)
         return start._replace(noise=noise, measured_noise=noise)
 
@@ -94,8 +94,10 @@ def rig_from_keypoints(
     )
 
 
-def start_from_geometry(problem: Problem, found: StaticRig) -> tuple[Solution, Float64] | None:
-    """Return the start that static cameras alone make, and their standard deviations (K, VIEW).
+def start_from_geometry(
+    problem: CalibrationProblem, found: StaticRig
+) -> tuple[Solution, Float64] | None:
+    """Return the start from static cameras alone, and their standard deviations (K, VIEW).
 
     None without structures.
     """
@@ -106,14 +108,14 @@ def start_from_geometry(problem: Problem, found: StaticRig) -> tuple[Solution, F
     return start, _deviations(problem, found, structures.unit)
 
 
-def static_start(problem: Problem, seen: StaticScene, noise: float) -> Solution | None:
-    """Return the start that static cameras and points make; `noise` in pixels."""
+def static_start(problem: CalibrationProblem, seen: StaticScene, noise: float) -> Solution | None:
+    """Return the start from static cameras and points; `noise` in pixels."""
     structures = _structures(seen.points)
     return None if structures is None else _static_start(problem, seen.rig, structures, noise)
 
 
 def _static_start(
-    problem: Problem, rig: StaticCameras, structures: "_Structures", noise: float
+    problem: CalibrationProblem, rig: StaticCameras, structures: "_Structures", noise: float
 ) -> Solution:
     members = list(range(len(rig.log_focals)))
     lenses = _lenses(problem, problem.reference, rig, np.ones(len(members), bool))
@@ -128,12 +130,12 @@ def _static_start(
     return Solution(placed_rig, scene, prior, shapes, noise, noise)
 
 
-def geometry_of(problem: Problem, among: list[int]) -> Steps[StaticRig | None]:
+def geometry_of(problem: CalibrationProblem, among: list[int]) -> Steps[StaticRig | None]:
     """Find static cameras `among` some views from keypoints alone; None where none explain them.
 
     The rig is in sides of the longest image.
     """
-    # Two views hold each other less than noise disturbs them: they do better without it.
+    # Two views determine each other worse than noise disturbs them: clean keypoints are better.
     keypoints = problem.detected if len(among) >= LEAST_VIEWS else problem.keypoints
     images, sizes = straight_images(problem, keypoints)
     asked = np.isin(np.arange(len(sizes)), among)
@@ -142,22 +144,22 @@ def geometry_of(problem: Problem, among: list[int]) -> Steps[StaticRig | None]:
     return found
 
 
-def _deviations(problem: Problem, found: StaticRig, unit: float) -> Float64:
+def _deviations(problem: CalibrationProblem, found: StaticRig, unit: float) -> Float64:
     """Return standard deviations (K, VIEW), `unit` units of the rig in one of the structure."""
-    sds = np.full((len(found.resting), VIEW), np.inf)
-    sds[found.resting] = found.deviations[found.resting]
+    sds = np.full((len(found.static), VIEW), np.inf)
+    sds[found.static] = found.deviations[found.static]
     sds[:, [CENTRE_X, CENTRE_Y]] *= problem.side
     sds[:, LENS + 3 :] /= unit
     return sds
 
 
-def lens_kinds(problem: Problem, found: StaticRig) -> NDArray[np.int64]:
-    """Return which lenses (K,) are alike, of those of static views that nobody gave.
+def lens_kinds(problem: CalibrationProblem, found: StaticRig) -> NDArray[np.int64]:
+    """Return the groups (K,) of alike lenses among static views whose lenses are not given.
 
-    The other views have lenses like those of most.
+    The other views belong to the largest group.
     """
     beliefs = lens_beliefs(problem)
-    members = np.flatnonzero(found.resting)
+    members = np.flatnonzero(found.static)
     free = beliefs.focal_sds[members] > 0
     if problem.cameras_alike != "auto" or free.sum() < 2:
         return problem.lens_groups
@@ -175,11 +177,11 @@ def lens_kinds(problem: Problem, found: StaticRig) -> NDArray[np.int64]:
 
 
 def _lenses(
-    problem: Problem, moving: Rig, rig: StaticCameras, resting: NDArray[np.bool_]
+    problem: CalibrationProblem, moving: Rig, rig: StaticCameras, static: NDArray[np.bool_]
 ) -> Lenses:
-    """Return lenses as found of the views that rest; what was told stays."""
+    """Return the estimated lenses of static views; given numbers stay."""
     side, lenses = problem.side, problem.reference.lenses
-    free = resting[:, None] & (problem.lens_sds > 0)  # (K, LENS)
+    free = static[:, None] & (problem.lens_sds > 0)  # (K, LENS)
     distortion = lenses.distortion.copy()
     distortion[free[:, RADIAL], :2] = rig.radial[free[:, RADIAL]]
     focals = side * np.exp(rig.log_focals)[:, None]
@@ -190,18 +192,18 @@ def _lenses(
     )
 
 
-def lens_beliefs(problem: Problem) -> Beliefs:
-    """Say what is believed of the lenses, in sides of the longest image."""
+def lens_beliefs(problem: CalibrationProblem) -> Beliefs:
+    """Return the prior of the lenses, in sides of the longest image."""
     images, sds = problem.images, problem.lens_sds
     focals = problem.reference.lenses.focals.mean(1)
     sides = np.where(np.isinf(sds[:, CENTRE_X]), images.sizes.max(1) / problem.side, 0)
-    together = np.where(images.told, 0, UNTOLD_CENTRE_SD) * sides
+    together = np.where(images.known, 0, UNKNOWN_CENTRE_SD) * sides
     bends = np.isinf(sds[:, RADIAL])
     radial = [
         together**2 + alone**2 * np.eye(len(sides))
         for together, alone in (RADIAL_SDS, RADIAL_2_SDS)
     ]
-    unknown = np.where(images.told, FOCAL_SD, UNTOLD_FOCAL_SD)
+    unknown = np.where(images.known, FOCAL_SD, UNKNOWN_FOCAL_SD)
     own = np.where(np.isinf(sds[:, FOCAL]), unknown, sds[:, FOCAL])
     focal_covariance = np.diag(np.square(own))
     if problem.cameras_alike is True:
@@ -216,7 +218,7 @@ def lens_beliefs(problem: Problem) -> Beliefs:
     )
 
 
-def straight_images(problem: Problem, keypoints: Float64) -> tuple[Float64, Float64]:
+def straight_images(problem: CalibrationProblem, keypoints: Float64) -> tuple[Float64, Float64]:
     """Return keypoints (N, K, P, 2) from expected principal points, and the subject's size (K,).
 
     Both in sides of the longest image. Distortion that was given is undone by iteration.
@@ -225,15 +227,15 @@ def straight_images(problem: Problem, keypoints: Float64) -> tuple[Float64, Floa
     mean = lenses.focals.mean(1)[:, None, None]
     focals = lenses.focals[:, None]
     flat = (keypoints - lenses.centres[:, None]) / focals  # (N, K, P, 2)
-    told = np.flatnonzero(np.isfinite(problem.lens_sds[:, RADIAL]))
-    if len(told):
-        bent, own = flat[:, told], lenses.of(told)
+    given = np.flatnonzero(np.isfinite(problem.lens_sds[:, RADIAL]))
+    if len(given):
+        bent, own = flat[:, given], lenses.of(given)
         straight = bent.copy()
         for _ in range(STRAIGHTENINGS):
             rays = np.concatenate((straight, np.ones_like(straight[..., :1])), -1)
             pixels = project(rays, own)
             straight += bent - (pixels - own.centres[:, None]) / own.focals[:, None]
-        flat[:, told] = np.where(np.isfinite(straight), straight, bent)
+        flat[:, given] = np.where(np.isfinite(straight), straight, bent)
     images = mean * flat / side
     weights = (problem.weights > 0)[..., None]
     count = weights.sum(2).clip(1)
@@ -252,7 +254,7 @@ class _Structures(NamedTuple):
 
     @property
     def unit(self) -> float:
-        """Rig units in a unit of the structure, of most frames."""
+        """Rig units in a unit of the structure, for most frames."""
         return float(np.median(self.scales))
 
 
@@ -307,11 +309,11 @@ def _start(
     lenses: Lenses,
     structures: _Structures,
 ) -> Solution:
-    """Put cameras, structures and the views that do not rest together."""
+    """Combine cameras, structures and the moving views into a solution."""
     rig, held, placed = _in_first_camera(found, members, lenses, structures)
     views = len(rig.groups)
     scene = moving.scene
-    if not same_hand(scene.points, structures.points):
+    if not same_handedness(scene.points, structures.points):
         scene = mirrored(scene)
     _, similarity = align(scene.points, structures.points)
     others = regauge(scene, structures.points, similarity, moving.rig)
@@ -331,7 +333,7 @@ def _start(
 def _in_first_camera(
     found: StaticCameras, members: list[int], lenses: Lenses, structures: _Structures
 ) -> tuple[Rig, Float64, Float64]:
-    """Return the rig in the frame of its first camera, and where (N, 3, 3), (N, 3) structures are.
+    """Return the rig in the frame of its first camera, and poses (N, 3, 3), (N, 3) of structures.
 
     The unit is that of the structures.
     """
@@ -348,7 +350,7 @@ def _in_first_camera(
 
 
 def _shapes(points: Float64) -> tuple[ShapeModel, ShapePrior]:
-    """Return the shape model of structures (N, P, 3), and the prior that frames are like it."""
+    """Return the shape model of structures (N, P, 3), and the prior of frames from it."""
     count = points[0].size
     shapes = learn_shapes(points, np.zeros((len(points), count, count)), floor=LEAST_SPREAD)
     means = np.tile(shapes.mean, (len(points), 1, 1))

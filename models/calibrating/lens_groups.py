@@ -1,4 +1,4 @@
-"""Which cameras have alike lenses: as many kinds of lens as the keypoints make likely."""
+"""Groups of cameras with alike lenses: the kinds of lens that the keypoints favour."""
 
 from itertools import combinations
 
@@ -16,8 +16,8 @@ DECISIVE = 5.0  # nats by which several kinds of lens must be more likely than o
 def group_covariance(groups: Int64, together: float, alone: float) -> Float64:
     """Covariance (K, K) of numbers of lenses of several kinds.
 
-    `together` is the standard deviation of what a kind has in common, `alone` that of each lens
-    beside it; `groups` (K,) are the kinds.
+    `together` is the standard deviation of the common part of a kind, `alone` that of each lens
+    about it; `groups` (K,) are the kinds.
     """
     alike = groups[:, None] == groups
     covariance: Float64 = together**2 * alike + alone**2 * np.eye(len(groups))
@@ -27,12 +27,12 @@ def group_covariance(groups: Int64, together: float, alone: float) -> Float64:
 def find_lens_groups(
     likelihood: FocalLikelihood, expected: Float64, together: float, alone: float
 ) -> Int64:
-    """Return the kinds (K,) of lens that make the focal lengths of the keypoints likely.
+    """Return the kinds (K,) of lens that make the keypoints' focal lengths most likely.
 
-    Every kind has a focal length of its own, whose log is expected at `expected` (K,) with a
+    Every kind has its own focal length, whose log is expected at `expected` (K,) with a
     standard deviation of `together`; lenses of a kind differ by `alone`. The marginal likelihood of
     such a prior has a closed form. Kinds are merged as long as that makes the keypoints more likely
-    (agglomerative clustering). Lenses are of one kind unless others are decisively better.
+    (agglomerative clustering). Lenses are of one kind unless several kinds are decisively better.
     """
     views = len(expected)
     one = np.zeros(views, np.int64)
@@ -59,7 +59,7 @@ def find_lens_groups(
 
 
 def _merged(groups: Int64, first: int, second: int) -> Int64:
-    """Make one group of two, and number the groups anew from 0."""
+    """Merge two groups, and number the groups from 0."""
     joined = np.where(groups == second, first, groups)
     numbered: Int64 = np.unique(joined, return_inverse=True)[1]
     return numbered

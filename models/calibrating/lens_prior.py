@@ -1,4 +1,4 @@
-"""What is believed of lenses and rig beforehand, and other camera models."""
+"""The prior of lenses and rig, and other camera models."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,43 +17,44 @@ from models.bundle.problem import (
     make_rig,
 )
 from models.calibrating.lens_groups import group_covariance
-from models.calibrating.problem import GivenPoses, Problem, Solution
+from models.calibrating.problem import CalibrationProblem, GivenPoses, Solution
 from models.optics.lenses.projection import LENSES, index_of
 
 Float64 = NDArray[np.float64]
 
-# Standard deviations of what is not told: of cameras of one kind together, and of each beside that.
+# Standard deviations of numbers that are not given: of one kind of camera together, and of each
+# camera about its kind.
 FOCAL_SDS = (0.3, 0.01)  # of the log focal length
 RADIAL_SDS = (0.2, 0.05)  # of the first radial coefficient
 RADIAL_2_SDS = (0.07, 0.01)  # of the second
 PINHOLE = index_of("pinhole")
 CENTRE_SD = 0.02  # of the principal point, as a share of the image's side
-UNTOLD_CENTRE_SD = 0.12  # of the middle of all images whose size nobody told, likewise
+UNKNOWN_CENTRE_SD = 0.12  # of the middle of all images of unknown size, likewise
 
 
-def rig_prior(problem: Problem, rig: Rig, *, given_poses: GivenPoses | None) -> RigPrior:
-    """Say what is free of the rig, and how strongly it is held where."""
+def rig_prior(problem: CalibrationProblem, rig: Rig, *, given_poses: GivenPoses | None) -> RigPrior:
+    """Return the prior of the rig, with its free numbers."""
     views = len(rig.groups)
     total = VIEW * views
     precision, free = np.zeros((total, total)), np.zeros(total, bool)
-    untold = np.isinf(problem.lens_sds)  # (K, LENS)
+    unknown = np.isinf(problem.lens_sds)  # (K, LENS)
     for number, (together, alone) in (
         (FOCAL, FOCAL_SDS),
         (RADIAL, RADIAL_SDS),
         (RADIAL_2, RADIAL_2_SDS),
     ):
-        these = np.flatnonzero(untold[:, number])
+        these = np.flatnonzero(unknown[:, number])
         index = VIEW * these + number
         covariance = group_covariance(problem.lens_groups[these], together, alone)
-        precision[np.ix_(index, index)] = np.linalg.inv(covariance) / problem.said_once
+        precision[np.ix_(index, index)] = np.linalg.inv(covariance) / problem.independent_share
         free[index] = True
     for number in (CENTRE_X, CENTRE_Y):
-        these = np.flatnonzero(untold[:, number])
+        these = np.flatnonzero(unknown[:, number])
         index = VIEW * these + number
         precision[np.ix_(index, index)] = np.linalg.inv(_centre_covariance(problem, these))
-        # Where a moving camera looks and where its principal point is are nearly one.
+        # The direction of a moving camera and its principal point are nearly interchangeable.
         free[index] = rig.group_count < views
-    poses = told_extrinsics(rig, given_poses)
+    poses = extrinsics_prior(rig, given_poses)
     sds = np.concatenate((problem.lens_sds, poses.sds), 1).ravel()
     unsure = np.flatnonzero(np.isfinite(sds) & (sds > 0))
     precision[unsure, unsure] = 1 / sds[unsure] ** 2
@@ -64,10 +65,10 @@ def rig_prior(problem: Problem, rig: Rig, *, given_poses: GivenPoses | None) -> 
     return RigPrior(mean, precision, free)
 
 
-def told_extrinsics(rig: Rig, given: GivenPoses | None) -> GivenPoses:
-    """Return what holds the extrinsics of a rig.
+def extrinsics_prior(rig: Rig, given: GivenPoses | None) -> GivenPoses:
+    """Return the prior of the extrinsics of a rig.
 
-    A group of which no pose was told has its frame of reference in its first camera.
+    The frame of reference of a group without given poses is its first camera.
     """
     views = len(rig.groups)
     sds = np.full((views, EXTRINSICS), np.inf) if given is None else given.sds.copy()
@@ -85,30 +86,32 @@ def told_extrinsics(rig: Rig, given: GivenPoses | None) -> GivenPoses:
     )
 
 
-def _centre_covariance(problem: Problem, views: NDArray[np.int64]) -> Float64:
-    """Covariance (k, k) of one coordinate of the principal points of some views."""
+def _centre_covariance(problem: CalibrationProblem, views: NDArray[np.int64]) -> Float64:
+    """Return the covariance (k, k) of one coordinate of the principal points of some views."""
     sides = problem.images.sizes[views].max(1)
-    together = sides * np.where(problem.images.told[views], 0, UNTOLD_CENTRE_SD)
+    together = sides * np.where(problem.images.known[views], 0, UNKNOWN_CENTRE_SD)
     covariance: Float64 = np.outer(together, together) + np.diag((CENTRE_SD * sides) ** 2)
     return covariance
 
 
-def other_lenses(problem: Problem, solution: Solution) -> list[tuple[str, Problem, Solution]]:
-    """Camera models that the lenses look like which nobody told: name, problem and start of each.
+def other_lenses(
+    problem: CalibrationProblem, solution: Solution
+) -> list[tuple[str, CalibrationProblem, Solution]]:
+    """Return other camera models for lenses that are not given: name, problem and start of each.
 
-    Their own files say what they look like to the pinholes that every search begins with.
+    The file of a camera model decides whether the estimated pinholes suggest it.
     """
-    untold = np.isinf(problem.lens_sds[:, RADIAL]) & (problem.reference.lenses.models == PINHOLE)
-    if not untold.any():
+    unknown = np.isinf(problem.lens_sds[:, RADIAL]) & (problem.reference.lenses.models == PINHOLE)
+    if not unknown.any():
         return []
     lenses, usual = solution.rig.lenses, problem.reference.lenses
-    trials: list[tuple[str, Problem, Solution]] = []
+    trials: list[tuple[str, CalibrationProblem, Solution]] = []
     for index, lens in enumerate(LENSES):
-        start = lens.start_from_pinhole(lenses.distortion[untold])
+        start = lens.start_from_pinhole(lenses.distortion[unknown])
         if start is None:
             continue
         models, distortion = lenses.models.copy(), lenses.distortion.copy()
-        models[untold], distortion[untold] = index, start
+        models[unknown], distortion[unknown] = index, start
         reference = problem.reference._replace(lenses=usual._replace(models=models))
         rig = solution.rig._replace(lenses=lenses._replace(distortion=distortion, models=models))
         trials.append(

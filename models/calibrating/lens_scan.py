@@ -1,9 +1,9 @@
 """Focal lengths of two static views, scanned over their range by the evidence of shapes.
 
-Keypoints of two views fit almost any two lenses, but with wrong ones a body has other shapes
-wherever it turns. For each pair of focal lengths that is tried, the cameras are adjusted to the
-keypoints, a shape model is learnt, and the evidence is how likely both make the keypoints. How
-narrow its peak is, beside its scatter between frames, is how surely the lenses are known.
+Keypoints of two views fit almost any two lenses, but with wrong ones a body changes its shape as
+it turns. For each pair of focal lengths that is tried, the cameras are adjusted to the keypoints
+and a shape model is learnt. The evidence is the likelihood of the keypoints under both. The width
+of its peak, together with its scatter between frames, gives the uncertainty of the lenses.
 """
 
 import math
@@ -23,13 +23,13 @@ from models.calibrating.keypoint_rig import (
 )
 from models.calibrating.lens_groups import group_covariance, log_evidence_of_kinds
 from models.calibrating.lens_prior import FOCAL_SDS
-from models.calibrating.problem import Problem, Solution
+from models.calibrating.problem import CalibrationProblem, Solution
 from models.epipolar.pairs import Beliefs
-from models.epipolar.rig_adjustment import Adjusted, adjust_rig
+from models.epipolar.rig_adjustment import AdjustedRig, adjust_rig
 from models.epipolar.rig_certainty import FocalLikelihood, certainty_of
 from models.epipolar.rig_search import refocused
 from models.epipolar.robust_points import robust_points, robust_structures
-from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, Seen, distances_of
+from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, SeenPoints, distances_of
 from models.epipolar.static_rig import StaticRig, StaticScene
 from models.epipolar.view_graph import SharedPoints
 from models.numerics.steps import Steps
@@ -61,38 +61,38 @@ RIGHT, UP = np.eye(2)
 
 
 class Trial(NamedTuple):
-    """Two static cameras with focal lengths that are tried."""
+    """Two static cameras with trial focal lengths."""
 
     at: Float64  # (2,) common log focal length in sides, and log ratio
-    cameras: Adjusted
-    shown: StaticScene  # the frames that are looked at
+    cameras: AdjustedRig
+    shown: StaticScene  # the frames that are used
     solution: Solution  # of these
     evidence: Float64  # (N,) of each frame
     posterior: float  # log density of the focal lengths, up to a constant
 
 
 class _Sight(NamedTuple):
-    """What the cameras see: keypoints in sides, and the problem of the frames looked at."""
+    """The data of a scan: keypoints in sides, and the problem of the frames that are used."""
 
-    problem: Problem
+    problem: CalibrationProblem
     images: Float64  # (N, 2, P, 2)
-    points: Seen  # of the sample that cameras are adjusted to
+    points: SeenPoints  # of the sample that cameras are adjusted to
     clusters: tuple[NDArray[np.int64], NDArray[np.int64]]  # frames and keypoints of these
     beliefs: Beliefs
-    worth: float  # of the evidence, as a share of what it claims
+    worth: float  # weight of the evidence, 0 to 1
 
 
 class _Peak(NamedTuple):
-    """The most likely focal lengths of one hand."""
+    """The most likely focal lengths of one handedness."""
 
     trial: Trial
     at: Float64  # (2,) the top of a quadratic about the trial
     information: Float64  # (2, 2) of keypoints alone, on `at`
-    moves: Float64  # (2, 2, 11) how `at` moves the numbers of the cameras
+    moves: Float64  # (2, 2, 11) derivatives of the cameras' numbers by `at`
 
 
 class _Around(NamedTuple):
-    """A trial, and those beside it."""
+    """A trial and its neighbours."""
 
     trials: list[Trial]  # itself, right, left, up, down, right and up
 
@@ -112,17 +112,17 @@ class _Around(NamedTuple):
 
     @property
     def moves(self) -> Float64:
-        """How the numbers of the cameras move, (2, 2, 11)."""
+        """Derivatives (2, 2, 11) of the cameras' numbers."""
         middle, right, left, up, down, _ = self.trials
         return np.stack((_difference(right, left, middle), _difference(up, down, middle))) / (
             2 * FINE
         )
 
 
-def scan_lenses(problem: Problem, found: StaticRig) -> Steps[StaticRig]:
+def scan_lenses(problem: CalibrationProblem, found: StaticRig) -> Steps[StaticRig]:
     """Return two static cameras with the focal lengths under which shapes are most alike.
 
-    `found` is what geometry alone gives of them, and their handedness.
+    `found` are the cameras from geometry alone, and their handedness.
 
     Raises
     ------
@@ -133,16 +133,16 @@ def scan_lenses(problem: Problem, found: StaticRig) -> Steps[StaticRig]:
     sight = _sight(problem, found, frames)
     noise = np.full(2, found.noise)
     points = robust_points(found.best.rig, sight.points, noise)
-    peak = yield from _peak(sight, Adjusted(found.best.rig, points, noise))
+    peak = yield from _peak(sight, AdjustedRig(found.best.rig, points, noise))
     return (yield from _settled(problem, found, sight, peak))
 
 
-def _sight(problem: Problem, found: StaticRig, frames: NDArray[np.int64]) -> _Sight:
-    """Take some frames, their keypoints weighted as Student's t has it."""
+def _sight(problem: CalibrationProblem, found: StaticRig, frames: NDArray[np.int64]) -> _Sight:
+    """Take some frames, with keypoints weighted by Student's t."""
     images, _ = straight_images(problem, problem.keypoints)
     points = found.best.points[frames].reshape(-1, 3).T
     weights = problem.weights[frames]
-    seen = Seen(
+    seen = SeenPoints(
         images[frames].transpose(1, 3, 0, 2).reshape(2, 2, -1),
         weights.transpose(1, 0, 2).reshape(2, -1),
     )
@@ -164,8 +164,8 @@ def _sight(problem: Problem, found: StaticRig, frames: NDArray[np.int64]) -> _Si
     )
 
 
-def _peak(sight: _Sight, cameras: Adjusted) -> Steps[_Peak]:
-    """Scan what the focal lengths have in common, then their ratio, then both about the peak.
+def _peak(sight: _Sight, cameras: AdjustedRig) -> Steps[_Peak]:
+    """Scan the common focal length, then the ratio, then both about the peak.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def _posterior(trial: Trial) -> float:
 
 
 def _step(sight: _Sight, around: _Around) -> Float64:
-    """Return what leads to the top of the posterior, bounded in each direction."""
+    """Return the step to the top of the posterior, bounded in each direction."""
     matrix = sight.worth * around.curvature + np.diag(1 / PRIOR_SDS**2)
     offset = around.trials[0].at - _expected(sight.beliefs)
     pull = sight.worth * np.nansum(around.gradients, 1) - offset / PRIOR_SDS**2
@@ -219,14 +219,14 @@ def _step(sight: _Sight, around: _Around) -> Float64:
 
 
 def _expected(beliefs: Beliefs) -> Float64:
-    """Return the focal lengths that are expected, as `Trial.at` has them."""
+    """Return the expected focal lengths, in the form of `Trial.at`."""
     return np.asarray(FROM_LOGS @ np.log(beliefs.focals), np.float64)
 
 
 def _walk(
     sight: _Sight, near: Trial, places: list[Float64], *, uphill: bool = False
 ) -> Steps[list[Trial]]:
-    """Try one place after another, each from the one before; `uphill` as long as that is better."""
+    """Try one place after another, each from the previous one; `uphill` stops when it is worse."""
     trials: list[Trial] = []
     for place in places:
         try:
@@ -251,10 +251,10 @@ def _around(sight: _Sight, middle: Trial) -> Steps[_Around]:
 
 
 def _information(sight: _Sight, around: _Around, trials: list[Trial]) -> Float64:
-    """Return what the frames are worth, (2, 2), though they err alike.
+    """Return the information (2, 2) of the frames, allowing for their correlated errors.
 
-    In each direction as much less as their sums scatter more (the design effect: Kish, *Survey
-    Sampling*, 1965), and no more than other peaks of the scan allow.
+    In each direction it is divided by the factor by which sums over frames scatter more (the design
+    effect: Kish, *Survey Sampling*, 1965), and limited by other peaks of the scan.
     """
     values, vectors = np.linalg.eigh(sight.worth * around.curvature)
     values = values.clip(LEAST_INFORMATION)
@@ -272,12 +272,11 @@ def _information(sight: _Sight, around: _Around, trials: list[Trial]) -> Float64
     return np.asarray(information * min(1.0, variance / max(widest, TINY)))
 
 
-def share_of_information(problem: Problem, noise: float) -> float:
-    """Return what keypoints with this `noise` in pixels are worth; 1 if none was removed.
+def share_of_information(problem: CalibrationProblem, noise: float) -> float:
+    """Return the weight of keypoints with this `noise` in pixels; 1 if no noise was removed.
 
-    Removing noise makes keypoints of many frames err alike. If all did, together they would be
-    worth the square of the ratio of the noise that is left to what there was. On drawn rigs they
-    are worth the ratio.
+    Removing noise correlates the errors of many frames. If all were correlated, the weight would be
+    the square of the ratio of the noise after to the noise before. On drawn rigs it is the ratio.
     """
     seen = problem.weights > 0
     removed = np.square(problem.detected - problem.keypoints)[seen].mean()
@@ -289,11 +288,10 @@ def _next(sight: _Sight, at: Float64, near: Trial) -> Steps[Trial]:
     return (yield from _tried(sight, at, near.cameras))
 
 
-def _tried(sight: _Sight, at: Float64, near: Adjusted) -> Steps[Trial]:
+def _tried(sight: _Sight, at: Float64, near: AdjustedRig) -> Steps[Trial]:
     """Adjust the cameras and learn shapes, with focal lengths held.
 
-    Shapes are learnt from nothing, and equally long, in each trial: those of another would be an
-    advantage.
+    In each trial shapes are learnt anew, for equally many rounds, so that none has an advantage.
     """
     yield
     rig = refocused(near.rig, near.points, TO_LOGS @ at)
@@ -351,8 +349,10 @@ def _radius(points: Float64) -> float:
     return float(np.nanmedian(np.linalg.norm(points - centres, axis=-1)))
 
 
-def _settled(problem: Problem, found: StaticRig, sight: _Sight, peak: _Peak) -> Steps[StaticRig]:
-    """Give the cameras the focal lengths of the peak, as usual lenses and alike ones allow."""
+def _settled(
+    problem: CalibrationProblem, found: StaticRig, sight: _Sight, peak: _Peak
+) -> Steps[StaticRig]:
+    """Set the cameras to the focal lengths of the peak, combined with the prior of lenses."""
     # The likelihood whose product with the prior of the scan has its top at the peak.
     vector = peak.information @ peak.at + (peak.at - _expected(sight.beliefs)) / PRIOR_SDS**2
     likelihood = FocalLikelihood(FROM_LOGS.T @ peak.information @ FROM_LOGS, FROM_LOGS.T @ vector)
@@ -373,11 +373,12 @@ def _settled(problem: Problem, found: StaticRig, sight: _Sight, peak: _Peak) -> 
     )
 
 
-def _believed(problem: Problem, found: StaticRig, expected: Float64) -> tuple[Float64, Float64]:
-    """Return the log focal lengths (2,) after what is known of lenses, and their covariance.
+def _believed(
+    problem: CalibrationProblem, found: StaticRig, expected: Float64
+) -> tuple[Float64, Float64]:
+    """Return the posterior of the log focal lengths: mean (2,) and covariance.
 
-    Both lenses of one kind, and each of its own, are as likely beforehand: where the evidence does
-    not decide, the covariance spans both answers.
+    One kind of lens is a priori as likely as two; undecided, the covariance spans both answers.
     """
     chosen = lens_kinds(problem, found)
     one, two = np.zeros(2, np.int64), np.arange(2)

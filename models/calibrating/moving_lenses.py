@@ -1,9 +1,9 @@
 """Focal lengths of moving cameras, scanned over their range by the evidence of shapes.
 
-Expectation maximisation alone may stop at focal lengths several times too long: far cameras with
-long lenses leave the fewest differences between shapes. The evidence weighs against that how many
-structures would have shown the same. First all focal lengths change by a common factor; then each
-changes alone, and where the evidence rises clearly, the lenses are unlike.
+Expectation maximisation alone may stop at focal lengths several times too long, because distant
+cameras with long lenses leave the smallest differences between shapes. The evidence also accounts
+for the number of structures that would look the same. First all focal lengths change by a common
+factor. Then each changes alone, and if the evidence rises clearly, the lenses are unlike.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ from models.calibrating.lens_scan import (
     TOO_SURE,
     share_of_information,
 )
-from models.calibrating.problem import Problem, Solution
+from models.calibrating.problem import CalibrationProblem, Solution
 from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
@@ -35,8 +35,8 @@ Int64 = NDArray[np.int64]
 STEP, FINE = 0.25, 0.0625  # of a log focal length, over the range and about the best
 FINE_STEPS = 3  # to either side of the best
 RESAMPLED = 200  # times that frames are drawn with replacement
-UNLIKE = 10.0  # by so much the log posterior of unlike lenses must be higher
-SURE = 3.0  # standard deviations of the difference, over frames, by which it must be
+UNLIKE = 10.0  # least difference of log posteriors in favour of unlike lenses
+SURE = 3.0  # and its least size in standard deviations over frames
 CLIMBS = (0.25, 0.25, 0.1)  # steps of a log focal length, one round each
 PEAKS = 4  # steps from there to the top, at most
 TINY = 1e-12
@@ -46,22 +46,22 @@ class MovingLenses(NamedTuple):
     """Moving cameras with the most likely focal lengths."""
 
     solution: Solution
-    deviations: Float64  # (K, VIEW) standard deviations of what was scanned, infinite of all else
+    deviations: Float64  # (K, VIEW) standard deviations of scanned numbers, infinite for all others
     groups: Int64  # (K,) views of one number have alike lenses
 
 
-class Trial(NamedTuple):
-    """Focal lengths that were tried."""
+class MovingTrial(NamedTuple):
+    """A trial of focal lengths."""
 
     at: Float64  # (K,) logs of the focal lengths over the usual ones
     solution: Solution
-    evidence: Float64  # (N,) of each frame, as much as it is worth
+    evidence: Float64  # (N,) of each frame, weighted
 
 
 Prior = Callable[[Float64], float]  # log density of the focal lengths of a trial
 
 
-def scan_moving_lenses(problem: Problem, solution: Solution) -> Steps[MovingLenses]:
+def scan_moving_lenses(problem: CalibrationProblem, solution: Solution) -> Steps[MovingLenses]:
     """Return moving cameras with the focal lengths under which shapes are most alike.
 
     `solution` has views that all move. Lenses keep their distortion.
@@ -94,7 +94,7 @@ def scan_moving_lenses(problem: Problem, solution: Solution) -> Steps[MovingLens
                 other = yield from _climb(part, other, step)
             groups = np.arange(views)
             best, sds[:, FOCAL] = yield from _peak(part, other)
-        else:  # the deviations span both answers
+        else:  # deviations that span both answers
             share = 1 / (1 + np.exp(-_gain(other, best)))
             sds[:, FOCAL] = np.hypot(sds[:, FOCAL], np.sqrt(share) * (other.at - best.at))
     begun = _refocused(solution, best.at - start)
@@ -109,13 +109,13 @@ def _alike(at: Float64) -> float:
 
 
 def _unlike(at: Float64) -> float:
-    """Return the log density of focal lengths of which each is by itself."""
+    """Return the log density of focal lengths that are independent of each other."""
     return float(-np.square(at / FOCAL_SDS[0]).sum() / 2)
 
 
 def _walk(
-    problem: Problem, first: Trial, step: float, *, within: tuple[float, float]
-) -> Steps[list[Trial]]:
+    problem: CalibrationProblem, first: MovingTrial, step: float, *, within: tuple[float, float]
+) -> Steps[list[MovingTrial]]:
     """Change all focal lengths step by step, each trial from the one before, within the range."""
     trials, near = [], first
     least, most = within
@@ -128,7 +128,7 @@ def _walk(
     return trials
 
 
-def _climb(problem: Problem, best: Trial, step: float) -> Steps[Trial]:
+def _climb(problem: CalibrationProblem, best: MovingTrial, step: float) -> Steps[MovingTrial]:
     """Change one focal length after another, each as long as the posterior rises."""
     for view in range(len(best.at)):
         for signed in (step, -step):
@@ -146,24 +146,26 @@ def _climb(problem: Problem, best: Trial, step: float) -> Steps[Trial]:
     return best
 
 
-def _next(problem: Problem, at: Float64, near: Trial) -> Steps[Trial]:
+def _next(problem: CalibrationProblem, at: Float64, near: MovingTrial) -> Steps[MovingTrial]:
     """Try focal lengths from a trial near them."""
     return (yield from _tried(problem, at, near.at, near.solution))
 
 
-def _tried(problem: Problem, at: Float64, start: Float64, near: Solution) -> Steps[Trial]:
-    """Learn shapes with focal lengths that are held, from a solution with those at `start`."""
+def _tried(
+    problem: CalibrationProblem, at: Float64, start: Float64, near: Solution
+) -> Steps[MovingTrial]:
+    """Learn shapes with held focal lengths, from a solution with those at `start`."""
     yield
     begun = _refocused(near, at - start)
     solution = yield from learn(problem, begun, rounds=ROUNDS, least_noise=LEAST_NOISE)
     views = problem.views(solution.noise)
     evidence = log_evidence(views, solution.rig, solution.prior, solution.scene)
     share = share_of_information(problem, solution.measured_noise) / TOO_SURE**2
-    return Trial(at, solution, share * evidence)
+    return MovingTrial(at, solution, share * evidence)
 
 
 def _refocused(solution: Solution, steps: Float64) -> Solution:
-    """Lengthen each focal length by a log (K,), and take its camera as much further away."""
+    """Lengthen each focal length by a log (K,), and move its camera away by the same factor."""
     factors, rig, scene = np.exp(steps), solution.rig, solution.scene
     lenses = rig.lenses._replace(focals=factors[:, None] * rig.lenses.focals)
     translations = scene.translations.copy()  # (N, G, 3), each group one view
@@ -173,7 +175,7 @@ def _refocused(solution: Solution, steps: Float64) -> Solution:
     )
 
 
-def _evidence(trials: list[Trial]) -> Float64:
+def _evidence(trials: list[MovingTrial]) -> Float64:
     """Return the evidence (T, N) of trials.
 
     A frame that a trial cannot explain is as unlikely as under the worst of the others.
@@ -184,20 +186,20 @@ def _evidence(trials: list[Trial]) -> Float64:
     return np.where(np.isfinite(evidence), evidence, worst)
 
 
-def _best(trials: list[Trial], prior: Prior) -> Trial:
+def _best(trials: list[MovingTrial], prior: Prior) -> MovingTrial:
     """Return the trial with the highest posterior, the first of equal ones."""
     logs = _evidence(trials).sum(1) + [prior(trial.at) for trial in trials]
     return trials[int(logs.argmax())]
 
 
-def _gain(unlike: Trial, alike: Trial) -> float:
+def _gain(unlike: MovingTrial, alike: MovingTrial) -> float:
     """Return the log odds of unlike lenses against alike ones."""
     evidence = _evidence([unlike, alike])
     gain = float((evidence[0] - evidence[1]).sum())
     return gain + _unlike(unlike.at) - _alike(alike.at)
 
 
-def _clearly_better(unlike: Trial, alike: Trial) -> bool:
+def _clearly_better(unlike: MovingTrial, alike: MovingTrial) -> bool:
     """Whether unlike lenses are far more likely than alike ones, beyond the scatter of frames."""
     evidence = _evidence([unlike, alike])
     gains = evidence[0] - evidence[1]
@@ -205,11 +207,11 @@ def _clearly_better(unlike: Trial, alike: Trial) -> bool:
     return _gain(unlike, alike) > UNLIKE and float(gains.sum()) > SURE * scatter
 
 
-def _common_deviation(trials: list[Trial], best: Trial) -> float:
+def _common_deviation(trials: list[MovingTrial], best: MovingTrial) -> float:
     """Return the standard deviation of the common log focal length about the best.
 
-    The posterior is the mean over frames drawn with replacement, for frames err alike (bagging;
-    Huggins & Miller, 2019). So it is wide where it has several peaks.
+    The posterior is the mean over frames drawn with replacement, because errors of frames are
+    correlated (bagging; Huggins & Miller, 2019). So it is wide if it has several peaks.
     """
     trials = sorted(trials, key=lambda trial: float(trial.at.mean()))
     places = np.array([trial.at.mean() for trial in trials])
@@ -226,8 +228,8 @@ def _common_deviation(trials: list[Trial], best: Trial) -> float:
     return float(np.sqrt(variance + FINE**2 / 12))
 
 
-def _peak(problem: Problem, best: Trial) -> Steps[tuple[Trial, Float64]]:
-    """Go on to the top of the posterior of unlike lenses, by Newton's method.
+def _peak(problem: CalibrationProblem, best: MovingTrial) -> Steps[tuple[MovingTrial, Float64]]:
+    """Find the top of the posterior of unlike lenses, by Newton's method.
 
     Returns also standard deviations (K,) of the log focal lengths there.
     """
@@ -243,11 +245,13 @@ def _peak(problem: Problem, best: Trial) -> Steps[tuple[Trial, Float64]]:
     return best, deviations
 
 
-def _about(problem: Problem, best: Trial) -> Steps[tuple[Float64, Float64, Float64]]:
+def _about(
+    problem: CalibrationProblem, best: MovingTrial
+) -> Steps[tuple[Float64, Float64, Float64]]:
     """Return slope (K,), inverse information (K, K) and deviations (K,) of unlike lenses.
 
-    Curvature is measured along each; how they go together is taken from the gradients of frames,
-    whose scatter makes the sandwich estimator (Huber, 1967).
+    Curvatures are measured along each; correlations come from the gradients of frames, whose
+    scatter also gives the sandwich estimator (Huber, 1967).
     """
     views = len(best.at)
     gradients, curvature = np.zeros((views, len(best.evidence))), np.zeros(views)

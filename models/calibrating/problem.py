@@ -1,4 +1,4 @@
-"""What a self-calibration starts from: the keypoints, what the user told, and usual lenses."""
+"""The input of a self-calibration: keypoints, given values, and usual lenses."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -29,37 +29,37 @@ from models.settings.config import FitConfig
 Float64 = NDArray[np.float64]
 
 USUAL_FOCAL = 1.2  # times the longer side of the image: a field of view of 45 degrees
-CLEAR = 0.005  # noise as a share of the subject's size, from which it pulls what shapes tell
-REST_SLACK = 1e-4  # of the image's side: differences of noise below which nothing is concluded
+CLEAR = 0.005  # noise as a share of the subject's size, from which it biases estimates with shapes
+NOISE_SLACK = 1e-4  # of the image's side: differences of noise below which nothing is concluded
 
 
 class Pose(NamedTuple):
-    """Where a camera stands: x_cam = R x_world + t."""
+    """The pose of a camera: x_cam = R x_world + t."""
 
     rotation: Float64  # (3, 3)
     translation: Float64  # (3,) in the user's unit
 
 
-class Problem(NamedTuple):
-    """The frames that a self-calibration looks at, and what is known of the cameras."""
+class CalibrationProblem(NamedTuple):
+    """The frames of a self-calibration, and the given values and priors of the cameras."""
 
     keypoints: Float64  # (N, K, P, 2) pixels
-    detected: Float64  # (N, K, P, 2) pixels, the same with the noise that was removed from them
+    detected: Float64  # (N, K, P, 2) pixels, the same before noise was removed from them
     weights: Float64  # (N, K, P) confidences
     images: Images
     size: float  # pixels, mean root-mean-square radius of a view
-    usual: Rig  # moving cameras with usual lenses, as though nothing was told
-    reference: Rig  # moving cameras with lenses as they were told, or usual
-    # (K, LENS) standard deviations of what was told of lenses, in the numbers of
-    # `models.bundle.problem.VIEW`: 0 where it is kept as it is, infinity where nothing was told.
+    usual: Rig  # moving cameras with usual lenses, as if nothing was given
+    reference: Rig  # moving cameras with lenses as they were given, or usual
+    # (K, LENS) standard deviations of given lenses, in the numbers of `models.bundle.problem.VIEW`:
+    # 0 for numbers that are held, infinity for those that are not given.
     lens_sds: Float64
-    poses: tuple[Pose | None, ...]  # K, as they were told
+    poses: tuple[Pose | None, ...]  # K, as they were given
     cameras_alike: Alike
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
-    kept: NDArray[np.bool_]  # (K,) whose cameras stay as a solution has them
-    # Of what keypoints say, the share that others do not say as well, since their noise was
-    # removed together. What is believed of lenses beforehand counts by as much more.
-    said_once: float = 1.0
+    kept: NDArray[np.bool_]  # (K,) whose cameras are held as in a solution
+    # Effective share of independent observations, 0 to 1. It is below 1 if noise was removed, which
+    # correlates errors. The prior of lenses is divided by it.
+    independent_share: float = 1.0
 
     @property
     def side(self) -> float:
@@ -67,17 +67,17 @@ class Problem(NamedTuple):
         return self.images.side
 
     @property
-    def told(self) -> NDArray[np.bool_]:
-        """Which keypoints (N, P) two views or more tell."""
-        told: NDArray[np.bool_] = (self.weights > 0).sum(1) > 1
-        return told
+    def measured(self) -> NDArray[np.bool_]:
+        """Which keypoints (N, P) two views or more show."""
+        measured: NDArray[np.bool_] = (self.weights > 0).sum(1) > 1
+        return measured
 
     @property
     def posed(self) -> list[int]:
-        """The views whose poses the user gave."""
+        """The views with given poses."""
         return [k for k, pose in enumerate(self.poses) if pose is not None]
 
-    def of(self, frames: NDArray[np.int64]) -> "Problem":
+    def of(self, frames: NDArray[np.int64]) -> "CalibrationProblem":
         """Return the problem of some of the frames."""
         return self._replace(
             keypoints=self.keypoints[frames],
@@ -97,18 +97,18 @@ def problem_of(
     config: FitConfig,
     *,
     detected: Float64 | None = None,
-) -> Problem:
+) -> CalibrationProblem:
     """Return the problem of keypoints (N, K, P, 2) with confidences (N, K, P), 0 if not observed.
 
-    `detected` (N, K, P, 2) are the keypoints with the noise that was removed from them.
+    `detected` (N, K, P, 2) are the keypoints before noise was removed from them.
     """
     calibration = config.calibration or (None,) * keypoints.shape[1]
     images = images_of(keypoints, weights, image_sizes)
     usual = usual_rig(images)
-    reference, lens_sds = told_lenses(usual, calibration)
+    reference, lens_sds = with_given_lenses(usual, calibration)
     alike = config.cameras_alike
     groups = np.arange(len(lens_sds)) if alike is False else np.zeros(len(lens_sds), np.int64)
-    return Problem(
+    return CalibrationProblem(
         keypoints,
         keypoints if detected is None else detected,
         weights,
@@ -117,7 +117,7 @@ def problem_of(
         usual,
         reference,
         lens_sds,
-        told_poses(calibration),
+        poses_of(calibration),
         alike,
         groups,
         kept=np.zeros(len(lens_sds), bool),
@@ -125,7 +125,7 @@ def problem_of(
 
 
 def mean_radius(keypoints: Float64, weights: Float64) -> float:
-    """Pixels, mean over views (N, K) of the root-mean-square radius of what each shows."""
+    """Return the mean over views (N, K) of the root-mean-square radius of keypoints, pixels."""
     seen = (weights > 0)[..., None]
     counts = seen.sum(2)  # (N, K, 1)
     centres = np.where(seen, keypoints, 0.0).sum(2) / counts.clip(1)
@@ -135,39 +135,39 @@ def mean_radius(keypoints: Float64, weights: Float64) -> float:
 
 
 class GivenPoses(NamedTuple):
-    """Extrinsics as they were told, in units of the structure, and how strongly they are held."""
+    """Given extrinsics, in units of the structure, and their standard deviations."""
 
     rotations: Float64  # (K, 3, 3)
     translations: Float64  # (K, 3)
-    # (K, EXTRINSICS) standard deviations, radians and units: 0 where kept as it is, infinity where
-    # nothing was told or what was told is refused.
+    # (K, EXTRINSICS) standard deviations, radians and units: 0 for numbers that are held, infinity
+    # for those that are not given or refused.
     sds: Float64
 
     @property
     def held(self) -> NDArray[np.bool_]:
-        """Which views (K,) stand where they were told, or near it."""
+        """Which views (K,) have their given poses, exactly or nearly."""
         held: NDArray[np.bool_] = np.all(np.isfinite(self.sds), 1)
         return held
 
 
 class Solution(NamedTuple):
-    """What explains the keypoints, and what it was found with."""
+    """A solution of a problem, with the priors it was estimated with."""
 
     rig: Rig
     scene: Scene
     prior: ShapePrior  # about every frame's structure
     shapes: ShapeModel
-    noise: float  # pixels, not below the least that is reckoned with
+    noise: float  # pixels, not below its lower limit
     measured_noise: float  # pixels
-    with_bones: bool = False  # whether bone lengths had a say
-    given_poses: GivenPoses | None = None  # what holds the extrinsics; None: nothing told does
+    with_bones: bool = False  # whether bone lengths were used
+    given_poses: GivenPoses | None = None  # the prior of the extrinsics; None: no given pose
 
     def of(self, frames: NDArray[np.int64]) -> "Solution":
         """Return the solution of some of the frames."""
         return self._replace(scene=self.scene.of(frames), prior=self.prior.of(frames))
 
 
-def reprojection_distances(problem: Problem, rig: Rig, scene: Scene) -> Float64:
+def reprojection_distances(problem: CalibrationProblem, rig: Rig, scene: Scene) -> Float64:
     """Pixels (N, K, P) from every keypoint to the projection of its point."""
     pixels = project(points_in_cameras(scene, rig), rig.lenses)
     distances: Float64 = np.linalg.norm(pixels - problem.keypoints, axis=-1)
@@ -175,32 +175,32 @@ def reprojection_distances(problem: Problem, rig: Rig, scene: Scene) -> Float64:
 
 
 def grouped(members: list[int], views: int) -> NDArray[np.int64]:
-    """Group 0 for the members, one of its own for every other view; (K,)."""
+    """Return group 0 for the members, and a separate group for every other view; (K,)."""
     groups = np.zeros(views, np.int64)
     others = [k for k in range(views) if k not in members]
     groups[others] = np.arange(1, len(others) + 1)
     return groups
 
 
-def told_poses(calibration: Sequence[Camera | None]) -> tuple[Pose | None, ...]:
-    """Return the poses that were told, K of them."""
+def poses_of(calibration: Sequence[Camera | None]) -> tuple[Pose | None, ...]:
+    """Return the given poses, K of them."""
     return tuple(_pose_of(camera) for camera in calibration)
 
 
-def told_lenses(usual: Rig, calibration: Sequence[Camera | None]) -> tuple[Rig, Float64]:
-    """Put what was told of lenses into a rig; also how surely, see `Problem.lens_sds`."""
+def with_given_lenses(usual: Rig, calibration: Sequence[Camera | None]) -> tuple[Rig, Float64]:
+    """Return a rig with the given lenses, and `lens_sds` of `CalibrationProblem`."""
     lenses = copied(usual.lenses)
     sds = np.full((len(calibration), LENS), np.inf)
     for k, camera in enumerate(calibration):
         if camera is None or camera.intrinsics is None:
             continue
-        told = camera.intrinsics
-        lenses.models[k] = index_of(told.model)
-        lenses.focals[k], sds[k, FOCAL] = told.focals, told.focal_sd
-        if told.centre is not None:
-            lenses.centres[k], sds[k, [CENTRE_X, CENTRE_Y]] = told.centre, 0
-        if told.distortion is not None:
-            lenses.distortion[k, : len(told.distortion)] = told.distortion
+        given = camera.intrinsics
+        lenses.models[k] = index_of(given.model)
+        lenses.focals[k], sds[k, FOCAL] = given.focals, given.focal_sd
+        if given.centre is not None:
+            lenses.centres[k], sds[k, [CENTRE_X, CENTRE_Y]] = given.centre, 0
+        if given.distortion is not None:
+            lenses.distortion[k, : len(given.distortion)] = given.distortion
             sds[k, RADIAL:] = 0
     return usual._replace(lenses=lenses), sds
 
@@ -215,13 +215,13 @@ def copied(lenses: Lenses) -> Lenses:
 def _pose_of(camera: Camera | None) -> Pose | None:
     if camera is None or camera.rotation is None or camera.translation is None:
         return None
-    told = np.array(camera.rotation, np.float64)
-    matrix = told if told.shape == (3, 3) else rotations_from_vectors(told)
+    given = np.array(camera.rotation, np.float64)
+    matrix = given if given.shape == (3, 3) else rotations_from_vectors(given)
     return Pose(matrix, np.array(camera.translation, np.float64))
 
 
 def usual_rig(images: Images) -> Rig:
-    """Return moving cameras with usual lenses in the middle of the images."""
+    """Return moving cameras with usual lenses, centred in the images."""
     views = len(images.sizes)
     focals = USUAL_FOCAL * images.sizes.max(1, keepdims=True) * np.ones(2)
     models = np.full(views, index_of("pinhole"), np.int8)

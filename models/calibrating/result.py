@@ -1,4 +1,4 @@
-"""What a self-calibration comes to: for the library, and as a report for people."""
+"""The result of a self-calibration: for the library, and as a report for people."""
 
 import math
 from dataclasses import dataclass
@@ -17,39 +17,39 @@ Float64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SelfCalibration:
-    """What a fit knows of its K cameras, of shapes, and of its network's errors."""
+    """The K cameras of a fit, its shapes, and the errors of its network."""
 
     rig: Rig
-    # (K, 11) standard deviations of what `models.bundle.problem.VIEW` counts; 0 if it was kept.
+    # (K, 11) standard deviations of the numbers of `models.bundle.problem.VIEW`; 0 if held.
     deviations: Float64
     shapes: ShapeModel
     network_errors: NetworkErrors
     settling: SettlingPolicy  # which frames of a lift are settled
     noise: float  # pixels, standard deviation of a coordinate of confidence 1
-    unit: float  # what a unit of the structure is in the user's unit; 1 without one
+    unit: float  # a unit of the structure in the user's unit; 1 without one
     reprojection_errors: Float64  # (K,) pixels, mean
-    reason: str  # why the cameras were found to rest or to move, in words with figures
-    findings: tuple[Finding, ...] = ()  # what does not fit, such as a calibration that is wrong
-    # How sure it is, 0 to 1, that structures are no mirror images; NaN: not asked (older files).
+    reason: str  # why the cameras are static or moving, in words with figures
+    findings: tuple[Finding, ...] = ()  # such as a calibration that disagrees
+    # Certainty, 0 to 1, that structures are no mirror images; NaN: unknown (older files).
     handedness_certainty: float = math.nan
 
     @property
-    def resting(self) -> NDArray[np.bool_]:
-        """Which views (K,) rest relative to another."""
-        return self.rig.resting
+    def static(self) -> NDArray[np.bool_]:
+        """Which views (K,) are static relative to another."""
+        return self.rig.static
 
 
 @dataclass(frozen=True)
 class CameraReport:
-    """The K views of a fit; standard deviations are 0 for what was given and kept.
+    """The K views of a fit; standard deviations are 0 for given numbers that were held.
 
-    Cameras at rest share one frame of reference: that of the first of them, or the one in which
-    the user gave their poses.
+    Static cameras share one frame of reference: that of the first of them, or the one in which the
+    user gave their poses.
     """
 
     arrangement: str  # "static", "moving" or "mixed"
     reason: str  # why, in words with figures
-    findings: tuple[Finding, ...]  # what does not fit, such as a calibration that is wrong
+    findings: tuple[Finding, ...]  # such as a calibration that disagrees
     camera_models: tuple[str, ...]  # K of `models.lifting.lift.CAMERA_MODELS`
     focals: Float64  # (K, 2) pixels along x and y
     focal_sds: Float64  # (K,) pixels
@@ -57,25 +57,25 @@ class CameraReport:
     principal_point_sds: Float64  # (K, 2) pixels
     distortions: Float64  # (K, 8) OpenCV's order
     distortion_sds: Float64  # (K, 2) of the first two coefficients
-    resting: NDArray[np.bool_]  # (K,)
-    rotations: Float64  # (K, 3, 3) x_cam = R x + t; NaN for a view that does not rest
+    static: NDArray[np.bool_]  # (K,)
+    rotations: Float64  # (K, 3, 3) x_cam = R x + t; NaN for a moving view
     rotation_sds: Float64  # (K,) degrees
-    translations: Float64  # (K, 3) units of the structure; NaN for a view that does not rest
+    translations: Float64  # (K, 3) units of the structure; NaN for a moving view
     translation_sds: Float64  # (K, 3)
-    reprojection_errors: Float64  # (K,) pixels, mean over the frames it was found from
+    reprojection_errors: Float64  # (K,) pixels, mean over the frames it was estimated from
     noise: float  # pixels, standard deviation of a coordinate about the model
-    handedness_certainty: float  # 0 to 1; NaN where an older version did not ask
+    handedness_certainty: float  # 0 to 1; NaN from older versions
 
 
 def camera_report(calibration: SelfCalibration) -> CameraReport:
-    """Return what was found of the cameras in the words and units of the user."""
+    """Return the cameras as a report, in the units of the user."""
     rig, deviations = calibration.rig, calibration.deviations
-    lenses, resting, unit = rig.lenses, rig.resting, calibration.unit
-    arrangement = "static" if resting.all() else "mixed" if resting.any() else "moving"
+    lenses, static, unit = rig.lenses, rig.static, calibration.unit
+    arrangement = "static" if static.all() else "mixed" if static.any() else "moving"
     rotation_sds = np.degrees(np.linalg.norm(deviations[:, LENS : LENS + 3], axis=-1))
 
     def at_rest(values: Float64) -> Float64:
-        there = resting.reshape(-1, *[1] * (values.ndim - 1))
+        there = static.reshape(-1, *[1] * (values.ndim - 1))
         return np.where(there, values, np.nan)
 
     return CameraReport(
@@ -89,7 +89,7 @@ def camera_report(calibration: SelfCalibration) -> CameraReport:
         principal_point_sds=deviations[:, CENTRE_X:RADIAL].copy(),
         distortions=lenses.distortion.copy(),
         distortion_sds=deviations[:, RADIAL:LENS].copy(),
-        resting=resting,
+        static=static,
         rotations=at_rest(rig.rotations),
         rotation_sds=at_rest(rotation_sds),
         translations=at_rest(unit * rig.translations),

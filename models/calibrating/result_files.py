@@ -21,12 +21,12 @@ from models.optics.lenses.projection import COEFFICIENTS, LENSES, Lenses, index_
 
 Float64 = NDArray[np.float64]
 
-# How the warnings of versions without findings began, and what they are called today.
+# The beginnings of warnings in versions without findings, and the codes they have today.
 OLD_WARNINGS: dict[str, FindingCode] = {
     "the given poses": "calibration_disagrees",
     "the known length": "known_length_disagrees",
 }
-NOT_ORTHONORMAL = 1e-3  # of rotations, what rounding may leave
+NOT_ORTHONORMAL = 1e-3  # largest deviation of rotations that rounding explains
 OF_ALL_VIEWS = ("shape_mean", "shape_basis", "doubt_basis", "doubt_scales", "numbers")
 
 
@@ -68,16 +68,16 @@ def to_arrays(calibration: SelfCalibration) -> tuple[Arrays, str]:
 
 
 def array_shapes(words: str, keypoints: int, views: int | None) -> Shapes:
-    """Shapes of the tensors that go with a line of text; None stands for any length.
+    """Return the shapes of the tensors that go with a line of text; None allows any length.
 
-    Files of versions that knew two camera models hold a tensor "fisheye" (K,), 0 or 1, where the
-    text does not name the models. Deviations of versions that estimated one radial coefficient
-    have a number less a view.
+    Files of versions with two camera models have a tensor "fisheye" (K,), 0 or 1, and no names of
+    models in the text. Deviations of versions that estimated one radial coefficient have one number
+    less for each view.
 
     Raises
     ------
     WeightsError
-        When the text is not what was written.
+        When the text is not of this format.
     """
     shapes: Shapes = {
         "focals": (views, 2),
@@ -98,21 +98,21 @@ def array_shapes(words: str, keypoints: int, views: int | None) -> Shapes:
 
 
 def from_arrays(arrays: Arrays, words: str) -> SelfCalibration:
-    """Read what `to_arrays` returned, or what older versions did.
+    """Read the result of `to_arrays`, of this version or an older one.
 
     Raises
     ------
     WeightsError
-        When the tensors contradict each other or the text is not what was written.
+        When the tensors contradict each other or the text is not of this format.
     """
-    said = _read_words(words)
+    fields = _read_words(words)
     a: dict[str, Float64] = {
         name: value.to(torch.float64).numpy().copy() for name, value in arrays.items()
     }
     if not all(len(a[name]) == len(a["groups"]) for name in a if name not in OF_ALL_VIEWS):
         raise WeightsError("the file contradicts itself about the cameras")
     groups, deviations = a["groups"].astype(np.int64), a["deviations"]
-    models = _lens_models(said, a)
+    models = _lens_models(fields, a)
     spread, error_spread, misfit_limit, noise, unit = a["numbers"].tolist()
     consistent = (
         len(models) == len(groups) > 0
@@ -140,14 +140,14 @@ def from_arrays(arrays: Arrays, words: str) -> SelfCalibration:
         noise,
         unit,
         a["errors"],
-        str(said["reason"]),
-        _findings(said),
-        _certainty(said),
+        str(fields["reason"]),
+        _findings(fields),
+        _certainty(fields),
     )
 
 
 def _are_rotations(matrices: Float64) -> bool:
-    """Whether matrices (K, 3, 3) are orthonormal and mirror nothing."""
+    """Whether matrices (K, 3, 3) are orthonormal, with determinant 1."""
     products = matrices @ matrices.transpose(0, 2, 1)
     return bool(
         (np.abs(products - np.eye(3)) < NOT_ORTHONORMAL).all()
@@ -159,52 +159,52 @@ def _finite(number: float) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _certainty(said: dict[str, Any]) -> float:
-    """Return how sure the hand is; NaN if the file does not say."""
-    certainty = said.get("handedness_certainty")
+def _certainty(fields: dict[str, Any]) -> float:
+    """Return the certainty of the handedness; NaN if the file has none."""
+    certainty = fields.get("handedness_certainty")
     if certainty is None:
         return math.nan
     if not isinstance(certainty, int | float) or not 0 <= certainty <= 1:
-        raise WeightsError("the file does not say what was found of the cameras")
+        raise WeightsError("the file does not describe the cameras")
     return float(certainty)
 
 
 def _read_words(words: str) -> dict[str, Any]:
     try:
-        said = json.loads(words)
-        noticed = said["findings"] if "findings" in said else said["warnings"]
-        json.dumps(said, ensure_ascii=False).encode()  # no answer can hold halves of characters
-        complete = isinstance(said["reason"], str) and isinstance(noticed, list)
+        fields = json.loads(words)
+        noticed = fields["findings"] if "findings" in fields else fields["warnings"]
+        json.dumps(fields, ensure_ascii=False).encode()  # answers cannot have halves of characters
+        complete = isinstance(fields["reason"], str) and isinstance(noticed, list)
     except (ValueError, KeyError, TypeError, RecursionError):
         complete = False
     if not complete:
-        raise WeightsError("the file does not say what was found of the cameras")
-    return dict(said)
+        raise WeightsError("the file does not describe the cameras")
+    return dict(fields)
 
 
-def _findings(said: Mapping[str, Any]) -> tuple[Finding, ...]:
-    """Return the findings; of older versions' warnings, those that a code stands for today."""
+def _findings(fields: Mapping[str, Any]) -> tuple[Finding, ...]:
+    """Return the findings; from older versions, those warnings that have a code today."""
     try:
-        if "findings" in said:
-            return tuple(Finding.model_validate(finding) for finding in said["findings"])
+        if "findings" in fields:
+            return tuple(Finding.model_validate(finding) for finding in fields["findings"])
     except ValidationError as error:
         raise WeightsError("the file holds findings that are not among those known") from error
     return tuple(
         Finding.of(code)
-        for warning in said["warnings"]
+        for warning in fields["warnings"]
         for start, code in OLD_WARNINGS.items()
         if str(warning).startswith(start)
     )
 
 
-def _lens_models(said: Mapping[str, Any], arrays: Mapping[str, Float64]) -> NDArray[np.int8]:
+def _lens_models(fields: Mapping[str, Any], arrays: Mapping[str, Float64]) -> NDArray[np.int8]:
     """Return the camera model (K,) of every view as a place in `LENSES`."""
-    if "lenses" not in said:
+    if "lenses" not in fields:
         names: list[Any] = [
             "fisheye" if is_one else "pinhole" for is_one in arrays["fisheye"] > 0.5
         ]
     else:
-        names = list(said["lenses"])
+        names = list(fields["lenses"])
     known = [lens.NAME for lens in LENSES]
     if not all(name in known for name in names):
         raise WeightsError(f"the file holds camera models that are not among {known}")

@@ -1,7 +1,7 @@
-"""The search for an arrangement: handedness, moving cameras, told poses, cameras at rest.
+"""The search for an arrangement: handedness, moving cameras, given poses, static cameras.
 
-What was told of lenses and poses is held against the keypoints at its end. If most of the lenses
-prove wrong, what began with them is no good start, and the search begins anew without them.
+Given lenses and poses are compared with the keypoints at its end. If most of the lenses prove
+wrong, the result is no good start, and the search is repeated without them.
 """
 
 from typing import NamedTuple
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from models.bundle.initial_poses import WeakPerspectiveScene, starting_scene
 from models.bundle.problem import FOCAL, VIEW
-from models.calibrating.arrangement import Rest, find_rest
-from models.calibrating.doubts import Checked, check_told
+from models.calibrating.arrangement import StaticViews, find_static
+from models.calibrating.doubts import Checked, check_given
 from models.calibrating.expectation_maximisation import learn
-from models.calibrating.handedness import certainty, choose_hand
-from models.calibrating.moving_lenses import MovingLenses, scan_moving_lenses
-from models.calibrating.problem import Problem, Solution
-from models.calibrating.told_cameras import (
+from models.calibrating.given_cameras import (
     arrange_posed,
     disagreements,
     forget_lenses,
     in_words,
     poses_disagree,
 )
+from models.calibrating.handedness import certainty, choose_handedness
+from models.calibrating.moving_lenses import MovingLenses, scan_moving_lenses
+from models.calibrating.problem import CalibrationProblem, Solution
 from models.findings.advice import attempt_steps, noticed
 from models.findings.finding import Finding
 from models.numerics.steps import Steps
@@ -32,26 +32,28 @@ from models.settings.config import FitConfig
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
 
-MOST_LENSES = 0.5  # share of the told lenses from which, refused, the search begins anew
-DOUBTFUL_REST = 1.4  # times the noise of moving cameras: more, and declared rest is looked at again
+MOST_LENSES = 0.5  # share of the given lenses: if so many are refused, the search is repeated
+DOUBTFUL_STATIC = 1.4  # times the noise of moving cameras: with more, `static` is doubted
 
 
 class Arranged(NamedTuple):
-    """A solution with its cameras told at rest or moving."""
+    """A solution with static and moving cameras distinguished."""
 
-    told: Solution  # everything as it was told
-    checked: Checked  # as far as the keypoints bear that out
+    as_given: Solution  # with all given values
+    checked: Checked  # with doubtful values refined or refused
     reason: str
-    hand: float  # how sure the hand is, 0 to 1
+    certain: float  # certainty of the handedness, 0 to 1
     findings: tuple[Finding, ...]
     unit: float | None = None  # of a unit of the structure in the user's, if poses were given
-    # Standard deviations (K, VIEW) of cameras that are settled, whatever shapes say; infinite of
-    # those that are not. None: no camera is.
+    # Standard deviations (K, VIEW) of cameras that are settled without shapes; infinite for the
+    # others. None: no camera is.
     kept: Float64 | None = None
 
 
-def search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) -> Steps[Arranged]:
-    """Find what rests and what moves, from the network's answers.
+def search(
+    problem: CalibrationProblem, answers: WeakPerspectiveScene, config: FitConfig
+) -> Steps[Arranged]:
+    """Find static and moving cameras, from the network's answers.
 
     Raises
     ------
@@ -59,66 +61,72 @@ def search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) -
         When no frame can be explained at all.
     """
     found = yield from _search(problem, answers, config)
-    told: Bool = np.any(np.isfinite(problem.lens_sds), 1)  # (K,)
-    refused: Bool = np.all(np.isinf(found.checked.problem.lens_sds), 1) & told
-    if refused.sum() < max(2, MOST_LENSES * told.sum()):
+    given: Bool = np.any(np.isfinite(problem.lens_sds), 1)  # (K,)
+    refused: Bool = np.all(np.isinf(found.checked.problem.lens_sds), 1) & given
+    if refused.sum() < max(2, MOST_LENSES * given.sum()):
         return found
     anew = yield from _search(forget_lenses(problem, refused), answers, config)
     of_lenses = tuple(doubt for doubt in found.checked.doubts if doubt.part == "lens")
-    findings = noticed(disagreements, problem, found.told, anew.checked._replace(doubts=of_lenses))
+    findings = noticed(
+        disagreements, problem, found.as_given, anew.checked._replace(doubts=of_lenses)
+    )
     reason = anew.reason + in_words(findings)
     return anew._replace(reason=reason, findings=anew.findings + findings)
 
 
-def _search(problem: Problem, answers: WeakPerspectiveScene, config: FitConfig) -> Steps[Arranged]:
+def _search(
+    problem: CalibrationProblem, answers: WeakPerspectiveScene, config: FitConfig
+) -> Steps[Arranged]:
     scene = starting_scene(answers, problem.reference)
-    handed = yield from choose_hand(problem, scene, config.hand)
+    handed = yield from choose_handedness(problem, scene, config.corners)
     moving = yield from learn(problem, handed.solution)
     findings: tuple[Finding, ...] = ()
     if len(problem.posed) > 1:
         posed = yield from arrange_posed(problem, moving)
         if posed.fits:
-            findings = noticed(disagreements, problem, posed.told, posed.checked, posed.unit)
+            findings = noticed(disagreements, problem, posed.as_given, posed.checked, posed.unit)
             reason = "the poses of the cameras were given" + in_words(findings)
-            return Arranged(posed.told, posed.checked, reason, 1.0, findings, posed.unit)
-        findings = noticed(poses_disagree, problem, posed.told, moving)
+            return Arranged(posed.as_given, posed.checked, reason, 1.0, findings, posed.unit)
+        findings = noticed(poses_disagree, problem, posed.as_given, moving)
     if config.cameras == "moving":
-        said = "the cameras were declared moving"
-        rest = Rest(moving, said, [handed.log_odds], problem.lens_groups)
+        why = "the cameras were declared moving"
+        static = StaticViews(moving, why, [handed.log_odds], problem.lens_groups)
     else:
-        declared, hint = config.cameras == "static", config.hand
-        rest = yield from find_rest(problem, handed, moving, declared=declared, hint=hint)
-        if declared and rest.solution.noise > DOUBTFUL_REST * moving.noise:
+        declared, hint = config.cameras == "static", config.corners
+        static = yield from find_static(problem, handed, moving, declared=declared, hint=hint)
+        if declared and static.solution.noise > DOUBTFUL_STATIC * moving.noise:
             freely = yield from attempt_steps(
-                find_rest(problem, handed, moving, declared=False, hint=hint), rest
+                find_static(problem, handed, moving, declared=False, hint=hint), static
             )
-            findings += noticed(_against_declared_rest, rest.solution, freely.solution)
-    told, problem = rest.solution, problem._replace(lens_groups=rest.lens_groups)
-    kept = rest.kept
-    if not told.rig.resting.any() and np.isinf(problem.lens_sds[:, FOCAL]).all():
-        scanned = MovingLenses(told, np.full((len(problem.poses), VIEW), np.inf), rest.lens_groups)
-        scanned = yield from attempt_steps(scan_moving_lenses(problem, told), scanned)
-        told, kept = scanned.solution, scanned.deviations
+            findings += noticed(_against_declared_static, static.solution, freely.solution)
+    as_given, problem = static.solution, problem._replace(lens_groups=static.lens_groups)
+    kept = static.kept
+    if not as_given.rig.static.any() and np.isinf(problem.lens_sds[:, FOCAL]).all():
+        scanned = MovingLenses(
+            as_given, np.full((len(problem.poses), VIEW), np.inf), static.lens_groups
+        )
+        scanned = yield from attempt_steps(scan_moving_lenses(problem, as_given), scanned)
+        as_given, kept = scanned.solution, scanned.deviations
         problem = problem._replace(lens_groups=scanned.groups)
-    checked = yield from check_told(problem, told)
-    findings += noticed(disagreements, problem, told, checked)
-    hand = 1.0 if config.handedness is not None else certainty(rest.evidence)
-    reason = rest.reason + in_words(findings)
-    # What a told lens is found to be, once it is refused, is no longer the rigid scene's.
+    checked = yield from check_given(problem, as_given)
+    findings += noticed(disagreements, problem, as_given, checked)
+    certain = 1.0 if config.handedness is not None else certainty(static.evidence)
+    reason = static.reason + in_words(findings)
+    # A refused lens that is estimated again is no longer that of the rigid scene.
     kept = None if checked.doubts else kept
-    return Arranged(told, checked, reason, hand, findings, kept=kept)
+    return Arranged(as_given, checked, reason, certain, findings, kept=kept)
 
 
-def _against_declared_rest(resting: Solution, found: Solution) -> tuple[Finding, ...]:
-    """Return the finding that cameras declared to rest move, if they were `found` to."""
-    views = np.flatnonzero(~found.rig.resting).tolist()
+def _against_declared_static(static: Solution, found: Solution) -> tuple[Finding, ...]:
+    """Yield the finding that cameras declared static move, if they were `found` to."""
+    views = np.flatnonzero(~found.rig.static).tolist()
     if not views:
         return ()
     return (
         Finding.of(
             "rig_declared_but_moving",
             views=views,
-            noise_at_rest=resting.measured_noise,
+            noise_at_rest=static.measured_noise,
             noise=found.measured_noise,
         ),
     )

@@ -1,8 +1,8 @@
-"""What several views of many frames say together: lenses, handedness, which cameras rest, shapes.
+"""Estimating lenses, handedness, static cameras and shapes from several views of many frames.
 
-Starts from the network's weak-perspective answers. Everything is one maximum-a-posteriori problem
-(`models.bundle.adjustment`) in which what the user told is a constant or a prior; expectation
-maximisation learns the noise of the keypoints and the Gaussian shape model beside it.
+The start are the network's weak-perspective answers. Everything is one maximum-a-posteriori problem
+(`models.bundle.adjustment`), in which given values are constants or priors. Expectation
+maximisation learns the noise of the keypoints and the Gaussian shape model.
 """
 
 import math
@@ -23,12 +23,14 @@ from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import LEAST_MEASURED, LEAST_NOISE, learn
 from models.calibrating.geometry_first import settle_by_geometry, structures_of_all
+from models.calibrating.given_cameras import unit_by_length
+from models.calibrating.given_order import as_meant
 from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
     CLEAR,
-    Problem,
+    CalibrationProblem,
     Solution,
     problem_of,
     reprojection_distances,
@@ -36,8 +38,6 @@ from models.calibrating.problem import (
 )
 from models.calibrating.result import SelfCalibration
 from models.calibrating.search import Arranged, search
-from models.calibrating.told_cameras import unit_by_length
-from models.calibrating.told_order import as_meant
 from models.findings.advice import noticed
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
@@ -47,10 +47,10 @@ from models.settings.config import FitConfig
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
-MOST_FRAMES, LEAST_FRAMES = 400, 20  # that are looked at
+MOST_FRAMES, LEAST_FRAMES = 400, 20  # that are used
 OPERATIONS = 300_000_000  # in one iteration: half a second
-WORSE = 1.2  # times the noise before, with which cameras are no better for being adjusted
-UNSURE = 0.15  # of the log focal length: shapes tell it as well
+WORSE = 1.2  # times the previous noise: with more, adjusted cameras are not used
+UNSURE = 0.15  # of the log focal length: shapes determine it as well
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
 
 
@@ -65,7 +65,7 @@ def self_calibrate(
     noisy: NoisyFrames | None = None,
     edges: Int64 | None = None,
 ) -> Steps[tuple[SelfCalibration, Scene]]:
-    """Find lenses, handedness, resting cameras and the shape model; yields between iterations.
+    """Estimate lenses, handedness, static cameras and the shape model; yields between iterations.
 
     Parameters
     ----------
@@ -74,8 +74,8 @@ def self_calibrate(
     answers
         The network's, for these frames.
     detected
-        (N, K, P, 2) pixels, the keypoints with the noise that was removed from them; None: none
-        was. What denoising makes of three views or more is no longer one rigid scene.
+        (N, K, P, 2) pixels, the keypoints before noise was removed; None: no noise was removed.
+        Denoised keypoints of three views or more are no longer one rigid scene.
     noisy
         All frames of the capture, if noise was removed from them.
     edges
@@ -83,14 +83,14 @@ def self_calibrate(
 
     Returns
     -------
-    What was found, and the structures and poses of the frames.
+    The calibration, and the structures and poses of the frames.
 
     Raises
     ------
     NothingFoundError
         When no frame can be explained at all.
     numpy.linalg.LinAlgError
-        When what is sought is not determined.
+        When the cameras are not determined.
     """
     config, misread = _as_meant(keypoints, weights, config, image_sizes)
     problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
@@ -98,23 +98,23 @@ def self_calibrate(
     share = _share_left(arranged, noisy)
     refined = yield from _refined(arranged, share, noisy, edges)
     if noisy is not None and refined.kept is None and _leaves_lenses_to_shapes(refined):
-        # Of two views shapes suit many lenses. Another start, and the outcome where detected
-        # keypoints decide nothing, is with lenses that are not far from the usual ones.
-        firm = yield from search(problem._replace(said_once=share), answers, config)
-        if firm.checked.solution.rig.resting.all():
+        # With two views, shapes fit many lenses. Another search with a stronger prior of lenses is
+        # a second start, and the result if detected keypoints do not decide.
+        firm = yield from search(problem._replace(independent_share=share), answers, config)
+        if firm.checked.solution.rig.static.all():
             refined = refined._replace(best=firm.checked.solution)
             adjusted = yield from _by_detected(refined, noisy, edges)
             refined = adjusted or refined
     problem, best, kept, reason = refined
-    surely = deviations(problem, best)
+    sds = deviations(problem, best)
     if kept is not None:
-        surely = np.where(np.isfinite(kept), kept, surely)
+        sds = np.where(np.isfinite(kept), kept, sds)
     found = _result(
         problem,
         best,
-        surely,
+        sds,
         reason,
-        arranged.hand,
+        arranged.certain,
         arranged.unit,
         misread + arranged.findings,
         config,
@@ -134,7 +134,7 @@ def calibrate_by_geometry(
 ) -> Steps[tuple[SelfCalibration, Scene] | None]:
     """Find static cameras from keypoints alone; None where geometry does not decide.
 
-    Parameters are those of `self_calibrate`, which finds everything else.
+    Parameters are those of `self_calibrate`, which handles all other cases.
     """
     config, misread = _as_meant(keypoints, weights, config, image_sizes)
     problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
@@ -145,46 +145,46 @@ def calibrate_by_geometry(
     arranged = settled.arranged
     refined = yield from _refined(arranged, _share_left(arranged, noisy), noisy, edges)
     part, best, kept, reason = refined
-    if part is not arranged.checked.problem:  # other lenses are better, and may move the cameras
+    if part is not arranged.checked.problem:  # other lenses are better, and may change the cameras
         return None
-    surely = deviations(part, best) if kept is None else kept
+    sds = deviations(part, best) if kept is None else kept
     if best.noise <= LEAST_NOISE * part.side:
-        best, surely = yield from _exact(arranged, best, surely)
-    if len(surely) == 2 and arranged.kept is not None:
+        best, sds = yield from _exact(arranged, best, sds)
+    if len(sds) == 2 and arranged.kept is not None:
         # Other focal lengths of the scan are nearly as likely.
-        surely = np.maximum(surely, arranged.kept)
-    found = _result(part, best, surely, reason, arranged.hand, None, misread, config)
+        sds = np.maximum(sds, arranged.kept)
+    found = _result(part, best, sds, reason, arranged.certain, None, misread, config)
     return found, structures_of_all(problem, best, settled.start)
 
 
-def _exact(arranged: Arranged, best: Solution, surely: Float64) -> Steps[tuple[Solution, Float64]]:
-    """Let structures follow clear keypoints to the end, with cameras that no longer change.
+def _exact(arranged: Arranged, best: Solution, sds: Float64) -> Steps[tuple[Solution, Float64]]:
+    """Fit structures closely to clear keypoints, with cameras that no longer change.
 
-    Cameras that shapes and bones have changed are taken back, with their deviations, if they
-    explain the keypoints worse than geometry did: less than `LEAST_NOISE` did not count until now.
+    If cameras changed by shapes and bones explain the keypoints worse than those of geometry, the
+    latter are returned, with their deviations: until here, noise below `LEAST_NOISE` was ignored.
     """
     problem, settled = arranged.checked.problem, arranged.checked.solution
     static = problem._replace(kept=np.ones(len(problem.poses), bool))
     exact = yield from learn(static, best, least_noise=LEAST_MEASURED)
-    if best is settled or len(surely) == 2 or arranged.kept is None:
-        return exact, surely
+    if best is settled or len(sds) == 2 or arranged.kept is None:
+        return exact, sds
     before = yield from learn(static, settled, least_noise=LEAST_MEASURED)
     if exact.measured_noise > WORSE * before.measured_noise:
         return before, arranged.kept
-    return exact, surely
+    return exact, sds
 
 
 def _share_left(arranged: Arranged, noisy: NoisyFrames | None) -> float:
-    """Return the share of the information of keypoints that noise removal has not used already."""
+    """Return the effective share of independent observations after noise removal."""
     if noisy is None:
         return 1.0
     return min(1.0, arranged.checked.solution.noise / noisy.noise) ** 2
 
 
 class _Refined(NamedTuple):
-    """Cameras after everything that was tried on them."""
+    """Cameras after all refinements."""
 
-    problem: Problem
+    problem: CalibrationProblem
     best: Solution
     kept: Float64 | None  # as in `Arranged`
     reason: str
@@ -195,7 +195,7 @@ def _refined(
 ) -> Steps[_Refined]:
     """Try other camera models, keypoints as they were detected, and bones, one after another."""
     refined = _Refined(*(yield from _with_likely_lenses(arranged, share)))
-    # Two settled views have the lenses of the evidence of shapes; only a skeleton adds to that.
+    # Two settled views have lenses from the evidence of shapes; only a skeleton adds information.
     settled = refined.kept is not None and len(refined.kept) == 2
     if noisy is not None and (not settled or (edges is not None and len(edges) > 0)):
         refined = (yield from _by_detected(refined, noisy, edges)) or refined
@@ -207,7 +207,7 @@ def _refined(
         return refined
     try:
         best = yield from _by_clear(refined)
-    except np.linalg.LinAlgError:  # they add nothing to what was settled
+    except np.linalg.LinAlgError:  # they add nothing
         if refined.kept is None:
             raise
         return refined
@@ -215,29 +215,29 @@ def _refined(
 
 
 def _by_clear(refined: _Refined) -> Steps[Solution]:
-    """Adjust cameras and shapes to clear keypoints, and to lengths that stay the same."""
+    """Adjust cameras and shapes to clear keypoints, and to constant lengths."""
     problem, best = refined.problem, refined.best
     if refined.kept is not None:
-        # Of clear keypoints shapes that repeat give more of a lens than two radial coefficients.
+        # With clear keypoints, repeated shapes determine more than two radial coefficients.
         best = yield from learn(problem, best)
-    if find_bone_lengths(best.scene.points, problem.told).steady:
-        # The lens under which shapes look most alike need not be the true one, and with two views
-        # it is not; with a wrong one, bones grow and shrink as they turn.
+    if find_bone_lengths(best.scene.points, problem.measured).steady:
+        # The lens under which shapes are most alike need not be the true one, and with two views it
+        # is not. With a wrong lens, bones grow and shrink as they turn.
         best = yield from learn(problem, best, with_bones=True)
     return best
 
 
 def _leaves_lenses_to_shapes(refined: _Refined) -> bool:
-    """Whether two static views have focal lengths that nobody gave."""
+    """Whether there are two static views without given focal lengths."""
     problem, best = refined.problem, refined.best
-    untold = np.isinf(problem.lens_sds[:, FOCAL]).all()
-    return bool(untold and len(best.rig.groups) == 2 and best.rig.resting.all())
+    unknown = np.isinf(problem.lens_sds[:, FOCAL]).all()
+    return bool(unknown and len(best.rig.groups) == 2 and best.rig.static.all())
 
 
 def _as_meant(
     keypoints: Float64, weights: Float64, config: FitConfig, image_sizes: ImageSizes | None
 ) -> tuple[FitConfig, tuple[Finding, ...]]:
-    """Return the configuration with the calibration as the keypoints say that it is meant."""
+    """Return the configuration with the poses in the convention that fits the keypoints."""
     if config.calibration is None:
         return config, ()
     usual = usual_rig(images_of(keypoints, weights, image_sizes))
@@ -246,16 +246,16 @@ def _as_meant(
 
 
 def _with_likely_lenses(
-    arranged: Arranged, told: float
-) -> Steps[tuple[Problem, Solution, Float64 | None, str]]:
-    """Try the camera models that the lenses look like; returns also what `Arranged` has of them."""
+    arranged: Arranged, share: float
+) -> Steps[tuple[CalibrationProblem, Solution, Float64 | None, str]]:
+    """Try the camera models that the lenses look like; return also `kept` of `Arranged`."""
     problem, best, kept = arranged.checked.problem, arranged.checked.solution, arranged.kept
     rival, reason, others = best, arranged.reason, other_lenses(problem, best)
-    if others and kept is not None:  # what others are held against is learnt as they are
+    if others and kept is not None:  # the rival is learnt in the same way
         rival = yield from learn(problem, best)
     for name, tried_problem, tried_start in others:
         trial = yield from learn(tried_problem, tried_start)
-        gain = _log_posterior(tried_problem, trial, told) - _log_posterior(problem, rival, told)
+        gain = _log_posterior(tried_problem, trial, share) - _log_posterior(problem, rival, share)
         if gain > BETTER_LENS:
             problem, best, rival, kept = tried_problem, trial, trial, None
             reason = f"{reason}; {name} lenses explain the keypoints better"
@@ -265,66 +265,66 @@ def _with_likely_lenses(
 def _by_detected(
     refined: _Refined, noisy: NoisyFrames, edges: Int64 | None
 ) -> Steps[_Refined | None]:
-    """Adjust static cameras to keypoints as they were detected, and all else to these cameras.
+    """Adjust static cameras to keypoints as they were detected, and everything else to them.
 
-    None if keypoints do not give more than shapes do, or if the cameras do not explain the clear
-    ones as well as before.
+    None if detected keypoints determine no more than shapes do, or if the cameras do not explain
+    the clear ones as well as before.
     """
     problem, best = refined.problem, refined.best
-    resting = best.rig.resting
-    if not resting.any() or best.given_poses is not None:
+    static = best.rig.static
+    if not static.any() or best.given_poses is not None:
         return None
     if edges is None or not len(edges):
-        edges = find_bone_lengths(best.scene.points, problem.told).ends.T
+        edges = find_bone_lengths(best.scene.points, problem.measured).ends.T
     believed = rig_prior(
         problem._replace(kept=np.zeros_like(problem.kept)), best.rig, given_poses=None
     )
-    # Shapes bend lenses most, and bent too far they are no start.
+    # Shapes affect distortion most, and a wrong distortion is no good start.
     ours, usual = best.rig.lenses, problem.reference.lenses
     straight = ours._replace(
-        distortion=np.where(resting[:, None], usual.distortion, ours.distortion)
+        distortion=np.where(static[:, None], usual.distortion, ours.distortion)
     )
     try:
         found = yield from adjust_to_detected(
             noisy, edges, best.rig._replace(lenses=straight), believed
         )
-        if found is None or not found[1][resting, FOCAL].max() < UNSURE:
+        if found is None or not found[1][static, FOCAL].max() < UNSURE:
             return None
-        rig, surely = found
+        rig, sds = found
         adjusted = yield from learn(
-            problem._replace(kept=resting), best._replace(rig=rig), rounds=MORE_ROUNDS
+            problem._replace(kept=static), best._replace(rig=rig), rounds=MORE_ROUNDS
         )
     except np.linalg.LinAlgError:
         return None
     if adjusted.noise > WORSE * best.noise:
         return None
     reason = f"{refined.reason}; cameras are adjusted to keypoints as they were detected"
-    return refined._replace(best=adjusted, kept=surely, reason=reason)
+    return refined._replace(best=adjusted, kept=sds, reason=reason)
 
 
-def _log_posterior(problem: Problem, solution: Solution, told: float) -> float:
-    """Say how well lenses explain keypoints, with their prior; up to a constant.
+def _log_posterior(problem: CalibrationProblem, solution: Solution, share: float) -> float:
+    """Return the log posterior of lenses, up to a constant.
 
-    Noise below the least that is reckoned with counts as no better: no lens model is so exact. Of
-    keypoints whose noise was removed, only the share `told` says something that others do not.
+    Noise below its lower limit counts as no better, because no lens model is so exact. If noise was
+    removed, only the share `share` of keypoints counts as independent.
     """
     believed = rig_prior(problem, solution.rig, given_poses=solution.given_poses)
-    numbers = told * 2 * int((problem.weights > 0).sum())
+    numbers = share * 2 * int((problem.weights > 0).sum())
     return -numbers * math.log(solution.noise) - believed.cost(solution.rig) / 2
 
 
 def most_frames(views: int, keypoints: int) -> int:
-    """Say how many frames a search can look at in bounded time: half a second an iteration."""
+    """Return how many frames a search can use in bounded time: half a second an iteration."""
     unknowns = (POSE + VIEW) * views + MOST_COMPONENTS
     return max(LEAST_FRAMES, min(MOST_FRAMES, OPERATIONS // (3 * keypoints * unknowns**2)))
 
 
 def _result(
-    problem: Problem,
+    problem: CalibrationProblem,
     best: Solution,
-    surely: Float64,
+    sds: Float64,
     reason: str,
-    hand: float,
+    certain: float,
     unit: float | None,
     findings: tuple[Finding, ...],
     config: FitConfig,
@@ -332,13 +332,13 @@ def _result(
     if config.known_length is not None:
         unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
         findings += contradiction
-    if hand < DECIDED:
-        findings += (Finding.of("handedness_not_observable", certainty=hand),)
+    if certain < DECIDED:
+        findings += (Finding.of("handedness_not_observable", certainty=certain),)
     observed = problem.weights > 0  # (N, K, P)
     distances = reprojection_distances(problem, best.rig, best.scene)
     found = SelfCalibration(
         rig=best.rig,
-        deviations=surely,
+        deviations=sds,
         shapes=best.shapes,
         network_errors=unknown_network_errors(problem.keypoints.shape[2]),
         settling=SETTLE_ALL,
@@ -347,7 +347,7 @@ def _result(
         reprojection_errors=(distances * observed).sum((0, 2)) / observed.sum((0, 2)).clip(1),
         reason=reason,
         findings=findings,
-        handedness_certainty=hand,
+        handedness_certainty=certain,
     )
     of_cameras = noticed(camera_findings, found, problem.images, problem.size)
     return replace(found, findings=(*findings, *of_cameras))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from models.capture.extents import Extents, extents
-from models.capture.frozen import Place, frozen_places
+from models.capture.frozen import FrozenPlace, frozen_places
 from models.findings.advice import attempt, noticed
 from models.findings.finding import Finding
 from models.settings.keypoints import MIN_KEYPOINTS
@@ -39,14 +39,14 @@ MOTION_FRAMES = 300  # plenty to see whether anything moves
 LEAST_CHANGE, LEAST_PATH = 0.05, 0.1
 # A keypoint that lies so many times further off than usual, while most do not, is an outlier.
 ASTRAY_ALONE, MOST_ALONE = 4.0, 0.5
-USUAL = 2 / 3  # of the most: frames that show less, and keypoints shown less, say little of motion
+USUAL = 2 / 3  # of the most: frames and keypoints that are seen less are no measure of motion
 SLACK = 1.3  # of the largest variance of white noise, which is known from a median alone
 
 ABSENCES = frozenset({"keypoint_never_seen", "view_never_seen", "too_few_frames", "one_view"})
 
 
 class _Capture(NamedTuple):
-    """N frames, and what is easily said of them."""
+    """N frames, with their extents and where keypoints were observed."""
 
     pixels: Float32  # (N, K, P, 2)
     seen: Bool  # (N, K, P) observed, in whatever view
@@ -58,7 +58,7 @@ class _Capture(NamedTuple):
         return np.asarray(self.there.usable.any(0))
 
     def views(self, chosen: Bool) -> list[int]:
-        """Return which views (K,) were chosen; none, which stands for all, if all that see are."""
+        """Return the indices of the views (K,) chosen; an empty list if all usable ones are."""
         return [] if chosen[self.sees()].all() else np.flatnonzero(chosen).tolist()
 
 
@@ -73,13 +73,13 @@ def capture_findings(
     confidence: ArrayLike | None = None,
     image_sizes: ImageSizes | None = None,
     *,
-    places: Sequence[Place] | None = None,
+    places: Sequence[FrozenPlace] | None = None,
     numbers: NDArray[np.int64] | None = None,
     frames: int | None = None,
 ) -> tuple[Finding, ...]:
-    """Return what keypoints (N, K, P, 2) in pixels alone tell of a capture.
+    """Return the findings of a capture, from its keypoints (N, K, P, 2) in pixels alone.
 
-    A check that fails is logged, and the others say what they find.
+    A check that raises an error is logged, and the others go on.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def capture_findings(
     image_sizes
         (width, height) in pixels of each view, None where unknown.
     places
-        What `frozen_places` gives, if that is known already.
+        The result of `frozen_places`, if it was computed already.
     numbers, frames
         Of a sample: which frames of the capture these are, and how many that has.
     """
@@ -104,7 +104,7 @@ def capture_findings(
     seen = seen & ~frozen  # which are no detections
     capture = _Capture(pixels, seen, extents(pixels, seen), numbers)
     if not capture.sees().any():
-        return stuck  # such a capture cannot be fitted, which says the rest
+        return stuck  # such a capture cannot be fitted: the fit's own error explains it
     return (
         *noticed(absences, seen, len(pixels) if frames is None else frames),
         *stuck,
@@ -124,9 +124,10 @@ def sample(frames: int, views: int, keypoints: int) -> NDArray[np.int64]:
 
 
 def absences(seen: Bool, frames: int) -> Iterator[Finding]:
-    """Yield what a capture of so many frames lacks, of which some (N, K, P) say what was observed.
+    """Yield findings about what a capture of `frames` frames lacks.
 
-    These findings, `ABSENCES`, are the cheapest, and the only ones that one frame can refute.
+    `seen` (N, K, P) states for a sample of them which keypoints were observed. These findings,
+    `ABSENCES`, are the cheapest, and the only ones that a single frame can refute.
     """
     usable = seen.sum(2) >= MIN_KEYPOINTS  # (N, K)
     unseen = ~(seen & usable[..., None]).any((0, 1))  # (P,)
@@ -145,7 +146,10 @@ def absences(seen: Bool, frames: int) -> Iterator[Finding]:
 def _frozen(
     pixels: Float32, seen: Bool, frozen: Bool, numbers: NDArray[np.int64]
 ) -> Iterator[Finding]:
-    """Yield at most two findings for a view: keypoints that never move, and that do so at times."""
+    """Yield findings of keypoints that never move, and of those that stop at times.
+
+    A view has at most one of either.
+    """
     repeats, shows = frozen.sum(0), seen.sum(0)  # (K, P)
     always = repeats >= (1 - ASTRAY) * shows
     for chosen, whole in ((frozen & always, True), (frozen & ~always, False)):
@@ -260,10 +264,10 @@ def _kept(offsets: Float64) -> Float64:
 
 
 def _change(shape: Float64) -> float:
-    """Return by how much shapes (F, P, 2), in radii, differ from their mean, less the noise.
+    """Return how much shapes (F, P, 2) vary about their mean, in radii, without the noise.
 
-    The root mean square over keypoints of what principal components tell, as far as their variance
-    is above that of white noise (Marchenko & Pastur); NaN, not observed, is the keypoint's mean.
+    This is the root mean square over keypoints of the principal components whose variance is
+    above that of white noise (Marchenko & Pastur). A NaN, not observed, counts as the mean.
     """
     known = np.isfinite(shape)
     mean = np.nansum(shape, 0) / np.maximum(known.sum(0), 1)

@@ -1,10 +1,10 @@
 """Denoising before any geometry: all views of a frame together lie near a low-dimensional set.
 
-Cameras that rest see a subject whose keypoints, views stacked into one vector, have few principal
-components; noise has as many as there are coordinates. Where a capture's smaller components look
-like white noise, probabilistic PCA (Tipping & Bishop, 1999) tells what of a coordinate is signal,
-and a mixture of Gaussians what the signals of a capture are like. Cameras that move spoil the low
-dimension, and the smaller components show it: nothing is done then.
+Stack the keypoints of all views of a frame into one vector. Seen by static cameras, these vectors
+have few principal components, while noise has as many as there are coordinates. Where the smaller
+components of a capture look like white noise, probabilistic PCA (Tipping & Bishop, 1999) separates
+signal from noise, and a mixture of Gaussians models the signal. Moving cameras raise the
+dimension. The smaller components show this, and nothing is done then.
 """
 
 import math
@@ -40,7 +40,7 @@ Int64 = NDArray[np.int64]
 DENOISER_KIND = "curves"  # in files: a mixture and curves, noise of each keypoint in each view
 
 FRAMES_AT_A_TIME = 64  # that a thread denoises
-LEAST_FRAMES = 40  # with fewer, noise and signal are hardly told apart
+LEAST_FRAMES = 40  # with fewer, noise and signal are hardly distinguishable
 MOST_FRAMES = 4000  # plenty to learn components from
 MOST_COORDINATES = 2000  # of a frame: the covariance has as many rows
 OBSERVED_SHARE = 0.7  # of its coordinates that a frame must have to be learnt from
@@ -102,9 +102,9 @@ class Denoiser(NamedTuple):
         return as_observations(np.where(observed[..., None], kept, np.nan), observations.weights)
 
     def _expected(self, offsets: Float64, shown: Bool, views: Sequence[int]) -> Float64:
-        """Return what is expected of frames (N, D) of which a part is shown, less their mean.
+        """Return the expected coordinates of frames (N, D) of which a part was observed.
 
-        Both in standard deviations of the noise.
+        Both are less their mean, in standard deviations of the noise.
         """
         basis = self.basis[list(views)] / self.noise[list(views)][..., None, None]
         flat = basis.reshape(offsets.shape[1], -1)  # (D, Q)
@@ -203,12 +203,13 @@ class Denoiser(NamedTuple):
 
 
 def learn_denoiser(observations: Observations) -> Denoiser | None:
-    """Learn from a capture; None if there is no use in it.
+    """Learn a denoiser from a capture; None if it would not help.
 
-    Noise and the number of components are told by the eigenvalues of white noise, a Gaussian
-    matrix of the same shape, once coordinates are divided by the noise of their keypoint. How
-    that differs among keypoints and views is what components do not explain of them (factor
-    analysis by expectation maximisation: Rubin and Thayer, 1982).
+    Coordinates are divided by the noise of their keypoint. Their eigenvalues are then compared
+    with those of white noise, a Gaussian matrix of the same shape, which gives the variance of the
+    noise and the number of components. The noise of each keypoint and view is the variance that
+    the components do not explain (factor analysis by expectation maximisation: Rubin and Thayer,
+    1982).
     """
     keypoints, observed = pixels_of(observations)
     usable = observations.usable
@@ -255,10 +256,10 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
 def _learn_curves(
     mixture: Denoiser, offsets: Float64, known: Bool, freedom: float
 ) -> PrincipalCurves:
-    """Learn curves from frames (N, D), of which a part is known, that a mixture denoises already.
+    """Learn curves from frames (N, D), partly observed, that a mixture denoises already.
 
-    Their share in the answer is the one with the least risk, which Stein's unbiased estimate
-    (1981) tells: the squared residuals, and twice the degrees of freedom; the mixture's are given.
+    The curves' share in the answer minimises Stein's unbiased estimate of the risk (1981): the
+    squared residuals plus twice the degrees of freedom. `freedom` are those of the mixture.
     """
     views, count, _ = mixture.mean.shape
     by_mixture = mixture._expected(offsets, known, range(views))
@@ -306,11 +307,11 @@ def _find_components(given: Float64, known: Bool, *, alike: bool) -> _Components
     times = known.sum(0)
     filled, levels = np.where(known, given, given.sum(0) / times.clip(1)), np.ones(width)
     if not alike:
-        # What of a coordinate the others do not tell begins as its noise: a component of its own
-        # would explain a noisy one as well.
+        # The noise of a coordinate starts as its variance given all others. Without this start, a
+        # very noisy coordinate would get a component to itself.
         values, vectors = falling_eigenvalues(filled - filled.mean(0))
-        told = 1 / (np.square(vectors) / (values + values[half].mean())).sum(1)
-        levels = _changes_of_levels(told, times)
+        unexplained = 1 / (np.square(vectors) / (values + values[half].mean())).sum(1)
+        levels = _changes_of_levels(unexplained, times)
     for _ in range(1 if alike and known.all() else ROUNDS):
         scaled = filled / levels
         mean = scaled.mean(0)
@@ -329,7 +330,7 @@ def _find_components(given: Float64, known: Bool, *, alike: bool) -> _Components
         filled = np.where(known, given, expected * levels)
         if alike:
             continue
-        # Of known coordinates: what is left of them, and how unsure what was expected is.
+        # Of known coordinates: the residual, and the variance of the expectation.
         unsure = variance * (np.square(basis) * share).sum(1)
         levels = levels * _changes_of_levels(squares.sum(0) / times.clip(1) + unsure, times)
         middle = np.median(levels)
@@ -340,9 +341,9 @@ def _find_components(given: Float64, known: Bool, *, alike: bool) -> _Components
 
 
 def _changes_of_levels(variances: Float64, times: Int64) -> Float64:
-    """Return by how much the noise of keypoints is more than that of all (D,).
+    """Return the factors (D,) by which the noise of keypoints exceeds the usual one.
 
-    `variances` (D,) are of coordinates, each measured so many `times`.
+    `variances` (D,) are those of the coordinates, each measured `times` (D,) times.
     """
     variances, times = variances.reshape(-1, 2).mean(1), times[::2]
     usual = max(float(np.median(variances)), LEAST_VARIANCE)
@@ -351,23 +352,23 @@ def _changes_of_levels(variances: Float64, times: Int64) -> Float64:
 
 
 def _unknown_share(removed: Float64, observed: Bool, *, heavy: bool) -> Float64:
-    """Of what would be removed (N, K, P, 2) from frames, the share that is no noise.
+    """Return the share (N, 1, 1, 1) of `removed` (N, K, P, 2) that is signal rather than noise.
 
     `removed` is in standard deviations of the noise. A frame unlike those of the fit lies further
-    from its expectation than noise explains. The rest is what the mixture does not know of it:
-    (N, 1, 1, 1), 0 where noise explains all. If its tails are `heavy` and one view alone has a
-    keypoint far off, that view errs, so its worst view counts as the next one does. The others
-    then say as much as they did (spacings of exponential variables are independent).
+    from its expectation than noise explains. The excess is signal that the mixture does not know;
+    it is 0 where noise explains everything. If tails are `heavy` and one view alone has a keypoint
+    far off, that view is wrong, so its error is replaced by that of the next worst view. The
+    others lose no information (spacings of exponential variables are independent).
     """
     squares = np.where(observed, np.square(removed).sum(-1), 0)  # (N, K, P)
     shown = observed.sum(1)  # (N, P)
-    told = squares.sum(1)
+    summed = squares.sum(1)
     if heavy:
         worst = np.sort(squares, axis=1)[:, -2:]
-        told = np.where(shown > 1, told - worst[:, -1] + worst[:, 0], told)
+        summed = np.where(shown > 1, summed - worst[:, -1] + worst[:, 0], summed)
         shown = np.where(shown > 1, shown - 1, shown)
     count = 2 * shown.sum(1).clip(1)  # (N,)
-    variances = told.sum(1) / count
+    variances = summed.sum(1) / count
     unlike = variances > 1 + UNLIKE * np.sqrt(2 / count)
     unknown = np.where(unlike, variances - 1, 0)
     share: Float64 = unknown / (1 + unknown)

@@ -1,9 +1,9 @@
-"""Smoothing in time while frames come: each is told when a few more of them are there.
+"""Smoothing in time while frames arrive: each is returned a few frames after it arrived.
 
-The causal form of `MotionModel.smooth`: a Kalman filter goes over all frames so far, and the
-smoother of Rauch, Tung and Striebel from the newest back over the last few (fixed-lag smoothing;
-Anderson & Moore, *Optimal Filtering*, 1979, section 7.3). Kept are these frames, and of all before
-them the state of the filter.
+This is the causal form of `MotionModel.smooth`. A Kalman filter runs over all frames so far. The
+smoother of Rauch, Tung and Striebel runs from the newest frame back over the last few (fixed-lag
+smoothing; Anderson & Moore, *Optimal Filtering*, 1979, section 7.3). Only these frames are kept,
+and the state of the filter before them.
 """
 
 from collections.abc import Sequence
@@ -66,8 +66,8 @@ class FixedLag:
         """
         if removal.motion is None:
             raise ValueError(
-                "lag needs a prior that smooths in time: fit a dataset that tells fps or times, of"
-                " keypoints that are noisy and move steadily from frame to frame"
+                "lag needs a prior that smooths in time: fit a dataset with fps or times, whose"
+                " keypoints are noisy and move steadily from frame to frame"
             )
         if not 0 <= lag <= MAX_LAG:
             raise ValueError(f"lag must be 0 to {MAX_LAG} frames, got {lag}")
@@ -87,7 +87,7 @@ class FixedLag:
         self._before: _Frame | None = None
         self._length = 0  # of the clip up to that frame
         self._known: Bool | None = None  # (K, P) what that clip has shown
-        # Of the last frames told: what was removed, over the noise, and what was observed.
+        # Of the last frames returned: what was removed, over the noise, and what was observed.
         shape = len(self._views), self._motion.noise.shape[1]
         self._removed, self._observed = np.empty((0, *shape, 2)), np.empty((0, *shape), np.bool_)
 
@@ -114,16 +114,16 @@ class FixedLag:
             seen = np.stack((last.observed, frame.observed)).astype(np.float64)
             self._jumps.extend(jumps_between(np.stack((last.pixels, frame.pixels)), seen))
         self._frames.append(frame)
-        return self._tell(1) if len(self._frames) > self._lag else None
+        return self._take_first(1) if len(self._frames) > self._lag else None
 
     def flush(self) -> Observations | None:
         """Return the frames that wait, if any, and begin anew: the next frame has none before."""
-        told = self._tell(len(self._frames)) if self._frames else None
+        waiting = self._take_first(len(self._frames)) if self._frames else None
         self._begin()
-        return told
+        return waiting
 
-    def _tell(self, count: int) -> Observations:
-        """Return the first frames of the window."""
+    def _take_first(self, count: int) -> Observations:
+        """Smooth the window, remove its first `count` frames and return them."""
         window = self._smooth()
         noise = self._noise.reshape(window.pixels.shape[1:])
         removed = window.pixels / noise - self._part.reshape(window.pixels.shape)
@@ -132,21 +132,21 @@ class FixedLag:
         done = len(self._removed)
         near, end = slice(None, done + count + REACH), done + count
         can_be_noise = explained(removed[near], observed[near])[done:]
-        told = []
+        taken = []
         for n in range(count):
             if can_be_noise[n] and self._clip_length(window, n) >= LEAST_CLIP:
-                told.append(self._told(n, window.values[n], window.variances[n]))
+                taken.append(self._with_values(n, window.values[n], window.variances[n]))
             elif self._poses is not None:
-                told.append(self._told(n, window.given[n], np.ones(len(self._noise))))
+                taken.append(self._with_values(n, window.given[n], np.ones(len(self._noise))))
             else:
-                told.append(self._frames[n].observations)
+                taken.append(self._frames[n].observations)
         for n in range(count):
             self._pass(window, n)
         recent = slice(max(end - REACH, 0), end)
         self._removed, self._observed = removed[recent], observed[recent]
         self._part = self._part[count:]
         del self._frames[:count]
-        return told[0] if count == 1 else join_frames(told)
+        return taken[0] if count == 1 else join_frames(taken)
 
     def _smooth(self) -> _Window:
         """Go forwards from the state before the window, and back from its end."""
@@ -191,7 +191,7 @@ class FixedLag:
                 if steps[n] == 0:
                     break
                 if np.any(frame.observed & ~self._known):
-                    # The state says where it is as if it had been seen: nobody knew.
+                    # The filter's state has a value for it, but it was never observed in the clip.
                     steps[n] = 0.0
                     break
         return steps
@@ -203,8 +203,8 @@ class FixedLag:
         stop = int(end[0]) if len(end) else len(window.steps)
         return stop - int(first[-1]) if len(first) else stop + self._length
 
-    def _told(self, n: int, values: Float64, variances: Float64) -> Observations:
-        """Return a frame of which this is known, drawn towards the poses of the fit."""
+    def _with_values(self, n: int, values: Float64, variances: Float64) -> Observations:
+        """Return a frame with these values and variances (D,), drawn towards the fit's poses."""
         frame = self._frames[n]
         if self._poses is not None:
             values = self._poses.combined(values, variances)

@@ -1,11 +1,11 @@
 """Keypoints that stay at one pixel while the subject moves: no detections.
 
 A detector that loses a keypoint may go on writing the last place, or a corner such as (0, 0). Such
-a place is repeated to the last digit, in frames that need not follow each other. That alone proves
-nothing: a planted foot whose coordinates were rounded, or the root of a figure that is kept in the
-middle, rests too, and where coordinates were rounded a keypoint comes back to a pixel by chance. So
-the places about it must be visited less, and something must speak against rest: another view in
-which the keypoint moves, or the subject, which goes away from it.
+a place is repeated to the last digit, in frames that need not follow each other. Repetition alone
+proves nothing. A planted foot whose coordinates were rounded stays too, and so does the root of a
+figure that is kept in the middle. Rounded coordinates also repeat by chance. So two conditions
+must hold: the neighbouring pixels are visited less often, and the keypoint must be moving, either
+because another view shows it or because the subject leaves the place.
 """
 
 from collections import Counter
@@ -26,7 +26,7 @@ MOST_FROZEN = 1000  # places in a capture
 MOST_PLACES = 10  # where one keypoint of a view is looked for, the most repeated first
 LEAST_DIFFERENT = 0.25  # of a keypoint's places: a foot that is planted, again and again, has fewer
 STEPS = 3  # of the grid that coordinates were rounded to, that a keypoint moves by at least
-STEP_VALUES = 5000  # coordinates of a view that tell the grid
+STEP_VALUES = 5000  # coordinates of a view from which the grid is found
 ROUNDED = 0.8  # share of them that differ: fewer, and they were rounded
 # In radii of what a view shows of the subject, see `extents`; a person's is a third of a metre:
 MOVES = 0.01  # a keypoint whose median distance to its median place is larger moves
@@ -35,7 +35,7 @@ SHARED_AWAY = 2.0  # at the same pixel of several views: only what all views are
 GOES_AWAY = 4.0  # a foot that is planted sees the body pass by two and a half
 
 
-class Place(NamedTuple):
+class FrozenPlace(NamedTuple):
     """A pixel where keypoint p of view k is again and again."""
 
     k: int
@@ -44,14 +44,15 @@ class Place(NamedTuple):
     frames: NDArray[np.int64]
 
 
-def frozen_places(pixels: Float32, seen: Bool) -> list[Place]:
-    """Return the places that keypoints come back to where they cannot rest.
+def frozen_places(pixels: Float32, seen: Bool) -> list[FrozenPlace]:
+    """Return the places that keypoints repeat although they must be moving.
+
+    The result does not depend on the order of the frames.
 
     Parameters
     ----------
     pixels, seen
-        (N, K, P, 2), and (N, K, P) whether each was observed. The order of the frames is nothing
-        to the answer.
+        (N, K, P, 2), and (N, K, P) whether each was observed.
     """
     places = list(_repeated_places(pixels, seen))
     if not places:
@@ -67,13 +68,13 @@ def frozen_places(pixels: Float32, seen: Bool) -> list[Place]:
         if _moves_elsewhere(place, shown, there, steps)
         or _is_left_alone(place, shown, there, steps, shared=shared[place.p, place.pixel] > 1)
     }
-    # What stands for "not found" does so in every view.
+    # A pixel that a detector writes for "not found" means so in every view.
     found = [place for place in suspect if place.pixel in wrong]
     return sorted(found, key=lambda place: -len(place.frames))[:MOST_FROZEN]
 
 
 def at_places(pixels: Float32, places: Float32, views: Sequence[int]) -> Bool:
-    """Return which keypoints (N, K, P) of frames (N, K, P, 2) lie exactly at places of their own.
+    """Return which keypoints (N, K, P) of frames (N, K, P, 2) lie exactly at their frozen places.
 
     Parameters
     ----------
@@ -106,10 +107,10 @@ def _step(shown: Float32) -> float:
     return float(np.median(np.diff(different)))
 
 
-def _is_by_chance(place: Place, shown: Float32, steps: Float64) -> bool:
-    """Whether coordinates were rounded, and so the keypoint comes back here by chance.
+def _is_by_chance(place: FrozenPlace, shown: Float32, steps: Float64) -> bool:
+    """Whether coordinates were rounded and the keypoint repeats this pixel by chance.
 
-    It does so seldom, or about as often to the eight places about this one.
+    Then it repeats it seldom, or visits the eight pixels around it about as often.
     """
     if not steps[place.k]:
         return False
@@ -119,8 +120,8 @@ def _is_by_chance(place: Place, shown: Float32, steps: Float64) -> bool:
     return count < 2 * LEAST_REPEATS or about > 2 * count
 
 
-def _repeated_places(pixels: Float32, seen: Bool) -> Iterator[Place]:
-    """Yield places to which a keypoint of a view comes back exactly, at least so many times."""
+def _repeated_places(pixels: Float32, seen: Bool) -> Iterator[FrozenPlace]:
+    """Yield places that a keypoint of a view repeats exactly, at least `LEAST_REPEATS` times."""
     if len(pixels) < LEAST_REPEATS:
         return
     # Both coordinates of a keypoint as one integer: equal if and only if they are the same bits.
@@ -134,10 +135,10 @@ def _repeated_places(pixels: Float32, seen: Bool) -> Iterator[Place]:
             if counts[index] >= LEAST_REPEATS:
                 frames = there[keys[there, k, p] == places[index]]
                 x, y = pixels[frames[0], k, p].tolist()
-                yield Place(k, p, (x, y), frames)
+                yield FrozenPlace(k, p, (x, y), frames)
 
 
-def _moves_elsewhere(place: Place, shown: Float32, there: Extents, steps: Float64) -> bool:
+def _moves_elsewhere(place: FrozenPlace, shown: Float32, there: Extents, steps: Float64) -> bool:
     """Whether another view shows the keypoint moving in frames in which this one repeats it."""
     others = shown[place.frames, :, place.p]  # (F, K, 2)
     for k in range(others.shape[1]):
@@ -151,15 +152,15 @@ def _moves_elsewhere(place: Place, shown: Float32, there: Extents, steps: Float6
 
 
 def _moves(known: Float32, k: int, there: Extents, steps: Float64) -> bool:
-    """Whether places (F, 2) of one keypoint in view k are more than one that was rounded."""
+    """Whether places (F, 2) of one keypoint in view k differ by more than rounding."""
     distances = np.linalg.norm(known - np.median(known, axis=0), axis=-1)
     return bool(np.median(distances) > MOVES * there.usual_radii[k] + STEPS * steps[k])
 
 
 def _is_left_alone(
-    place: Place, shown: Float32, there: Extents, steps: Float64, *, shared: bool
+    place: FrozenPlace, shown: Float32, there: Extents, steps: Float64, *, shared: bool
 ) -> bool:
-    """Whether the subject moves far from the place, or away from it, in the view itself."""
+    """Whether the subject moves far from the place, or leaves it, in the same view."""
     n, k = place.frames, place.k
     offsets = (shown[n, k, place.p] - there.middles[n, k]) / there.usual_radii[k]  # (F, 2)
     offsets = offsets[np.isfinite(offsets[:, 0])]

@@ -7,14 +7,14 @@ from models.numerics.compiled import compiled, inner
 
 Float64 = NDArray[np.float64]
 
-# Noise is Student's t if it has at most so many degrees of freedom, else Gaussian. How much larger
-# one in forty errors is than their median tells.
+# Noise is Student's t if it has at most so many degrees of freedom, else Gaussian. They are found
+# from the ratio between the error that one in forty exceeds and the median.
 MOST_DEGREES, LARGE = 12, 0.975
 ROUNDS_OF_TAILS = 4  # of a frame, if its noise has heavy tails
 
 
 def learn_tails(errors: Float64) -> float:
-    """Return one over the degrees of freedom of squared errors of keypoints; 0: Gaussian.
+    """Return one over the degrees of freedom of keypoints' squared errors; 0 if Gaussian.
 
     Half the square of a keypoint's error has the distribution F(2, degrees).
     """
@@ -30,11 +30,11 @@ def learn_tails(errors: Float64) -> float:
 
 @inner
 def clip_into(offsets: Float64, expected: Float64, tails: float, out: Float64) -> None:
-    """Write the offsets (D,) without what heavy tails add to them, given what is expected.
+    """Write the offsets (D,) with their heavy tails cut off, given their expectation (D,).
 
-    Both are in standard deviations of the noise, x and y of a keypoint one after the other. What
-    is further off than Gaussian noise would be is taken away (modified residuals: Huber and
-    Ronchetti, *Robust Statistics*, 2009, 7.8).
+    Both are in standard deviations of the noise, x and y of a keypoint one after the other. An
+    offset further from its expectation than Gaussian noise would be is drawn in (modified
+    residuals: Huber and Ronchetti, *Robust Statistics*, 2009, 7.8).
     """
     for p in range(len(offsets) // 2):
         squared = 0.0

@@ -1,9 +1,8 @@
-"""What a subject does again and again, told of keypoints that were smoothed in time.
+"""The poses of a fit as a prior for keypoints that were smoothed in time.
 
-Smoothing goes by the frames around, the mixture and the curves of a fit's poses by frames that
-look alike. A frame, of which smoothed values and their variances are known, is taken to be
-mean + x + d with x as the denoiser of the fit expects it: what that does not know, d, is white, and
-as large as the frame itself shows.
+Smoothing uses neighbouring frames. The mixture and the curves of a fit use frames that look alike.
+A smoothed frame with known variances is modelled as mean + x + d. The denoiser of the fit is the
+prior of x. The deviation d from it is white, and its variance is estimated from the frame.
 """
 
 from collections.abc import Sequence
@@ -17,20 +16,21 @@ from models.capture.score_mixture import ScoreMixture, posterior_mean_into
 
 Float64 = NDArray[np.float64]
 
-# The variance of d: times what a frame shows of it, and at least times what the mixture leaves of
-# the noise in frames of its fit. Frames unlike these are then left as they were smoothed.
+# The variance of d is `DOUBT` times the estimate from the frame, and at least `LEAST_DOUBT` times
+# the noise that the mixture leaves in frames of its fit. A frame unlike these so stays as it was
+# smoothed.
 DOUBT, LEAST_DOUBT = 2.0, 0.5
 
 
 class KnownPoses(NamedTuple):
-    """Poses of a fit in the D coordinates in which what is smoothed falls apart."""
+    """Poses of a fit in the D coordinates that are smoothed independently of each other."""
 
     mean: Float64  # (D,)
-    directions: Float64  # (D, Q) what coordinates change by with the scores
+    directions: Float64  # (D, Q) derivative of the coordinates by the scores
     mixture: ScoreMixture
     points: Float64  # (D, M) of curves, less the mean
     heights: Float64  # (M,) of these points
-    share: float  # that curves have in what is expected
+    share: float  # of the curves in the expectation
     least: float  # variance of d
 
     def combined(self, values: Float64, variances: Float64) -> Float64:
@@ -50,7 +50,7 @@ class KnownPoses(NamedTuple):
         return drawn
 
     def _expected_on_curves(self, offsets: Float64, variances: Float64) -> Float64:
-        """Return the mean (D,) of the points, as probable as `offsets` (D,) make them."""
+        """Return the mean (D,) of the curves' points, weighted by probability given `offsets`."""
         logs = self.heights + self.points.T @ (offsets / variances)
         logs -= np.square(self.points).T @ (0.5 / variances)
         belongs = np.exp(logs - logs.max())
@@ -61,9 +61,10 @@ class KnownPoses(NamedTuple):
 def known_poses(
     denoiser: Denoiser, views: Sequence[int], noise: Float64, basis: Float64
 ) -> KnownPoses:
-    """Tell the poses of a fit in some of its views, in `basis` (D, D) of coordinates over `noise`.
+    """Return the poses of a fit in some of its views, in coordinates whitened by their noise.
 
-    `noise` (D,) are their standard deviations in pixels.
+    `noise` (D,) are standard deviations in pixels; `basis` (D, D) is that of the coordinates over
+    them.
     """
     chosen, curves = list(views), denoiser.curves
     mean, directions = denoiser.mean[chosen], denoiser.basis[chosen]

@@ -1,10 +1,10 @@
 """How keypoints move: noise removed by what the frames before and after show.
 
-All views of a frame, stacked into one vector, are an integrated Wiener process under white noise:
-velocities change at random, all keypoints and views together. Their covariance and the noise of
-every view and keypoint are learnt by expectation maximisation (Shumway & Stoffer, 1982). In the
-basis in which the covariance is diagonal, whitened by the noise, the process falls apart into
-numbers that are smoothed each by itself. Cameras may rest or move.
+All views of a frame, stacked into one vector, are modelled as an integrated Wiener process under
+white noise: velocities change at random, with a covariance between all keypoints and views. This
+covariance and the noise of every view and keypoint are learnt by expectation maximisation (Shumway
+& Stoffer, 1982). Whitened by the noise, in the basis in which the covariance is diagonal, the
+coordinates are independent, and each is smoothed separately. Cameras may be static or moving.
 """
 
 from collections.abc import Sequence
@@ -23,22 +23,22 @@ Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
-LEAST_FRAMES = 40  # with fewer, noise and motion are hardly told apart
+LEAST_FRAMES = 40  # with fewer, noise and motion are hardly distinguishable
 MOST_COORDINATES = 800  # of a frame: the covariance has as many rows
 # What is learnt from: blocks of frames, as many as take seconds.
 MOST_FRAMES, MOST_PRODUCTS, BLOCK = 4000, 400_000_000, 200
 OBSERVED_SHARE = 0.7  # of its coordinates that a frame must have to be learnt from
 ROUNDS = 60
 FASTER = 1.8  # times the change that expectation maximisation makes to the covariance, per round
-PLENTY = 0.3  # coordinates for each frame that do not need many frames to tell how they correlate
+PLENTY = 0.3  # coordinates for each frame; with fewer, correlations are well determined
 POOLED_FRAMES = 5  # that the noise of all keypoints counts for in that of each
 LEAST_RATE = 1e-7  # of the noise's variance, in any direction
 LEAST_CLIP = 10  # frames that are smoothed with each other
 LONGEST_STEP = 10.0  # usual steps: a longer pause parts two clips
-MOST_LEFT = 0.7  # of the noise: where more is left, frames are too far apart to tell of each other
+MOST_LEFT = 0.7  # of the noise: where more is left, frames are too far apart to predict each other
 MOST_PEAK = 1.5  # times the largest eigenvalue of white noise that what is removed may have
 LEAST_NOISE = 0.01  # of a view's size: with less noise than that, geometry does better alone
-MOSTLY = 0.95  # of the frames it must follow, or there are jumps and clips that nobody told of
+MOSTLY = 0.95  # of the frames it must follow, or there are jumps and cuts that were not given
 # Within so many frames of one, the mean square of what is removed from a keypoint, in variances.
 REACH, MOST_SQUARES = 5, 2.5
 FILLING_ROUNDS, FILLED = 30, 0.02  # of filling what was not observed; no change, in noise
@@ -59,10 +59,11 @@ class MotionModel(NamedTuple):
     def smooth(
         self, observations: Observations, times: Float64, views: Sequence[int]
     ) -> tuple[Observations, Bool]:
-        """Replace what was observed in `views` (of the fit) by what its neighbours make of it.
+        """Smooth the keypoints that were observed in `views` (of the fit).
 
-        `times` (N,) are in seconds, rising. Frames that have too few neighbours, or where keypoints
-        move as they did not in the fit, stay as they are; returned is also which (N,) did not.
+        `times` (N,) are in seconds, rising. A frame stays as it is if it has too few neighbours or
+        if its keypoints move as they never did in the fit. The second result (N,) states which
+        frames were smoothed.
         """
         pixels, observed = pixels_of(observations)
         noise = np.repeat(self.noise[list(views)].reshape(-1), 2)  # (D,)
@@ -126,14 +127,14 @@ class MotionModel(NamedTuple):
 
 
 def with_neighbours(frames: slice) -> slice:
-    """Return these frames and all around them that tell something of their noise."""
+    """Return these frames and the neighbours that are smoothed together with them."""
     return slice(max(frames.start - MARGIN, 0), frames.stop + MARGIN)
 
 
 def learn_motion(observations: Observations, times: Float64) -> MotionModel | None:
-    """Learn from a capture whose frames were taken at `times` (N,) in seconds, rising.
+    """Learn a motion model from a capture with `times` (N,) in seconds, rising.
 
-    None if there is no use in it.
+    None if smoothing with it would not help.
     """
     pixels, observed = pixels_of(observations)
     frames, views, count = observed.shape
@@ -180,7 +181,7 @@ def learn_motion(observations: Observations, times: Float64) -> MotionModel | No
 
 
 def _is_noise(residuals: Float64) -> bool:
-    """Whether what was removed (N, D), in standard deviations, is not motion.
+    """Whether the part removed (N, D), in standard deviations, is noise and no motion.
 
     Motion that is too fast for the frames looks white in time, but moves many keypoints together.
     """
@@ -190,7 +191,7 @@ def _is_noise(residuals: Float64) -> bool:
 
 
 def explained(residuals: Float64, observed: Bool) -> Bool:
-    """Say of frames (N,) whether what would be removed, in standard deviations, can be noise.
+    """Return for each frame (N,) whether its residuals, in standard deviations, can be noise.
 
     Where a keypoint moves as it never did in the fit, the process does not follow it.
     """
@@ -214,7 +215,7 @@ def falling_apart(covariance: Float64, noise: Float64) -> tuple[Float64, Float64
 
 
 def _shrunk(covariance: Float64, frames: int) -> Float64:
-    """Draw a covariance (D, D) towards one without correlations if it comes of few frames."""
+    """Shrink a covariance (D, D) from few frames towards its diagonal."""
     width = len(covariance)
     pooled = width * max(0.0, width / frames - PLENTY)
     diagonal = np.diag(np.diag(covariance))
@@ -239,9 +240,9 @@ def _first_guess(given: Float64, steps: Float64, there: Bool) -> tuple[Float64, 
 
 
 def _noise(residuals: Float64, shown: Bool, left: Float64, keypoints: int) -> Float64:
-    """Return the noise (D,) of coordinates, alike for both of a keypoint.
+    """Return the noise (D,) of coordinates, equal for both of a keypoint.
 
-    It is learnt from residuals (N, D) of what was shown, and what is not known of the process.
+    It is estimated from the residuals (N, D) where observed, plus the smoothed variance `left`.
     """
     squares, frames = np.square(residuals).sum(0), shown.sum(0)
     both = (squares + left * frames).reshape(-1, 2).sum(1)

@@ -1,7 +1,6 @@
 """Removing noise from keypoints before anything else, in the way that suits their frames.
 
-Frames whose times are known are smoothed with their neighbours; others, and single ones, are
-denoised each by itself.
+Frames with known times are smoothed with their neighbours. All others are denoised one by one.
 """
 
 from collections.abc import Sequence
@@ -20,7 +19,7 @@ Float64 = NDArray[np.float64]
 
 
 class NoiseRemoval(NamedTuple):
-    """What a fit learnt about the noise of its keypoints; None where it is of no use."""
+    """What a fit learnt about the noise of its keypoints; None where removing it would not help."""
 
     denoiser: Denoiser | None = None
     motion: MotionModel | None = None
@@ -41,7 +40,7 @@ class NoiseRemoval(NamedTuple):
 
     @property
     def removed(self) -> tuple[float, float] | None:
-        """That noise on the whole and what was left of it, pixels; None if none was removed."""
+        """Overall noise before and after its removal, pixels; None if none was removed."""
         if self.motion is not None:
             return _root_mean_square(self.motion.noise), self.motion.left
         if self.denoiser is not None:
@@ -49,9 +48,9 @@ class NoiseRemoval(NamedTuple):
         return None
 
     def weighed(self, detected: Observations) -> Observations:
-        """Weigh keypoints of the fit as they were detected by how little noise they have.
+        """Weight the detected keypoints of the fit by the inverse variance of their noise.
 
-        One whose noise is that on the whole keeps its weight.
+        A keypoint of average noise keeps its weight.
         """
         if self.noise is None:
             return detected
@@ -61,9 +60,9 @@ class NoiseRemoval(NamedTuple):
     def remove(
         self, observations: Observations, views: Sequence[int], times: ArrayLike | None
     ) -> Observations:
-        """Replace what was observed in `views` (of the fit) by its expectation.
+        """Replace the observed keypoints in `views` (of the fit) by their expectation.
 
-        `times` (N,) or (N, K) are in seconds, rising, those of the first view counting; None if
+        `times` (N,) or (N, K) are in seconds, rising; those of the first view are used. None if
         they are not known. Raises ValueError if they are malformed (see `check_times`).
         """
         if times is None:
@@ -87,10 +86,10 @@ class NoiseRemoval(NamedTuple):
     def detected(
         self, observations: Observations, views: Sequence[int], times: ArrayLike | None
     ) -> Float32:
-        """Return what `remove` makes of frames one by one as it was, for a second opinion.
+        """Return the keypoints as they were before `remove`, to compare with later.
 
-        (N, K, P, 3): pixels, and the inverse variance of their noise, 0 of what was not observed;
-        (0, K, P, 3) if frames are not taken one by one.
+        (N, K, P, 3): pixels, and the inverse variance of their noise, 0 where not observed.
+        (0, K, P, 3) if `remove` does not treat these frames one by one.
         """
         if self.denoiser is None or (times is not None and self.motion is not None):
             return np.zeros((0, *observations.weights.shape[1:], 3), np.float32)
@@ -107,6 +106,6 @@ def _root_mean_square(values: Float64) -> float:
 
 
 def learn_noise_removal(observations: Observations, times: Float64 | None) -> NoiseRemoval:
-    """Learn from a capture; `times` (N,) are those of its frames in seconds, None if not told."""
+    """Learn from a capture; `times` (N,) are those of its frames in seconds, None if unknown."""
     motion = None if times is None else learn_motion(observations, times)
     return NoiseRemoval(learn_denoiser(observations), motion)

@@ -48,7 +48,7 @@ def join_frames(parts: Sequence[Observations]) -> Observations:
 def with_frames(
     observations: Observations, chosen: NDArray[np.bool_], others: Observations
 ) -> Observations:
-    """Return observations with `others` in place of the frames `chosen` (N,); the rest stay."""
+    """Return observations with the frames `chosen` (N,) replaced by `others`."""
     changed = Observations._make(array.copy() for array in observations)
     for array, other in zip(changed, others, strict=True):
         array[chosen] = other
@@ -56,7 +56,7 @@ def with_frames(
 
 
 def pixels_of(observations: Observations) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Keypoints (N, K, P, 2) in pixels, and whether they were observed (N, K, P)."""
+    """Return keypoints (N, K, P, 2) in pixels, and whether they were observed (N, K, P)."""
     sizes, centres = observations.sizes, observations.centres
     pixels = observations.keypoints * sizes[..., None, None] + centres[..., None, :]
     return pixels.astype(np.float64), observations.weights > 0
@@ -72,7 +72,7 @@ def as_observations(keypoints: ArrayLike, confidence: ArrayLike | None = None) -
     Raises
     ------
     ValueError
-        Wrong shape, infinite or absurd coordinates, confidence outside [0, 1]; the message says
+        Wrong shape, infinite or absurd coordinates, confidence outside [0, 1]. The message states
         what was expected, what came, and how to mend it.
     """
     pixels = check_keypoints(keypoints)

@@ -15,7 +15,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 FAR = 6.0  # times the median distance from the median keypoint: outlier until more is known
-MOST_LEVERAGE = 0.9  # of an observation on its own prediction that is reckoned with
+MOST_LEVERAGE = 0.9  # largest leverage of an observation on its own prediction that is used
 MEDIAN_OF_SQUARES = 2 * math.log(2)  # of two coordinates with variance 1
 
 
@@ -28,7 +28,7 @@ class Predictor(NamedTuple):
 
 
 class Judge(NamedTuple):
-    """An `OutlierModel` of K views, and what is prepared of it."""
+    """An `OutlierModel` of K views, with products that are computed once."""
 
     mean: Float64  # (K, P, 2)
     basis: Float64  # (D, Q) B; D = 2 K P
@@ -41,14 +41,14 @@ class Judge(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What predicts frames that show everything."""
+    """The predictors of frames in which every keypoint is observed."""
 
     coarse: Predictor  # with the first noise
     fine: Predictor  # with the last
 
 
-class Scratch(NamedTuple):
-    """What judging one frame writes on; frames first, of which there is one."""
+class JudgingBuffers(NamedTuple):
+    """Buffers for judging one frame. The first axis is the frame, of length 1."""
 
     predictor: Predictor
     offsets: Float64  # (1, K, P, 2) from the mean; 0 where not observed
@@ -61,14 +61,14 @@ class Scratch(NamedTuple):
 
 @inner
 def make_predictor(shape: tuple[int, int], size: int) -> Predictor:
-    """Return one for K views of P keypoints and Q components, to be filled."""
+    """Return an unfilled predictor for K views of P keypoints and Q components."""
     views, count = shape
     return Predictor(np.empty((size, size + 2 * views * count)), np.empty((views, count, 2)))
 
 
 @compiled
 def prepare(judge: Judge) -> Prepared:
-    """Return what predicts frames that show everything."""
+    """Compute the predictors of frames in which every keypoint is observed."""
     shape, size = judge.scales.shape, len(judge.products)
     used = np.ones(shape, np.bool_)
     result = Prepared(make_predictor(shape, size), make_predictor(shape, size))
@@ -79,7 +79,7 @@ def prepare(judge: Judge) -> Prepared:
 
 @inner
 def predictor_into(judge: Judge, noise: float, used: Bool, out: Predictor) -> None:
-    """Write what predicts from the keypoints that are `used` (K, P), with so much noise."""
+    """Compute the predictor from the keypoints that are `used` (K, P), given their noise."""
     factors, size = out.factors, len(out.factors)
     copy(judge.products, factors)
     _use_only(judge.basis, used.ravel(), factors)
@@ -109,7 +109,7 @@ def predictor_into(judge: Judge, noise: float, used: Bool, out: Predictor) -> No
 
 @inner
 def _use_only(basis: Float64, used: Bool, products: Float64) -> None:
-    """Make B^T B of all keypoints that of those which are used, by adding or subtracting few."""
+    """Restrict B^T B to the keypoints that are used, by adding or subtracting the fewer."""
     size, sign = len(products), -1.0
     few = 2 * total(used) < len(used)
     if few:
@@ -130,16 +130,16 @@ def _use_only(basis: Float64, used: Bool, products: Float64) -> None:
 def judge_frames_into(
     judge: Judge, prepared: Prepared, pixels: Float64, observed: Bool, out: Float64
 ) -> None:
-    """Write how probably each keypoint (N, K, P) is an outlier; NaN where not observed.
+    """Compute the probability of each keypoint (N, K, P) to be an outlier; NaN if not observed.
 
     Parameters
     ----------
     pixels, observed
-        (N, K, P, 2) and whether it was (N, K, P).
+        (N, K, P, 2), and (N, K, P) whether each was observed.
     """
     frames, views, count, _ = pixels.shape
     shape = (1, views, count)
-    scratch = Scratch(
+    buffers = JudgingBuffers(
         make_predictor((views, count), len(judge.products)),
         np.empty((1, views, count, 2)),
         np.empty((1, views, count, 2)),
@@ -150,7 +150,7 @@ def judge_frames_into(
     )
     for n in range(frames):
         here = slice(n, n + 1)
-        _judge_frame_into(judge, prepared, pixels[here], observed[here], scratch, out[here])
+        _judge_frame_into(judge, prepared, pixels[here], observed[here], buffers, out[here])
         for k in range(views):
             for p in range(count):
                 if not observed[n, k, p]:
@@ -163,33 +163,33 @@ def _judge_frame_into(
     prepared: Prepared,
     pixels: Float64,
     observed: Bool,
-    scratch: Scratch,
+    buffers: JudgingBuffers,
     out: Float64,
 ) -> None:
     """Judge a frame, predicting from what is no outlier."""
-    offsets = scratch.offsets.ravel()
+    offsets = buffers.offsets.ravel()
     places, means, shown = pixels.ravel(), judge.mean.ravel(), observed.ravel()
     for d in range(len(offsets)):
         offsets[d] = places[d] - means[d] if shown[d // 2] else 0.0
-    used, found = scratch.used.ravel(), scratch.found.ravel()
-    copy(observed, scratch.used)
+    used, found = buffers.used.ravel(), buffers.found.ravel()
+    copy(observed, buffers.used)
     if shown.all():
-        _outlying_given(judge, prepared.coarse, observed, scratch, scratch.found)
-        _outlying_given(judge, prepared.fine, observed, scratch, out)
+        _outlying_given(judge, prepared.coarse, observed, buffers, buffers.found)
+        _outlying_given(judge, prepared.fine, observed, buffers, out)
     else:
-        predictor_into(judge, judge.noises[0], observed[0], scratch.predictor)
-        _outlying_given(judge, scratch.predictor, observed, scratch, scratch.found)
-        predictor_into(judge, judge.noises[-1], observed[0], scratch.predictor)
-        _outlying_given(judge, scratch.predictor, observed, scratch, out)
+        predictor_into(judge, judge.noises[0], observed[0], buffers.predictor)
+        _outlying_given(judge, buffers.predictor, observed, buffers, buffers.found)
+        predictor_into(judge, judge.noises[-1], observed[0], buffers.predictor)
+        _outlying_given(judge, buffers.predictor, observed, buffers, out)
     if max(found.max(), out.max()) <= OUTLIER:  # where all together look right, they are
         return
-    far_into(pixels, observed, scratch.far)
-    far = scratch.far.ravel()
+    far_into(pixels, observed, buffers.far)
+    far = buffers.far.ravel()
     for v in range(len(used)):
         used[v] = shown[v] and not far[v]
     for r in range(len(judge.noises)):
-        predictor_into(judge, judge.noises[r], scratch.used[0], scratch.predictor)
-        _outlying_given(judge, scratch.predictor, observed, scratch, out)
+        predictor_into(judge, judge.noises[r], buffers.used[0], buffers.predictor)
+        _outlying_given(judge, buffers.predictor, observed, buffers, out)
         found = out.ravel()
         for v in range(len(used)):
             used[v] = shown[v] and found[v] < OUTLIER
@@ -197,15 +197,15 @@ def _judge_frame_into(
 
 @inner
 def _outlying_given(
-    judge: Judge, given: Predictor, observed: Bool, scratch: Scratch, out: Float64
+    judge: Judge, given: Predictor, observed: Bool, buffers: JudgingBuffers, out: Float64
 ) -> None:
     """Judge the keypoints of a frame by a prediction from what is used."""
     _residuals_into(
-        given.factors, scratch.offsets.ravel(), scratch.used.ravel(), scratch.residuals.ravel()
+        given.factors, buffers.offsets.ravel(), buffers.used.ravel(), buffers.residuals.ravel()
     )
-    squared_errors_into(scratch.residuals, given.leverage, scratch.used, scratch.squared)
+    squared_errors_into(buffers.residuals, given.leverage, buffers.used, buffers.squared)
     outlying_into(
-        scratch.squared, observed, judge.scales, judge.freedom, judge.sides, judge.share, out
+        buffers.squared, observed, judge.scales, judge.freedom, judge.sides, judge.share, out
     )
 
 

@@ -1,11 +1,11 @@
-"""Outliers: keypoints that lie where the rest of their frame says that they cannot be.
+"""Outliers: keypoints far from where the other keypoints of their frame predict them.
 
-All views of a frame, stacked into one vector, lie near a set of few dimensions, more so if cameras
-rest. Probabilistic PCA (Tipping & Bishop, 1999) therefore predicts a keypoint from the others. How
-far inliers are off is told by Student's t, with a scale for each view and keypoint and the tails
-that are most likely; outliers lie anywhere in the view. What is probably an outlier takes no part,
-and everything is learnt anew. Left and right keypoints that were taken for each other are no
-outliers, but change places.
+All views of a frame, stacked into one vector, lie near a set of few dimensions, above all if the
+cameras are static. Probabilistic PCA (Tipping & Bishop, 1999) therefore predicts a keypoint from
+the others. Errors of inliers have Student's t distribution, with a scale for each view and keypoint
+and the most likely degrees of freedom. Outliers lie anywhere in the view. Probable outliers are
+left out and everything is learnt again, until little changes. Left and right keypoints that were
+taken for each other are no outliers: they are swapped back.
 """
 
 import math
@@ -41,7 +41,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
-OUTLIERS_KIND = "freedom"  # in files: with what is told of the tails of inliers' errors
+OUTLIERS_KIND = "freedom"  # in files: with the degrees of freedom of inliers' errors
 OLD_FREEDOM = 6.0  # of older files
 # That are tried. With fewer, more outliers would pass for inliers' tails; with more, keypoints of
 # poses that the fit has not seen would pass for outliers.
@@ -58,10 +58,10 @@ LEAST_SCALE = 1e-3  # of the side of a view, what lens models and rounding leave
 FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.05, 0.001, 0.4  # of outliers among the keypoints
 LEAST_SEEN = 10  # how often a keypoint of a view must be seen to have a scale of its own
 FRAMES_AT_A_TIME = 64  # that a thread judges
-# Judged one by one, frames of the fit have so many times as many outliers as were learnt, at most;
-# scales are else made that much wider, so often.
+# Frames of the fit that are judged one by one may have `MOST_TIMES` as many outliers as were
+# learnt. Otherwise scales are made `WIDER`, for at most `WIDENING_ROUNDS`.
 MOST_TIMES, WIDER, WIDENING_ROUNDS = 1.25, 1.5, 6
-DIGITS = 3  # of probabilities, after the point: more would say nothing, and be long as text
+DIGITS = 3  # of probabilities, after the point: more would be noise, and long as text
 
 
 class OutlierModel(NamedTuple):
@@ -84,8 +84,8 @@ class OutlierModel(NamedTuple):
     def shapes(cls, keypoints: int, kind: str) -> Shapes:
         """Shapes of what `to_arrays` returns, for P keypoints; None stands for any length.
 
-        Older versions took all tails for alike, with the `kind` "pairs". Those before knew of no
-        pairs either, with the `kind` "yes".
+        Files of older versions have the `kind` "pairs" and one fixed number of degrees of freedom.
+        Still older ones have the `kind` "yes" and no pairs.
         """
         shapes: Shapes = {
             "mean": (None, keypoints, 2),
@@ -125,8 +125,8 @@ class OutlierModel(NamedTuple):
         return cls(mean, basis, noise, scales, freedom, sides, share, pairs.astype(np.int64))
 
 
-class Judged(NamedTuple):
-    """Frames without outliers, and what was found in them."""
+class CleanedFrames(NamedTuple):
+    """Frames without outliers, and which keypoints were outliers or swapped."""
 
     observations: Observations
     # (N, K, P), rounded; 1 of keypoints that were swapped, which are not where they were seen.
@@ -164,13 +164,13 @@ class OutlierJudge:
         return find_pairs(self._judge, self._prepared, observations)
 
     def put_right(self, observations: Observations) -> tuple[Observations, Bool]:
-        """Let keypoints that are swapped change places, and say which did (N, K, P)."""
+        """Swap back keypoints that were swapped; return also which these are (N, K, P)."""
         return put_right(self._judge, self._prepared, self._pairs, observations)
 
     def probabilities(self, observations: Observations) -> Float64:
-        """Return how probably each keypoint (N, K, P) is an outlier; NaN where not observed.
+        """Return the probability of each keypoint (N, K, P) to be an outlier; NaN if not observed.
 
-        In a frame that is unlike those of the fit in all its keypoints, none is one.
+        A frame whose keypoints are all unlike those of the fit has no outliers.
         """
         pixels, observed = pixels_of(observations)
         result = np.empty(observed.shape)
@@ -183,25 +183,29 @@ class OutlierJudge:
         in_slices(len(pixels), FRAMES_AT_A_TIME, judge)
         return result
 
-    def without_outliers(self, observations: Observations) -> Judged:
-        """Return the observations less those that are probably outliers, swapped ones put right.
+    def without_outliers(self, observations: Observations) -> CleanedFrames:
+        """Return the observations without outliers, with swapped keypoints swapped back.
 
-        What is more probable than `OUTLIER` is left out.
+        Keypoints whose probability to be outliers is above `OUTLIER` are left out.
         """
         observations, swapped = self.put_right(observations)
         probabilities = self.probabilities(observations).round(DIGITS).astype(np.float32)
         outliers = probabilities > OUTLIER
         probabilities[swapped] = 1
         if not outliers.any():
-            return Judged(observations, probabilities, swapped, nothing_left_out(observations))
+            return CleanedFrames(
+                observations, probabilities, swapped, nothing_left_out(observations)
+            )
         changed: Bool = np.logical_or.reduce(outliers, axis=(1, 2))
         some, out = observations.frames(changed), outliers[changed][..., None]
         pixels, left_out = pixels_of(some)[0], nothing_left_out(observations)
         there = np.concatenate((pixels, some.weights[..., None]), axis=-1, dtype=np.float32)
         left_out[changed] = np.where(out, there, 0)
         kept = as_observations(np.where(out, np.nan, pixels), some.weights)
-        # Others stay to the last digit, so that no answer depends on the company of its frame.
-        return Judged(with_frames(observations, changed, kept), probabilities, swapped, left_out)
+        # Others stay to the last digit, so a frame's answer never depends on the frames beside it.
+        return CleanedFrames(
+            with_frames(observations, changed, kept), probabilities, swapped, left_out
+        )
 
 
 def nothing_left_out(observations: Observations) -> Float32:
@@ -210,9 +214,9 @@ def nothing_left_out(observations: Observations) -> Float32:
 
 
 def learn_outliers(observations: Observations) -> OutlierModel | None:
-    """Learn what keypoints are like that are no outliers; None if that cannot be told.
+    """Learn the distribution of keypoints that are no outliers; None if that is not possible.
 
-    That takes 40 frames, of 1200 coordinates at most.
+    It takes at least 40 frames, of at most 1200 coordinates.
     """
     pairs = np.empty((0, 2), np.int64)
     model = _learn(observations, pairs)
@@ -231,10 +235,10 @@ def learn_outliers(observations: Observations) -> OutlierModel | None:
 
 
 def _more_careful(model: OutlierModel, observations: Observations) -> OutlierModel:
-    """Widen the scales until a frame, judged on its own, has as many outliers as were learnt.
+    """Widen the scales until frames judged one by one have as many outliers as were learnt.
 
-    A model explains the frames that it was learnt from too well, above all where few keypoints of
-    each are observed. Judged by it, right ones are then called outliers.
+    A model explains the frames it was learnt from too well, above all where few keypoints of each
+    are observed. Its scales are then too narrow, and correct keypoints would count as outliers.
     """
     judge = OutlierJudge(model, range(len(model.mean)))
     every = math.ceil(len(observations.weights) / MOST_FRAMES)

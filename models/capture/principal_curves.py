@@ -1,10 +1,10 @@
 """Curves through the poses of a capture, found without knowing when frames were taken.
 
-A subject goes from pose to pose, so its frames lie about a curve, however they are shuffled. A
-mixture of Gaussians sees none of that. Here the centres of a mixture, close to each other, are
-points of a curve that bends little: a principal curve (Hastie and Stuetzle, 1989) as a mixture
-(Tibshirani, *Principal curves revisited*, 1992). Its points are as sure as the frames around them
-make them, in all coordinates, so it shows small motions, too, that no principal component does.
+A subject goes from pose to pose, so its frames lie along a curve, in whatever order they come. A
+mixture of Gaussians does not use this. Here the centres of a mixture are close to each other and
+lie on a curve that bends little: a principal curve (Hastie and Stuetzle, 1989) as a mixture
+(Tibshirani, *Principal curves revisited*, 1992). Its points are estimated in all coordinates, from
+the frames around them, so it also follows small motions that no principal component shows.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ class PrincipalCurves(NamedTuple):
 
     points: Float64  # (K, P, 2, M)
     heights: Float64  # (M,) log probability, less what is not known of the point
-    share: float  # that curves have in an expected frame; the rest is the mixture's
+    share: float  # of the curves in an expected frame; the remainder is the mixture's
 
 
 def no_curves(views: int, keypoints: int) -> PrincipalCurves:
@@ -49,7 +49,7 @@ def no_curves(views: int, keypoints: int) -> PrincipalCurves:
 
 
 class LearntCurves(NamedTuple):
-    """Points of curves, and what they make of the frames that they were learnt from."""
+    """Points of curves, and the expectation of the frames they were learnt from."""
 
     points: Float64  # (M, D)
     heights: Float64  # (M,)
@@ -69,7 +69,7 @@ def learn_curves(offsets: Float64, expected: Float64, dimensions: int) -> Learnt
     expected
         (N, D) what they are without most of their noise: the curves begin from there.
     dimensions
-        Of how many components of the frames the neighbourhood is told.
+        How many leading components decide which frames are neighbours.
     """
     frames, width = offsets.shape
     count = max(min(frames // FRAMES_PER_POINT, MOST_POINTS), min(frames, PLENTY))
@@ -83,25 +83,25 @@ def learn_curves(offsets: Float64, expected: Float64, dimensions: int) -> Learnt
     points = np.concatenate([curve.points for curve in curves])
     heights = np.concatenate([curve.heights for curve in curves])
     belongs = _belongs(given, points, heights)
-    said = belongs @ points
-    spread = belongs @ np.square(points).sum(1) - np.square(said).sum(1)
+    means = belongs @ points
+    spread = belongs @ np.square(points).sum(1) - np.square(means).sum(1)
     freedom = float(spread.mean() + np.mean([curve.leverage for curve in curves]))
-    return LearntCurves(points @ vectors.T, heights, said @ vectors.T, freedom)
+    return LearntCurves(points @ vectors.T, heights, means @ vectors.T, freedom)
 
 
 class _Curve(NamedTuple):
-    """One curve: its points (M, Q), their heights (M,), and how much frames move them."""
+    """One curve: its points (M, Q), their heights (M,), and its leverage."""
 
     points: Float64
     heights: Float64
-    leverage: float  # degrees of freedom of a frame that come of learning its own noise
+    leverage: float  # degrees of freedom of a frame due to its own influence on the points
 
 
 def _learn(given: Float64, start: Float64, dimensions: int, stops: int, count: int) -> _Curve:
-    """Learn a curve of `count` points, first led through so many means of `start` (N, Q).
+    """Learn a curve of `count` points, starting along `stops` means of `start` (N, Q).
 
-    How far it bends in each component is found by MacKay's fixed point (*Bayesian Interpolation*,
-    1992), and where it bends more than elsewhere by expectation maximisation.
+    The rate at which it bends in each component is found by MacKay's fixed point (*Bayesian
+    Interpolation*, 1992), and the places where it bends more by expectation maximisation.
     """
     points = _along(_shortest_path(_means(start, dimensions, stops)), count)
     bends = np.square(np.diff(points, 2, axis=0))
@@ -113,10 +113,10 @@ def _learn(given: Float64, start: Float64, dimensions: int, stops: int, count: i
         points = chain.points
         shares = (frames + FEW) / (frames + FEW).sum()
         heights = np.log(shares) - chain.variances.sum(1) / 2
-        # How far the curve bends is what it does over how many of its bends the frames tell of.
+        # The rate is the sum of squared bends divided by the number of bends the frames determine.
         bends, scaled = np.square(np.diff(points, 2, axis=0)), scales[:, None]
-        told = (1 - chain.doubts / (scaled * rates)).sum(0)
-        rates = _at_least((bends / scaled).sum(0) / told.clip(TINY))
+        determined = (1 - chain.doubts / (scaled * rates)).sum(0)
+        rates = _at_least((bends / scaled).sum(0) / determined.clip(TINY))
         width = len(rates)
         scales = (((bends + chain.doubts) / rates).sum(1) + DEGREES) / (width + DEGREES)
         scales *= np.mean(1 / scales)  # a factor of all belongs to the rates
@@ -125,7 +125,7 @@ def _learn(given: Float64, start: Float64, dimensions: int, stops: int, count: i
 
 
 def _at_least(rates: Float64) -> Float64:
-    """Let every component bend a little: likelihood alone takes the least ones to be straight."""
+    """Return rates with a lower limit: by likelihood alone, the smallest would go to zero."""
     return np.asarray(np.maximum(rates, LEAST_RATE * rates.max() + TINY))
 
 

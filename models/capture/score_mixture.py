@@ -1,8 +1,8 @@
 """A mixture of Gaussians over the scores of frames: what a subject does again and again.
 
-Frames that look alike tell more of each other than of the rest, so one Gaussian for all of them
-removes less noise than many. Learnt by expectation maximisation from scores whose noise is known
-and white (Dempster, Laird & Rubin, 1977); no order of the frames is used.
+A frame is predicted best by frames that look like it, so a mixture of many Gaussians removes more
+noise than one Gaussian for all frames. It is learnt by expectation maximisation from scores whose
+noise is known and white (Dempster, Laird & Rubin, 1977). The order of the frames is not used.
 """
 
 import math
@@ -40,7 +40,7 @@ def standard_normal(size: int) -> ScoreMixture:
 
 
 def learn_mixture(scores: Float64, noise: float) -> ScoreMixture:
-    """Learn what scores (N, Q) are like without their white noise of that standard deviation."""
+    """Learn the distribution of scores (N, Q) without white noise of that standard deviation."""
     parts = [
         _learn(scores, noise**2, max(1, len(scores) // frames), np.random.default_rng([frames, i]))
         for frames in FRAMES_PER_COMPONENT
@@ -55,10 +55,11 @@ def learn_mixture(scores: Float64, noise: float) -> ScoreMixture:
 
 
 def degrees_of_freedom(mixture: ScoreMixture, scores: Float64, noise: float) -> float:
-    """Return how much of its own noise the expectation of a frame keeps, on average.
+    """Return the degrees of freedom of a frame's expectation: how much of its noise it keeps.
 
-    The divergence of the expected scores with respect to the scores (N, Q), whose noise is white:
-    their covariance over its variance, and what learning the centres adds.
+    This is the mean divergence of the expected scores with respect to the scores (N, Q), whose
+    noise is white: their covariance over the variance of the noise, plus the part due to learning
+    the centres from the same frames.
     """
     size, logs, gains = scores.shape[1], [], []
     signals = np.linalg.inv(mixture.precisions)
@@ -155,7 +156,7 @@ def posterior_means_into(
     """
     count, size = mixture.centres.shape
     inner_products, factors = np.empty((size, size)), np.empty((count, size, size))
-    shifts, logs, said = np.empty((count, size)), np.empty(count), np.empty(size)
+    shifts, logs, weighted = np.empty((count, size)), np.empty(count), np.empty(size)
     determinants, energies = np.empty(count), np.empty(count)
     expected = np.empty(len(basis))
     _weigh_centres(mixture, shifts, energies)
@@ -173,24 +174,24 @@ def posterior_means_into(
                         expected[d] += basis[d, j] * out[n, j]
                 clip_into(offsets[n], expected, tails, clipped)
             for j in range(size):
-                said[j] = 0.0
+                weighted[j] = 0.0
             for d in range(len(basis)):
                 if observed[n, d]:
                     for j in range(size):
-                        said[j] += basis[d, j] * clipped[d]
-            _mix(mixture, factors, determinants, shifts, energies, said, logs, out[n])
+                        weighted[j] += basis[d, j] * clipped[d]
+            _mix(mixture, factors, determinants, shifts, energies, weighted, logs, out[n])
 
 
 @compiled
 def posterior_mean_into(
-    mixture: ScoreMixture, information: Float64, said: Float64, out: Float64
+    mixture: ScoreMixture, information: Float64, weighted: Float64, out: Float64
 ) -> None:
-    """Write the expected scores (Q,) of which something is known besides.
+    """Compute the expected scores (Q,) given a Gaussian measurement of them.
 
     Parameters
     ----------
-    information, said
-        (Q, Q) inverse covariance of what is known, and (Q,) that times its mean.
+    information, weighted
+        (Q, Q) inverse covariance of the measurement, and (Q,) that times its mean.
     """
     count, size = mixture.centres.shape
     factors, shifts = np.empty((count, size, size)), np.empty((count, size))
@@ -198,7 +199,7 @@ def posterior_mean_into(
     _weigh_centres(mixture, shifts, energies)
     for m in range(count):
         determinants[m] = _factorise(mixture.precisions[m], information, factors[m])
-    _mix(mixture, factors, determinants, shifts, energies, said, logs, out)
+    _mix(mixture, factors, determinants, shifts, energies, weighted, logs, out)
 
 
 @inner
@@ -224,7 +225,7 @@ def _same(a: Bool, b: Bool) -> bool:
 
 @inner
 def _information_into(basis: Float64, observed: Bool, out: Float64) -> None:
-    """Write what the observed coordinates say of the scores, the lower half of (Q, Q)."""
+    """Compute the lower half of the information (Q, Q) of observed coordinates on the scores."""
     size = basis.shape[1]
     for i in range(size):
         for j in range(i + 1):
@@ -255,20 +256,20 @@ def _mix(
     determinants: Float64,
     shifts: Float64,
     energies: Float64,
-    said: Float64,
+    weighted: Float64,
     logs: Float64,
     out: Float64,
 ) -> None:
-    """Write the mean of the components' answers, weighted by how well they explain the frame."""
+    """Compute the mean of the components' answers, weighted by probability given the frame."""
     count, size = shifts.shape
     means = np.empty((count, size))
     for m in range(count):
         for i in range(size):
-            means[m, i] = shifts[m, i] + said[i]
+            means[m, i] = shifts[m, i] + weighted[i]
         cholesky_solve(factors[m], means[m])
         logs[m] = mixture.heights[m] - determinants[m] - energies[m] / 2
         for i in range(size):
-            logs[m] += means[m, i] * (shifts[m, i] + said[i]) / 2
+            logs[m] += means[m, i] * (shifts[m, i] + weighted[i]) / 2
     most, total = logs.max(), 0.0
     for i in range(size):
         out[i] = 0.0

@@ -1,8 +1,8 @@
-"""Left and right that a detector took for each other, in single views and frames, put right.
+"""Swapping back left and right keypoints that a detector took for each other in single views.
 
-The other views of the frame, and what the capture is like, say where a left and a right keypoint
-are. If a view shows them the other way round, the frame becomes far more probable once they change
-places. Which keypoints are left and right of each other is learnt: those that gain most by it.
+The other views of the frame and the outlier model predict where a left and a right keypoint are.
+If a view has them the other way round, swapping them makes the frame far more probable. Which
+keypoints are left and right of each other is learnt: the pairs that gain most by a swap.
 """
 
 import numpy as np
@@ -38,7 +38,7 @@ FRAMES_AT_A_TIME = 64  # that a thread puts right
 def put_right(
     judge: Judge, prepared: Prepared, pairs: Int64, observations: Observations
 ) -> tuple[Observations, Bool]:
-    """Let keypoints that were swapped change places, and say which did (N, K, P).
+    """Swap back keypoints that were swapped; return also which these are (N, K, P).
 
     Frames that fewer than two views show stay as they are, and so do pairs (S, 2) of which not
     both are observed.
@@ -64,9 +64,9 @@ def put_right(
 
 
 def find_pairs(judge: Judge, prepared: Prepared, observations: Observations) -> Int64:
-    """Return the keypoints (S, 2) that a detector took for each other, here and there.
+    """Return the pairs of keypoints (S, 2) that a detector took for each other in some frames.
 
-    Such a pair gains more by changing places in a frame than either does with any other keypoint.
+    Such a pair gains more likelihood by a swap than either keypoint does with any other.
     """
     pixels, observed = pixels_of(observations)
     count = observed.shape[-1]
@@ -85,14 +85,14 @@ def find_pairs(judge: Judge, prepared: Prepared, observations: Observations) -> 
 def swap_back(
     judge: Judge, prepared: Prepared, pairs: Int64, pixels: Float64, observed: Bool, swapped: Bool
 ) -> None:
-    """Let keypoints change places in `pixels`, and write which did (N, K, P).
+    """Swap keypoints back in `pixels`, and write which were swapped (N, K, P).
 
     Parameters
     ----------
     pairs
         (S, 2) keypoints that are left and right of each other.
     pixels, observed
-        (N, K, P, 2) and whether it was (N, K, P). Where one of a pair is not, none is moved.
+        (N, K, P, 2), and (N, K, P) whether each was observed. A pair is moved only if both are.
     """
     frames, views, count, _ = pixels.shape
     size = len(judge.products)
@@ -131,9 +131,9 @@ def _best_turns(
     energy: float,
     turned: Bool,
 ) -> tuple[int, float]:
-    """Return the view in which turning pairs helps most, and the energy then; write which pairs.
+    """Return the view in which swapping pairs helps most, and the energy then; write which pairs.
 
-    In every view the search begins with no pair turned, and with all that are observed.
+    In every view the search starts twice: with no pair swapped, and with all observed ones.
     """
     trial, trial_scores = np.empty(len(offsets)), np.empty(len(scores))
     tried, best, where = np.empty(len(pairs), np.bool_), energy, 0
@@ -155,7 +155,7 @@ def _best_turns(
 
 @inner
 def _move_into(judge: Judge, swapped: Bool, offsets: Float64, pixels: Float64) -> None:
-    """Write where swapped keypoints (K, P) are now."""
+    """Write the new pixels of swapped keypoints (K, P)."""
     views, count = swapped.shape
     for k in range(views):
         for p in range(count):
@@ -169,10 +169,10 @@ def _move_into(judge: Judge, swapped: Bool, offsets: Float64, pixels: Float64) -
 def gains_by_pairs(
     judge: Judge, prepared: Prepared, pixels: Float64, observed: Bool, gains: Float64, times: Int64
 ) -> None:
-    """Add up what frames gain if two keypoints of a view change places, (P, P) above the diagonal.
+    """Sum the gains of swapping two keypoints of a view, (P, P) above the diagonal.
 
-    Gains are twice log likelihood ratios; only those of frames that are `LIKELY` count, so many
-    `times`. The rest is as in `swap_back`.
+    A gain is twice the log likelihood ratio of a frame. Only gains above `LIKELY` count; `times`
+    counts these frames. The other parameters are those of `swap_back`.
     """
     frames, views, count, _ = pixels.shape
     size = len(judge.products)
@@ -203,7 +203,7 @@ def gains_by_pairs(
 
 @inner
 def _frame_into(judge: Judge, pixels: Float64, observed: Bool, offsets: Float64) -> bool:
-    """Write the offsets (D,) from the mean, 0 where not observed; say if enough views show it."""
+    """Write offsets (D,) from the mean, 0 where not observed; return if enough views show it."""
     views, count = observed.shape
     shown = 0
     for k in range(views):
@@ -217,7 +217,7 @@ def _frame_into(judge: Judge, pixels: Float64, observed: Bool, offsets: Float64)
 
 @inner
 def _factors_of(judge: Judge, prepared: Prepared, observed: Bool, own: Predictor) -> Float64:
-    """Return the factors of what predicts from all observed keypoints (K, P), maybe in `own`."""
+    """Return the factors of the predictor from all observed keypoints (K, P); `own` is a buffer."""
     if observed.all():
         return prepared.fine.factors
     predictor_into(judge, judge.noises[-1], observed, own)
@@ -243,7 +243,7 @@ def _energy(judge: Judge, factors: Float64, offsets: Float64, scores: Float64) -
 
 @inner
 def _moved(judge: Judge, k: int, pair: Int64, offsets: Float64, i: int) -> tuple[int, int, float]:
-    """Return the coordinates x or y of two keypoints, and how far they move to change places."""
+    """Return the indices of x or y of two keypoints, and how far a swap moves them."""
     count = judge.scales.shape[1]
     a, b = 2 * (k * count + pair[0]) + i, 2 * (k * count + pair[1]) + i
     apart = offsets[b] + judge.mean[k, pair[1], i] - offsets[a] - judge.mean[k, pair[0], i]
@@ -254,7 +254,7 @@ def _moved(judge: Judge, k: int, pair: Int64, offsets: Float64, i: int) -> tuple
 def _change(
     judge: Judge, factors: Float64, k: int, pair: Int64, offsets: Float64, scores: Float64
 ) -> float:
-    """Return what the energy changes by if two keypoints of a view change places."""
+    """Return the change of the energy if two keypoints of a view are swapped."""
     size = len(scores)
     ax, bx, x = _moved(judge, k, pair, offsets, 0)
     ay, by, y = _moved(judge, k, pair, offsets, 1)
@@ -271,7 +271,7 @@ def _change(
 def _turn(
     judge: Judge, factors: Float64, k: int, pair: Int64, offsets: Float64, scores: Float64
 ) -> float:
-    """Let two keypoints of a view change places; return what the energy changes by."""
+    """Swap two keypoints of a view; return the change of the energy."""
     size, change = len(scores), _change(judge, factors, k, pair, offsets, scores)
     for i in range(2):
         a, b, apart = _moved(judge, k, pair, offsets, i)
@@ -292,7 +292,7 @@ def _suits(
     scores: Float64,
     usual: float,
 ) -> bool:
-    """Say whether two keypoints of a view are where the rest of the frame has them."""
+    """Return whether two keypoints of a view are where all others of the frame predict them."""
     count, size = judge.scales.shape[1], len(scores)
     for p in pair:
         squared = 0.0
@@ -318,7 +318,7 @@ def _descend(
     scores: Float64,
     turned: Bool,
 ) -> float:
-    """Turn pairs of a view as long as that makes the frame more probable; return the change."""
+    """Swap pairs of a view as long as that makes the frame more probable; return the change."""
     total = 0.0
     for _ in range(2 * len(pairs)):
         best, which = -LITTLE, -1

@@ -10,8 +10,8 @@ from models.numerics.rotations import rotations_from_vectors
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
-# Name, parent, offset from the parent at rest in metres (x left, y up, z forward of the figure),
-# and the standard deviation of the joint angle at the parent, in radians.
+# Name, parent, offset from the parent in metres before any rotation (x left, y up, z forward of
+# the figure), and the standard deviation of the joint angle at the parent, in radians.
 BONES: tuple[tuple[str, int, tuple[float, float, float], float], ...] = (
     ("pelvis", -1, (0.0, 0.0, 0.0), 0.0),
     ("left_hip", 0, (0.10, -0.04, 0.0), 0.05),

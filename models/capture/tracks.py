@@ -86,7 +86,7 @@ def choose_half_width(
     for half_width in half_widths:
         left_out = [np.linalg.norm(_residuals_left_out(p, half_width), axis=-1) for p in parts]
         errors.append(np.stack(left_out))
-    together = np.isfinite(np.stack(errors)).all(0)  # compared where all widths say something
+    together = np.isfinite(np.stack(errors)).all(0)  # compared where all widths give an error
     if not together.any():
         return half_widths[0]
     limit = OUTLIER * np.median(np.stack(errors)[:, together], 1).min()
@@ -101,7 +101,7 @@ def _sums(
     frames, keypoints, _ = track.pixels.shape
     known = np.isfinite(times)
     base = np.where(known, np.round(times), -1).astype(np.int64)
-    rest = np.where(known, times - base, 0.0)  # (T,) the base frame is this much earlier
+    fraction = np.where(known, times - base, 0.0)  # (T,) the base frame is this much earlier
     inside = (base >= 0) & (base < frames)
     home = track.clips[np.clip(base, 0, frames - 1)]
     moments = np.zeros((5, len(times), keypoints))
@@ -110,7 +110,7 @@ def _sums(
     reach = int(np.ceil(half_width))
     for step in range(-reach, reach + 1):
         index = np.clip(base + step, 0, frames - 1)
-        offset = step - rest
+        offset = step - fraction
         kernel = np.maximum(1 - (offset / half_width) ** 2, 0.0)
         kernel *= inside & (base + step == index) & (track.clips[index] == home)
         weights = kernel[:, None] * track.weights[index]
@@ -148,7 +148,7 @@ def _residuals_left_out(track: Track, half_width: float) -> Float64:
 
 
 def _strays(pixels: Float64, weights: Float64) -> NDArray[np.bool_]:
-    """Which keypoints (N, P) lie far from where the frames around show them."""
+    """Return which keypoints (N, P) lie far from their median in the frames around."""
     if len(pixels) < MEDIAN_FRAMES:
         return np.zeros(weights.shape, bool)
     observed = np.where((weights > 0)[..., None], pixels, np.nan)
@@ -169,7 +169,7 @@ def _running_median(values: Float64) -> Float64:
 
 
 def number_clips(pixels: Float64, weights: Float64) -> NDArray[np.int64]:
-    """Return the number of the clip of each frame (N,): keypoints jump from one to the next."""
+    """Return the clip number of each frame (N,): keypoints jump from one clip to the next."""
     cuts = np.zeros(len(pixels), bool)
     cuts[1:] = cuts_among(jumps_between(pixels, weights))
     return np.cumsum(cuts)
@@ -185,9 +185,9 @@ def jumps_between(pixels: Float64, weights: Float64) -> Float64:
 
 
 def cuts_among(jumps: Float64) -> NDArray[np.bool_]:
-    """Say which of the jumps (N-1, ...) from frame to frame are cuts.
+    """Return which of the jumps (N-1, ...) from frame to frame are cuts.
 
-    They are so by the jumps before and after them, or, at the end, by those before them alone.
+    A jump is compared with those before and after it, at the end with those before it alone.
     """
     known = np.nan_to_num(jumps)
     if len(jumps) <= 2 * CUT_NEIGHBOURS or known.max() <= CUT * known.min():

@@ -31,7 +31,7 @@ def triangulate(keypoints: ArrayLike, projections: ArrayLike, *, rounds: int = 2
     keypoints
         (N, K, P, 2) pixels, NaN where not observed.
     projections
-        (K, 3, 4) for cameras at rest or (N, K, 3, 4): pixels ~ projection @ (X, 1). Their left
+        (K, 3, 4) for static cameras or (N, K, 3, 4): pixels ~ projection @ (X, 1). Their left
         3x3 block must be invertible (a camera at a finite place).
     rounds
         How many rays of each point may be dropped, 0 to 64.

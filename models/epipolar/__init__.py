@@ -1,6 +1,6 @@
-"""What two views of all frames say together, for cameras at rest, without shapes or a network.
+"""Geometry of static cameras from the keypoints of all frames, without shapes or a network.
 
-For cameras at rest, all keypoints of all frames are correspondences of one epipolar geometry per
-pair of views. Begin with `fundamental.py`; `order_checks.py` finds what
-changed places or moved between frames.
+For static cameras, all keypoints of all frames are correspondences of one epipolar geometry per
+pair of views. Begin with `fundamental.py`; `order_checks.py` finds views, sides and cameras that
+changed between frames.
 """

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from models.epipolar.pairs import RelativePoses
 from models.epipolar.robust_points import triangulate_points
-from models.epipolar.static_cameras import Seen, StaticCameras, distances_of, robust_costs
+from models.epipolar.static_cameras import SeenPoints, StaticCameras, distances_of, robust_costs
 
 Float64 = NDArray[np.float64]
 ViewGraph = dict[tuple[int, int], RelativePoses]  # by views j < k
@@ -24,11 +24,11 @@ class Assembled(NamedTuple):
     cost: float  # mean robust cost of an observation, under the noise of the pairs
 
 
-def assemble(graph: ViewGraph, seen: Seen, noise: float) -> list[Assembled]:
-    """Put rigs of all K views together, one for each of the best pairs; the best rig first.
+def assemble(graph: ViewGraph, seen: SeenPoints, noise: float) -> list[Assembled]:
+    """Assemble rigs of all K views, one from each of the best pairs; return the best rig first.
 
-    `noise` in sides is that under which rigs and views are compared. A view that shares too little
-    with the others leaves no rig at all.
+    Rigs and views are compared under one `noise`, in sides. If a view shares too little with the
+    others, there is no rig.
     """
     seeds = [
         (float(poses.costs[s] - poses.costs[0]), float(poses.noise), pair, s)
@@ -44,9 +44,9 @@ def assemble(graph: ViewGraph, seen: Seen, noise: float) -> list[Assembled]:
 
 
 def _grow(
-    graph: ViewGraph, seen: Seen, noise: float, pair: tuple[int, int], solution: int
+    graph: ViewGraph, seen: SeenPoints, noise: float, pair: tuple[int, int], solution: int
 ) -> Assembled | None:
-    """Begin with one solution of a pair and add one camera after another."""
+    """Assemble a rig from one solution of a pair, adding one camera after another."""
     views = len(seen.weights)
     poses = graph[pair]
     log_focals = np.zeros(views)
@@ -61,14 +61,16 @@ def _grow(
         log_focals, np.zeros((views, 2)), np.zeros((views, 2)), rotations, translations
     )
     while len(placed) < views:
-        some = Seen(seen.images[placed], seen.weights[placed])
+        some = SeenPoints(seen.images[placed], seen.weights[placed])
         known = (some.weights > 0).sum(0) >= 2
         points = triangulate_points(
-            rig.of(placed), Seen(some.images[..., known], some.weights[:, known])
+            rig.of(placed), SeenPoints(some.images[..., known], some.weights[:, known])
         )
         best: tuple[float, int, StaticCameras] | None = None
         for view in (v for v in range(views) if v not in placed):
-            of_view = Seen(seen.images[[view], :, :][..., known], seen.weights[[view]][:, known])
+            of_view = SeenPoints(
+                seen.images[[view], :, :][..., known], seen.weights[[view]][:, known]
+            )
             if (of_view.weights > 0).sum() < COMMON:
                 continue
             for candidate in _candidates(graph, rig, placed, view):
@@ -93,7 +95,7 @@ def _grow(
 def _candidates(
     graph: ViewGraph, rig: StaticCameras, placed: list[int], view: int
 ) -> list[StaticCameras]:
-    """Rotation and focal length of a view as each solution of its pairs says; K = 1."""
+    """Return rotation and focal length of a view from each solution of its pairs; K = 1."""
     candidates = []
     for other in placed:
         first = other < view
@@ -115,8 +117,8 @@ def _candidates(
     return candidates
 
 
-def _place(camera: StaticCameras, points: Float64, seen: Seen) -> StaticCameras:
-    """Find where a camera of known rotation is: R X + t along the rays, robustly linear in t."""
+def _place(camera: StaticCameras, points: Float64, seen: SeenPoints) -> StaticCameras:
+    """Find the translation of a camera of known rotation: robust least squares, linear in t."""
     flat = seen.images[0] / np.exp(camera.log_focals[0])  # (2, M)
     turned = camera.rotations[0] @ points
     # u (z + t_z) = (x + t_x): two equations of a point.

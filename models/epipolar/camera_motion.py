@@ -1,8 +1,8 @@
-"""How far cameras that are taken for static move: poses that single frames would give them.
+"""How far cameras that are assumed static move, from the poses that single frames give them.
 
 At the static rig, one linearisation gives each camera a pose of its own in every frame (a score
-test; Cox & Hinkley, *Theoretical Statistics*, sec. 9.3), and by how much it would move the images
-of what the camera sees. What noise alone makes of that is known and taken off.
+test; Cox & Hinkley, *Theoretical Statistics*, sec. 9.3). This pose shifts the images of the
+camera's points. The shift that noise alone would cause is known and subtracted.
 """
 
 from typing import NamedTuple
@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.epipolar.static_cameras import LENS, Seen, StaticCameras, linearised
+from models.epipolar.static_cameras import LENS, SeenPoints, StaticCameras, linearised
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
-FEWEST = 6  # points of a frame that a view shows, for its pose to be asked
+FEWEST = 6  # points of a frame that a view must show to get a pose
 WEAKEST = 1e-3  # of the strongest direction of a pose: weaker ones are left alone
 CENTRE_X = 1  # place of the principal point's x among a camera's numbers: it moves images by 1
 
@@ -29,7 +29,7 @@ class CameraMotion(NamedTuple):
 
 
 def camera_motion(
-    rig: StaticCameras, points: Float64, seen: Seen, noise: Float64, frames: Int64
+    rig: StaticCameras, points: Float64, seen: SeenPoints, noise: Float64, frames: Int64
 ) -> CameraMotion:
     """Return how far each camera K moves, from points (3, M) of these frames (M,)."""
     residuals, by_camera, by_point = linearised(rig, points, seen, noise)
@@ -66,7 +66,7 @@ def camera_motion(
 
 
 def _beyond_noise(pulls: Float64, matrices: Float64, images: Float64, noise: float) -> Float64:
-    """Return weighted squared shifts (F,) of frames less what independent noise makes of them."""
+    """Return weighted squared shifts (F,) of frames, less their expectation under noise alone."""
     values, vectors = np.linalg.eigh((matrices + matrices.mT) / 2)
     known = values > WEAKEST * values[:, -1:].clip(1e-300)
     inverse = np.where(known, 1 / np.where(known, values, 1.0), 0.0)

@@ -1,9 +1,9 @@
-"""The fundamental matrix of two views at rest, from all keypoints of all frames, robustly.
+"""The fundamental matrix of two static views, from all keypoints of all frames, robustly.
 
 Hartley & Zisserman, *Multiple View Geometry*: the normalised eight-point algorithm (alg. 11.1) and
 the Sampson distance (11.9); outliers by iteratively reweighted least squares with the weights of
-Student's t. They begin at the best of many small samples (Fischler & Bolles, RANSAC): from the
-least-squares solution alone, one correspondence in five that is wrong leads them astray.
+Student's t. They start at the best of many small samples (Fischler & Bolles, RANSAC): started from
+the least-squares solution, they fail if one correspondence in five is wrong.
 """
 
 from typing import NamedTuple
@@ -65,9 +65,9 @@ def fit_fundamentals(
 ) -> tuple[Float64, Float64]:
     """Fit B fundamental matrices at once, each to its own correspondences x, y (B, M, 2).
 
-    Correspondences of weight 0 in `weights` (B, M) take no part; each fit needs eight others, few
-    of them wrong: unlike in `fit_fundamental`, the start is the least-squares solution. Returns
-    the matrices (B, 3, 3) and the scales (B,) of their Sampson distances in pixels.
+    Correspondences of weight 0 in `weights` (B, M) are ignored. Each fit needs eight others, few
+    of them wrong, because it starts from the least-squares solution, unlike `fit_fundamental`.
+    Returns the matrices (B, 3, 3) and the scales (B,) of their Sampson distances in pixels.
     """
     to_x, to_y = (
         np.stack([_normalising(row, there) for row, there in zip(points, weights > 0, strict=True)])
@@ -127,13 +127,13 @@ def robust_costs(distances: Float64, scale: float | Float64) -> Float64:
 
 
 def _medians(values: Float64, weights: Float64) -> Float64:
-    """Medians (B, 1) of those of the values (B, M) that have a weight."""
+    """Medians (B, 1) of the values (B, M) with positive weight."""
     rows = zip(values, weights > 0, strict=True)
     return np.array([[np.median(row[there])] for row, there in rows])
 
 
 def _scales(distances: Float64, weights: Float64, floor: float) -> Float64:
-    """Robust standard deviations (B, 1) of distances (B, M) that have a weight."""
+    """Robust standard deviations (B, 1) of distances (B, M) with positive weight."""
     return np.maximum(NORMAL * _medians(np.abs(distances), weights), floor)
 
 
@@ -146,7 +146,7 @@ def _homogeneous(points: Float64) -> Float64:
 def _normalising(points: Float64, there: NDArray[np.bool_]) -> Float64:
     """Return the similarity (3, 3) that centres points (M, 2) at a mean distance of sqrt(2).
 
-    Of the points, those count that are `there` (M,).
+    Only points that are `there` (M,) count.
     """
     points = points[there]
     centre = np.median(points, 0)

@@ -1,8 +1,8 @@
-"""Views that show left and right keypoints the other way round than the others do.
+"""Views in which left and right keypoints are exchanged, compared with the other views.
 
-Which keypoints are left and right of each other is found: those whose exchange in one view brings
-them onto the epipolar lines of the other views. A view may show them so in all frames (a mirrored
-image, another order of keypoints) or in some.
+Pairs of left and right keypoints are not given. They are found as those whose exchange in one view
+brings them onto the epipolar lines of the other views. A view may have them exchanged in all frames
+(a mirrored image, another order of keypoints) or in some.
 """
 
 from collections.abc import Iterator
@@ -16,8 +16,8 @@ from models.epipolar.symmetry import Partners, matched, unlikeness
 from models.epipolar.view_pairs import (
     DEPENDENCE,
     Matrices,
-    Seen,
-    at_rest,
+    SeenFrames,
+    are_static,
     between,
     fit_pair,
     frame_costs,
@@ -46,12 +46,12 @@ class LeftRightSwapped(NamedTuple):
     views: tuple[int, ...]
     frames: Bool
     partners: Partners
-    seen: Seen  # with the keypoints put back
+    seen: SeenFrames  # with the keypoints put back
     gain: float  # log likelihood
 
 
-def find_left_right(seen: Seen, matrices: Matrices) -> LeftRightSwapped | None:
-    """Find the view that shows left and right the other way round than the others, if any does."""
+def find_left_right(seen: SeenFrames, matrices: Matrices) -> LeftRightSwapped | None:
+    """Find the view in which left and right are exchanged compared with the others, if any."""
     frames, views = seen.there.shape[:2]
     kept = np.unique(np.linspace(0, frames - 1, min(frames // 2, SAMPLE)).astype(np.intp))
     sample, unseen = seen.part(kept), np.ones(frames, np.bool_)
@@ -74,7 +74,7 @@ def find_left_right(seen: Seen, matrices: Matrices) -> LeftRightSwapped | None:
     return _judge(seen, best, found, before, unseen, as_good, np.isfinite(alike))
 
 
-def exchanged(seen: Seen, view: int, partners: Partners, frames: Bool) -> Seen:
+def exchanged(seen: SeenFrames, view: int, partners: Partners, frames: Bool) -> SeenFrames:
     """Return the frames with keypoints of a view exchanged in some of them (N,)."""
     pixels, there = seen.pixels.copy(), seen.there.copy()
     pixels[frames, view] = pixels[frames, view][:, partners]
@@ -83,14 +83,14 @@ def exchanged(seen: Seen, view: int, partners: Partners, frames: Bool) -> Seen:
 
 
 class _Trial(NamedTuple):
-    """A view's keypoints exchanged in some frames, and what that gains on the sample."""
+    """An exchange of a view's keypoints in some frames, and its gain on the sample."""
 
     partners: Partners
     matrices: Matrices
     gain: float
 
 
-def _best(sample: Seen, view: int, matrices: Matrices, alike: Float64) -> _Trial | None:
+def _best(sample: SeenFrames, view: int, matrices: Matrices, alike: Float64) -> _Trial | None:
     """Return the exchange in a view that gains most, from several starts."""
     before = _costs(sample, matrices)
     trials = []
@@ -106,8 +106,10 @@ def _best(sample: Seen, view: int, matrices: Matrices, alike: Float64) -> _Trial
     return max(trials, key=lambda trial: trial.gain, default=None)
 
 
-def _starts(sample: Seen, view: int, matrices: Matrices, alike: Float64) -> Iterator[Matrices]:
-    """Yield matrices of a view: as they are, and with those alike exchanged in all frames."""
+def _starts(
+    sample: SeenFrames, view: int, matrices: Matrices, alike: Float64
+) -> Iterator[Matrices]:
+    """Yield matrices of a view: as they are, and with similar keypoints exchanged in all frames."""
     yield matrices
     every = np.ones(len(sample.there), np.bool_)
     other = exchanged(sample, view, matched(alike), every)
@@ -115,7 +117,7 @@ def _starts(sample: Seen, view: int, matrices: Matrices, alike: Float64) -> Iter
 
 
 def _improve(
-    sample: Seen, view: int, matrices: Matrices, doubted: Bool, allowed: Bool
+    sample: SeenFrames, view: int, matrices: Matrices, doubted: Bool, allowed: Bool
 ) -> _Trial | None:
     """Find partners, frames and matrices in turns; the gain is the cost in the end, below 0."""
     trial, before = None, None
@@ -137,7 +139,7 @@ def _improve(
     return trial
 
 
-def _costs(seen: Seen, matrices: Matrices) -> Float64:
+def _costs(seen: SeenFrames, matrices: Matrices) -> Float64:
     """Cost (N,) of all pairs of a view together."""
     costs: Float64 = sum(
         (frame_costs(seen, found, *pair) for pair, found in matrices.items()),
@@ -146,8 +148,8 @@ def _costs(seen: Seen, matrices: Matrices) -> Float64:
     return costs
 
 
-def _partners(seen: Seen, view: int, matrices: Matrices, allowed: Bool) -> Partners | None:
-    """Choose who should change places with whom in a view, among those allowed (P, P)."""
+def _partners(seen: SeenFrames, view: int, matrices: Matrices, allowed: Bool) -> Partners | None:
+    """Choose which keypoints of a view to exchange, among the allowed pairs (P, P)."""
     p, q = np.nonzero(np.triu(allowed))
     most = max(LEAST_TABLE, TABLE // (max(len(p), 1) * len(matrices)))
     few = seen.part(np.unique(np.linspace(0, len(seen.there) - 1, most).astype(np.intp)))
@@ -171,7 +173,7 @@ def _partners(seen: Seen, view: int, matrices: Matrices, allowed: Bool) -> Partn
 
 
 def _judge(
-    seen: Seen,
+    seen: SeenFrames,
     view: int,
     found: _Trial,
     before: Matrices,
@@ -179,7 +181,7 @@ def _judge(
     as_good: list[int],
     allowed: Bool,
 ) -> LeftRightSwapped | None:
-    """Say in which frames keypoints are exchanged, if frames that were not searched confirm it."""
+    """Return the frames with exchanged keypoints, if frames outside the sample confirm it."""
     every = np.ones(len(seen.there), np.bool_)
     costs = _costs(seen, found.matrices)
     for _ in range(2):
@@ -198,6 +200,6 @@ def _judge(
     clear = np.median(ratios[named]) > CLEAR_FRAME
     if DEPENDENCE * gains[unseen].sum() < LEAST_RATIO or not clear:
         return None
-    if not at_rest(mended, found.matrices):
+    if not are_static(mended, found.matrices):
         return None
     return LeftRightSwapped(tuple(as_good), named, found.partners, mended, float(gains.sum()))

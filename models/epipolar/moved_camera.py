@@ -1,9 +1,9 @@
-"""A camera at rest that was moved at some frame: one geometry before it, another from there on.
+"""A static camera that was moved at some frame: one geometry before it, another from there on.
 
 Two matrices for a pair of views always explain more than one, if only because the subject is
-elsewhere later. What tells a camera that was moved is a jump: with matrices that were fitted to
-frames well before and well after, the frames just before the move suit the first ones and the
-frames just after it the others, although the subject is still at the same place.
+elsewhere later. The sign of a moved camera is a jump. With matrices fitted to frames well before
+and well after it, frames just before the move fit the first ones and frames just after it the
+others, although the subject is still at the same place.
 """
 
 from collections.abc import Iterable
@@ -17,8 +17,8 @@ from models.epipolar.view_pairs import (
     DEPENDENCE,
     TINY,
     Matrices,
-    Seen,
-    at_rest,
+    SeenFrames,
+    are_static,
     fit_pair,
     fit_pairs,
     frame_costs,
@@ -35,8 +35,8 @@ LEAST_WINDOW = 4  # frames
 LEAST_SHARE = 0.04  # of the frames must lie beyond the window
 SURE = 11.0  # standard errors of the jump
 LEAST_JUMP = 0.3  # log likelihood ratio of a frame and pair of views
-LEFT = 0.35  # of what the move costs may be left with the matrices that were fitted after it
-AS_SURE = 0.6  # of the best view's jump: another view may as well have moved
+LEFT = 0.35  # of the cost of the move may be left with the matrices fitted after it
+AS_SURE = 0.6  # of the best view's jump: above it another view may have moved as well
 PUSHED = 3.0  # times the usual motion of a view between frames: then it is seen to jump
 
 
@@ -50,8 +50,8 @@ class MovedCamera(NamedTuple):
     gain: float  # log likelihood
 
 
-def find_moved_camera(seen: Seen, matrices: Matrices) -> MovedCamera | None:
-    """Find the view that was moved, and the first frame after that; None if none surely was."""
+def find_moved_camera(seen: SeenFrames, matrices: Matrices) -> MovedCamera | None:
+    """Find the view that was moved and the first frame after the move; None if it is uncertain."""
     frames = len(seen.there)
     kept = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLE)).astype(np.intp))
     if len(kept) < 4 * LEAST_SIDE or not matrices:
@@ -60,7 +60,7 @@ def find_moved_camera(seen: Seen, matrices: Matrices) -> MovedCamera | None:
     return None if at is None else _judge(seen, matrices, int(kept[at]))
 
 
-def _likely_frame(seen: Seen, matrices: Matrices) -> int | None:
+def _likely_frame(seen: SeenFrames, matrices: Matrices) -> int | None:
     """Return the frame from which on other matrices gain most for the pairs of some view."""
     usual = {pair: float(frame_costs(seen, found, *pair).sum()) for pair, found in matrices.items()}
     best, most = None, 0.0
@@ -81,14 +81,14 @@ def _likely_frame(seen: Seen, matrices: Matrices) -> int | None:
     return best
 
 
-def _split_costs(seen: Seen, pair: tuple[int, int], at: int, matrices: Matrices) -> Float64:
+def _split_costs(seen: SeenFrames, pair: tuple[int, int], at: int, matrices: Matrices) -> Float64:
     """Costs (2, N) of all frames under matrices fitted before and after a frame."""
     at = int(np.clip(at, LEAST_SIDE, len(seen.there) - LEAST_SIDE))
     return _costs_of_sides(seen, pair, (slice(None, at), slice(at, None)), matrices[pair])
 
 
 def _costs_of_sides(
-    seen: Seen, pair: tuple[int, int], sides: tuple[slice, slice], usual: Fundamental
+    seen: SeenFrames, pair: tuple[int, int], sides: tuple[slice, slice], usual: Fundamental
 ) -> Float64:
     """Costs (2, N) of all frames under matrices fitted to some frames and to others."""
     fitted = (fit_pair(seen.part(side), *pair) or usual for side in sides)
@@ -104,28 +104,28 @@ def _best_split(costs: Float64) -> tuple[int, float]:
     return at, float(totals[at])
 
 
-def _judge(seen: Seen, matrices: Matrices, first: int) -> MovedCamera | None:
-    """Look for the jump in frames near the move that no matrix was fitted to."""
+def _judge(seen: SeenFrames, matrices: Matrices, first: int) -> MovedCamera | None:
+    """Test for the jump in frames near the move, to which no matrix was fitted."""
     frames = len(seen.there)
     width = max(LEAST_WINDOW, int(WINDOW * frames))
     least = max(2 * LEAST_SIDE, int(LEAST_SHARE * frames))
-    for _ in range(2):  # once more about the very frame
+    for _ in range(2):  # the second time around the frame that the first one found
         early, late = first - width, first + width
         if min(early, frames - late) < least:
             return None
         sides = (slice(None, early), slice(late, None))
-        told = {pair: usual for pair, usual in matrices.items() if _show(seen, pair, sides, least)}
-        if not told:
+        shown = {pair: usual for pair, usual in matrices.items() if _show(seen, pair, sides, least)}
+        if not shown:
             return None
-        costs = {pair: _costs_of_sides(seen, pair, sides, usual) for pair, usual in told.items()}
+        costs = {pair: _costs_of_sides(seen, pair, sides, usual) for pair, usual in shown.items()}
         window = slice(early, late)
         jumps = {pair: _jump(both[:, window], first - early) for pair, both in costs.items()}
         alike = _most_likely(jumps)
-        mine = [pair for pair in told if alike[0] in pair]
+        mine = [pair for pair in shown if alike[0] in pair]
         mean = np.mean([costs[pair] for pair in mine], 0)
         near = slice(max(first - 2 * width, 0), first + 2 * width)
         first = near.start + _best_split(mean[:, near])[0]
-    if len(alike) > 1 and len(_paired(told)) > 2:
+    if len(alike) > 1 and len(_paired(shown)) > 2:
         return None
     early, late = max(first - width, 0), first + width
     ratios = DEPENDENCE * (mean[0] - mean[1])
@@ -138,7 +138,7 @@ def _judge(seen: Seen, matrices: Matrices, first: int) -> MovedCamera | None:
     if not abrupt or left > LEFT * excess:
         return None
     parts = (seen.part(slice(None, early)), seen.part(slice(late, None)))
-    if not all(at_rest(part, fit_pairs(part, tuple(mine))) for part in parts):
+    if not all(are_static(part, fit_pairs(part, tuple(mine))) for part in parts):
         return None
     plain = sum(float(frame_costs(seen, matrices[pair], *pair).sum()) for pair in mine)
     gain = plain - len(mine) * float(mean[0, :first].sum() + mean[1, first:].sum())
@@ -146,7 +146,7 @@ def _judge(seen: Seen, matrices: Matrices, first: int) -> MovedCamera | None:
     return MovedCamera(views, first, jump, jump / error, gain)
 
 
-def _show(seen: Seen, pair: tuple[int, int], sides: tuple[slice, slice], least: int) -> bool:
+def _show(seen: SeenFrames, pair: tuple[int, int], sides: tuple[slice, slice], least: int) -> bool:
     """Whether both views of a pair show enough frames on either side, and neither has ended."""
     both = seen.there[:, pair[0]] & seen.there[:, pair[1]]
     shown: NDArray[np.bool_] = np.any(both, axis=-1)
@@ -159,9 +159,10 @@ def _jump(costs: Float64, at: int) -> float:
 
 
 def _most_likely(jumps: dict[tuple[int, int], float]) -> list[int]:
-    """Return the view whose pairs jump most, and those that may as well have been moved.
+    """Return the view whose pairs jump most, and those that may have been moved as well.
 
-    What a pair shows may come from either of its views, so views are compared by their others.
+    The jump of a pair may come from either of its views, so two views are compared by their pairs
+    with all other views.
     """
 
     def mean_jump(view: int, but: int | None = None) -> float:
@@ -183,7 +184,7 @@ def _paired(pairs: Iterable[tuple[int, int]]) -> list[int]:
 
 
 def _error(values: Float64) -> float:
-    """Return the standard error of the mean of a series whose neighbours are alike."""
+    """Return the standard error of the mean of a series whose neighbours are correlated."""
     offsets = values - values.mean()
     variance = float(np.square(offsets).mean())
     if len(values) < 3 or variance == 0:
@@ -192,7 +193,7 @@ def _error(values: Float64) -> float:
     return float(np.sqrt(variance / len(values) * (1 + alike) / (1 - alike)))
 
 
-def _who_jumped(seen: Seen, views: list[int], first: int) -> tuple[int, ...]:
+def _who_jumped(seen: SeenFrames, views: list[int], first: int) -> tuple[int, ...]:
     """Of views that may all have moved, return those whose keypoints jump at that frame."""
     if len(views) == 1:
         return tuple(views)

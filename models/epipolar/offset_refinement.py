@@ -1,10 +1,11 @@
-"""Offsets in time to a fraction of a frame, and how sure they are: Gauss-Newton with all pairs.
+"""Offsets in time to a fraction of a frame, with standard errors: Gauss-Newton with all pairs.
 
-The Sampson distance of a pair depends on its fundamental matrix and on when either view is read. By
-a frame more it changes as the keypoint moves across its epipolar line. So offsets and matrices are
-found together by least squares with Student's weights, where the matrices of rank two (seven
-unknowns on a manifold) are eliminated pair by pair: what remains is one small system for the
-offsets of all views. Offsets are sums of given functions of time, such as a constant and a drift.
+The Sampson distance of a pair depends on its fundamental matrix and on the times at which the two
+views are read. Its derivative by the time is how far the keypoint moves across its epipolar line.
+So offsets and matrices are estimated together by least squares with Student's weights. The matrices
+of rank two (seven unknowns on a manifold) are eliminated pair by pair, which leaves one small
+system for the offsets of all views. Offsets are sums of given functions of time, such as a constant
+and a drift.
 """
 
 from typing import NamedTuple
@@ -31,16 +32,16 @@ ROUNDS = 8
 MATRIX_ROUNDS = 2  # steps of a pair's matrix in each round
 CONVERGED = 0.003  # frames
 LARGEST_STEP = 1.5  # frames: beyond it, motion is not linear any more
-# The scatter of blocks of frames tells how sure offsets are: at most so many, and each longer than
-# errors of smoothed keypoints (in half widths) and of detectors (in frames) are alike.
+# Standard errors come from the scatter between blocks of frames: at most so many. A block is longer
+# than the correlation of errors of smoothed keypoints (in half widths) and detectors (in frames).
 MOST_BLOCKS, BLOCK_WIDTHS, BLOCK_FRAMES = 16, 1.5, 8
 FEWEST_BLOCKS = 4  # with three, Student's t has no variance
 FLOOR = 2e-4  # of the extent of the keypoints: finer than any detector or lens model
-RIDGE = 1e-9  # of the information: views that no pair informs stay where they are
+RIDGE = 1e-9  # of the information: views without any pair keep their offsets
 
 
-class Scene(NamedTuple):
-    """What is looked at: keypoints as functions of time, in units of their extent."""
+class TrackedFrames(NamedTuple):
+    """The frames that are used: keypoints as functions of time, in units of their extent."""
 
     tracks: list[Track]  # K
     frames: Int  # (T,) consecutive in windows
@@ -83,7 +84,7 @@ class Refined(NamedTuple):
 
 
 class _Equations(NamedTuple):
-    """What a pair says of how much later its second view is, without its matrix."""
+    """The equations of a pair for the offset of its second view, with its matrix eliminated."""
 
     information: Float64  # (B, M, M)
     scores: Float64  # (B, M)
@@ -92,36 +93,36 @@ class _Equations(NamedTuple):
 
 
 def refine_offsets(
-    scene: Scene, start: Float64, functions: Float64, reference: int
+    tracked: TrackedFrames, start: Float64, functions: Float64, reference: int
 ) -> Refined | None:
-    """Refine the coefficients `start` (K, M) of `functions` (T, M) of the scene's frames.
+    """Refine the coefficients `start` (K, M) of `functions` (T, M) of the tracked frames.
 
     The view `reference` keeps its own. None if too few keypoints are seen by two views,
-    or there are too few frames to tell how sure their offsets are.
+    or there are too few frames for standard errors of the offsets.
     """
-    if scene.blocks < FEWEST_BLOCKS:
+    if tracked.blocks < FEWEST_BLOCKS:
         return None
     views, size = start.shape
     coefficients = start.copy()
-    thin = slice(None, None, 1 + functions.shape[0] * len(scene.tracks[0].pixels[0]) // POINTS)
-    frames, functions = scene.frames[thin], functions[thin]
-    blocks = np.arange(len(frames)) * scene.blocks // len(frames)
+    thin = slice(None, None, 1 + functions.shape[0] * len(tracked.tracks[0].pixels[0]) // POINTS)
+    frames, functions = tracked.frames[thin], functions[thin]
+    blocks = np.arange(len(frames)) * tracked.blocks // len(frames)
     free = np.repeat(np.arange(views) != reference, size)
     matrices: dict[Pair, Float64] = {}
     for _ in range(ROUNDS):
         motions = [
-            motion_at(track, frames + late, scene.half_width)
-            for track, late in zip(scene.tracks, coefficients @ functions.T, strict=True)
+            motion_at(track, frames + late, tracked.half_width)
+            for track, late in zip(tracked.tracks, coefficients @ functions.T, strict=True)
         ]
-        said = {
+        of_pairs = {
             pair: equations
-            for pair in scene.pairs
+            for pair in tracked.pairs
             if (equations := _equations(motions, pair, functions, blocks, matrices.get(pair)))
         }
-        if not said:
+        if not of_pairs:
             return None
-        matrices = {pair: equations.matrix for pair, equations in said.items()}
-        information, scores = _summed(said, views)
+        matrices = {pair: equations.matrix for pair, equations in of_pairs.items()}
+        information, scores = _summed(of_pairs, views)
         flat = information.sum(0).reshape(views * size, views * size)[np.ix_(free, free)]
         inverse = np.linalg.inv(flat + RIDGE * np.trace(flat) * np.eye(len(flat)))
         by_block = scores.reshape(len(scores), -1)[:, free]
@@ -137,19 +138,19 @@ def refine_offsets(
     return Refined(
         coefficients,
         covariance.reshape(views, size, views, size)[range(views), :, range(views)],
-        float(np.median([equations.scale for equations in said.values()])),
+        float(np.median([equations.scale for equations in of_pairs.values()])),
         matrices,
         _of_blocks(np.einsum("bkmlo->bkl", information), scores.sum(-1), reference),
         np.einsum("bkmko->bk", information),
     )
 
 
-def _summed(said: dict[Pair, _Equations], views: int) -> tuple[Float64, Float64]:
+def _summed(of_pairs: dict[Pair, _Equations], views: int) -> tuple[Float64, Float64]:
     """Return information (B, K, M, K, M) and scores (B, K, M) of all views, from those of pairs."""
-    blocks, size = next(iter(said.values())).scores.shape
+    blocks, size = next(iter(of_pairs.values())).scores.shape
     information = np.zeros((blocks, views, size, views, size))
     scores = np.zeros((blocks, views, size))
-    for (first, second), equations in said.items():
+    for (first, second), equations in of_pairs.items():
         for a in (first, second):
             for b in (first, second):
                 information[:, a, :, b] += (1 if a == b else -1) * equations.information
@@ -158,13 +159,15 @@ def _summed(said: dict[Pair, _Equations], views: int) -> tuple[Float64, Float64]
     return information, scores
 
 
-def costs_of_frames(scene: Scene, matrices: dict[Pair, Float64], offsets: Float64) -> Float64:
+def costs_of_frames(
+    tracked: TrackedFrames, matrices: dict[Pair, Float64], offsets: Float64
+) -> Float64:
     """Mean robust cost (T,) of every frame with the views at constant `offsets` (K,)."""
     motions = [
-        motion_at(track, scene.frames + late, scene.half_width)
-        for track, late in zip(scene.tracks, offsets, strict=True)
+        motion_at(track, tracked.frames + late, tracked.half_width)
+        for track, late in zip(tracked.tracks, offsets, strict=True)
     ]
-    total = np.zeros(len(scene.frames))
+    total = np.zeros(len(tracked.frames))
     for (first, second), matrix in matrices.items():
         x, y = motions[first].places, motions[second].places
         distances = sampson_distances(matrix, x, y)
@@ -176,7 +179,7 @@ def costs_of_frames(scene: Scene, matrices: dict[Pair, Float64], offsets: Float6
 
 
 def _of_blocks(information: Float64, scores: Float64, reference: int) -> Float64:
-    """Solve for the offsets (B, K) of each block by itself, relative to most of the views."""
+    """Solve for the offsets (B, K) of each block separately, relative to most of the views."""
     blocks, views = scores.shape
     free = np.flatnonzero(np.arange(views) != reference)
     found = np.zeros((blocks, views))

@@ -1,9 +1,10 @@
-"""What changed places or moved while the views were filmed, for cameras at rest.
+"""Views, sides and cameras that changed during a capture, for static cameras.
 
-Three harms look alike, for under each of them some frames do not suit the epipolar geometry of the
-others: views that have changed places, left and right exchanged, and a camera that was moved. So
-each is tried on the same frames. The one that explains them best is put right, and the others are
-tried on what is left. Where cameras move, one geometry explains nothing, and nothing is said.
+There are three such faults: views that were exchanged, left and right that were exchanged, and a
+camera that was moved. They look alike: in each, some frames do not fit the epipolar geometry of the
+others. So each is tried on the same frames. The one that explains them best is corrected, and the
+others are tried on the remaining ones. If cameras move, no single geometry explains the frames, and
+there are no findings.
 """
 
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from models.epipolar.left_right import LeftRightSwapped, find_left_right
 from models.epipolar.moved_camera import MovedCamera, find_moved_camera
 from models.epipolar.swapped_views import Reordered, find_swapped_views
-from models.epipolar.view_pairs import Seen, chosen_pairs, fit_pairs, seen_keypoints
+from models.epipolar.view_pairs import SeenFrames, chosen_pairs, fit_pairs, seen_keypoints
 from models.findings.finding import Finding
 
 LEAST_FRAMES = 20
@@ -37,16 +38,16 @@ def order_findings(
         (N, K, P, 2) pixels and (N, K, P), 0 where not observed; frames in the order of filming,
         which only a moved camera needs.
     late
-        Views that are known to be out of step: whether they were moved is not asked.
+        Views that are known to be out of step: they are not tested for having been moved.
     """
     harms = _harms(seen_keypoints(keypoints, weights), late)
-    return tuple(finding for harm in harms for finding in _said(harm, len(keypoints)))
+    return tuple(finding for harm in harms for finding in _findings_of(harm, len(keypoints)))
 
 
 def put_in_order(
     keypoints: NDArray[np.floating], weights: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Put back what changed places, and leave out the lesser part of a camera that was moved.
+    """Undo exchanges, and leave out the smaller part of the frames of a camera that was moved.
 
     Parameters
     ----------
@@ -56,8 +57,8 @@ def put_in_order(
     Returns
     -------
     tuple or None
-        (N, K, P', 2) and (N, K, P'), 0 and 1, of the keypoints that are seen most; None if there
-        is nothing to put right.
+        (N, K, P', 2) and (N, K, P'), 0 and 1, of the keypoints that are seen most; None if nothing
+        needs correction.
     """
     seen = seen_keypoints(keypoints, weights)
     harms = _harms(seen, ())
@@ -66,7 +67,7 @@ def put_in_order(
     return (seen.pixels, seen.there.astype(np.float64)) if harms else None
 
 
-def _without(moved: MovedCamera, seen: Seen) -> Seen:
+def _without(moved: MovedCamera, seen: SeenFrames) -> SeenFrames:
     there = seen.there.copy()
     before = np.arange(len(there)) < moved.first
     lesser = before if before.mean() < 0.5 else ~before
@@ -74,7 +75,7 @@ def _without(moved: MovedCamera, seen: Seen) -> Seen:
     return seen._replace(there=there)
 
 
-def _harms(seen: Seen, late: Sequence[int]) -> list[Harm]:
+def _harms(seen: SeenFrames, late: Sequence[int]) -> list[Harm]:
     """Find one harm after the other, the one that explains most first."""
     harms: list[Harm] = []
     if len(seen.there) < LEAST_FRAMES or seen.there.shape[1] < 2:
@@ -82,12 +83,12 @@ def _harms(seen: Seen, late: Sequence[int]) -> list[Harm]:
     while len(harms) < MOST_HARMS and (harm := _worst(seen, late)) is not None:
         harms.append(harm)
         if isinstance(harm, MovedCamera):
-            break  # what lies before and after has no geometry in common to try the others with
+            break  # frames before and after share no geometry with which to try the others
         seen = harm.seen
     return harms
 
 
-def _worst(seen: Seen, late: Sequence[int]) -> Harm | None:
+def _worst(seen: SeenFrames, late: Sequence[int]) -> Harm | None:
     """Return the harm that explains the frames best, if any does."""
     pairs = chosen_pairs(seen)
     plain = fit_pairs(seen, pairs)
@@ -102,7 +103,7 @@ def _worst(seen: Seen, late: Sequence[int]) -> Harm | None:
     return max(harms, key=lambda harm: harm.gain, default=None)
 
 
-def _said(harm: Harm, frames: int) -> list[Finding]:
+def _findings_of(harm: Harm, frames: int) -> list[Finding]:
     if isinstance(harm, Reordered):
         return [
             Finding.of(

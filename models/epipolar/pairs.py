@@ -1,4 +1,4 @@
-"""The relative pose and the focal lengths of two views at rest, from all of their keypoints.
+"""The relative pose and the focal lengths of two static views, from all of their keypoints.
 
 Coordinates are pixels from the expected principal point, in sides of the image (`Sight`). Samples
 of five correspondences under several focal lengths give hypotheses; the best distinct ones are
@@ -36,15 +36,15 @@ STARTS = 8  # hypotheses that are refined
 ITERATIONS = 12
 DISTINCT = 0.2  # radians between rotations that count as two
 SOLUTIONS = 3  # that are kept of a pair
-STEP = 1e-5  # of the differences that stand for derivatives
+STEP = 1e-5  # of finite differences
 LEAST_SCALE = 1e-4  # sides: noise below which nothing is concluded
 
 
 @dataclass(frozen=True)
 class Beliefs:
-    """What is believed of K lenses beforehand, in sides of the image; variances of 0: told.
+    """The prior of K lenses, in sides of the image; given numbers have variance 0.
 
-    Principal points are measured from the expected ones, each of their coordinates alike.
+    Principal points are measured from the expected ones. Both coordinates have the same variance.
     """
 
     focals: Float64  # (K,)
@@ -66,7 +66,7 @@ class Beliefs:
         return np.stack((_inverse(self.focal_covariance), centres, centres, *bends))
 
     def of(self, views: list[int]) -> "Beliefs":
-        """Return what is believed of some of the views."""
+        """Return the prior of some of the views."""
         some = np.ix_(views, views)
         return Beliefs(
             self.focals[views],
@@ -78,7 +78,7 @@ class Beliefs:
 
 
 def _inverse(covariance: Float64) -> Float64:
-    """Invert a covariance (K, K); what does not vary stays out of it."""
+    """Invert a covariance (K, K), leaving out entries of variance 0."""
     inverse = np.zeros_like(covariance)
     varies = np.flatnonzero(covariance.diagonal() > 0)
     some = np.ix_(varies, varies)
@@ -87,7 +87,7 @@ def _inverse(covariance: Float64) -> Float64:
 
 
 class RelativePoses(NamedTuple):
-    """What explains a pair of views, the best first: y ~ R x + t with t of length 1."""
+    """Solutions for a pair of views, the best first: y ~ R x + t with t of length 1."""
 
     rotations: Float64  # (S, 3, 3)
     translations: Float64  # (S, 3)
@@ -99,7 +99,7 @@ class RelativePoses(NamedTuple):
 def relate(
     x: Float64, y: Float64, focals: Float64, sds: Float64, rng: np.random.Generator
 ) -> RelativePoses | None:
-    """Find what takes one view to another, from correspondences x, y (M, 2) in sides.
+    """Find the relative poses of two views, from correspondences x, y (M, 2) in sides.
 
     `focals` (2,) and `sds` (2,) of their logs are expected. None for too few correspondences.
     """

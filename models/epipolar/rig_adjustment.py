@@ -16,7 +16,7 @@ from models.epipolar.robust_points import TINY, settle_points
 from models.epipolar.static_cameras import (
     CAMERA,
     LENS,
-    Seen,
+    SeenPoints,
     StaticCameras,
     distances_of,
     linearised,
@@ -30,10 +30,10 @@ Bool = NDArray[np.bool_]
 
 RAYLEIGH = 1.1774  # median length of a pair of unit normal numbers
 LEAST_NOISE = 1e-5  # sides: less is as good as none
-LEAST_LEFT = 0.1  # share of a view's numbers that points do not take up
+LEAST_LEFT = 0.1  # least share of a view's residuals that points do not absorb
 POOLED = 2 / 3  # share of the common noise in the log of each view's
 ALIKE = 0.02  # scale of Cauchy's distribution of the log ratio of focal lengths
-LOG_WALLS = np.log((0.3, 4.5))  # factors of the expected focal length that no lens goes beyond
+LOG_WALLS = np.log((0.3, 4.5))  # limits of focal lengths, as factors of the expected one
 WALL_SD = 0.05
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e8
 LESS_DAMPING, MORE_DAMPING = 10.0, 8.0  # after a step that gained, and one that did not
@@ -43,7 +43,7 @@ CONVERGED, STILL = 0.02, 2  # nats, in so many steps
 LEARN_NOISE = 4  # steps, after which the noise is measured anew
 
 
-class Adjusted(NamedTuple):
+class AdjustedRig(NamedTuple):
     """The outcome of `adjust_rig`."""
 
     rig: StaticCameras
@@ -59,17 +59,17 @@ def prior_cost(rig: StaticCameras, beliefs: Beliefs) -> float:
 def adjust_rig(
     rig: StaticCameras,
     points: Float64,
-    seen: Seen,
+    seen: SeenPoints,
     beliefs: Beliefs,
     *,
     iterations: int,
     lenses: bool = True,
     least_noise: float = LEAST_NOISE,
-) -> Adjusted:
-    """Adjust cameras and points (3, M); without `lenses`, only focal lengths are free of these.
+) -> AdjustedRig:
+    """Adjust cameras and points (3, M); without `lenses`, only the focal lengths of these are free.
 
-    The noise of each view is learnt from its median distance on the way; a start is less easily
-    caught by a wrong minimum if no noise below `least_noise` in sides is believed.
+    The noise of each view is estimated from its median distance on the way. With `least_noise` (in
+    sides) as its lower limit, a start is less likely to end in a wrong minimum.
     """
     free = free_numbers(rig, beliefs, lenses=lenses)
     noise = noise_of(rig, points, seen, least_noise)
@@ -94,14 +94,14 @@ def adjust_rig(
             damping *= MORE_DAMPING
             if damping > MOST_DAMPING:
                 break
-    return Adjusted(rig, points, noise_of(rig, points, seen, least_noise))
+    return AdjustedRig(rig, points, noise_of(rig, points, seen, least_noise))
 
 
-def noise_of(rig: StaticCameras, points: Float64, seen: Seen, least: float) -> Float64:
-    """Noise (K,) of a coordinate in each view, for the most part what views share.
+def noise_of(rig: StaticCameras, points: Float64, seen: SeenPoints, least: float) -> Float64:
+    """Estimate the noise (K,) of a coordinate in each view, pooled with that of all views.
 
-    By medians, as a share of residuals that points leave: of what they were made of they take up
-    the more, the more a view decides where they are.
+    It is the median residual divided by the share of a view's residuals that the points leave. The
+    more a view decides where the points are, the more of its residuals they absorb.
     """
     there = seen.weights > 0
     residuals, by_point = residuals_by_points(rig, points, seen)
@@ -127,7 +127,7 @@ class _Prior(NamedTuple):
 
 
 def lens_prior(rig: StaticCameras, beliefs: Beliefs) -> _Prior:
-    """Say what is believed of the lenses, as a quadratic about where they are."""
+    """Return the cost of the lenses under their prior, as a quadratic about their values."""
     views = len(rig.log_focals)
     offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, *rig.radial.T))
     blocks = beliefs.precisions.copy()
@@ -150,7 +150,7 @@ def lens_prior(rig: StaticCameras, beliefs: Beliefs) -> _Prior:
 
 
 def _alike(log_focals: Float64) -> _Prior:
-    """Say that focal lengths are often alike: Cauchy's distribution about their median."""
+    """Add the prior that focal lengths are often alike: Cauchy's distribution about the median."""
     views = len(log_focals)
     offsets = log_focals - np.median(log_focals)
     squared = np.square(offsets / ALIKE)
@@ -164,7 +164,7 @@ def _alike(log_focals: Float64) -> _Prior:
 
 
 def _cost(
-    rig: StaticCameras, points: Float64, seen: Seen, noise: Float64, beliefs: Beliefs
+    rig: StaticCameras, points: Float64, seen: SeenPoints, noise: Float64, beliefs: Beliefs
 ) -> float:
     costs = robust_costs(distances_of(rig, points, seen), seen.weights, noise)
     return float(costs.sum()) + prior_cost(rig, beliefs)
@@ -181,25 +181,25 @@ def free_numbers(rig: StaticCameras, beliefs: Beliefs, *, lenses: bool) -> Bool:
     return free
 
 
-class Reduced(NamedTuple):
+class CameraEquations(NamedTuple):
     """The normal equations of the cameras, the points eliminated."""
 
     scores: Float64  # (11 K, M) what each point adds to the vector, besides the prior
     information: Float64  # (11 K, 11 K) of cameras and points
     matrix: Float64  # (11 K, 11 K) of the cameras alone
     vector: Float64  # (11 K,)
-    spread: Float64  # (11 K, 3 M) by how much a camera's number moves the points
+    spread: Float64  # (11 K, 3 M) derivative of the points by the cameras' numbers
     solved: Float64  # (3, M) the points' own step
 
 
 def reduced_equations(
     rig: StaticCameras,
     points: Float64,
-    seen: Seen,
+    seen: SeenPoints,
     noise: Float64,
     beliefs: Beliefs,
     damping: float,
-) -> Reduced:
+) -> CameraEquations:
     """Return the normal equations of the cameras about a rig and its points (3, M)."""
     views, count = seen.weights.shape
     residuals, by_camera, by_point = linearised(rig, points, seen, noise)
@@ -226,13 +226,13 @@ def reduced_equations(
     vector = right.ravel() - flat @ solved.ravel()
     through = np.einsum("cam,am->cm", cross.reshape(-1, 3, count), solved)
     scores = pulls.reshape(-1, count) - through
-    return Reduced(scores, whole, whole - spread @ flat.T, vector, spread, solved)
+    return CameraEquations(scores, whole, whole - spread @ flat.T, vector, spread, solved)
 
 
 def _step(
     rig: StaticCameras,
     points: Float64,
-    seen: Seen,
+    seen: SeenPoints,
     noise: Float64,
     beliefs: Beliefs,
     free: Bool,

@@ -1,7 +1,7 @@
-"""How surely keypoints give static cameras: covariances that hold although errors repeat.
+"""Covariances of static cameras that hold although errors repeat.
 
 Errors of detectors and of lens models repeat from frame to frame and from keypoint to keypoint, so
-the inverse of the information claims too much. The sandwich estimator takes the scatter of
+the inverse of the information is too small. The sandwich estimator uses the scatter of the
 gradients of whole frames, and of whole keypoints, instead (Huber, 1967; clusters in two ways:
 Cameron, Gelbach and Miller, *Robust inference with multiway clustering*, 2011).
 """
@@ -12,8 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
-from models.epipolar.rig_adjustment import Adjusted, free_numbers, lens_prior, reduced_equations
-from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, Seen, StaticCameras, distances_of
+from models.epipolar.rig_adjustment import AdjustedRig, free_numbers, lens_prior, reduced_equations
+from models.epipolar.static_cameras import (
+    CAMERA,
+    FREEDOM,
+    LENS,
+    SeenPoints,
+    StaticCameras,
+    distances_of,
+)
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -29,7 +36,7 @@ class FocalLikelihood(NamedTuple):
 
 
 class Certainty(NamedTuple):
-    """How surely K cameras are known."""
+    """Standard deviations of K cameras, and the likelihood of their focal lengths."""
 
     # (K, 11) standard deviations of the numbers of `StaticCameras`, 0 of those that are held.
     deviations: Float64
@@ -37,13 +44,13 @@ class Certainty(NamedTuple):
 
 
 def certainty_of(
-    adjusted: Adjusted, seen: Seen, beliefs: Beliefs, clusters: tuple[Int64, Int64]
+    adjusted: AdjustedRig, seen: SeenPoints, beliefs: Beliefs, clusters: tuple[Int64, Int64]
 ) -> Certainty:
-    """Return how surely cameras are known from points; those of one cluster (M,) err together.
+    """Compute standard deviations of cameras estimated from points; errors repeat in clusters (M,).
 
     There are two ways of clustering: frames and keypoints. Rotations and translations are relative
-    to the first camera, translations in the unit of the points, which is kept by the lengths of the
-    translations. No deviation is smaller than that of independent errors.
+    to the first camera. Translations are in the unit of the points, which the lengths of the
+    translations fix. No deviation is smaller than that of independent errors.
     """
     rig = adjusted.rig
     equations = reduced_equations(rig, adjusted.points, seen, adjusted.noise, beliefs, 0.0)
@@ -81,10 +88,10 @@ def _focal_likelihood(
     others: Int64,
     rig: StaticCameras,
 ) -> FocalLikelihood:
-    """Return what keypoints alone give of the focal lengths; poses and points follow them.
+    """Return the likelihood of the focal lengths from keypoints alone, with all else optimised.
 
-    Errors that repeat are worth as much less as sums of them scatter more (the design effect: Kish,
-    *Survey Sampling*, 1965).
+    The information of repeated errors is divided by the factor by which their sums scatter more
+    (the design effect: Kish, *Survey Sampling*, 1965).
     """
     among = matrix[np.ix_(others, others)]
     small = np.diag(TINY * among.diagonal() + TINY)
@@ -102,7 +109,7 @@ def _focal_likelihood(
     return FocalLikelihood(information, information @ (rig.log_focals + step))
 
 
-def _curvature(adjusted: Adjusted, seen: Seen) -> float:
+def _curvature(adjusted: AdjustedRig, seen: SeenPoints) -> float:
     """Curvature of Student's t where residuals lie, as a share of that of its quadratic bound."""
     distances = distances_of(adjusted.rig, adjusted.points, seen)
     squared = np.square(distances / adjusted.noise[:, None])
@@ -121,8 +128,8 @@ def _scatter(scores: Float64, clusters: tuple[Int64, Int64]) -> Float64:
 
 
 def _inverse(matrix: Float64, translations: Float64, free: NDArray[np.bool_]) -> Float64:
-    """Invert the information (n, n) of what is free, the size of the whole held."""
-    growth = np.zeros(free.shape)  # of a rig that is taken for larger
+    """Invert the information (n, n) of the free numbers, with the overall size held."""
+    growth = np.zeros(free.shape)  # the direction in which the whole rig grows
     growth[:, LENS + 3 :] = translations
     along = growth.ravel()[np.flatnonzero(free)]
     along /= np.linalg.norm(along)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from models.epipolar.assembly import ViewGraph, assemble
 from models.epipolar.pairs import Beliefs
-from models.epipolar.rig_adjustment import Adjusted, adjust_rig, prior_cost
+from models.epipolar.rig_adjustment import AdjustedRig, adjust_rig, prior_cost
 from models.epipolar.robust_points import robust_points, triangulate_points
-from models.epipolar.static_cameras import Seen, StaticCameras, distances_of, robust_costs
+from models.epipolar.static_cameras import SeenPoints, StaticCameras, distances_of, robust_costs
 from models.epipolar.view_graph import LENS_NOISE
 from models.numerics.steps import Steps
 
@@ -20,21 +20,21 @@ Float64 = NDArray[np.float64]
 
 STARTS, FINALISTS = 6, 2
 OTHER_FOCALS, SWEEPS, SWEEP_ITERATIONS = (0.5, 2.0), 2, 6
-COMMON_FACTORS = (0.6, 1.6)  # of all focal lengths: clear keypoints may hold a rig where it began
+COMMON_FACTORS = (0.6, 1.6)  # of all focal lengths; clear keypoints may hold a rig at its start
 FIRST_ITERATIONS, MORE_ITERATIONS = 15, 20
 SAME = 0.03  # radians and share of focal lengths within which rigs count as one
-# A first adjustment believes no noise below this share of the subject's size, nor one above what
-# lens models leave.
+# Limits of the noise in a first adjustment: this share of the subject's size, and what lens models
+# leave.
 FIRST_NOISE = 0.02
 COOLING = (1.0, 0.03)  # of it, one after another
 
 
 def likely_rigs(
-    graph: ViewGraph, few: Seen, beliefs: Beliefs, sizes: Float64
-) -> Steps[list[Adjusted]]:
-    """Return the best rig of all K views, and the best that is another; none if they do not hang.
+    graph: ViewGraph, few: SeenPoints, beliefs: Beliefs, sizes: Float64
+) -> Steps[list[AdjustedRig]]:
+    """Return the best rig of all K views and the best different one; none if views do not connect.
 
-    `few` points decide; `sizes` (K,) are the subject's in each view, in sides.
+    `few` points are used; `sizes` (K,) are the subject's in each view, in sides.
     """
     noise = float(np.median([poses.noise for poses in graph.values()]))
     rigs = assemble(graph, few, max(noise, 1e-3))
@@ -63,9 +63,9 @@ def likely_rigs(
 
 
 def _with_lenses(
-    first: list[Adjusted], few: Seen, beliefs: Beliefs, least: float
-) -> Steps[list[Adjusted]]:
-    """Adjust lenses, too, from the best rigs as they are, alike, mirrored, longer and shorter."""
+    first: list[AdjustedRig], few: SeenPoints, beliefs: Beliefs, least: float
+) -> Steps[list[AdjustedRig]]:
+    """Adjust the best rigs with free lenses: as is, alike, mirrored, longer and shorter."""
     second = []
     for adjusted in first[:FINALISTS]:
         rig = adjusted.rig
@@ -89,7 +89,7 @@ def _with_lenses(
 
 
 def necker(rig: StaticCameras, points: Float64) -> tuple[StaticCameras, Float64]:
-    """Return the mirror image of cameras and points (3, M), which distant cameras see alike."""
+    """Return the mirror image of cameras and points (3, M), which looks the same from far away."""
     centre = np.median(points, 1)
     flip = np.diag([1.0, 1.0, -1.0])
     translations = rig.translations + rig.rotations @ centre
@@ -98,12 +98,12 @@ def necker(rig: StaticCameras, points: Float64) -> tuple[StaticCameras, Float64]
 
 
 def _with_other_lenses(
-    adjusted: Adjusted, seen: Seen, beliefs: Beliefs, least_noise: float
-) -> Steps[Adjusted]:
-    """Try other focal lengths of one camera after another, each from where it sees things as large.
+    adjusted: AdjustedRig, seen: SeenPoints, beliefs: Beliefs, least_noise: float
+) -> Steps[AdjustedRig]:
+    """Try other focal lengths of one camera after another, at distances that keep sizes equal.
 
-    A camera that is nearer, with a shorter lens, sees nearly the same: adjusting alone hardly goes
-    from one to the other.
+    A nearer camera with a shorter lens sees nearly the same, so adjustment alone hardly moves from
+    one to the other.
     """
     views = np.flatnonzero(beliefs.focal_sds > 0)
     for _ in range(SWEEPS):
@@ -133,7 +133,7 @@ def _with_other_lenses(
 
 
 def refocused(rig: StaticCameras, points: Float64, log_focals: Float64) -> StaticCameras:
-    """Give cameras other focal lengths, and go to where each sees the points (3, M) as large."""
+    """Change focal lengths, and move each camera so that it sees the points (3, M) as large."""
     centre = np.median(points, 1)
     translations = rig.translations + rig.rotations @ centre
     translations[:, 2] *= np.exp(log_focals - rig.log_focals)
@@ -141,10 +141,10 @@ def refocused(rig: StaticCameras, points: Float64, log_focals: Float64) -> Stati
 
 
 def _nearer(
-    rig: StaticCameras, points: Float64, seen: Seen, beliefs: Beliefs, least_noise: float
-) -> Adjusted:
-    """Adjust a start, believing less and less noise: what is far off pulls it in at first."""
-    adjusted = Adjusted(rig, points, np.full(len(rig.log_focals), least_noise))
+    rig: StaticCameras, points: Float64, seen: SeenPoints, beliefs: Beliefs, least_noise: float
+) -> AdjustedRig:
+    """Adjust a start with a falling lower limit of the noise: first, far observations pull too."""
+    adjusted = AdjustedRig(rig, points, np.full(len(rig.log_focals), least_noise))
     for share in COOLING:
         adjusted = adjust_rig(
             adjusted.rig,
@@ -157,13 +157,15 @@ def _nearer(
     return adjusted
 
 
-def finished_rig(adjusted: Adjusted, seen: Seen, beliefs: Beliefs, *, iterations: int) -> Adjusted:
-    """Adjust a rig to all that is seen, with points located anew."""
+def finished_rig(
+    adjusted: AdjustedRig, seen: SeenPoints, beliefs: Beliefs, *, iterations: int
+) -> AdjustedRig:
+    """Adjust a rig to all keypoints, with points located anew."""
     points = robust_points(adjusted.rig, seen, adjusted.noise)
     return adjust_rig(adjusted.rig, points, seen, beliefs, iterations=iterations)
 
 
-def _cost(adjusted: Adjusted, seen: Seen, beliefs: Beliefs, noise: Float64) -> float:
+def _cost(adjusted: AdjustedRig, seen: SeenPoints, beliefs: Beliefs, noise: Float64) -> float:
     """Minus log posterior under a noise (K,)."""
     distances = distances_of(adjusted.rig, adjusted.points, seen)
     return float(robust_costs(distances, seen.weights, noise).sum()) + prior_cost(
@@ -171,10 +173,10 @@ def _cost(adjusted: Adjusted, seen: Seen, beliefs: Beliefs, noise: Float64) -> f
     )
 
 
-def ordered(rigs: list[Adjusted], seen: Seen, beliefs: Beliefs) -> list[Adjusted]:
-    """Sort by cost under one common noise: with each its own, what fits worse could win.
+def ordered(rigs: list[AdjustedRig], seen: SeenPoints, beliefs: Beliefs) -> list[AdjustedRig]:
+    """Sort by cost under one common noise: under its own, a rig that fits worse could win.
 
-    Points are located anew, since one that an outlier caught is no evidence about the cameras.
+    Points are located anew, since a point misled by an outlier is no evidence about the cameras.
     """
     common = np.min([rig.noise for rig in rigs], 0)
     located = [
@@ -186,7 +188,7 @@ def ordered(rigs: list[Adjusted], seen: Seen, beliefs: Beliefs) -> list[Adjusted
 
 
 def _distinct(rigs: list[StaticCameras], most: int) -> list[StaticCameras]:
-    """Return the first rigs of which no two are one."""
+    """Return the first rigs of which no two are the same."""
     kept: list[StaticCameras] = []
     for rig in rigs:
         if len(kept) < most and not any(same_rig(rig, other) for other in kept):

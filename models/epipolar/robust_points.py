@@ -1,4 +1,4 @@
-"""Triangulation under Student's t: points of which one ray or another may be wrong.
+"""Triangulation under Student's t: some rays of a point may be wrong.
 
 Every pair of rays and all rays together give a start for each point; the most likely one is
 improved by Gauss-Newton steps (Hartley & Zisserman, *Multiple View Geometry*, ch. 12, with the
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from models.epipolar.static_cameras import (
     FREEDOM,
-    Seen,
+    SeenPoints,
     StaticCameras,
     distances_of,
     rays_of,
@@ -23,7 +23,7 @@ from models.epipolar.static_cameras import (
 Float64 = NDArray[np.float64]
 
 ITERATIONS = 8
-PARALLEL = 1e-8  # squared sine of the angle between two rays that meet nowhere
+PARALLEL = 1e-8  # squared sine of the angle below which two rays count as parallel
 LEAST_ANGLE = 1e-4  # radians between a ray and a point, below which all rays count alike
 POINT_DAMPING = 1e-4
 TINY = 1e-12  # of a point's curvature: what keeps parallel rays solvable
@@ -31,9 +31,9 @@ POINT_STEPS = 1  # of each point by itself, after a step of all
 
 
 def robust_points(
-    rig: StaticCameras, seen: Seen, noise: Float64, *, start: Float64 | None = None
+    rig: StaticCameras, seen: SeenPoints, noise: Float64, *, start: Float64 | None = None
 ) -> Float64:
-    """Return the most likely points (3, M) of what K cameras see; two rays or more of each.
+    """Return the most likely points (3, M) from K cameras, with two rays or more each.
 
     `noise` (K,) is the scale of Student's t in sides of the image, `start` (3, M) another guess.
     """
@@ -60,18 +60,18 @@ def robust_structures(
     NaN where fewer than two cameras see one; `noise` as in `robust_points`.
     """
     frames, views, count, _ = images.shape
-    every = Seen(
+    every = SeenPoints(
         images.transpose(1, 3, 0, 2).reshape(views, 2, -1),
         weights.transpose(1, 0, 2).reshape(views, -1),
     )
     known = np.flatnonzero((every.weights > 0).sum(0) >= 2)
     points = np.full((frames * count, 3), np.nan)
-    some = Seen(every.images[..., known], every.weights[:, known])
+    some = SeenPoints(every.images[..., known], every.weights[:, known])
     points[known] = robust_points(rig, some, noise).T
     return points.reshape(frames, count, 3)
 
 
-def _of_pairs(rig: StaticCameras, seen: Seen) -> list[Float64]:
+def _of_pairs(rig: StaticCameras, seen: SeenPoints) -> list[Float64]:
     """Points (3, M) midway between the rays of two views, for every two; NaN where there are not.
 
     With two views all rays are these two, and the list is empty.
@@ -96,8 +96,8 @@ def _of_pairs(rig: StaticCameras, seen: Seen) -> list[Float64]:
     return starts
 
 
-def triangulate_points(rig: StaticCameras, seen: Seen, *, rounds: int = 4) -> Float64:
-    """Return the points (3, M) next to their rays, those far off with less and less weight."""
+def triangulate_points(rig: StaticCameras, seen: SeenPoints, *, rounds: int = 4) -> Float64:
+    """Return the points (3, M) nearest to their rays; distant rays lose weight step by step."""
     rays = rays_of(rig, seen.images)  # (K, 3, M) in the rig's frame
     across = np.eye(3)[None, :, :, None] - rays[:, :, None] * rays[:, None]  # (K, 3, 3, M)
     centres = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
@@ -122,9 +122,14 @@ def triangulate_points(rig: StaticCameras, seen: Seen, *, rounds: int = 4) -> Fl
 
 
 def settle_points(
-    rig: StaticCameras, points: Float64, seen: Seen, noise: Float64, *, steps: int = POINT_STEPS
+    rig: StaticCameras,
+    points: Float64,
+    seen: SeenPoints,
+    noise: Float64,
+    *,
+    steps: int = POINT_STEPS,
 ) -> Float64:
-    """Improve points (3, M) while cameras stay, by steps of Gauss and Newton that gain."""
+    """Improve points (3, M) with fixed cameras, by Gauss-Newton steps that lower the cost."""
 
     def costs_of(points: Float64) -> Float64:
         distances = distances_of(rig, points, seen)

@@ -1,4 +1,4 @@
-"""Which frames are in another state than most: by log likelihood ratios, in runs or scattered."""
+"""Frames in another state than most, from log likelihood ratios, in runs or scattered."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ def likely_frames(ratios: Float64) -> Bool:
     """Return which frames (N,) are more likely in the second of two states.
 
     `ratios` (N,) are log likelihoods of the second state less those of the first. The frames are
-    a hidden Markov chain of two states; how often they occur and change is learnt (Baum & Welch).
-    If states are scattered, the neighbours of a frame then say nothing, and in runs they say much.
+    a hidden Markov chain of two states, whose frequencies and rate of change are learnt (Baum &
+    Welch). So neighbouring frames count much if states come in runs, and nothing if scattered.
     """
     bounded = np.clip(ratios, -MOST_RATIO, MOST_RATIO)
     share = float(np.clip((bounded > 0).mean(), 0.01, 0.99))

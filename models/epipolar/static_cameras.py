@@ -1,4 +1,4 @@
-"""Static cameras, what they see of points, and the derivatives of that.
+"""Static cameras, their images of points, and the derivatives of these.
 
 Coordinates of the images are pixels from the expected principal point in sides of the image; the
 unit of the points is free. Points come last in all arrays, so that everything runs along them.
@@ -16,7 +16,7 @@ CAMERA = 11  # numbers: log focal, principal point, radial coefficients, rotatio
 LENS = 5
 FREEDOM = 3.0  # of Student's t
 NEAR, FAR = 0.2, 5.0  # median depths between which a point counts
-BLIND = 1.0  # sides that stand for a point that a camera cannot see there: none is further off
+BLIND = 1.0  # sides: the distance of a point that a camera cannot see; the largest there is
 
 
 class StaticCameras(NamedTuple):
@@ -33,21 +33,21 @@ class StaticCameras(NamedTuple):
         return StaticCameras(*(array[views] for array in self))
 
 
-class Seen(NamedTuple):
-    """What K cameras see of M points."""
+class SeenPoints(NamedTuple):
+    """The images of M points in K cameras."""
 
     images: Float64  # (K, 2, M), any finite number where the weight is 0
     weights: Float64  # (K, M) confidences
 
 
-def images_of(rig: StaticCameras, points: Float64, seen: Seen) -> tuple[Float64, Bool]:
-    """Return images (K, 2, M) of points (3, M), and whether (K, M) a camera can see them there."""
+def images_of(rig: StaticCameras, points: Float64, seen: SeenPoints) -> tuple[Float64, Bool]:
+    """Return images (K, 2, M) of points (3, M), and whether (K, M) they are visible there."""
     flat, visible = _flat(rig.rotations @ points + rig.translations[..., None], seen)
     return _images(rig, flat)[0], visible
 
 
-def distances_of(rig: StaticCameras, points: Float64, seen: Seen) -> Float64:
-    """Sides (K, M) from what is seen to the points' images; `BLIND` where a camera cannot see."""
+def distances_of(rig: StaticCameras, points: Float64, seen: SeenPoints) -> Float64:
+    """Return distances (K, M) in sides from keypoints to projections; `BLIND` if not visible."""
     images, visible = images_of(rig, points, seen)
     lengths = np.linalg.norm(images - seen.images, axis=1)
     distances: Float64 = np.where(visible, np.minimum(lengths, BLIND), BLIND)
@@ -76,7 +76,7 @@ def rays_of(rig: StaticCameras, images: Float64) -> Float64:
 
 
 def linearised(
-    rig: StaticCameras, points: Float64, seen: Seen, noise: Float64
+    rig: StaticCameras, points: Float64, seen: SeenPoints, noise: Float64
 ) -> tuple[Float64, Float64, Float64]:
     """Return weighted residuals (K, 2, M), and derivatives by cameras and points.
 
@@ -109,8 +109,10 @@ def linearised(
     )
 
 
-def residuals_by_points(rig: StaticCameras, points: Float64, seen: Seen) -> tuple[Float64, Float64]:
-    """Residuals (K, 2, M) of points (3, M) in sides, and their derivatives (K, 2, 3, M) by these.
+def residuals_by_points(
+    rig: StaticCameras, points: Float64, seen: SeenPoints
+) -> tuple[Float64, Float64]:
+    """Return residuals (K, 2, M) of points (3, M) in sides, and their derivatives (K, 2, 3, M).
 
     Both are 0 where a camera cannot see the point.
     """
@@ -123,7 +125,7 @@ def residuals_by_points(rig: StaticCameras, points: Float64, seen: Seen) -> tupl
     return np.where(there, images - seen.images, 0.0), by_point * there[:, None]
 
 
-def _flat(camera: Float64, seen: Seen) -> tuple[Float64, Bool]:
+def _flat(camera: Float64, seen: SeenPoints) -> tuple[Float64, Bool]:
     """Directions (K, 2, M) at depth one, and whether the points have a usual depth (K, M)."""
     depths = camera[:, 2]
     there = seen.weights > 0

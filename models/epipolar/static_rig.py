@@ -1,9 +1,9 @@
 """Static cameras and structures from keypoints alone, by robust structure from motion.
 
 For static cameras, every keypoint of every frame is a point of one rigid scene. Pairs of views
-give relative poses (`pairs`), these are put together to rigs (`assembly`), and the best are
-adjusted (`rig_adjustment`). No network and no shapes take part. All starts, among them the mirror
-image (Necker's reversal) of the best, are compared under one common noise.
+give relative poses (`pairs`), which are assembled to rigs (`assembly`). The best rigs are adjusted
+(`rig_adjustment`). Neither a network nor shapes are used. All starts, among them the mirror image
+(Necker's reversal) of the best, are compared under one common noise.
 """
 
 import math
@@ -15,11 +15,17 @@ from numpy.typing import NDArray
 from models.epipolar.assembly import ViewGraph
 from models.epipolar.camera_motion import CameraMotion, camera_motion
 from models.epipolar.pairs import Beliefs
-from models.epipolar.rig_adjustment import Adjusted, adjust_rig
+from models.epipolar.rig_adjustment import AdjustedRig, adjust_rig
 from models.epipolar.rig_certainty import Certainty, FocalLikelihood, certainty_of
 from models.epipolar.rig_search import finished_rig, likely_rigs, necker, ordered, same_rig
 from models.epipolar.robust_points import robust_points
-from models.epipolar.static_cameras import CAMERA, Seen, StaticCameras, distances_of, robust_costs
+from models.epipolar.static_cameras import (
+    CAMERA,
+    SeenPoints,
+    StaticCameras,
+    distances_of,
+    robust_costs,
+)
 from models.epipolar.view_graph import (
     NO_RIG,
     NOISY_POINTS,
@@ -33,30 +39,30 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 FEW_POINTS, NOISY_OBSERVATIONS = 900, 24000  # to choose among starts, and at the end
-MOST_FRAMES = 300  # that are asked whether cameras move
+MOST_FRAMES = 300  # used to test whether cameras move
 LAST_ITERATIONS = 25
 # Observations never count as more than so many over the square of the noise, as a share of the
 # subject's size: adjusting points with noisy rays biases cameras (Neyman & Scott, 1948), and the
 # bias, unlike the scatter, does not fall with their number.
 UNBIASED = 40.0
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it is not static with them
-MOVES = 0.03  # of the subject's size in the image: a camera that moves it by less is static
-SURE = 3.0  # standard errors by which it must move
+MOVES = 0.03  # of the subject's size in the image: a camera whose motion shifts it less is static
+SURE = 3.0  # standard errors by which it must shift it
 
 
 class StaticScene(NamedTuple):
-    """Static cameras, and what they see."""
+    """Static cameras and the points that they see."""
 
-    rig: StaticCameras  # K cameras in sides; of views that take no part the pose is NaN
+    rig: StaticCameras  # K cameras in sides; the poses of views that are not static are NaN
     points: Float64  # (N, P, 3) in the rig's frame, NaN where fewer than two of these views see
 
 
 class StaticRig(NamedTuple):
-    """Static cameras, as far as keypoints alone decide."""
+    """Static cameras, as estimated from keypoints alone."""
 
     best: StaticScene
-    mirror: StaticScene  # the best that there is of the other hand
-    resting: Bool  # (K,) which views are static
+    mirror: StaticScene  # the best of the other handedness
+    static: Bool  # (K,) which views are static
     noise: float  # sides
     log_odds: Float64  # (N,) of each frame, for the best and against its mirror image
     focals: FocalLikelihood  # of the static views
@@ -69,7 +75,7 @@ class StaticRig(NamedTuple):
 def find_static_rig(
     images: Float64, weights: Float64, beliefs: Beliefs, sizes: Float64, *, seed: int = 0
 ) -> Steps[StaticRig | None]:
-    """Find static cameras from what they see of N frames; yields now and then, to be stopped.
+    """Find static cameras from the keypoints of N frames; yields now and then, to be stopped.
 
     Parameters
     ----------
@@ -83,7 +89,7 @@ def find_static_rig(
 
     Returns
     -------
-    None if no two views share enough, or nothing static explains what they see.
+    None if no two views share enough, or static cameras do not explain the keypoints.
     """
     rng = np.random.default_rng(seed)
     scene = SharedPoints.of(images, weights, rng)
@@ -105,16 +111,16 @@ def find_static_rig(
 
 
 class _Chosen(NamedTuple):
-    adjusted: Adjusted
-    mirror: Adjusted
-    noise_alone: Float64  # (K,) sides, of each view by itself
+    adjusted: AdjustedRig
+    mirror: AdjustedRig
+    noise_alone: Float64  # (K,) sides, of each view separately
     certainty: Certainty
 
 
 def _adjusted(
     graph: ViewGraph, scene: SharedPoints, beliefs: Beliefs, sizes: Float64, members: list[int]
 ) -> Steps[_Chosen | None]:
-    """Put the views together in several ways and adjust the best; None if they do not hang."""
+    """Assemble the views in several ways and adjust the best; None if they do not connect."""
     place = {view: i for i, view in enumerate(members)}
     graph = {
         (place[a], place[b]): poses for (a, b), poses in graph.items() if {a, b} <= set(members)
@@ -140,7 +146,7 @@ def _adjusted(
     yield
     twin_start = necker(best.rig, best.points)
     twin = adjust_rig(*twin_start, many, of_members, iterations=LAST_ITERATIONS)
-    if same_rig(twin.rig, best.rig):  # the mirror image is no optimum of its own
+    if same_rig(twin.rig, best.rig):  # the mirror image is not a second optimum
         twin = best._replace(rig=twin_start[0], points=twin_start[1])
     best, twin = ordered([best, twin], many, of_members)
     distances = distances_of(best.rig, best.points, many)
@@ -153,7 +159,7 @@ def _adjusted(
 
 
 def _most_moving(motion: CameraMotion, sizes: Float64) -> int | None:
-    """Return the camera that moves most, if one does by more than matters."""
+    """Return the camera that moves most, if its motion matters."""
     moves = (motion.squares > np.square(MOVES * sizes)) & (motion.squares > SURE * motion.errors)
     if not moves.any():
         return None
@@ -172,16 +178,16 @@ def _out_of_line(alone: Float64, sizes: Float64) -> int | None:
 def _result(
     chosen: _Chosen, images: Float64, weights: Float64, beliefs: Beliefs, members: list[int]
 ) -> StaticRig:
-    """Triangulate every frame with both hands, and give the log odds of each frame."""
+    """Triangulate every frame in both handednesses, and compute the log odds of each frame."""
     frames, views, keypoints, _ = images.shape
-    resting = np.zeros(views, bool)
-    resting[members] = True
-    every = Seen(
+    static = np.zeros(views, bool)
+    static[members] = True
+    every = SeenPoints(
         images[:, members].transpose(1, 3, 0, 2).reshape(len(members), 2, -1),
         weights[:, members].transpose(1, 0, 2).reshape(len(members), -1),
     )
     known = np.flatnonzero((every.weights > 0).sum(0) >= 2)
-    some = Seen(every.images[..., known], every.weights[:, known])
+    some = SeenPoints(every.images[..., known], every.weights[:, known])
     noise = chosen.adjusted.noise
     explanations, costs, located = [], [], []
     for rig in (chosen.adjusted.rig, chosen.mirror.rig):
@@ -202,14 +208,14 @@ def _result(
     motion = camera_motion(
         chosen.adjusted.rig,
         located[0][:, asked],
-        Seen(some.images[..., asked], some.weights[:, asked]),
+        SeenPoints(some.images[..., asked], some.weights[:, asked]),
         noise,
         of_frames[asked],
     )
     return StaticRig(
         best,
         mirror,
-        resting,
+        static,
         float(np.median(noise)),
         odds,
         chosen.certainty.focals,
@@ -219,7 +225,7 @@ def _result(
 
 
 def _of_all_views(rig: StaticCameras, beliefs: Beliefs, members: list[int]) -> StaticCameras:
-    """Give the cameras of some views their places among all."""
+    """Return the cameras of some views as an array over all views."""
     views = len(beliefs.focals)
     whole = StaticCameras(
         np.log(beliefs.focals),

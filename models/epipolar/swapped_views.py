@@ -1,8 +1,8 @@
-"""Frames in which views have changed places, found from pairs of views at rest.
+"""Frames in which views were exchanged, found from pairs of static views.
 
-Where two views are exchanged, the frame fits the fundamental matrices of the others once they are
-put back. Which frames are exchanged and what the matrices are is found in turns, from several
-starts: with half of the frames exchanged no single fit to all of them is right.
+A frame with two views exchanged fits the fundamental matrices of the other frames once they are put
+back. The exchanged frames and the matrices are estimated in turn, from several starts: if half of
+the frames are exchanged, no single fit to all of them is right.
 """
 
 from itertools import combinations
@@ -17,8 +17,8 @@ from models.epipolar.view_pairs import (
     DEPENDENCE,
     Matrices,
     Pairs,
-    Seen,
-    at_rest,
+    SeenFrames,
+    are_static,
     between,
     fit_pairs,
     frame_costs,
@@ -40,9 +40,9 @@ LEAST_FRAMES = 2
 LEAST_SHARE = 0.01  # of frames
 LEAST_RATIO = 15.0  # log likelihood ratio of all exchanged frames together
 LEAST_FRAME_RATIO = 2.0  # of an exchanged frame, in the median
-ALIKE = 0.2  # of what is gained by putting views back may be missing to the cost of other frames
-CLEAR = 0.9  # of the frames: if so many say surely how their views lie, no other start is tried
-FEW_EXCHANGED = 0.75  # of the frames lie alike: then, too
+ALIKE = 0.2  # of the gain: exchanged frames, put back, may cost that much more than other frames
+CLEAR = 0.9  # of the frames: if so many have a certain order of views, no other start is tried
+FEW_EXCHANGED = 0.75  # of the frames: if so many have the same order, no other start either
 SETTLED = 1e-3  # of the cost
 
 
@@ -56,16 +56,16 @@ class SwappedViews(NamedTuple):
 
 
 class Reordered(NamedTuple):
-    """What was found, the frames with their views put back, and the log likelihood gained."""
+    """The exchanges found, the frames with their views put back, and the gain in log likelihood."""
 
     found: tuple[SwappedViews, ...]
-    seen: Seen
+    seen: SeenFrames
     matrices: Matrices
     gain: float
 
 
-def find_swapped_views(seen: Seen, pairs: Pairs, plain: Matrices) -> Reordered | None:
-    """Find which views have changed places and in which frames; None if none surely have.
+def find_swapped_views(seen: SeenFrames, pairs: Pairs, plain: Matrices) -> Reordered | None:
+    """Find which views were exchanged and in which frames; None if it is uncertain.
 
     `plain` are the matrices of the frames as they are.
     """
@@ -75,7 +75,7 @@ def find_swapped_views(seen: Seen, pairs: Pairs, plain: Matrices) -> Reordered |
     straight = np.tile(np.arange(views), (frames, 1))
     matrices = _search(sample, pairs, np.random.default_rng(0))
     order = _reorder(sample, matrices, straight[kept])
-    if not at_rest(sample.reordered(order), matrices):
+    if not are_static(sample.reordered(order), matrices):
         return None
     kinds, found, order = _kinds(order), [], straight.copy()
     for kind in kinds:
@@ -90,8 +90,8 @@ def find_swapped_views(seen: Seen, pairs: Pairs, plain: Matrices) -> Reordered |
     return Reordered(tuple(found), back, matrices, gain)
 
 
-def _search(sample: Seen, pairs: Pairs, rng: np.random.Generator) -> Matrices:
-    """Return the matrices under which, views put back, the sample is most likely."""
+def _search(sample: SeenFrames, pairs: Pairs, rng: np.random.Generator) -> Matrices:
+    """Return the matrices under which the sample, with views put back, is most likely."""
     frames, views = sample.there.shape[:2]
     straight = np.tile(np.arange(views), (frames, 1))
     first = _settle(sample, pairs, fit_pairs(sample, pairs))
@@ -121,16 +121,16 @@ def _cost(turn: tuple[float, Matrices]) -> float:
     return turn[0]
 
 
-def _rests(sample: Seen, matrices: Matrices) -> bool:
+def _rests(sample: SeenFrames, matrices: Matrices) -> bool:
     straight = np.tile(np.arange(sample.there.shape[1]), (len(sample.there), 1))
-    return at_rest(sample.reordered(_reorder(sample, matrices, straight)), matrices)
+    return are_static(sample.reordered(_reorder(sample, matrices, straight)), matrices)
 
 
 def _scale(found: Fundamental) -> float:
     return found.scale
 
 
-def _settle(sample: Seen, pairs: Pairs, matrices: Matrices) -> tuple[float, Matrices]:
+def _settle(sample: SeenFrames, pairs: Pairs, matrices: Matrices) -> tuple[float, Matrices]:
     """Put views back and fit in turns until neither changes much."""
     cost, matrices = _turn(sample, pairs, matrices)
     for _ in range(ROUNDS - 1):
@@ -141,8 +141,8 @@ def _settle(sample: Seen, pairs: Pairs, matrices: Matrices) -> tuple[float, Matr
     return cost, matrices
 
 
-def _clear(sample: Seen, matrices: Matrices) -> bool:
-    """Whether nearly every frame says surely that its views lie as most frames have them."""
+def _clear(sample: SeenFrames, matrices: Matrices) -> bool:
+    """Whether nearly every frame certainly has its views in the order of most frames."""
     order = _reorder(
         sample, matrices, np.tile(np.arange(sample.there.shape[1]), (len(sample.there), 1))
     )
@@ -151,15 +151,15 @@ def _clear(sample: Seen, matrices: Matrices) -> bool:
     return bool((margins > LEAST_FRAME_RATIO).mean() > CLEAR and usual > FEW_EXCHANGED)
 
 
-def _turn(sample: Seen, pairs: Pairs, matrices: Matrices) -> tuple[float, Matrices]:
-    """Put views back, and fit the matrices anew; return what that costs, too."""
+def _turn(sample: SeenFrames, pairs: Pairs, matrices: Matrices) -> tuple[float, Matrices]:
+    """Put views back, and fit the matrices anew; return also the cost."""
     straight = np.tile(np.arange(sample.there.shape[1]), (len(sample.there), 1))
     back = sample.reordered(_reorder(sample, matrices, straight))
     fitted = fit_pairs(back, pairs, matrices)
     return total_cost(back, fitted), fitted
 
 
-def _reorder(seen: Seen, matrices: Matrices, order: Order) -> Order:
+def _reorder(seen: SeenFrames, matrices: Matrices, order: Order) -> Order:
     """Return the order of views (N, K) of every frame that exchanges of two views lead to."""
     frames, views = order.shape
     order = order.copy()
@@ -178,7 +178,7 @@ def _reorder(seen: Seen, matrices: Matrices, order: Order) -> Order:
     return order
 
 
-def _gains(seen: Seen, matrices: Matrices) -> Float64:
+def _gains(seen: SeenFrames, matrices: Matrices) -> Float64:
     """Log likelihood ratio (N, K (K - 1) / 2) of each exchange of two views to none."""
     frames, views = seen.there.shape[:2]
     as_is = {pair: frame_costs(seen, found, *pair) for pair, found in matrices.items()}
@@ -195,8 +195,8 @@ def _gains(seen: Seen, matrices: Matrices) -> Float64:
     return np.stack(gains, 1)
 
 
-def _majority(sample: Seen, matrices: Matrices) -> Matrices:
-    """Call that order of views the right one that most frames have."""
+def _majority(sample: SeenFrames, matrices: Matrices) -> Matrices:
+    """Make the order of views that most frames have the reference."""
     views = sample.there.shape[1]
     order = _reorder(sample, matrices, np.tile(np.arange(views), (len(sample.there), 1)))
     kinds, counts = np.unique(order, axis=0, return_counts=True)
@@ -219,8 +219,8 @@ def _kinds(order: Order) -> list[Order]:
     return [kinds[k] for k in chosen[np.argsort(-counts[chosen], kind="stable")]]
 
 
-def _judge(seen: Seen, matrices: Matrices, kind: Order) -> SwappedViews | None:
-    """Say in which frames the views are in the order `kind`, if that is sure enough."""
+def _judge(seen: SeenFrames, matrices: Matrices, kind: Order) -> SwappedViews | None:
+    """Return the frames with their views in the order `kind`, if that is certain enough."""
     frames = len(seen.there)
     touched = [pair for pair in matrices if kind[pair[0]] != pair[0] or kind[pair[1]] != pair[1]]
     back = seen.reordered(np.tile(kind, (frames, 1)))

@@ -1,13 +1,14 @@
-"""Which keypoints may be each other's left and right, by how alike they lie.
+"""Keypoints that may be each other's left and right, from their distances to other keypoints.
 
-Left and right of a body have the same distances to all the rest of it, so the sorted distances of
-such a pair are alike. That holds whatever the views call left, under noise and from every side.
+The left and the right keypoint of a pair have about the same distances to all others, so their
+sorted distances are alike. This holds whichever side is called left, under noise and from every
+direction.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from models.epipolar.view_pairs import Seen
+from models.epipolar.view_pairs import SeenFrames
 
 Float64 = NDArray[np.float64]
 Partners = NDArray[np.intp]  # (P,) with which keypoint each changes places; itself if with none
@@ -16,10 +17,10 @@ FRAMES = 100  # plenty for a median
 ALIKE = 0.15  # of the usual distance between keypoints: sorted distances may differ by so much
 
 
-def unlikeness(seen: Seen) -> Float64:
-    """Say how unlike keypoints lie (P, P), as a share of the usual distance between them.
+def unlikeness(seen: SeenFrames) -> Float64:
+    """Return how much sorted distances of keypoints differ (P, P), relative to the usual distance.
 
-    Infinity stands for those that are surely not left and right of each other.
+    Infinity where two keypoints are certainly not left and right of each other.
     """
     frames, _, count = seen.there.shape
     few = seen.part(np.unique(np.linspace(0, frames - 1, FRAMES).astype(np.intp)))
@@ -45,7 +46,7 @@ def unlikeness(seen: Seen) -> Float64:
 
 
 def matched(costs: Float64) -> Partners:
-    """Return partners (P,) of the least costs (P, P) first, as far as these are finite."""
+    """Choose partners (P,) in the order of their costs (P, P), as far as these are finite."""
     count = len(costs)
     partners, free = np.arange(count), np.ones(count, np.bool_)
     for flat in np.argsort(np.triu(costs, 1) + np.tril(np.full_like(costs, np.inf)), axis=None):

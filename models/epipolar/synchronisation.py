@@ -1,13 +1,13 @@
-"""By how many frames views are late, from keypoints alone, for cameras at rest.
+"""By how many frames views are late, estimated from keypoints alone, for static cameras.
 
-At rest, all keypoints of a pair of views obey one epipolar geometry if both views show the same
-moment. A view that is late by d frames does so only if its keypoints are read d frames later: the
-offset for which the best fundamental matrix leaves the least Sampson distances is the true one.
-What tells it is motion across the epipolar lines.
+All keypoints of a pair of static views obey one epipolar geometry if both views show the same
+moment. For a view that is late by d frames this holds only if its keypoints are read d frames
+later. The estimate is the offset whose best fundamental matrix leaves the least Sampson distances.
+Only motion across the epipolar lines is informative.
 
-Keypoints are smoothed as functions of time (`models.capture.tracks`). Every pair tries whole
-offsets; the best choice for all pairs together is refined to a fraction of a frame by
-`models.epipolar.offset_refinement`, which also says how sure it is.
+Keypoints are smoothed as functions of time (`models.capture.tracks`). Whole offsets are tried for
+every pair. The best choice for all pairs together is refined to a fraction of a frame by
+`models.epipolar.offset_refinement`, which also computes standard errors.
 """
 
 from itertools import combinations
@@ -34,7 +34,7 @@ from models.epipolar.offset_refinement import (
     FLOOR,
     MOST_BLOCKS,
     Refined,
-    Scene,
+    TrackedFrames,
     costs_of_frames,
     count_blocks,
     refine_offsets,
@@ -43,12 +43,12 @@ from models.epipolar.offset_refinement import (
 Float64 = NDArray[np.float64]
 Int = NDArray[np.int64]
 
-REACH = 12  # frames that a view may be late or early where nobody tells how long a frame takes
+REACH = 12  # frames that a view may be late or early if the frame rate is unknown
 REACH_SECONDS = 1.0
 MOST_REACH = 60  # frames
-LEAST_FRAMES = 30  # of a capture of which anything is said
-MOST_FRAMES = 1500  # that are looked at, in windows of consecutive ones
-MOST_PLACES = 200_000  # frames x views x keypoints that are looked at
+LEAST_FRAMES = 30  # with fewer nothing is estimated
+MOST_FRAMES = 1500  # that are used, in windows of consecutive ones
+MOST_PLACES = 200_000  # frames x views x keypoints that are used
 WINDOWS = 8
 WIDTH_VIEWS = 4  # that the width of the smoothing is chosen from
 LEAST_BLOCKS = 6  # for a standard deviation
@@ -62,7 +62,7 @@ FILM = 0.7  # of the usual distance between poses: between frames of a film it i
 # if it is so many.
 LATE_FRAMES, LATE_SDS = 0.2, 4.0
 HALVES_FRAMES = 2  # by which the halves of a short capture may differ from the whole
-MOST_SD = 0.5  # frames: with more, it is not sure that the search ended near the true offset
+MOST_SD = 0.5  # frames: with more, the search may not have ended near the true offset
 DOUBTFUL_FRAMES, DOUBTFUL_SDS = 0.5, 2.5
 # Offsets are those of whole frames more often than not: taken as such within two standard
 # deviations, or this many frames.
@@ -82,8 +82,8 @@ class Timing(NamedTuple):
 
     frames: Float64  # (M,) rising
     offsets: Float64  # (M, K) in frames; view k shows in its frame n + offset what others do in n
-    sds: Float64  # (K,) of the offset that tells most
-    late: NDArray[np.bool_]  # (K,) surely
+    sds: Float64  # (K,) of the offset that is furthest from 0 in its standard deviations
+    late: NDArray[np.bool_]  # (K,) certainly
     doubtful: NDArray[np.bool_]  # (K,) perhaps
 
 
@@ -100,39 +100,41 @@ def find_timing(keypoints: Float64, weights: Float64, *, reach: int = REACH) -> 
     Returns
     -------
     Timing or None
-        None where the keypoints do not tell: cameras that move, or too few frames.
+        None where keypoints are not informative: cameras that move, or too few frames.
     """
     views = keypoints.shape[1]
-    scene = _make_scene(keypoints, weights, reach)
-    if scene is None:
+    tracked = _track_frames(keypoints, weights, reach)
+    if tracked is None:
         return None
     step = -(-reach // STEPS)
-    whole = _search(scene, np.zeros(views, np.int64), step)
+    whole = _search(tracked, np.zeros(views, np.int64), step)
     if step > 1:
-        whole = _search(scene, whole, 1)
+        whole = _search(tracked, whole, 1)
     reference = int(np.argmin(np.abs(whole - np.median(whole))))
     start = (whole - whole[reference]).astype(np.float64)[:, None]
     # The search compares offsets on the same frames; from here on, all that views share count.
-    scene = scene._replace(frames=_frames_within(scene.tracks, int(np.abs(start).max())))
-    found = refine_offsets(scene, start, np.ones((len(scene.frames), 1)), reference)
-    if found is None or found.noise > MOST_NOISE * scene.radius:
+    tracked = tracked._replace(frames=_frames_within(tracked.tracks, int(np.abs(start).max())))
+    found = refine_offsets(tracked, start, np.ones((len(tracked.frames), 1)), reference)
+    if found is None or found.noise > MOST_NOISE * tracked.radius:
         return None
-    changing = _find_change(scene, found, reference)
+    changing = _find_change(tracked, found, reference)
     if changing is not None:
         return changing
     variances = found.covariances[:, 0, 0]
-    sds = np.sqrt(np.where(variances >= 0, variances, np.inf))  # equal views say no time at all
-    timing = _decide(np.zeros(1), found.coefficients.T, sds, scene.blocks)
-    if timing.late.any() and scene.blocks < MOST_BLOCKS:
-        return _unless_halves_differ(scene, timing, reference, step)
+    sds = np.sqrt(np.where(variances >= 0, variances, np.inf))  # equal views have no information
+    timing = _decide(np.zeros(1), found.coefficients.T, sds, tracked.blocks)
+    if timing.late.any() and tracked.blocks < MOST_BLOCKS:
+        return _unless_halves_differ(tracked, timing, reference, step)
     return timing
 
 
-def _unless_halves_differ(scene: Scene, timing: Timing, reference: int, step: int) -> Timing:
-    """Call views of a short capture doubtful unless both its halves have them as late."""
+def _unless_halves_differ(
+    tracked: TrackedFrames, timing: Timing, reference: int, step: int
+) -> Timing:
+    """Mark views of a short capture as doubtful unless both its halves agree."""
     agreed = np.ones(len(timing.late), np.bool_)
-    for frames in np.array_split(scene.frames, 2):
-        whole = _search(scene._replace(frames=frames), np.zeros(len(agreed), np.int64), step)
+    for frames in np.array_split(tracked.frames, 2):
+        whole = _search(tracked._replace(frames=frames), np.zeros(len(agreed), np.int64), step)
         apart = np.abs(whole - whole[reference] - timing.offsets[0])
         agreed &= apart <= max(HALVES_FRAMES, step)
     late = timing.late & agreed
@@ -158,8 +160,8 @@ def is_film(keypoints: Float64) -> bool:
     return between[0] < FILM * between[1]
 
 
-def _make_scene(keypoints: Float64, weights: Float64, reach: int) -> Scene | None:
-    """Return the keypoints that are looked at, as tracks; None if they are too few."""
+def _track_frames(keypoints: Float64, weights: Float64, reach: int) -> TrackedFrames | None:
+    """Return the keypoints that are used, as tracks; None if they are too few."""
     count, views, _, _ = keypoints.shape
     chosen = np.sort(np.argsort(-(weights > 0).sum((0, 1)), kind="stable")[:MOST_KEYPOINTS])
     pixels, weights = keypoints[:, :, chosen], weights[:, :, chosen]
@@ -182,7 +184,7 @@ def _make_scene(keypoints: Float64, weights: Float64, reach: int) -> Scene | Non
     )
     if half_width is None:
         return None
-    return Scene(tracks, _frames_within(tracks, reach), pairs, half_width)
+    return TrackedFrames(tracks, _frames_within(tracks, reach), pairs, half_width)
 
 
 def _frames_within(tracks: list[Track], margin: int) -> Int:
@@ -208,35 +210,35 @@ def _choose_pairs(shown: Int) -> list[tuple[int, int]]:
     return sorted(next_to | {(min(v, best), max(v, best)) for v in views if v != best})
 
 
-def _search(scene: Scene, centre: Int, step: int) -> Int:
+def _search(tracked: TrackedFrames, centre: Int, step: int) -> Int:
     """Return the whole offsets (K,) around `centre`, in steps, that suit all pairs best."""
     shifts = step * np.arange(-STEPS, STEPS + 1)
-    picked = _moving_frames(scene)
+    picked = _moving_frames(tracked)
     times = picked + shifts[:, None]  # (D, T)
     places = []
-    for track, late in zip(scene.tracks, centre, strict=True):
+    for track, late in zip(tracked.tracks, centre, strict=True):
         needed, back = np.unique(times + late, return_inverse=True)
-        motion = motion_at(track, needed.astype(np.float64), scene.half_width)
+        motion = motion_at(track, needed.astype(np.float64), tracked.half_width)
         places.append(motion.places[back.reshape(times.shape)])  # (D, T, P, 2)
     costs = {}
-    for first, second in scene.pairs:
+    for first, second in tracked.pairs:
         profile = _profile(places[first][STEPS], places[second])
         if profile is not None:
             costs[first, second] = profile
     return centre + step * _best_for_all(costs, len(centre))
 
 
-def _moving_frames(scene: Scene) -> Int:
-    """Return of every stretch of frames the one that moves most: what rests tells no time."""
-    frames = scene.frames.astype(np.float64)
+def _moving_frames(tracked: TrackedFrames) -> Int:
+    """Return of every stretch of frames the one with most motion: without it there is no timing."""
+    frames = tracked.frames.astype(np.float64)
     speeds = np.zeros(len(frames))
-    for track in scene.tracks:
-        velocities = motion_at(track, frames, scene.half_width).velocities
+    for track in tracked.tracks:
+        velocities = motion_at(track, frames, tracked.half_width).velocities
         speeds += np.linalg.norm(np.nan_to_num(velocities), axis=-1).mean(-1)
-    keypoints = scene.tracks[0].pixels.shape[1]
+    keypoints = tracked.tracks[0].pixels.shape[1]
     count = min(len(frames), max(SEARCH_POINTS // keypoints, LEAST_FRAMES))
     stretches = np.array_split(np.arange(len(frames)), count)
-    return scene.frames[[stretch[np.argmax(speeds[stretch])] for stretch in stretches]]
+    return tracked.frames[[stretch[np.argmax(speeds[stretch])] for stretch in stretches]]
 
 
 def _profile(x: Float64, y: Float64) -> Float64 | None:
@@ -256,7 +258,7 @@ def _profile(x: Float64, y: Float64) -> Float64 | None:
 def _best_for_all(costs: dict[tuple[int, int], Float64], views: int) -> Int:
     """Return the steps (K,) of least cost over all pairs, by coordinate descent from some starts.
 
-    Beyond the steps that were tried, a pair costs what its worst step does.
+    Beyond the steps that were tried, a pair has the cost of its worst step.
     """
     best, least = np.zeros(views, np.int64), np.inf
     rng = np.random.default_rng(0)
@@ -291,26 +293,27 @@ def _best_for_all(costs: dict[tuple[int, int], Float64], views: int) -> Int:
     return best - int(np.median(best))
 
 
-def _find_change(scene: Scene, constant: Refined, reference: int) -> Timing | None:
+def _find_change(tracked: TrackedFrames, constant: Refined, reference: int) -> Timing | None:
     """Look for a drift, or for a jump as of dropped frames; None if offsets seem constant."""
     suspected = _suspect(constant.block_offsets, constant.block_weights)
     if suspected is None:
         return None
-    first, last = float(scene.frames[0]), float(scene.frames[-1])
+    first, last = float(tracked.frames[0]), float(tracked.frames[-1])
     if suspected == DRIFT:
-        along = (scene.frames - first) / (last - first)
+        along = (tracked.frames - first) / (last - first)
         functions = np.stack((1 - along, along), 1)
         start = np.repeat(constant.coefficients, 2, axis=1)
-        found, knots = refine_offsets(scene, start, functions, reference), [first, last]
+        found, knots = refine_offsets(tracked, start, functions, reference), [first, last]
     else:
-        border = int(scene.frames[len(scene.frames) * suspected // scene.blocks])
-        found = _with_jump(scene, border, reference)
+        border = int(tracked.frames[len(tracked.frames) * suspected // tracked.blocks])
+        found = _with_jump(tracked, border, reference)
         if found is not None:  # the border between two blocks is only near the jump
             before, after = (
-                costs_of_frames(scene, found.matrices, offsets) for offsets in found.coefficients.T
+                costs_of_frames(tracked, found.matrices, offsets)
+                for offsets in found.coefficients.T
             )
-            border = int(scene.frames[np.argmin(np.cumsum(before - after))]) + 1
-            found = _with_jump(scene, border, reference)
+            border = int(tracked.frames[np.argmin(np.cumsum(before - after))]) + 1
+            found = _with_jump(tracked, border, reference)
         knots = [border - 1.0, border]
     if found is None:
         return None
@@ -319,19 +322,19 @@ def _find_change(scene: Scene, constant: Refined, reference: int) -> Timing | No
     sds = np.sqrt(np.maximum(variances.sum(1) - 2 * found.covariances[:, 0, 1], 0))
     if not (np.abs(changes) > np.maximum(CHANGE_FRAMES, CHANGE_SDS * sds)).any():
         return None
-    return _decide(np.array(knots), found.coefficients.T, np.sqrt(variances.max(1)), scene.blocks)
+    return _decide(np.array(knots), found.coefficients.T, np.sqrt(variances.max(1)), tracked.blocks)
 
 
-def _with_jump(scene: Scene, border: int, reference: int) -> Refined | None:
+def _with_jump(tracked: TrackedFrames, border: int, reference: int) -> Refined | None:
     """Refine two constants for every view: before the frame `border`, and from it on."""
-    after = scene.frames >= border
-    still = np.zeros(len(scene.tracks), np.int64)
+    after = tracked.frames >= border
+    still = np.zeros(len(tracked.tracks), np.int64)
     parts = [
-        _search(scene._replace(frames=scene.frames[side]), still, 1) for side in (~after, after)
+        _search(tracked._replace(frames=tracked.frames[side]), still, 1) for side in (~after, after)
     ]
     start = np.stack(parts, 1).astype(np.float64)  # (K, 2)
     functions = np.stack((~after, after), 1).astype(np.float64)
-    return refine_offsets(scene, start - start[reference], functions, reference)
+    return refine_offsets(tracked, start - start[reference], functions, reference)
 
 
 def _suspect(offsets: Float64, weights: Float64) -> int | None:
@@ -362,11 +365,11 @@ def _suspect(offsets: Float64, weights: Float64) -> int | None:
 
 
 def _decide(frames: Float64, offsets: Float64, sds: Float64, blocks: int) -> Timing:
-    """Tell surely late views from doubtful ones and from those in step, whose offsets become 0.
+    """Divide views into late, doubtful and in step; set the offsets of the last to 0.
 
-    Standard deviations from few blocks are unsure themselves: Student's t with a degree of freedom
-    less than blocks has as much beyond 4 blocks / (blocks - 3) of its standard deviations as a
-    Gaussian has beyond 4 (within 3 % for 6 to 16 blocks).
+    Standard deviations from few blocks are themselves uncertain. Student's t with one degree of
+    freedom less than blocks has as much beyond 4 blocks / (blocks - 3) of its standard deviations
+    as a Gaussian has beyond 4 (within 3 % for 6 to 16 blocks).
     """
     largest = np.abs(offsets).max(0)
     enough = LATE_SDS * blocks / (blocks - 3)

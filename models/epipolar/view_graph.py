@@ -1,4 +1,4 @@
-"""The points that views share, and the relative poses of pairs that tie the views together."""
+"""The points that views share, and the relative poses of pairs that connect the views."""
 
 from collections.abc import Iterator
 from itertools import combinations
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from models.epipolar.assembly import ViewGraph
 from models.epipolar.pairs import Beliefs, relate
-from models.epipolar.static_cameras import Seen
+from models.epipolar.static_cameras import SeenPoints
 from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
@@ -20,7 +20,7 @@ NOISY_POINTS = 9000  # of a sample
 MOST_PAIRS = 18  # of views that are related
 UNLIKE_PAIRS = 5.0  # times the noise of the best pair: a pair beyond it is not static
 LENS_NOISE = 1e-3  # sides: what lens models leave at most
-NO_RIG = 0.3  # noise, as a share of a view's size, that nothing static has
+NO_RIG = 0.3  # noise, as a share of a view's size, from which cameras are not static
 
 
 class SharedPoints(NamedTuple):
@@ -37,7 +37,7 @@ class SharedPoints(NamedTuple):
         """Take images (N, K, P, 2) with weights (N, K, P)."""
         frames, keypoints = np.nonzero((weights > 0).sum(1) >= 2)
         order = rng.permutation(len(frames))
-        # Points that many views see come first: they tie the views together.
+        # Points that many views see come first: they connect the views.
         seen = (weights > 0).sum(1)[frames, keypoints][order]
         order = order[np.argsort(-np.minimum(seen, 3), kind="stable")]
         return cls(
@@ -48,10 +48,10 @@ class SharedPoints(NamedTuple):
             order[:NOISY_POINTS],
         )
 
-    def seen(self, members: list[int], most: int) -> Seen:
-        """Return what some views see of at most so many points of the sample."""
+    def seen(self, members: list[int], most: int) -> SeenPoints:
+        """Return the images of at most so many points of the sample in some views."""
         points = self.chosen(members, most)
-        return Seen(self.images[members][..., points], self.weights[members][:, points])
+        return SeenPoints(self.images[members][..., points], self.weights[members][:, points])
 
     def chosen(self, members: list[int], most: int) -> NDArray[np.int64]:
         """Return the places of these points."""
@@ -62,7 +62,7 @@ class SharedPoints(NamedTuple):
 def relate_pairs(
     scene: SharedPoints, beliefs: Beliefs, rng: np.random.Generator
 ) -> Steps[ViewGraph]:
-    """Find the relative poses of pairs; of many views those that share most, and all are tied."""
+    """Find the relative poses of pairs; of many views those that share most, connecting all."""
     views = len(scene.weights)
     there = (scene.weights > 0).astype(float)
     shared = there @ there.T
@@ -100,7 +100,7 @@ def _chosen_pairs(pairs: list[tuple[int, int]], views: int) -> Iterator[tuple[in
 
 
 def tied_views(graph: ViewGraph, sizes: Float64) -> list[int]:
-    """Return the views that pairs tie together whose noise allows that they are static."""
+    """Return the views connected by pairs whose noise is that of static views."""
     least = min((poses.noise for poses in graph.values()), default=0.0)
     most = UNLIKE_PAIRS * max(least, LENS_NOISE)
     likely = [

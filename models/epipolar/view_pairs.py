@@ -1,8 +1,8 @@
-"""Pairs of views at rest: their fundamental matrices, and what each frame costs under them.
+"""Pairs of static views: their fundamental matrices, and the cost of each frame under them.
 
-A capture is checked for harms by comparing what its frames cost under hypotheses: as they are, with
-two views exchanged, and so on. Costs are negative log likelihoods under Student's t of the Sampson
-distances, so differences between them are log likelihood ratios.
+A capture is checked for faults by comparing the costs of its frames under hypotheses: as they are,
+with two views exchanged, and so on. Costs are negative log likelihoods under Student's t of the
+Sampson distances, so differences between them are log likelihood ratios.
 """
 
 from itertools import combinations
@@ -26,13 +26,13 @@ Matrices = dict[tuple[int, int], Fundamental]
 
 MOST_ANCHORS = 3  # views that are paired with every view: the cost grows with views, not squared
 FIT_POINTS = 1500  # correspondences to which a fundamental matrix is fitted
-MOST_KEYPOINTS = 32  # that are looked at
-LENS_ERROR = 5e-3  # of a view's radius: what straight lines miss of real lenses
+MOST_KEYPOINTS = 32  # that are used
+LENS_ERROR = 5e-3  # of a view's radius: error of straight lines under lens distortion
 ASTRAY = 0.1  # of keypoints that may lie anywhere
-# At rest, the mean offset of a frame varies by no more than this, over what noise explains, unless
-# all is so little (of a view's radius) that lenses explain it.
+# For static views, the mean offset of a frame varies by no more than this over what noise explains,
+# unless all is so little (of a view's radius) that lenses explain it.
 MOST_COMMON, LITTLE_NOISE = 2.5, 0.05
-AGREEING = 0.6  # of the pairs: a view that moves does not hide that others rest
+AGREEING = 0.6  # of the pairs: a view that moves does not hide that others are static
 MOST_OFFSET = 3.0  # standard deviations, so that outliers do not decide
 LEAST_SHOWN = 3  # keypoints of a frame
 TINY = 1e-9
@@ -40,7 +40,7 @@ DEPENDENCE = 0.5  # of a log likelihood ratio that counts: pairs of views share 
 MOST_NOISE = 0.25  # of a view's radius: beyond it, no one geometry explains the frames
 
 
-class Seen(NamedTuple):
+class SeenFrames(NamedTuple):
     """The keypoints of N frames of K views, in the order of the frames."""
 
     pixels: Float64  # (N, K, P, 2), 0 where not seen
@@ -48,11 +48,11 @@ class Seen(NamedTuple):
     keypoints: NDArray[np.intp]  # (P,) which of the capture's keypoints these are
     radius: float  # pixels, root mean square of a view's keypoints about their middle, the median
 
-    def part(self, frames: NDArray[np.intp] | Bool | slice) -> "Seen":
+    def part(self, frames: NDArray[np.intp] | Bool | slice) -> "SeenFrames":
         """Return some of the frames."""
         return self._replace(pixels=self.pixels[frames], there=self.there[frames])
 
-    def thinned(self, most: int) -> "Seen":
+    def thinned(self, most: int) -> "SeenFrames":
         """Return `most` of the keypoints at most."""
         every = slice(None, None, -(-self.there.shape[2] // most))
         return self._replace(
@@ -61,24 +61,24 @@ class Seen(NamedTuple):
             keypoints=self.keypoints[every],
         )
 
-    def reordered(self, order: NDArray[np.intp]) -> "Seen":
+    def reordered(self, order: NDArray[np.intp]) -> "SeenFrames":
         """Return the frames with the views that `order` (N, K) names for each."""
         rows = np.arange(len(order))[:, None]
         return self._replace(pixels=self.pixels[rows, order], there=self.there[rows, order])
 
     @property
     def floor(self) -> float:
-        """Noise in pixels below which differences say more of lenses than of frames."""
+        """Noise in pixels below which differences are due to lenses rather than frames."""
         return LENS_ERROR * self.radius
 
 
-def seen_keypoints(keypoints: NDArray[np.floating], weights: NDArray[np.floating]) -> Seen:
+def seen_keypoints(keypoints: NDArray[np.floating], weights: NDArray[np.floating]) -> SeenFrames:
     """Return keypoints (N, K, P, 2) in pixels of positive weight (N, K, P), the most seen ones."""
     there = (weights > 0) & np.isfinite(keypoints).all(-1)
     most = np.sort(np.argsort(-there.sum((0, 1)), kind="stable")[:MOST_KEYPOINTS])
     there = there[:, :, most]
     pixels = np.where(there[..., None], keypoints[:, :, most], 0.0).astype(np.float64)
-    return Seen(pixels, there, most, _radius(pixels, there))
+    return SeenFrames(pixels, there, most, _radius(pixels, there))
 
 
 def _radius(pixels: Float64, there: Bool) -> float:
@@ -93,7 +93,7 @@ def _radius(pixels: Float64, there: Bool) -> float:
     return max(float(np.sqrt(np.median(squares))), TINY)
 
 
-def chosen_pairs(seen: Seen) -> Pairs:
+def chosen_pairs(seen: SeenFrames) -> Pairs:
     """Pairs (a < b) of which one is among the views that show most: all pairs, up to four views."""
     shown = seen.there.sum((0, 2))  # (K,)
     anchors = set(np.argsort(-shown, kind="stable")[:MOST_ANCHORS].tolist())
@@ -101,14 +101,16 @@ def chosen_pairs(seen: Seen) -> Pairs:
     return tuple((a, b) for a, b in pairs if a in anchors or b in anchors)
 
 
-def fit_pairs(seen: Seen, pairs: Pairs, start: Matrices | None = None) -> Matrices:
+def fit_pairs(seen: SeenFrames, pairs: Pairs, start: Matrices | None = None) -> Matrices:
     """Fit a fundamental matrix to every pair that has enough correspondences."""
     known = start or {}
     fitted = {(a, b): fit_pair(seen, a, b, known.get((a, b))) for a, b in pairs}
     return {pair: found for pair, found in fitted.items() if found is not None}
 
 
-def fit_pair(seen: Seen, a: int, b: int, start: Fundamental | None = None) -> Fundamental | None:
+def fit_pair(
+    seen: SeenFrames, a: int, b: int, start: Fundamental | None = None
+) -> Fundamental | None:
     """Fit y^T F x = 0 to views a (x) and b (y); None if too few keypoints are seen by both."""
     both = np.flatnonzero(seen.there[:, a] & seen.there[:, b])
     if len(both) < 2 * LEAST_POINTS:
@@ -133,9 +135,9 @@ def between(matrices: Matrices, a: int, b: int) -> Fundamental | None:
 def point_costs(found: Fundamental, x: Float64, y: Float64, both: Bool, radius: float) -> Float64:
     """Negative log likelihood of correspondences x, y (..., 2); 0 unless `both` (...) are seen.
 
-    It is that of a mixture of Student's t and of a share `ASTRAY` of keypoints that lie anywhere,
-    less that of noise of `MOST_NOISE` of the radius: a correspondence that fits as badly as chance
-    does counts as much as none.
+    The distribution is a mixture of Student's t and of a share `ASTRAY` of keypoints that lie
+    anywhere. The negative log likelihood under noise of `MOST_NOISE` of the radius is subtracted,
+    so that a correspondence that fits no better than chance counts as 0.
     """
     distances = sampson_distances(found.matrix, x.reshape(-1, 2), y.reshape(-1, 2))
     tails = np.square(1 + np.square(distances / found.scale) / FREEDOM)  # (FREEDOM + 1) / 2 = 2
@@ -144,7 +146,7 @@ def point_costs(found: Fundamental, x: Float64, y: Float64, both: Bool, radius: 
     return counted
 
 
-def frame_costs(seen: Seen, found: Fundamental, a: int, b: int) -> Float64:
+def frame_costs(seen: SeenFrames, found: Fundamental, a: int, b: int) -> Float64:
     """Cost of each frame (N,) when view a is seen by F's first camera and view b by its second."""
     both = seen.there[:, a] & seen.there[:, b]
     costs = point_costs(found, seen.pixels[:, a], seen.pixels[:, b], both, seen.radius)
@@ -152,16 +154,16 @@ def frame_costs(seen: Seen, found: Fundamental, a: int, b: int) -> Float64:
     return summed
 
 
-def total_cost(seen: Seen, matrices: Matrices) -> float:
+def total_cost(seen: SeenFrames, matrices: Matrices) -> float:
     """Cost of all frames and pairs together."""
     return sum(float(frame_costs(seen, found, *pair).sum()) for pair, found in matrices.items())
 
 
-def at_rest(seen: Seen, matrices: Matrices) -> bool:
-    """Whether one geometry per pair explains the frames, as with cameras at rest.
+def are_static(seen: SeenFrames, matrices: Matrices) -> bool:
+    """Whether one geometry per pair explains the frames, as for static cameras.
 
-    If cameras move, what a frame's keypoints lack is alike: its own geometry is another. At rest,
-    their distances from the epipolar lines are noise, of which a frame has nothing in common.
+    If cameras move, a frame has a geometry of its own, and the keypoints in it have a common offset
+    from the epipolar lines. For static cameras these offsets are independent noise.
     """
     noises, common = [], []
     for (a, b), found in matrices.items():

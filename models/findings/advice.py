@@ -1,7 +1,7 @@
-"""Checks that only advise: one that fails is logged, and finds nothing; nothing else depends on it.
+"""Checks that only advise: if one raises an error, it is logged, and there is no finding.
 
-Keypoints can be odd in more ways than anybody foresees. What an upload, a fit or a lift needs none
-of must not end it.
+Keypoints can be odd in ways that nobody foresees. A check that an upload, a fit or a lift does not
+need must not end it.
 """
 
 import logging
@@ -15,7 +15,7 @@ logger = logging.getLogger(__name__)
 Given = ParamSpec("Given")
 Found = TypeVar("Found")
 
-# What arithmetic and our own mistakes raise. A time limit of the process is none of these.
+# Errors of arithmetic and of our own mistakes. A time limit of the process is none of these.
 FAULTS = (
     ArithmeticError,
     AssertionError,
@@ -36,9 +36,9 @@ def attempt(
     *args: Given.args,
     **kwargs: Given.kwargs,
 ) -> Found:
-    """Return what a check returns for its arguments; if it fails, log that and return `otherwise`.
+    """Return the result of a check; if it raises an error, log this and return `otherwise`.
 
-    A check that is a generator has to be consumed by who calls this: see `noticed`.
+    A check that is a generator runs only when it is consumed: see `noticed`.
     """
     try:
         return check(*args, **kwargs)
@@ -50,7 +50,7 @@ def attempt(
 def attempt_steps(
     check: Generator[None, None, Found], otherwise: Found
 ) -> Generator[None, None, Found]:
-    """Do as `attempt` does for a check that works in steps, and yields between them."""
+    """Do the same as `attempt` for a check that works in steps and yields between them."""
     try:
         return (yield from check)
     except FAULTS:
@@ -61,7 +61,7 @@ def attempt_steps(
 def noticed(
     check: Callable[Given, Iterable[Finding]], /, *args: Given.args, **kwargs: Given.kwargs
 ) -> tuple[Finding, ...]:
-    """Return the findings that a check yields for its arguments; if it fails, log that: none."""
+    """Return the findings that a check yields; if it raises an error, log this and return none."""
     try:
         return tuple(check(*args, **kwargs))
     except FAULTS:

@@ -1,4 +1,4 @@
-"""Every code of a finding: how grave it is, what it leads to, and what to do about it."""
+"""Every code of a finding: its severity, its effect, and what to do about it."""
 
 from typing import Literal, NamedTuple, get_args
 
@@ -27,7 +27,7 @@ CaptureCode = TypeAliasType(
 )
 CameraCode = TypeAliasType(
     "CameraCode",
-    Literal[  # of what a fit finds of its cameras
+    Literal[  # of the cameras that a fit estimates
         "cameras_not_found",
         "rig_declared_but_moving",
         "calibration_disagrees",
@@ -54,7 +54,7 @@ FindingCode = CaptureCode | CameraCode | LiftCode
 
 
 class Entry(NamedTuple):
-    """What a code stands for."""
+    """The meaning of a code."""
 
     severity: Severity
     effect: str
@@ -64,29 +64,29 @@ class Entry(NamedTuple):
 CATALOGUE: dict[FindingCode, Entry] = {
     "keypoint_never_seen": Entry(
         "warning",
-        "No view ever shows this keypoint: its place is not answered (null).",
+        "No view ever shows this keypoint, so lifts have no position for it (null).",
         "Leave the keypoint out, or look at what the detector wrote for it.",
     ),
     "view_never_seen": Entry(
         "warning",
-        "This view never shows four keypoints or more: nothing is found of its camera.",
+        "This view never shows four keypoints or more, so its camera is not estimated.",
         "Leave the view out, or look at what the detector wrote for it.",
     ),
     "keypoint_frozen": Entry(
         "warning",
-        "The keypoint stays at one pixel, to the last digit, while the subject moves: it is no"
-        " detection. Fits do not use it there.",
+        "The keypoint stays at one pixel, to the last digit, while the subject moves: the detector"
+        " did not find it. Fits do not use it there.",
         "Mark it as not observed (null, or confidence 0) where the detector did not find it.",
     ),
     "views_identical": Entry(
         "warning",
-        "The views show the very same keypoints: together they say no more than one of them.",
+        "The views have the very same keypoints, so together they count as one view.",
         "Upload each camera's own keypoints.",
     ),
     "coordinates_normalised": Entry(
         "warning",
-        "All coordinates lie about 0 and 1, so they are shares of the image, not pixels: focal"
-        " lengths and noise mean nothing.",
+        "All coordinates lie between about 0 and 1, so they are shares of the image, not pixels:"
+        " focal lengths and noise have no meaning.",
         "Multiply x by the image's width and y by its height, in pixels.",
     ),
     "outside_image": Entry(
@@ -97,12 +97,12 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "too_few_frames": Entry(
         "warning",
-        "So few frames show the subject that its shapes can hardly be learnt.",
+        "Too few frames show the subject to learn its shapes well.",
         "Film for longer, or add frames that show other poses.",
     ),
     "one_view": Entry(
         "warning",
-        "Only one view shows the subject: depth is guessed from the shapes alone.",
+        "Only one view shows the subject: depth is estimated from the shapes alone.",
         "Add a second, synchronised view.",
     ),
     "no_motion": Entry(
@@ -113,61 +113,61 @@ CATALOGUE: dict[FindingCode, Entry] = {
     "views_out_of_step": Entry(
         "warning",
         "A view shows every moment later or earlier than the others. Where it was not shifted"
-        " (`applied` is 0), fast movements are smeared and cameras at rest seem to move.",
-        "Synchronise the cameras, or tell the dataset's `fps` or `times`: fits and lifts of"
+        " (`applied` is 0), fast movements are smeared and static cameras seem to move.",
+        "Synchronise the cameras, or give the dataset's `fps` or `times`: fits and lifts of"
         " datasets then shift the view (`synchronise: auto`). Frames that are lifted one by one or"
         " in a stream are never shifted: send them in step.",
     ),
     "views_swapped": Entry(
         "warning",
-        "In these frames the views have changed places: cameras at rest seem to move.",
+        "In these frames views were exchanged: static cameras seem to move.",
         "Put the views of these frames back into the order of the others.",
     ),
     "left_right_swapped": Entry(
         "warning",
-        "The view shows left and right keypoints the other way round than the other views do.",
+        "Left and right keypoints are exchanged in this view, compared with the other views.",
         "Exchange left and right in this view, or turn off mirroring of its images (`mirror` where"
         " files are read).",
     ),
     "left_right_mended": Entry(
         "info",
-        "In these frames a view shows some left and right keypoints the other way round than the"
-        " other views do. The fit and its lifts let them change places; their"
-        " `outlier_probability` in a lift is 1.",
+        "In these frames some left and right keypoints of a view are exchanged, compared with the"
+        " other views. The fit and its lifts exchange them back; their `outlier_probability` in a"
+        " lift is 1.",
         "Nothing, if the frames are few; else look at what the detector wrote for these views.",
     ),
     "outliers": Entry(
         "info",
-        "Keypoints of these views lie where the rest of their frame says that they cannot be."
-        " Neither the fit nor its lifts use them; `outlier_probability` of a lift says which.",
+        "Keypoints of these views lie far from where the other keypoints of their frame predict"
+        " them. Neither the fit nor its lifts use them; a lift marks them in"
+        " `outlier_probability`.",
         "Nothing, if they are few; else look at what the detector wrote for these views.",
     ),
     "cameras_not_found": Entry(
         "warning",
-        "The keypoints do not determine any cameras: lifts are weak perspective.",
+        "The keypoints do not determine any cameras: lifts are in weak perspective.",
         "Add a second view, more frames, or a calibration.",
     ),
     "rig_declared_but_moving": Entry(
         "warning",
-        "The cameras were declared static, and the keypoints say that they move: reprojection"
+        "The cameras were declared static, but according to the keypoints they move. Reprojection"
         " errors and structures are worse for it.",
-        "Fit with `cameras: auto` or `moving`, or look for what moved, such as a bumped tripod or"
+        "Fit with `cameras: auto` or `moving`, or look for the cause, such as a bumped tripod or"
         " views that are out of step.",
     ),
     "calibration_disagrees": Entry(
         "warning",
-        "The calibration of this view does not explain its keypoints: it was refined where it is"
-        " slightly off (`refused` 0), and found anew where it is far off (`refused` 1).",
-        "Look at whether the camera was moved, zoomed, exchanged or calibrated at another image"
-        " size; calibrate it anew, or leave its calibration out.",
+        "The calibration of this view does not explain its keypoints. It was refined if it is"
+        " slightly off (`refused` 0), and ignored and estimated if it is far off (`refused` 1).",
+        "Check whether the camera was moved, zoomed, exchanged or calibrated at another image"
+        " size. Calibrate it again, or leave its calibration out.",
     ),
     "calibration_read_otherwise": Entry(
         "warning",
-        "The poses that were given explain the keypoints only if they are read otherwise, and so"
-        " they were: as leading from the camera to the room (`inverted` 1), with the axes of"
-        " graphics (`graphics_axes` 1), or with the cameras in another order (`camera_of_view_0`"
-        " ...).",
-        "Write poses that lead from the room to the camera, x right, y down, z forward, and the"
+        "The given poses explain the keypoints only in another convention, in which they were used:"
+        " from the camera to the room (`inverted` 1), with the axes of graphics (`graphics_axes`"
+        " 1), or with the cameras in another order (`camera_of_view_0` ...).",
+        "Give poses that transform from the room to the camera, x right, y down, z forward, and the"
         " cameras in the order of the views.",
     ),
     "known_length_disagrees": Entry(
@@ -177,60 +177,60 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "camera_moved": Entry(
         "warning",
-        "A camera that otherwise rests was moved: it fits the others before these frames or in"
-        " them, not both.",
-        "Fit the frames before and after it apart, or with `cameras: moving`.",
+        "An otherwise static camera was moved: it fits the other cameras either before these frames"
+        " or in them, not in both.",
+        "Fit the frames before and after the move separately, or with `cameras: moving`.",
     ),
     "focal_not_observable": Entry(
         "warning",
-        "The keypoints hardly tell the focal length (a far or flat subject, or few frames): it is"
-        " a guess with a wide standard deviation, and distances along the view are as unsure.",
-        "Tell the focal length (`calibration`), or film the subject nearer and in more places.",
+        "The keypoints hardly determine the focal length (a far or flat subject, or few frames). It"
+        " is estimated with a wide standard deviation, and distances along the view are as"
+        " uncertain.",
+        "Give the focal length (`calibration`), or film the subject nearer and in more places.",
     ),
     "handedness_not_observable": Entry(
         "warning",
-        "The keypoints hardly tell the structures from their mirror image.",
-        "Tell the `handedness`, or a calibration.",
+        "The keypoints hardly distinguish the structures from their mirror images.",
+        "Give the `handedness`, or a calibration.",
     ),
     "views_opposite": Entry(
         "info",
-        "Two views look at the subject from opposite sides: together they hardly tell depth.",
+        "Two views look at the subject from opposite sides: together they hardly determine depth.",
         "Place the cameras 60 to 120 degrees apart, or add a view.",
     ),
     "noise_high": Entry(
         "warning",
-        "The keypoints are noisy for the size of the subject: structures are as unsure.",
+        "The keypoints are noisy for the size of the subject: structures are as uncertain.",
         "Use a better detector, larger images, or more views.",
     ),
     "lenses_extreme": Entry(
         "warning",
-        "The lenses that explain the keypoints best are unlike real ones: the keypoints or what"
-        " was told of the cameras is likely wrong.",
-        "Look at the other findings, and tell the image sizes or a calibration.",
+        "The lenses that explain the keypoints best are unlike real ones: the keypoints or what was"
+        " given of the cameras is probably wrong.",
+        "Look at the other findings, and give the image sizes or a calibration.",
     ),
     "rig_not_used": Entry(
         "warning",
-        "The cameras of the fit do not explain these frames, so each view was given a camera of"
-        " its own.",
+        "The cameras of the fit do not explain these frames, so each view got a camera of its own.",
         "Check that `views` names them in the right order, that the views are in step, and that"
         " no camera was moved since the fit.",
     ),
     "frame_unlike_fit": Entry(
         "warning",
-        "These frames are unlike anything in the fit: their structures are less sure.",
-        "Fit a capture that holds such poses, or go on from this model with them.",
+        "These frames are unlike all frames of the fit: their structures are less certain.",
+        "Fit a capture that has such poses, or start a fit from this model with them.",
     ),
     "coordinates_of_another_scale": Entry(
         "warning",
-        "The coordinates are of another scale than those of the fit.",
+        "The coordinates have another scale than those of the fit.",
         "Send pixels of images of the size that the fit had, not shares of the image.",
     ),
     "not_in_room": Entry(
         "warning",
-        "These frames have structures, but no place in the room: no camera at rest is perspective"
-        " in them, or none tells their unit. Their points and cameras are empty.",
+        "These frames have structures, but no place in the room: they have no static perspective"
+        " camera, or none that determines their unit. Their points and cameras are empty.",
         "Ask for the canonical frame of reference, or lift with `refine: full` and with views of"
-        " two cameras at rest.",
+        " two static cameras.",
     ),
 }
 CODES: tuple[FindingCode, ...] = tuple(

@@ -1,4 +1,4 @@
-"""What was noticed, in the shape that datasets, fits, models, lifts and streams share."""
+"""A finding, in the form that datasets, fits, models, lifts and streams share."""
 
 import logging
 import math
@@ -26,8 +26,8 @@ class Finding(BaseModel):
 
     code: FindingCode
     severity: Severity = Field(
-        description="`warning`: results are wrong or less sure than they could be; `info`: good to"
-        " know."
+        description="`warning`: results are wrong or less certain than they could be; `info`: good"
+        " to know."
     )
     views: tuple[Index, ...] = Field((), description="Which views it is about; all if empty.")
     frames: tuple[tuple[Index, Index], ...] = Field(
@@ -36,8 +36,8 @@ class Finding(BaseModel):
         description="Ranges of frames, the first and the last of each; all frames if empty.",
     )
     keypoints: tuple[Index, ...] = Field((), description="Which keypoints; all if empty.")
-    evidence: dict[str, Number] = Field({}, description="The numbers that it rests on, by name.")
-    effect: str = Field(description="What it leads to.")
+    evidence: dict[str, Number] = Field({}, description="The numbers behind it, by name.")
+    effect: str = Field(description="Its effect on the results.")
     remedy: str = Field(description="What to do about it.")
 
     @classmethod
@@ -51,10 +51,10 @@ class Finding(BaseModel):
         severity: Severity | None = None,
         **evidence: float,
     ) -> Self:
-        """Return the finding of a code with its words from the catalogue.
+        """Return the finding of a code, with its texts from the catalogue.
 
-        `frames` are indices, or a mask (N,) of all frames; they become ranges. Without a
-        `severity`, that of the catalogue.
+        `frames` are indices, or a mask (N,) of all frames; they become ranges. The default of
+        `severity` is that of the catalogue.
         """
         entry = CATALOGUE[code]
         return cls(
@@ -69,18 +69,18 @@ class Finding(BaseModel):
         )
 
     def with_evidence(self, numbers: Mapping[str, float]) -> Self:
-        """Return the same finding, resting on other numbers, the finite of these."""
+        """Return the same finding with other evidence, of which finite numbers are kept."""
         return self.model_copy(update={"evidence": _finite(numbers)})
 
     def __str__(self) -> str:
-        """Say it in one line, for logs and terminals."""
-        said = [f"{self.severity}: {self.code}"]
-        said += [f"views {_listed(self.views)}"] if self.views else []
-        said += [f"keypoints {_listed(self.keypoints)}"] if self.keypoints else []
+        """Return it as one line, for logs and terminals."""
+        parts = [f"{self.severity}: {self.code}"]
+        parts += [f"views {_listed(self.views)}"] if self.views else []
+        parts += [f"keypoints {_listed(self.keypoints)}"] if self.keypoints else []
         if self.frames:
-            said.append("frames " + _listed([f"{a}-{b}" if a < b else a for a, b in self.frames]))
-        said += [f"{name} {value:.4g}" for name, value in self.evidence.items()]
-        return ", ".join(said) + f". {self.effect} {self.remedy}"
+            parts.append("frames " + _listed([f"{a}-{b}" if a < b else a for a, b in self.frames]))
+        parts += [f"{name} {value:.4g}" for name, value in self.evidence.items()]
+        return ", ".join(parts) + f". {self.effect} {self.remedy}"
 
 
 def _finite(numbers: Mapping[str, float]) -> dict[str, float]:
@@ -88,7 +88,7 @@ def _finite(numbers: Mapping[str, float]) -> dict[str, float]:
 
 
 def dumped(findings: Iterable[Finding]) -> list[dict[str, Any]]:
-    """Return findings as plain data, as records and JSON hold them."""
+    """Return findings as plain data, for records and JSON."""
     return [finding.model_dump(mode="json") for finding in findings]
 
 
@@ -110,9 +110,9 @@ def frame_ranges(frames: NDArray[np.bool_] | Iterable[int]) -> tuple[tuple[int, 
 
 
 def merged(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Join findings of parts of a whole that differ in nothing but their frames and evidence.
+    """Join findings of parts of a capture that differ only in their frames and evidence.
 
-    Of numbers that stand for the same the largest is kept. Parts that name no frames have none.
+    Of numbers of one name the largest is kept. A part that names no frames adds none.
     """
     alike: dict[object, list[Finding]] = {}
     for finding in findings:
@@ -133,7 +133,7 @@ def _merge(parts: list[Finding]) -> Finding:
 
 
 def _joined(firsts: NDArray[np.int64], lasts: NDArray[np.int64]) -> tuple[tuple[int, int], ...]:
-    """Return ranges in their order with those joined that touch, and the nearest if too many."""
+    """Sort ranges, and join those that touch, and the nearest ones if they are too many."""
     if not len(firsts):
         return ()
     gaps = firsts[1:] - lasts[:-1]

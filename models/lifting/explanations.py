@@ -1,4 +1,4 @@
-"""Ways to explain one frame in perspective: starts, and what refinement makes of them; compiled.
+"""Explanations of one frame in perspective: starting points and their refinement, compiled.
 
 Arrays are those of one frame: K views, P keypoints, G groups of the rig. Structures and poses are
 in the frame of reference and the unit of the fit's shapes.
@@ -29,19 +29,19 @@ ITERATIONS = 12
 
 
 class Refiner(NamedTuple):
-    """What is known of K views and of the shapes they will see; see `make_refiner`."""
+    """Cameras of K views and the prior of the shapes they will see; see `make_refiner`."""
 
     rig: Rig
     apart: Rig  # the same lenses, every view moving on its own
     prior: ShapePrior  # its mean (P, 3) is the frame of reference of the shapes
-    about_network: bool  # whether shapes are about the network's answers, or about the mean
-    scales: Float64  # (V,) of the prior with one view, two, ... V or more
+    about_network: bool  # whether the prior is centred on the network's answers, or on the mean
+    scales: Float64  # (V,) of the prior's spread with one view, two, ... V or more
     noise: float  # pixels
-    unit: float  # the user's, of a unit of the structure
-    held: SkeletonLengths  # of frames that two views or more show
+    unit: float  # a unit of the structure, in the user's unit
+    held: SkeletonLengths  # in frames that two views or more show
     known: KnownStructures  # of the fit
     rejecting: bool  # whether keypoints that stray are left out
-    sharpens: bool  # whether known structures tell of frames from which noise was removed
+    sharpens: bool  # whether known structures sharpen frames from which noise was removed
 
 
 class Explanation(NamedTuple):
@@ -55,7 +55,7 @@ class Explanation(NamedTuple):
 
 @inner
 def make_explanation(count: int, views: int) -> Explanation:
-    """Return room for an explanation."""
+    """Return an explanation of unwritten buffers."""
     return Explanation(
         np.empty((count, 3)), np.empty((views, 3, 3)), np.empty((views, 3)), np.empty(views)
     )
@@ -80,9 +80,9 @@ def network_start_into(
     start: Explanation,
     mean: Float64,
 ) -> None:
-    """Write perspective poses for the network's answer to frame n, and the prior's mean (P, 3).
+    """Compute perspective poses from the network's answer to frame n, and the prior's mean (P, 3).
 
-    If `mirrored`, for the mirror image of the answer. Errors are not written.
+    If `mirrored`, use the mirror image of the answer. Errors are not written.
     """
     count = len(mean)
     points, rotation, centre = np.empty((count, 3)), np.empty((3, 3)), np.empty(3)
@@ -126,7 +126,7 @@ def network_start_into(
 def previous_start_into(
     refiner: Refiner, previous: Answers, n: int, mean: Float64, start: Explanation
 ) -> None:
-    """Write the perspective answer of the frame before, brought onto `mean` (P, 3)."""
+    """Write the perspective answer of the previous frame, aligned to `mean` (P, 3)."""
     count, views, unit = len(mean), len(start.translations), refiner.unit
     earlier = make_explanation(count, views)
     for p in range(count):
@@ -147,9 +147,9 @@ def previous_start_into(
 
 @inner
 def align_explanation_into(explanation: Explanation, mean: Float64, out: Explanation) -> float:
-    """Bring an explanation onto `mean` (P, 3): cameras see the same. Errors are not written.
+    """Align an explanation to `mean` (P, 3) without changing what the cameras see.
 
-    Returns how much larger it is then.
+    Returns the factor by which it is larger then. Errors are not written.
     """
     rotation, centre, shift = np.empty((3, 3)), np.empty(3), np.empty(3)
     scale = _align_into(explanation.points, mean, out.points, rotation, centre)
@@ -213,7 +213,9 @@ def explain_with(
     _as_groups(rig, usable, start, scene)
     cost = descend(views, rig, prior, scene, ITERATIONS)
     misfit, _ = whiten(scene.points, prior, np.empty((count, 3)))
-    size = math.exp(scene.sizes[0])  # views that move on their own have size 1, distance tells
+    size = math.exp(
+        scene.sizes[0]
+    )  # views that move on their own have size 1: their distance decides
     for p in range(count):
         for i in range(3):
             out.points[p, i] = scene.points[p, i] * size
@@ -252,14 +254,14 @@ def write_errors(rig: Rig, views: Views, explanation: Explanation) -> None:
 
 @inner
 def _prior(refiner: Refiner, usable: Bool, mean: Float64) -> ShapePrior:
-    """Return the prior of a frame: the more views it has, the surer the network was."""
+    """Return the prior of a frame: the more views it has, the narrower."""
     scale: float = refiner.scales[min(int(total(usable)), len(refiner.scales)) - 1]
     return prior_about(refiner.prior, mean, scale)
 
 
 @inner
 def _as_groups(rig: Rig, usable: Bool, start: Explanation, scene: Scene) -> None:
-    """Write the poses of the rig's groups for those of every view."""
+    """Compute the poses of the rig's groups from those of every view."""
     copy(start.points, scene.points)
     if len(scene.sizes) < len(usable):
         gather_frame(rig, start.rotations, start.translations, usable, scene)

@@ -1,4 +1,4 @@
-"""What lifts must know of the capture that their prior was fitted to."""
+"""Properties of the capture that a prior was fitted to, as far as its lifts need them."""
 
 import json
 import math
@@ -23,14 +23,14 @@ FINDINGS = TypeAdapter(tuple[Finding, ...])
 
 
 class FittedCapture(NamedTuple):
-    """What a fit found in its keypoints beside the prior.
+    """What a fit found in its keypoints besides the prior.
 
-    A prior has only the Q of P keypoints that some view showed: what nobody saw is not invented.
+    A prior has only the Q of P keypoints that some view showed. The others stay NaN in its lifts.
     """
 
     views: int  # 0 if it is not known how many there were
-    known: Bool  # (P,) keypoints that some view showed; Q of them
-    places: Float32  # (M, 4) view, keypoint, x, y of pixels where a keypoint was stuck
+    known: Bool  # (P,) whether some view showed the keypoint; Q of them
+    places: Float32  # (M, 4) view, keypoint, x, y of pixels where a keypoint was frozen
     usual: Usual
     findings: tuple[Finding, ...]  # of the keypoints alone
     clocks: Clocks | None = None  # of views that were shifted in time
@@ -45,8 +45,8 @@ class FittedCapture(NamedTuple):
     ) -> tuple[Float32, Float32 | None]:
         """Return pixels (N, K, Q, 2) and confidence (N, K, Q) of the known keypoints.
 
-        What is stuck where the fit saw it stuck is no observation (NaN), in `views` of the fit:
-        all in their order, if they are as many, unless they are named.
+        A keypoint at a pixel where it was frozen in the fit is NaN. `views` are those of the fit;
+        without them all in their order, if the numbers agree.
         """
         if views is None and pixels.shape[1] == self.views:
             views = range(self.views)
@@ -68,13 +68,13 @@ class FittedCapture(NamedTuple):
         return self.clocks if views is None else self.clocks.of_views(views)
 
     def check_views(self, learnt: Iterable[int]) -> None:
-        """Raise `WeightsError` unless all that was learnt of views is of as many; 0 is of none."""
+        """Raise `WeightsError` unless all counts of views agree; 0 is no count."""
         counts = {count for count in (self.views, *learnt) if count}
         if len(counts) > 1 or any(count > MAX_VIEWS for count in counts):
             raise WeightsError(f"the file contradicts itself about the views: {sorted(counts)}")
 
     def to_header(self) -> dict[str, str]:
-        """Return it as texts, for the header of a file."""
+        """Return it as strings, for the header of a file."""
         about = {
             "views": str(self.views),
             "known": "".join("01"[known] for known in self.known.tolist()),
@@ -88,12 +88,9 @@ class FittedCapture(NamedTuple):
 
     @classmethod
     def from_header(cls, about: dict[str, str], keypoints: int) -> "FittedCapture":
-        """Read what `to_header` returned, or nothing; `keypoints` is Q.
+        """Read the strings that `to_header` returned; without any, assume a whole capture.
 
-        Raises
-        ------
-        WeightsError
-            When it is not what was written.
+        `keypoints` is Q. Raises `WeightsError` when they are not what `to_header` writes.
         """
         if "known" not in about:
             return whole_capture(keypoints)
@@ -109,7 +106,7 @@ class FittedCapture(NamedTuple):
                 moments, offsets = (np.array(a, np.float64) for a in json.loads(about["clocks"]))
                 clocks = Clocks(moments, offsets)
         except (ArithmeticError, LookupError, TypeError, ValueError, RecursionError) as error:
-            raise WeightsError("the header does not say what the keypoints were") from error
+            raise WeightsError("the header does not describe the keypoints") from error
         consistent = (
             known.sum() == keypoints
             and len(known) <= MAX_KEYPOINTS
@@ -126,7 +123,7 @@ class FittedCapture(NamedTuple):
 
 
 def _is_usual(usual: Usual) -> bool:
-    """Whether limits are some; infinity is a limit that no frame is beyond."""
+    """Whether the limits are valid; infinity is a limit that no frame exceeds."""
     return (
         0 < len(usual.misfits) <= MAX_VIEWS
         and bool((usual.misfits >= 0).all())  # NaN is not
@@ -136,6 +133,6 @@ def _is_usual(usual: Usual) -> bool:
 
 
 def whole_capture(keypoints: int) -> FittedCapture:
-    """Return what is known of the capture of an older version: that its prior has all keypoints."""
+    """Return the capture of a file of an older version, whose prior has all keypoints."""
     known, places = np.ones(keypoints, np.bool_), np.empty((0, 4), np.float32)
     return FittedCapture(0, known, places, nothing_unusual(), ())

@@ -1,4 +1,4 @@
-"""A fitted prior: lifts 2D keypoints to structure and cameras, and travels as bytes."""
+"""A fitted prior: lifts 2D keypoints to structures and cameras, and is stored as bytes."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,12 +16,12 @@ from models.capture.motion import MotionModel
 from models.capture.noise_removal import NoiseRemoval
 from models.capture.outliers import OUTLIERS_KIND, OutlierModel
 from models.findings.finding import Finding
-from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
+from models.lifting.curve import CurveRow, curve_from_tensor, curve_to_tensor
 from models.lifting.explanations import Refiner
 from models.lifting.fitted_capture import FittedCapture, whole_capture
 from models.lifting.frame_refinement import make_refiner
-from models.lifting.lift import Lift
-from models.lifting.observing import Following, Observed, Observer
+from models.lifting.lift import LiftedFrames
+from models.lifting.observing import Following, ObservedFrames, Observer
 from models.lifting.second_looks import Lifter, lift_frames
 from models.lifting.skeleton_lengths import SkeletonLengths
 from models.network.answers import Answers, make_answers
@@ -43,7 +43,7 @@ from models.settings.keypoints import (
     MIN_KEYPOINTS,
 )
 
-MOST_REFINERS = 64  # choices of views to be prepared for at once
+MOST_REFINERS = 64  # choices of views whose refiners are kept at once
 
 
 class FittedPrior:
@@ -53,7 +53,7 @@ class FittedPrior:
         self,
         config: FitConfig,
         arrays: Arrays,
-        curve: tuple[CurvePoint, ...],
+        curve: tuple[CurveRow, ...],
         foreshortening: float,
         self_calibration: SelfCalibration | None = None,
         noise_removal: NoiseRemoval | None = None,
@@ -85,7 +85,7 @@ class FittedPrior:
         outliers: OutlierModel | None = None,
         noise_removal: NoiseRemoval | None = None,
     ) -> "FittedPrior":
-        """Return the same prior for frames such as the capture's, of which it has the known."""
+        """Return the same prior with the capture, outlier model and noise removal of a fit."""
         return FittedPrior(
             config,
             self._arrays,
@@ -101,12 +101,12 @@ class FittedPrior:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a keypoint's coordinate in pixels; NaN if no cameras were found."""
+        """Standard deviation of a coordinate in pixels; NaN if no cameras were estimated."""
         return math.nan if self._self_calibration is None else self._self_calibration.noise
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was noticed of the keypoints alone and, if they were found, of the cameras."""
+        """The findings of the keypoints and, if cameras were estimated, of the cameras."""
         found = self._self_calibration
         return (*self.capture.findings, *(() if found is None else found.findings))
 
@@ -117,7 +117,7 @@ class FittedPrior:
 
     @property
     def smooths(self) -> bool:
-        """Whether noise is removed by what frames before and after show, if times are told."""
+        """Whether noise is removed by smoothing in time, for frames with times."""
         return self._noise_removal.motion is not None
 
     @property
@@ -153,33 +153,33 @@ class FittedPrior:
         confidence: ArrayLike | None = None,
         refine: Refine | None = None,
         views: Sequence[int] | None = None,
-        previous: Lift | None = None,
+        previous: LiftedFrames | None = None,
         times: ArrayLike | None = None,
         only: slice | None = None,
-    ) -> Lift:
+    ) -> LiftedFrames:
         """Lift frames (N, K, P, 2) in pixels, with any number of views K and any gaps.
 
-        Every frame is lifted on its own: unless `times` are told, neither its neighbours nor the
-        order of the frames changes its answer. Structures have the handedness that the fit settled
-        on. Keypoints that no view of the fit showed are NaN, whatever these frames show of them.
+        Every frame is lifted on its own: unless `times` are given, neither its neighbours nor the
+        order of the frames changes its answer. Structures have the handedness that the fit decided
+        on. Keypoints that no view of the fit showed are NaN, even if these frames show them.
 
         Parameters
         ----------
         refine
             `off`: the network and weak perspective. `full`: perspective refinement with the lenses,
-            the rig and the shapes that the fit found. `auto`: the same, save for frames whose
-            keypoints it explains worse than the network. Default: what the fit was told. A fit
-            that found no cameras refines nothing.
+            the rig and the shapes that the fit estimated. `auto`: the same, except for frames whose
+            keypoints it explains worse than the network. Default: as in the fit's configuration.
+            Without estimated cameras nothing is refined.
         views
             Which of the fit's views these are. Default: all of them in their order if K is their
             number, otherwise cameras that the fit does not know.
         previous
-            Answers for the frames before, one for each frame and of the same views: where they
-            explain a frame's keypoints better than the network's own answer, its refinement starts
-            from them, and the lift says so in `continued`. NaN where there is none.
+            Answers for the previous frames, one for each frame and of the same views; NaN where
+            there is none. If one explains a frame's keypoints better than the network's answer,
+            refinement starts from it, and `continued` is set.
         times
-            When frames were taken, (N,) or (N, K) in seconds, rising. They are smoothed in time
-            then, if the fit was told times, too, and these are views of it.
+            Times of the frames, (N,) or (N, K) in seconds, rising. Frames are then smoothed in
+            time, if the fit had times too and these are views of it.
         only
             Which of the frames to answer; the others are there to be neighbours. Default: all.
 
@@ -202,29 +202,33 @@ class FittedPrior:
         confidence: ArrayLike | None = None,
         views: Sequence[int] | None = None,
         times: ArrayLike | None = None,
-    ) -> Observed:
-        """Return frames as `lift` sees them, which is its first half; the arguments are the same.
+    ) -> ObservedFrames:
+        """Remove outliers and noise from frames: the first half of `lift`, with its arguments.
 
         Raises ValueError as `lift` does.
         """
         return self._observer.observe(keypoints, confidence, views, times)
 
     def follow(self, *, views: Sequence[int] | None = None, lag: int) -> Following:
-        """Begin a film of `views` of the fit, whose frames come one by one with their times.
+        """Begin a film of `views` of the fit, whose frames arrive one by one with their times.
 
-        Each is seen, smoothed in time, when `lag` frames more are there: 0 to `MAX_LAG`.
+        Each is smoothed in time and returned `lag` frames later: 0 to `MAX_LAG`.
 
         Raises
         ------
         ValueError
-            If this prior does not smooth, or has not these views.
+            If this prior does not smooth in time, or does not have these views.
         """
         return self._observer.follow(views, lag)
 
     def lift_observed(
-        self, observed: Observed, *, refine: Refine | None = None, previous: Lift | None = None
-    ) -> Lift:
-        """Lift what was observed: the second half of `lift`, whose arguments these are.
+        self,
+        observed: ObservedFrames,
+        *,
+        refine: Refine | None = None,
+        previous: LiftedFrames | None = None,
+    ) -> LiftedFrames:
+        """Lift observed frames: the second half of `lift`, with its arguments.
 
         Raises ValueError if `previous` is of other frames or views.
         """
@@ -238,7 +242,7 @@ class FittedPrior:
         before = make_answers(0, count, points)
         if previous is not None:
             known = previous.of_keypoints(self.capture.known)
-            # Compiled code is compiled anew for arrays of another order, which takes a minute.
+            # Arrays with another memory order would make Numba compile again, which takes a minute.
             before = Answers(*map(np.ascontiguousarray, known))
         lifter = Lifter(
             self._network,
@@ -249,12 +253,12 @@ class FittedPrior:
             mode == "full",
         )
         answers = lift_frames(lifter, observed, before)
-        return Lift(*answers).among(self.capture.known)
+        return LiftedFrames(*answers).among(self.capture.known)
 
     def _refiner_of(self, views: Sequence[int] | None, count: int) -> Refiner | None:
-        """Return what refines frames of `views` of the fit, or of `count` cameras unknown to it.
+        """Return the refiner for `views` of the fit, or for `count` cameras unknown to it.
 
-        It is made once and kept, for as many choices of views as are usual.
+        It is made once and kept, for at most `MOST_REFINERS` choices of views.
         """
         if self._self_calibration is None:
             return None
@@ -312,8 +316,8 @@ class FittedPrior:
         Raises
         ------
         WeightsError
-            When the bytes are damaged, foreign, or not what their header promises. Nothing larger
-            than `data` is allocated before that is known.
+            When the bytes are damaged, of another kind, or do not agree with their header. This is
+            checked before anything larger than `data` is allocated.
         """
         try:
             return cls._from_file(data, read_about(data, kind="prior"))
@@ -330,7 +334,7 @@ class FittedPrior:
         except (KeyError, ValueError) as error:
             raise WeightsError("the header holds no valid configuration") from error
         if not MIN_KEYPOINTS <= keypoints <= MAX_KEYPOINTS:
-            raise WeightsError(f"the header says {keypoints} keypoints per frame")
+            raise WeightsError(f"the header states {keypoints} keypoints per frame")
         capture = FittedCapture.from_header(about, keypoints)
         weights = parameter_shapes(config, keypoints)
         shapes: Shapes = {**weights, "curve": (None, 3), "foreshortening": (1,)}
@@ -364,14 +368,14 @@ class FittedPrior:
 
 
 class _Part(NamedTuple):
-    """What a file may hold, as arrays whose names begin with that of the part."""
+    """A part that a file may hold, as arrays whose names begin with that of the part."""
 
     shapes: Callable[[], Shapes]  # of its arrays
     read: Callable[[Arrays], Any]
 
 
 def _parts(about: dict[str, str], keypoints: int) -> dict[str, _Part]:
-    """Return all parts that a file may hold, by name; its header names those that it does."""
+    """Return all parts that a file may hold, by name; its header lists those it has."""
     return {
         "cameras": _Part(
             lambda: array_shapes(about["cameras"], keypoints, None),

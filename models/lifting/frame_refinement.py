@@ -1,4 +1,4 @@
-"""Lifting with perspective: what a fit found out about its cameras, applied to any frames.
+"""Lifting with perspective: refining the network's answers with the cameras of a fit.
 
 Compiled: a frame goes from the network's answer to its refined one without leaving machine code.
 """
@@ -40,15 +40,15 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int8 = NDArray[np.int8]
 
-LOST = 3.0  # noise standard deviations of a frame's mean residual that a rig at rest cannot explain
-BETTER = 0.5  # share of its cost to which another hypothesis must bring such a frame to be taken
-WORSE = 1.25  # times the network's reprojection error: no refinement that leads there is kept
+LOST = 3.0  # noise standard deviations of the mean residual from which a static rig does not fit
+BETTER = 0.5  # another hypothesis must reduce the cost of such a frame to this share to be used
+WORSE = 1.25  # times the network's reprojection error: a refinement beyond it is dropped
 
 
 class Hypothesis(NamedTuple):
-    """What may be otherwise in a frame that the rig cannot explain as the network has it."""
+    """Another explanation of a frame that the rig does not fit with the network's answer."""
 
-    mirrored: bool  # the network sees the structure's mirror image
+    mirrored: bool  # the network's answer is the mirror image of the structure
     apart: bool  # cameras were bumped or moved: every view moves on its own
 
 
@@ -70,9 +70,9 @@ def make_refiner(
 ) -> Refiner:
     """Prepare to refine frames of `views` of the fit, or of `count` cameras it does not know.
 
-    Lengths of the `skeleton` are held where a rig at rest says how large structures are. Known
-    `structures` tell what few views of a frame do not. `rejecting`: keypoints that stray are left
-    out, where all cameras rest.
+    Lengths of the `skeleton` are held if the rig is static, for it alone gives structures a size.
+    Known `structures` are the prior of keypoints that too few views show. If `rejecting`, stray
+    keypoints are left out where all cameras are static.
     """
     rig = sub_rig(calibration, views, count)
     errors, shapes = calibration.network_errors, calibration.shapes
@@ -85,17 +85,17 @@ def make_refiner(
         np.ascontiguousarray(errors.scales) if errors.known else np.ones(1),
         calibration.noise,
         calibration.unit,
-        no_lengths() if skeleton is None or not rig.resting.all() else skeleton,
+        no_lengths() if skeleton is None or not rig.static.all() else skeleton,
         no_structures(len(shapes.mean)) if structures is None else structures,
-        rejecting and bool(rig.resting.all()),
-        structures is not None and bool(rig.resting.all()),
+        rejecting and bool(rig.static.all()),
+        structures is not None and bool(rig.static.all()),
     )
 
 
 def sub_rig(calibration: SelfCalibration, views: Sequence[int] | None, count: int) -> Rig:
     """Return the rig of some views of a fit, or of `count` cameras that it does not know.
 
-    Of such cameras only the lenses are known, as the mean of the fit's.
+    The lenses of unknown cameras are the mean of the fit's.
     """
     rig, lenses = calibration.rig, calibration.rig.lenses
     if views is None:
@@ -132,16 +132,17 @@ def refine_frames(
 ) -> None:
     """Refine the network's weak-perspective answers of frames from `begin` to `end`, in place.
 
-    Frames whose keypoints perspective explains worse than the network, or not at all, stay as they
-    are; with `always` only the latter. `previous` are answers of the frames before, N or none: a
-    frame whose views all have a perspective camera there starts from it if that explains it better,
-    and is marked as continued. Where the rig was tried in vain, the answers' findings say so.
+    A frame stays as it is if perspective explains its keypoints worse than the network, or not at
+    all; with `always` only in the latter case. `previous` are the answers of the previous frames,
+    N or none. A frame whose views all have a perspective camera there starts from it if that
+    explains it better, and is marked as continued. A frame that the rig does not fit gets the
+    finding `RIG_NOT_USED`.
 
-    Where noise was removed, `detected` (N, K, P, 3) says what keypoints were (see `Observed`).
+    `detected` (N, K, P, 3) are the keypoints before noise was removed (see `ObservedFrames`).
 
-    `verdicts` (N, K, P), 0, are written of keypoints that stray or return, of which `left_out`
-    (N, K, P, 3) tells (see `look_again`); a frame that has any is not refined. With (0, K, P) none
-    is judged.
+    `verdicts` (N, K, P), 0 at first, are written for keypoints that stray, and for those of
+    `left_out` (N, K, P, 3) that return (see `look_again`). A frame that has any is not refined.
+    With (0, K, P) keypoints are not judged.
     """
     _, cameras, count, _ = seen.keypoints.shape
     views = Views(np.empty((cameras, count, 2)), np.empty((cameras, count)))
@@ -200,7 +201,7 @@ def refine_frames(
 
 @inner
 def _pixels_into(seen: Observations, n: int, noise: float, views: Views) -> None:
-    """Write the keypoints of frame n in pixels, weighted for the noise."""
+    """Write the keypoints of frame n in pixels, with weights divided by the noise's variance."""
     for k in range(len(views.keypoints)):
         for p in range(views.keypoints.shape[1]):
             w = seen.weights[n, k, p]
@@ -218,26 +219,26 @@ def _sharpen(
     views: Views,
     usable: Bool,
     explanation: Explanation,
-    room: Explanation,
+    buffer: Explanation,
 ) -> None:
-    """Ask known structures what keypoints (K, P, 3) as they were detected say; poses stay."""
+    """Sharpen the points by known structures and the `detected` keypoints (K, P, 3); poses stay."""
     cameras, count, _ = detected.shape
     shown = Views(np.empty((cameras, count, 2)), np.empty((cameras, count)))
-    said = 0.0
+    weight = 0.0
     for k in range(cameras):
         for p in range(count):
             shown.weights[k, p] = detected[k, p, 2] if usable[k] else 0.0
-            said += shown.weights[k, p]
+            weight += shown.weights[k, p]
             for i in range(2):
                 shown.keypoints[k, p, i] = detected[k, p, i]
-    if said > 0.0:
-        sharpen(refiner, shown, usable, explanation, room)
+    if weight > 0.0:
+        sharpen(refiner, shown, usable, explanation, buffer)
         write_errors(refiner.rig, views, explanation)
 
 
 @inner
 def _hold_lengths(refiner: Refiner, views: Views, explanation: Explanation) -> None:
-    """Give the edges of the skeleton their lengths; poses stay."""
+    """Move points so that the edges of the skeleton have their lengths; poses stay."""
     hold_lengths(
         refiner.held,
         views,
@@ -262,7 +263,7 @@ def _residual(explanation: Explanation, usable: Bool) -> float:
 
 @inner
 def _shares_group(groups: NDArray[np.int64], usable: Bool) -> bool:
-    """Whether two usable views rest relative to each other."""
+    """Whether two usable views are static relative to each other."""
     for k in range(len(usable)):
         for other in range(k):
             if usable[k] and usable[other] and groups[k] == groups[other]:
@@ -274,7 +275,7 @@ def _shares_group(groups: NDArray[np.int64], usable: Bool) -> bool:
 def _accept(
     explanation: Explanation, cost: float, errors: Float32, usable: Bool, always: bool
 ) -> bool:
-    """Whether there is an answer, and it explains the keypoints no worse than the network's."""
+    """Whether there is an answer that explains the keypoints no worse than the network's."""
     if not math.isfinite(cost):
         return False
     ours, theirs = 0.0, 0.0

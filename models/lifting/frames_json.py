@@ -1,4 +1,4 @@
-"""A lift as named arrays and as JSON, an object a frame."""
+"""A lift as JSON, one object for each frame."""
 
 from collections.abc import Iterable
 from itertools import repeat
@@ -16,15 +16,16 @@ Arrays = dict[str, NDArray[Any]]
 def frames_to_json(arrays: Arrays) -> list[bytes]:
     """Return each frame as the text of a JSON object.
 
-    Numbers are written array by array and cut into their frames and views as text, which takes a
-    fraction of the time of making lists of them first. Each is the shortest that gives its float32
-    back.
+    Numbers are written array by array, and the text is then cut into frames and views. This takes
+    a fraction of the time of making lists first. Each number has the fewest digits that give its
+    float32 back.
 
     Parameters
     ----------
     arrays
-        What `Lift.arrays` gives; NaN, and -1 in ``camera_models``, where there is no answer. Lifts
-        of older versions have no ``keypoints_seen``, ``outlier_probability`` and ``findings``.
+        Those of `LiftedFrames.arrays`; NaN, and -1 in ``camera_models``, where there is no answer.
+        Lifts of older versions have no ``keypoints_seen``, ``outlier_probability`` and
+        ``findings``.
     """
     models = arrays["camera_models"]
     views = np.full(models.shape, b"null", object)
@@ -59,7 +60,7 @@ def _seen(arrays: Arrays) -> Iterable[bytes]:
 
 
 def _outlying(arrays: Arrays) -> Iterable[bytes]:
-    """Return the JSON of how probably keypoints are outliers; null for frames not judged."""
+    """Return the JSON of the outlier probabilities; null for frames not judged."""
     found = arrays.get("outlier_probability")
     if found is None or np.isnan(found).all():
         return repeat(b"null", len(arrays["points3d"]))
@@ -69,7 +70,7 @@ def _outlying(arrays: Arrays) -> Iterable[bytes]:
 
 
 def _findings(arrays: Arrays) -> Iterable[bytes]:
-    """Return the JSON of the codes of every frame."""
+    """Return the JSON of the finding codes of every frame."""
     if "findings" not in arrays:
         return repeat(b"[]", len(arrays["points3d"]))
     return [_CODES[total] for total in arrays["findings"].tolist()]
@@ -82,7 +83,7 @@ def _write_views(
     form: bytes,
     names: tuple[str, ...],
 ) -> None:
-    """Write the cameras of some views (N, K), whose values of ``names`` make up their ``form``."""
+    """Fill the ``form`` of a camera with the values of ``names``, for some views (N, K)."""
     if not chosen.any():
         return
     found = {name: arrays[name][chosen] for name in names}
@@ -112,7 +113,7 @@ _LENSED = (
     b'"focal":[%b],"principal_point":[%b],"distortion":[%b]}'
 )
 _NO_POINT = b"[null,null,null]"
-_CODES = [  # of every sum of bits
+_CODES = [  # for every sum of bits
     orjson.dumps([code for bit, code in FINDING_BITS.items() if total & bit])
     for total in range(2 * max(FINDING_BITS))
 ]

@@ -17,7 +17,7 @@ from models.network.answers import (
 from models.optics.lenses.projection import LENSES
 from models.settings.keypoints import MIN_KEYPOINTS
 
-# What `camera_models` are indices of: weak perspective, then the lenses in their order.
+# `camera_models` are indices into this: weak perspective, then the lenses in their order.
 CAMERA_MODELS = ("weak_perspective", *(lens.LIFTED_AS for lens in LENSES))
 Status = Literal["ok", "too_few_keypoints", "not_in_room"]
 REASONS: dict[Status, str] = {
@@ -25,9 +25,9 @@ REASONS: dict[Status, str] = {
     "too_few_keypoints": (
         f"no view shows {MIN_KEYPOINTS} keypoints or more that do not all lie at one place"
     ),
-    "not_in_room": "no camera at rest says where in the room it is",
+    "not_in_room": "no static camera places it in the room",
 }
-# What the sums in `findings` are made of.
+# The bits of the sums in `findings`.
 FINDING_BITS: dict[int, LiftCode] = {
     RIG_NOT_USED: "rig_not_used",
     UNLIKE_FIT: "frame_unlike_fit",
@@ -37,7 +37,7 @@ FINDING_BITS: dict[int, LiftCode] = {
 _INTERNAL = frozenset({"continued", "sizes", "misfits", "rig_residuals"})
 
 
-class Lift(Answers):
+class LiftedFrames(Answers):
     """Structures and cameras of N frames of K views: the arrays of `Answers`, and their status."""
 
     __slots__ = ()
@@ -62,8 +62,8 @@ class Lift(Answers):
         """The arrays under the names that they have in files and on the wire."""
         return {name: value for name, value in self._asdict().items() if name not in _INTERNAL}
 
-    def of_keypoints(self, chosen: NDArray[np.bool_]) -> "Lift":
-        """Return what is said of some of the P keypoints."""
+    def of_keypoints(self, chosen: NDArray[np.bool_]) -> "LiftedFrames":
+        """Return the lift of some of the P keypoints."""
         if chosen.all():
             return self
         return self._replace(
@@ -72,7 +72,7 @@ class Lift(Answers):
             outlier_probability=self.outlier_probability[:, :, chosen],
         )
 
-    def among(self, known: NDArray[np.bool_]) -> "Lift":
+    def among(self, known: NDArray[np.bool_]) -> "LiftedFrames":
         """Return the lift of Q keypoints as one of P, of which Q are known; the others are NaN."""
         if known.all():
             return self
@@ -84,11 +84,11 @@ class Lift(Answers):
         judged[:, :, known] = self.outlier_probability
         return self._replace(points3d=points, keypoints_seen=seen, outlier_probability=judged)
 
-    def frames(self, chosen: slice | NDArray[np.bool_]) -> "Lift":
+    def frames(self, chosen: slice | NDArray[np.bool_]) -> "LiftedFrames":
         """Return some of the frames; of a slice, as views of the arrays."""
-        return Lift._make(array[chosen] for array in self)
+        return LiftedFrames._make(array[chosen] for array in self)
 
 
-def join(lifts: Sequence[Lift]) -> Lift:
+def join(lifts: Sequence[LiftedFrames]) -> LiftedFrames:
     """Join lifts of the same views and keypoints, frame after frame."""
-    return Lift._make(np.concatenate(parts) for parts in zip(*lifts, strict=True))
+    return LiftedFrames._make(np.concatenate(parts) for parts in zip(*lifts, strict=True))

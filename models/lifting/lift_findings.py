@@ -1,4 +1,4 @@
-"""Findings of lifts: which frames are unlike the fit, in what, and by how much."""
+"""Findings of lifts: which frames differ from those of the fit, in what, and by how much."""
 
 from collections.abc import Iterator
 
@@ -8,27 +8,27 @@ from numpy.typing import NDArray
 from models.findings.advice import noticed
 from models.findings.finding import Finding
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import FINDING_BITS, Lift
+from models.lifting.lift import FINDING_BITS, LiftedFrames
 from models.network.answers import NOT_IN_ROOM, OTHER_SCALE, RIG_NOT_USED, UNLIKE_FIT
 
 
 def lift_findings(
-    lift: Lift, prior: FittedPrior, *, first_frame: int | None = None
+    lift: LiftedFrames, prior: FittedPrior, *, first_frame: int | None = None
 ) -> tuple[Finding, ...]:
     """Return the findings of a lift by a prior, most often none.
 
     Parameters
     ----------
     first_frame
-        Of a part of a lift: the number of its first frame. Without it these are all frames, and a
-        finding of all of them names none.
+        The number of the first frame, if this is part of a lift. Without it these are all frames,
+        and a finding about all of them names no frames.
     """
     if not lift.findings.any():
         return ()
     return noticed(_found, lift, prior, first_frame)
 
 
-def _found(lift: Lift, prior: FittedPrior, first_frame: int | None) -> Iterator[Finding]:
+def _found(lift: LiftedFrames, prior: FittedPrior, first_frame: int | None) -> Iterator[Finding]:
     for bit, code in FINDING_BITS.items():
         about = (lift.findings & bit) > 0  # (N,)
         if not about.any():
@@ -40,7 +40,7 @@ def _found(lift: Lift, prior: FittedPrior, first_frame: int | None) -> Iterator[
         yield finding.with_evidence(evidence)
 
 
-def _of_rig(lift: Lift, prior: FittedPrior) -> dict[str, float]:
+def _of_rig(lift: LiftedFrames, prior: FittedPrior) -> dict[str, float]:
     residual = _median(lift.rig_residuals)
     return {
         "residual_px": residual,
@@ -49,14 +49,14 @@ def _of_rig(lift: Lift, prior: FittedPrior) -> dict[str, float]:
     }
 
 
-def _of_misfit(lift: Lift, prior: FittedPrior) -> dict[str, float]:
+def _of_misfit(lift: LiftedFrames, prior: FittedPrior) -> dict[str, float]:
     limits = prior.capture.usual.misfits
     views = np.isfinite(lift.reprojection_errors).sum(1)
     limit = limits[np.minimum(views, len(limits)) - 1]
     return {"misfit": _median(lift.misfits), "usual_at_most": float(np.median(limit))}
 
 
-def _of_size(lift: Lift, prior: FittedPrior) -> dict[str, float]:
+def _of_size(lift: LiftedFrames, prior: FittedPrior) -> dict[str, float]:
     usual = prior.capture.usual
     return {
         "size_px": _median(lift.sizes),
@@ -65,7 +65,7 @@ def _of_size(lift: Lift, prior: FittedPrior) -> dict[str, float]:
     }
 
 
-def _of_nothing(_lift: Lift, _prior: FittedPrior) -> dict[str, float]:
+def _of_nothing(_lift: LiftedFrames, _prior: FittedPrior) -> dict[str, float]:
     return {}
 
 

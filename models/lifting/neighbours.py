@@ -1,4 +1,4 @@
-"""A frame's keypoints that few views tell, as the known structures nearest to it have them."""
+"""Estimating keypoints seen by fewer than two views from the most similar known structures."""
 
 import math
 
@@ -33,11 +33,12 @@ def complete_from_neighbours(
     start: Explanation,
     other: Explanation,
 ) -> None:
-    """Explain a frame once more if few views tell some of its keypoints, about its neighbours.
+    """Explain a frame again with a prior of its neighbours, if fewer than two views see a keypoint.
 
-    How far what views tell is from the neighbours' prior, as a share of what that expects, is how
-    little the prior is believed: with shares beyond 1, its mean goes towards the explanation there
-    was. A frame unlike all that is known stays as it was. `start` and `other` are room.
+    `misfit` is the squared Mahalanobis distance of the explanation from the neighbours' prior.
+    Divided by its expectation, it is the prior's inverse weight: above 1, the mean of the prior
+    is moved towards the first explanation. So a frame unlike all known ones stays as it was.
+    `start` and `other` are buffers.
     """
     believed = refiner.known.believed
     if not believed[min(int(total(usable)), len(believed)) - 1] > 0:
@@ -45,12 +46,12 @@ def complete_from_neighbours(
     count = len(explanation.points)
     shown, rays = np.zeros(count, np.int64), np.empty((count, 3))
     align_explanation_into(explanation, refiner.prior.means, start)
-    told, several = what_is_told(views, usable, start, shown, rays)
+    measured, several = coverage_into(views, usable, start, shown, rays)
     if several:
         return
     prior = prior_of_neighbours(refiner.known, start.points, shown, rays, NEIGHBOURS, SPREAD)
     cost, misfit = explain_with(prior, rig, views, usable, start, other)
-    share = misfit / max(told - SIMILARITY, 1)
+    share = misfit / max(measured - SIMILARITY, 1)
     if math.isfinite(cost) and share > 1.0:
         for p in range(count):
             for i in range(3):
@@ -62,14 +63,15 @@ def complete_from_neighbours(
 
 
 @inner
-def what_is_told(
+def coverage_into(
     views: Views, usable: Bool, explanation: Explanation, shown: Int64, rays: Float64
 ) -> tuple[int, bool]:
-    """Write how many views show each keypoint (P,), and the ray of the last that does (P, 3).
+    """Count the views that show each keypoint (P,), and write the ray of the last one (P, 3).
 
-    Returns how many numbers of the structure they tell, and whether several show each keypoint.
+    Returns how many coordinates of the structure they measure, and whether several views show
+    every keypoint.
     """
-    told, several = 0, True
+    measured, several = 0, True
     for p in range(len(shown)):
         for k in range(len(usable)):
             if not usable[k] or not views.weights[k, p] > 0:
@@ -85,6 +87,6 @@ def what_is_told(
                 length += rays[p, i] ** 2
             for i in range(3):
                 rays[p, i] /= math.sqrt(length)
-        told += min(1 + shown[p], 3) if shown[p] else 0
+        measured += min(1 + shown[p], 3) if shown[p] else 0
         several = several and shown[p] > 1
-    return told, several
+    return measured, several

@@ -1,4 +1,4 @@
-"""What a prior sees of frames before it lifts them: outliers are left out, and noise is removed."""
+"""Preparing frames for a lift: outliers are left out, and noise is removed."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -17,37 +17,37 @@ from models.settings.keypoints import check_confidence, check_keypoints
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 
-MOST_JUDGES = 64  # choices of views to be prepared for at once
+MOST_JUDGES = 64  # choices of views whose judges are kept at once
 
 
-class Observed(NamedTuple):
+class ObservedFrames(NamedTuple):
     """N frames that are ready to be lifted."""
 
     observations: Observations
     outlier_probability: Float32 | None  # (N, K, P) as in `Answers`; None if nothing was judged
     views: tuple[int, ...] | None  # of the fit; None if they are cameras unknown to it
-    # (N, K, P, 3): where outliers are in pixels, and their confidences; 0 of all others, and where
-    # noise was removed, as what was seen no longer lies where it should.
+    # (N, K, P, 3): pixels and confidences of outliers. All 0 for other keypoints, and for frames
+    # from which noise was removed: their keypoints no longer lie where they were seen.
     left_out: Float32
-    # (N, K, P, 3): where keypoints were before noise was removed from each frame on its own, in
-    # pixels, and the inverse variance of their noise, 0 where none was; (0, K, P, 3): of no frame.
+    # (N, K, P, 3): pixels before noise was removed from each frame on its own, and the inverse
+    # variance of this noise, 0 where not observed. (0, K, P, 3) if no noise was removed so.
     detected: Float32
 
-    def frames(self, chosen: slice | Bool) -> "Observed":
+    def frames(self, chosen: slice | Bool) -> "ObservedFrames":
         """Return some of the frames."""
         judged = self.outlier_probability
         part = None if judged is None else judged[chosen]
         frames = self.observations.frames(chosen)
         detected = self.detected[chosen] if len(self.detected) else self.detected
-        return Observed(frames, part, self.views, self.left_out[chosen], detected)
+        return ObservedFrames(frames, part, self.views, self.left_out[chosen], detected)
 
 
-def join_observed(parts: Sequence[Observed]) -> Observed:
+def join_observed(parts: Sequence[ObservedFrames]) -> ObservedFrames:
     """Join frames of the same views and keypoints, seen by one prior."""
     if len(parts) == 1:
         return parts[0]
     judged = [part.outlier_probability for part in parts if part.outlier_probability is not None]
-    return Observed(
+    return ObservedFrames(
         join_frames([part.observations for part in parts]),
         np.concatenate(judged) if judged else None,
         parts[0].views,
@@ -61,12 +61,12 @@ def _as_seen(
     probabilities: Float32 | None,
     views: tuple[int, ...] | None,
     left_out: Float32,
-) -> Observed:
-    """Return frames from which no noise was removed, or in time."""
-    return Observed(observations, probabilities, views, left_out, left_out[:0])
+) -> ObservedFrames:
+    """Return frames from which no noise was removed, or by smoothing in time."""
+    return ObservedFrames(observations, probabilities, views, left_out, left_out[:0])
 
 
-def _join_detected(parts: Sequence[Observed]) -> Float32:
+def _join_detected(parts: Sequence[ObservedFrames]) -> Float32:
     if not any(len(part.detected) for part in parts):
         return parts[0].detected
     rows = [d if len(d) else np.zeros_like(left_out) for *_, left_out, d in parts]
@@ -74,7 +74,10 @@ def _join_detected(parts: Sequence[Observed]) -> Float32:
 
 
 class Observer:
-    """What a fit learnt of its keypoints. Immutable, and safe to use from several threads."""
+    """Prepares frames for lifts with what a fit learnt of its keypoints.
+
+    Immutable, and safe to use from several threads.
+    """
 
     def __init__(
         self,
@@ -83,7 +86,7 @@ class Observer:
         noise_removal: NoiseRemoval,
         views_of_rig: int,
     ) -> None:
-        """Keep these; `views_of_rig` are 0 if no cameras were found."""
+        """`views_of_rig` is 0 if no cameras were estimated."""
         self._capture, self._outliers, self._removal = capture, outliers, noise_removal
         self._judges: dict[tuple[int, ...], OutlierJudge] = {}
         learnt = 0 if outliers is None else len(outliers.mean)
@@ -95,8 +98,8 @@ class Observer:
         confidence: ArrayLike | None,
         views: Sequence[int] | None,
         times: ArrayLike | None,
-    ) -> Observed:
-        """Return frames (N, K, P, 2) ready to be lifted; the rest is as in `FittedPrior.lift`."""
+    ) -> ObservedFrames:
+        """Prepare frames (N, K, P, 2) for a lift; parameters are those of `FittedPrior.lift`."""
         observed = self.judged(keypoints, confidence, views)
         if observed.views is None:
             return observed
@@ -110,14 +113,14 @@ class Observer:
         )
 
     def follow(self, views: Sequence[int] | None, lag: int) -> "Following":
-        """Begin a film whose frames come one by one, and are answered `lag` frames later."""
+        """Begin a film whose frames arrive one by one and are returned `lag` frames later."""
         chosen = self._views_of_fit(views, self.views if views is None else len(views)) or ()
         return Following(self, chosen, FixedLag(self._removal, chosen, lag))
 
     def judged(
         self, keypoints: ArrayLike, confidence: ArrayLike | None, views: Sequence[int] | None
-    ) -> Observed:
-        """Return the observations of the keypoints that this prior has, without outliers."""
+    ) -> ObservedFrames:
+        """Return the observations of the prior's keypoints, without outliers."""
         observations = self._of_capture(keypoints, confidence, views)
         chosen = self._views_of_fit(views, observations.weights.shape[1])
         if self._outliers is None or chosen is None:
@@ -150,7 +153,7 @@ class Observer:
             )
 
     def _judge_of(self, views: tuple[int, ...]) -> OutlierJudge:
-        """Return what judges frames of `views` of the fit; made once and kept."""
+        """Return the outlier judge for `views` of the fit; it is made once and kept."""
         assert self._outliers is not None  # noqa: S101
         judge = self._judges.get(views)
         if judge is None:
@@ -160,7 +163,7 @@ class Observer:
         return judge
 
     def _views_of_fit(self, views: Sequence[int] | None, count: int) -> tuple[int, ...] | None:
-        """Return which views of the fit the `count` views of a lift are; None if not of the fit.
+        """Return which views of the fit the `count` views of a lift are; None if they are others.
 
         Raises ValueError if `views` does not name `count` different ones.
         """
@@ -176,7 +179,7 @@ class Observer:
 
 
 class Following:
-    """A film of which every frame is seen as it comes, smoothed by those around it."""
+    """A film whose frames arrive one by one and are smoothed by those around them."""
 
     def __init__(self, observer: Observer, views: tuple[int, ...], smoother: FixedLag) -> None:
         """Begin with the first frame, of these views of the fit; see `Observer.follow`."""
@@ -185,21 +188,21 @@ class Following:
 
     def push(
         self, keypoints: ArrayLike, confidence: ArrayLike | None, time: float
-    ) -> Observed | None:
+    ) -> ObservedFrames | None:
         """Take the next frame, (1, K, P, 2) pixels; return the one that is `lag` before it, if any.
 
         Raises ValueError if it is malformed, or `time` in seconds is not after that of the last.
         """
         observed = self._observer.judged(keypoints, confidence, self.views)
-        told = self._smoother.push(observed.observations, time)
+        smoothed = self._smoother.push(observed.observations, time)
         self._judged.append(observed.outlier_probability)
-        return self._told(told)
+        return self._with_probabilities(smoothed)
 
-    def flush(self) -> Observed | None:
+    def flush(self) -> ObservedFrames | None:
         """Return all frames that wait, if any; the next one begins another film."""
-        return self._told(self._smoother.flush())
+        return self._with_probabilities(self._smoother.flush())
 
-    def _told(self, observations: Observations | None) -> Observed | None:
+    def _with_probabilities(self, observations: Observations | None) -> ObservedFrames | None:
         if observations is None:
             return None
         judged = [self._judged.popleft() for _ in range(len(observations.weights))]

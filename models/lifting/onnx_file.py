@@ -1,12 +1,12 @@
 """The feed-forward network as an ONNX file: keypoints in pixels in, structures and cameras out.
 
-It computes what a lift with `refine: off` does, in tensor operations for any number of frames and
-views, with the twins that training on a GPU uses (`models.network.reprojection_tensors`) and the
-settling of `models.network.settling_kernels` once more, for many frames. Geometry is in float64,
-the network in float32, as in the compiled functions.
+It computes the same as a lift with `refine: off`, in tensor operations for any number of frames and
+views. It uses the torch twins that also train on a GPU (`models.network.reprojection_tensors`), and
+has its own tensor version of the settling in `models.network.settling_kernels`. Geometry is in
+float64, the network in float32, as in the compiled functions.
 
-Left out are perspective, which is no network; the removal of noise before it; and places of the
-image where a fit found a detector to be stuck.
+It does not include perspective refinement, the removal of noise, or the pixels where keypoints
+were frozen in the fit.
 """
 
 import io
@@ -42,9 +42,9 @@ LEAST = 1e-6  # of weights and scales: less would divide by zero
 def onnx_file(prior: FittedPrior) -> bytes:
     """Return the network of a prior as an ONNX model.
 
-    The tracer keeps its state in globals and Python's lock for seconds: a process that does other
-    work runs this module in another, with the weights on standard input and the file on standard
-    output.
+    The tracer has global state and holds Python's lock for seconds. So a process that has other
+    work runs this module in another process, with the weights on standard input and the file on
+    standard output.
 
     Inputs
         `keypoints` (N, K, P, 2) float32, pixels, NaN where not observed; `confidence` (N, K, P)
@@ -58,8 +58,8 @@ def onnx_file(prior: FittedPrior) -> bytes:
     """
     if prior.denoises:
         raise ValueError(
-            "this model removes noise from its keypoints before the network, which ONNX has no part"
-            " for; fit with `denoising: false`"
+            "this model removes noise from its keypoints before the network, which the ONNX file"
+            " does not include; fit with `denoising: false`"
         )
     network = _Lifting(prior).eval()
     keypoints = torch.zeros(2, 3, prior.keypoints_per_frame, 2)
@@ -131,7 +131,7 @@ class _Lifting(nn.Module):
         return torch.where(seen.weights.sum(-1)[..., None, None] > 0, filled, 0.0)
 
     def _settled(self, seen: _Seen, points: Tensor, guesses: Tensor) -> tuple[Tensor, Tensor]:
-        """Do what `settle_frame` does, for the frames that the policy names."""
+        """Settle the frames that the policy selects, as `settle_frame` does."""
         k = self.foreshortening
         if k == 0:
             return points, guesses
@@ -169,7 +169,7 @@ class _Lifting(nn.Module):
 
 
 def _observed(pixels: Tensor, confidence: Tensor) -> _Seen:
-    """Do what `models.capture.observations.as_observations` does."""
+    """Normalise views as `models.capture.observations.as_observations` does."""
     there = ~torch.isnan(pixels).any(-1) & (confidence >= MIN_CONFIDENCE)  # NaN is not
     weights = torch.where(there, confidence, 0.0)
     pixels = torch.where(there[..., None], pixels, 0.0)
@@ -191,7 +191,7 @@ def _observed(pixels: Tensor, confidence: Tensor) -> _Seen:
 def _alternate(
     points: Tensor, seen: _Seen, guesses: Tensor, foreshortening: float
 ) -> tuple[Tensor, Tensor]:
-    """Solve for cameras and structures in turn; the structures, and the errors (N,) they leave."""
+    """Solve for cameras and structures in turn; return the structures and their errors (N,)."""
     target = seen.keypoints
     eye = torch.eye(3, dtype=points.dtype)
     for _ in range(ROUNDS):
@@ -208,9 +208,10 @@ def _alternate(
 def _straightened(
     points: Tensor, target: Tensor, seen: _Seen, guesses: Tensor, foreshortening: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return what weak perspective would have shown, what it shows (both (N, K, P, 2)), and axes.
+    """Return targets and projections under weak perspective, (N, K, P, 2) each, and the axes.
 
-    Axes (N, K, 2, 3) are the scale times the first two rows of a view's rotation.
+    Targets are the keypoints with the foreshortening taken out. Axes (N, K, 2, 3) are the scale
+    times the first two rows of a view's rotation.
     """
     weights = seen.weights[..., None]
     cameras = solve_cameras(points[:, None], target, seen.weights, guesses)

@@ -1,4 +1,4 @@
-"""Where the rays of two views to one keypoint meet, with the cameras of an explained frame."""
+"""The point where the rays of two views to one keypoint meet, in an explained frame."""
 
 import math
 
@@ -26,10 +26,10 @@ def meet(
     places: Float64,
     point: Float64,
 ) -> float:
-    """Move a point (3,) to where it projects nearest to its pixels in two views, `places` (2, 2).
+    """Move a point (3,) so that it projects nearest to its pixels in two views, `places` (2, 2).
 
-    Returns how far it is from the worse of them, in pixels; infinity where there is no such point
-    before both cameras.
+    Returns the larger reprojection error of the two in pixels; infinity if there is no such point
+    in front of both cameras.
     """
     camera, pixel, step = np.empty(3), np.empty(2), np.empty(3)
     by_camera, by_lens, by_point = np.empty((2, 3)), np.empty((2, LENS)), np.empty(3)
@@ -70,7 +70,7 @@ def meet(
 def distance(
     lenses: Lenses, explanation: Explanation, k: int, point: Float64, x: float, y: float
 ) -> float:
-    """Return how far a pixel of view k is from a point's (3,); infinity for one behind it."""
+    """Return the reprojection error of a point (3,) in view k; infinity if it is behind it."""
     camera, pixel = np.empty(3), np.empty(2)
     camera_into(explanation, k, point, camera)
     if not camera[2] > 0.0:
@@ -81,7 +81,7 @@ def distance(
 
 @inner
 def camera_into(explanation: Explanation, k: int, point: Float64, camera: Float64) -> None:
-    """Write a point (3,) in the frame of camera k."""
+    """Transform a point (3,) into the frame of reference of camera k."""
     for i in range(3):
         camera[i] = explanation.translations[k, i]
         for j in range(3):

@@ -1,7 +1,7 @@
-"""Lifting frames, and lifting those anew of which a first answer says which keypoints are wrong.
+"""Lifting frames, and lifting them again without the keypoints that the first answer found stray.
 
-The network saw the wrong keypoints, too, and refinement starts from its answer; so such frames are
-lifted from the beginning, as if what strays had not been seen.
+The network also used the stray keypoints, and refinement starts from its answer. So such frames are
+lifted from the beginning, without them.
 """
 
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from models.capture.observations import as_observations, pixels_of
 from models.lifting.explanations import Refiner
 from models.lifting.frame_refinement import refine_frames
-from models.lifting.observing import Observed
+from models.lifting.observing import ObservedFrames
 from models.lifting.stray_keypoints import RETURNS, STRAYS
 from models.network.answers import Answers, Usual, make_answers
 from models.network.feed_forward import feed_forward
@@ -24,28 +24,28 @@ Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 Int8 = NDArray[np.int8]
 
-LOOKS = 3  # at a frame, that may change which of its keypoints are used
+LOOKS = 3  # times at most that a frame is lifted again with other keypoints
 LIFTED_FRAMES, REFINED_FRAMES = 64, 16  # that a thread takes at a time
 
 
 class Lifter(NamedTuple):
-    """What lifts frames of some views of a fit."""
+    """Everything that lifting frames of some views of a fit takes."""
 
     network: Weights
     foreshortening: float
     settling: SettlingPolicy
     usual: Usual
     refiner: Refiner | None
-    always: bool  # whether refined answers are kept that explain keypoints worse
+    always: bool  # whether refined answers are kept even if they explain keypoints worse
 
     @property
     def looks(self) -> int:
-        """How often it may be found that other keypoints are to be used."""
+        """How often a frame may be lifted again with other keypoints."""
         return LOOKS if self.refiner is not None and self.refiner.rejecting else 0
 
 
-def lift_frames(lifter: Lifter, observed: Observed, before: Answers) -> Answers:
-    """Return answers for N frames; `before` are those of the frames before them, N or none."""
+def lift_frames(lifter: Lifter, observed: ObservedFrames, before: Answers) -> Answers:
+    """Return answers for N frames; `before` are the answers of the previous frames, N or none."""
     frames = np.arange(len(observed.observations.weights))
     answers, again = _lift(lifter, observed, before, judging=lifter.looks > 0)
     for look in range(1, lifter.looks + 1):
@@ -62,9 +62,9 @@ def lift_frames(lifter: Lifter, observed: Observed, before: Answers) -> Answers:
 
 
 def _lift(
-    lifter: Lifter, observed: Observed, before: Answers, *, judging: bool
+    lifter: Lifter, observed: ObservedFrames, before: Answers, *, judging: bool
 ) -> tuple[Answers, Int8]:
-    """Return answers and, if they are asked for, verdicts (N, K, P) on keypoints; else none."""
+    """Return answers and, if `judging`, verdicts (N, K, P) on keypoints; else (0, K, P)."""
     observations, judged, _, left_out, detected = observed
     shape = observations.weights.shape
     answers = make_answers(*shape)
@@ -100,8 +100,8 @@ def _lift(
     return answers, verdicts
 
 
-def _seen_so(observed: Observed, verdicts: Int8) -> Observed:
-    """Return frames without the keypoints that stray, and with those that return."""
+def _seen_so(observed: ObservedFrames, verdicts: Int8) -> ObservedFrames:
+    """Return frames without stray keypoints, and with those that return."""
     observations, judged, views, left_out, detected = observed
     strays, returns = verdicts == STRAYS, verdicts == RETURNS
     pixels, _ = pixels_of(observations)
@@ -110,7 +110,7 @@ def _seen_so(observed: Observed, verdicts: Int8) -> Observed:
     weights = np.where(strays, 0, seen[..., 2])
     if judged is None:
         judged = np.full(strays.shape, np.nan, np.float32)
-    return Observed(
+    return ObservedFrames(
         as_observations(seen[..., :2], weights),
         np.where(strays, 1, np.where(returns, 0, judged)).astype(np.float32),
         views,

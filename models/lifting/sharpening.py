@@ -1,7 +1,7 @@
-"""Frames from which noise was removed, sharpened by the structures that a fit knows.
+"""Sharpening frames from which noise was removed, with the structures that a fit knows.
 
-Removing noise looks for frames whose keypoints lie alike in the images. Structures are alike
-wherever in the room the subject is and whichever way it looks, so there are more to learn from.
+Noise removal compares frames by their keypoints in the images. Structures can be compared wherever
+the subject is and whichever way it faces, so more frames are alike.
 """
 
 import math
@@ -17,8 +17,8 @@ from models.lifting.explanations import (
     align_explanation_into,
     copy_explanation,
 )
-from models.lifting.neighbours import what_is_told
-from models.lifting.told_points import inform_points
+from models.lifting.neighbours import coverage_into
+from models.lifting.point_information import inform_points
 from models.numerics.compiled import inner
 from models.numerics.matrices import cholesky, cholesky_solve, inverse_symmetric, product
 from models.optics.lenses.projection import Lenses, project_into
@@ -32,50 +32,51 @@ NEAR, FAR = 4.0, 18.0  # variances of noise: where heavier tails begin, and wher
 
 @inner
 def sharpen(
-    refiner: Refiner, detected: Views, usable: Bool, explanation: Explanation, room: Explanation
+    refiner: Refiner, detected: Views, usable: Bool, explanation: Explanation, buffer: Explanation
 ) -> None:
-    """Write the most likely points among known structures for keypoints as they were `detected`.
+    """Find the most likely points given the keypoints as `detected` and the known structures.
 
-    Its cameras stay. The twenty known structures nearest to the explanation make a Gaussian prior
-    of the frame (`prior_of_neighbours`). If the outcome is further from it and from the keypoints
-    than both explain, the frame is unlike all that is known: by the square of how many times its
-    squared distance is what they expect, the prior's mean goes back towards the explanation.
-    Weights of `detected` are inverse variances; what is far off is given less.
+    Cameras stay as they are. The twenty known structures nearest to the explanation make a Gaussian
+    prior of the frame (`prior_of_neighbours`). The squared distance of the result from prior and
+    keypoints is divided by its expectation. If this ratio is above 1 by more than chance, the frame
+    is unlike all known ones, and the offset of the prior's mean from the explanation is divided by
+    the square of the ratio. Weights of `detected` are inverse variances; keypoints far off get
+    less. `buffer` is overwritten.
     """
     count = len(explanation.points)
     shown, rays = np.zeros(count, np.int64), np.empty((count, 3))
-    scale = align_explanation_into(explanation, refiner.prior.means, room)
-    what_is_told(detected, usable, room, shown, rays)
+    scale = align_explanation_into(explanation, refiner.prior.means, buffer)
+    coverage_into(detected, usable, buffer, shown, rays)
     prior = prior_of_neighbours(
-        refiner.known, room.points, shown, rays, NOISY_NEIGHBOURS, NOISY_SPREAD
+        refiner.known, buffer.points, shown, rays, NOISY_NEIGHBOURS, NOISY_SPREAD
     )
     lenses = refiner.rig.lenses
-    _trust_less_what_is_far(lenses, detected, room)
+    _reduce_weights_of_far(lenses, detected, buffer)
     information, pull = np.empty((count, 3, 3)), np.empty((count, 3))
     inform_points(
-        room.points, room.rotations, room.translations, lenses, detected, information, pull
+        buffer.points, buffer.rotations, buffer.translations, lenses, detected, information, pull
     )
-    before, numbers = room.points.copy(), 2 * shown.sum()
-    squared = most_likely(prior, before, information, pull, room.points)
-    squared += _squared_errors(lenses, detected, room)
+    before, numbers = buffer.points.copy(), 2 * shown.sum()
+    squared = most_likely(prior, before, information, pull, buffer.points)
+    squared += _squared_errors(lenses, detected, buffer)
     times = squared / max(numbers, 1)
     if times > 1.0 + UNLIKE * math.sqrt(2.0 / max(numbers, 1)):
         for p in range(count):
             for i in range(3):
                 off = prior.means[p, i] - before[p, i]
                 prior.means[p, i] = before[p, i] + off / times**2
-        most_likely(prior, before, information, pull, room.points)
+        most_likely(prior, before, information, pull, buffer.points)
     for p in range(count):
         for i in range(3):
-            room.points[p, i] /= scale
+            buffer.points[p, i] /= scale
     for k in range(len(usable)):
         for i in range(3):
-            room.translations[k, i] /= scale
-    copy_explanation(room, explanation)
+            buffer.translations[k, i] /= scale
+    copy_explanation(buffer, explanation)
 
 
 @inner
-def _trust_less_what_is_far(lenses: Lenses, views: Views, explanation: Explanation) -> None:
+def _reduce_weights_of_far(lenses: Lenses, views: Views, explanation: Explanation) -> None:
     """Weight keypoints that are more than `NEAR` variances off as Huber's loss does."""
     for k in range(len(views.weights)):
         for p in range(len(explanation.points)):
@@ -114,25 +115,25 @@ def _squared_error(lenses: Lenses, views: Views, explanation: Explanation, k: in
 def most_likely(
     prior: ShapePrior, origin: Float64, information: Float64, pull: Float64, points: Float64
 ) -> float:
-    """Write the most likely points (P, 3), and return how far from the prior they are, squared.
+    """Compute the most likely points (P, 3); return their squared distance from the prior.
 
-    Keypoints tell inverse covariances (P, 3, 3) and, times these, where points are from `origin`.
-    A point is its mean, what the prior's directions make of it, and something of its own. What
-    keypoints tell in spite of the latter makes the equations of the former.
+    `information` (P, 3, 3) and `pull` (P, 3) are the normal equations of the keypoints about
+    `origin` (P, 3). A point is its mean plus the prior's directions times the scores plus an
+    isotropic part of its own. The equations of the scores are those with this part integrated out.
     """
     size = prior.basis.shape[1]
-    said, lasting = np.empty(points.shape), np.empty(information.shape)
+    pull_at_mean, lasting = np.empty(points.shape), np.empty(information.shape)
     system, scores = np.zeros((size, size)), np.zeros(size)
     for p in range(len(points)):
         for i in range(3):
-            said[p, i] = pull[p, i]
+            pull_at_mean[p, i] = pull[p, i]
             for j in range(3):
-                said[p, i] += information[p, i, j] * (origin[p, j] - prior.means[p, j])
+                pull_at_mean[p, i] += information[p, i, j] * (origin[p, j] - prior.means[p, j])
         _add_equations(
             prior.basis[3 * p : 3 * p + 3],
             prior.spread,
             information[p],
-            said[p],
+            pull_at_mean[p],
             lasting[p],
             system,
             scores,
@@ -149,7 +150,7 @@ def most_likely(
             prior.basis[3 * p : 3 * p + 3],
             prior.spread,
             information[p],
-            said[p],
+            pull_at_mean[p],
             lasting[p],
             scores,
             points[p],
@@ -164,29 +165,29 @@ def _add_equations(
     basis: Float64,
     spread: float,
     information: Float64,
-    said: Float64,
+    pull_at_mean: Float64,
     lasting: Float64,
     system: Float64,
     right: Float64,
 ) -> None:
-    """Add what keypoints tell of the scores by a point, whose `basis` is (3, Q), and write L.
+    """Add the equations of the scores from one point with `basis` (3, Q), and write L (3, 3).
 
-    L = (1 + spread^2 information)^-1 is how much of it lasts, as the point has something of its
-    own. Of the (Q, Q) system the lower half is written.
+    L = (1 + spread^2 information)^-1 is the share of the information that is left once the
+    point's own part is integrated out. Only the lower half of the (Q, Q) system is written.
     """
-    scaled, told = np.empty((3, 3)), np.empty((3, 3))
+    scaled, reduced = np.empty((3, 3)), np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             scaled[i, j] = spread**2 * information[i, j]
     inverse_symmetric(scaled, 1.0, lasting)
-    product(lasting, information, told)
+    product(lasting, information, reduced)
     along = np.empty(3)
     for q in range(basis.shape[1]):
         for i in range(3):
             along[i] = 0.0
             for j in range(3):
-                along[i] += told[i, j] * basis[j, q]
-                right[q] += basis[i, q] * lasting[i, j] * said[j]
+                along[i] += reduced[i, j] * basis[j, q]
+                right[q] += basis[i, q] * lasting[i, j] * pull_at_mean[j]
         for r in range(q + 1):
             for i in range(3):
                 system[q, r] += along[i] * basis[i, r]
@@ -197,24 +198,24 @@ def _place(
     basis: Float64,
     spread: float,
     information: Float64,
-    said: Float64,
+    pull_at_mean: Float64,
     lasting: Float64,
     scores: Float64,
     offset: Float64,
 ) -> float:
-    """Write where a point is from its mean (3,); returns how far its own part is, squared."""
-    rest, squared = said.copy(), 0.0
+    """Write the offset (3,) of a point from its mean; return the squared size of its own part."""
+    remaining, squared = pull_at_mean.copy(), 0.0
     for i in range(3):
         offset[i] = 0.0
         for q in range(len(scores)):
             offset[i] += basis[i, q] * scores[q]
     for i in range(3):
         for j in range(3):
-            rest[i] -= information[i, j] * offset[j]
+            remaining[i] -= information[i, j] * offset[j]
     for i in range(3):
         own = 0.0
         for j in range(3):
-            own += spread**2 * lasting[i, j] * rest[j]
+            own += spread**2 * lasting[i, j] * remaining[j]
         offset[i] += own
         squared += (own / spread) ** 2
     return squared

@@ -1,11 +1,11 @@
-"""Lengths between joined keypoints that stay the same: learnt by a fit, held in its lifts.
+"""Constant lengths of the skeleton's edges: learnt by a fit, held in its lifts.
 
-Noise makes limbs of a structure longer and shorter from frame to frame. How long an edge of the
-skeleton is, and how much that truly varies, many frames tell together (`learn_skeleton_lengths`).
-A frame is then moved to where its edges have these lengths (`hold_lengths`), most along the rays
-of few cameras, where its keypoints were least certain. What stretches stays as it is.
+Noise makes limbs of a structure longer and shorter from frame to frame. The length of an edge and
+its true variation are estimated from all frames together (`learn_skeleton_lengths`). The points of
+a frame are then moved so that its edges have these lengths (`hold_lengths`). They move most where
+they are least certain: along the rays of few cameras. Edges that truly stretch stay as they are.
 
-`models.bundle.bone_lengths` is another matter: distances of any keypoints that tell lenses.
+`models.bundle.bone_lengths` is another matter: distances between any keypoints, to estimate lenses.
 """
 
 import math
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.problem import Rig, Views
-from models.lifting.lift import Lift
-from models.lifting.told_points import inform_points
+from models.lifting.lift import LiftedFrames
+from models.lifting.point_information import inform_points
 from models.network.answers import RIG_NOT_USED
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import (
@@ -35,8 +35,8 @@ Int64 = NDArray[np.int64]
 
 # Lengths are in units of the structure: the usual distance of a keypoint from the middle is 1.
 LEAST_SCATTER = 0.007  # keypoints do not sit on bones, so no length is held steadier
-UNCERTAINTY = 0.1  # of a keypoint where no view tells it
-LEAST_FRAMES = 40  # that show both ends in two views
+UNCERTAINTY = 0.1  # standard deviation of a keypoint that no view shows
+LEAST_FRAMES = 40  # in which two views show both ends
 MOST_EDGES = 128  # held at once: a frame takes the cube of their number
 STEPS, CONVERGED = 8, 1e-5  # of Gauss-Newton, and the last one worth taking
 TINY = 1e-12
@@ -80,29 +80,29 @@ class SkeletonLengths(NamedTuple):
 
 
 def no_lengths() -> SkeletonLengths:
-    """Return lengths that hold nothing."""
+    """Return the lengths of no edges."""
     return SkeletonLengths(np.zeros((2, 0), np.int64), np.zeros(0), np.zeros(0), 1.0)
 
 
 def learn_skeleton_lengths(
-    edges: Int64, lift: Lift, seen: Views, rig: Rig, *, unit: float, noise: float
+    edges: Int64, lift: LiftedFrames, seen: Views, rig: Rig, *, unit: float, noise: float
 ) -> SkeletonLengths | None:
-    """Learn the lengths of `edges` (E, 2) that stay the same; None if none is seen to.
+    """Learn the lengths of those `edges` (E, 2) that stay the same; None if there are none.
 
-    An edge's length is measured in every frame along the direction that the edge has in the lift,
-    from the keypoints as they were detected, with the variance that their noise explains. An edge
-    is taken if noise hides more of it than it varies by itself; else its frames know best.
+    An edge's length is measured in every frame along its direction in the lift, from the keypoints
+    as they were detected, with the variance due to their noise. An edge is used if this variance
+    is larger than that of its true length; otherwise every frame measures its own length better.
 
     Parameters
     ----------
     lift
-        Refined, of frames of all views of the fit, with structures in the user's unit.
+        A refined lift of all views of the fit, with structures in the user's unit.
     seen
-        What it was made of as it was detected, with confidences (N, K, P) as weights.
+        The keypoints of the lift as they were detected, with confidences (N, K, P) as weights.
     rig
-        At rest, as one group.
+        A static rig of one group.
     unit
-        The user's, of a unit of the structure.
+        A unit of the structure, in the user's unit.
     noise
         Standard deviation of a detected coordinate, pixels.
     """
@@ -147,11 +147,12 @@ def hold_lengths(
     rotations: Float64,
     translations: Float64,
 ) -> None:
-    """Move the points (P, 3) of a frame to where its edges have their lengths, in place.
+    """Move the points (P, 3) of a frame so that its edges have their lengths, in place.
 
     Its cameras (K, 3, 3) and (K, 3) stay. The weights of its `views` are inverse variances for
-    noise of standard deviation `noise`. The points are Gaussian about where they were, as surely
-    as views tell them with the noise of detected keypoints, and so are the lengths.
+    noise of standard deviation `noise`. The prior of the points is Gaussian about where they were,
+    with the covariance that views and the noise of detected keypoints give them. The prior of the
+    lengths is Gaussian too.
     """
     count, edges = len(points), len(held.lengths)
     information, pull = np.empty((count, 3, 3)), np.empty((count, 3))
@@ -188,7 +189,7 @@ def _linearise(
 ) -> None:
     """Write edges' directions (E, 3), covariances of ends with lengths (2, E, 3), and the system.
 
-    Its solution says how far each end is to be moved along its covariance.
+    The solution of the system is how far each end is moved along its covariance.
     """
     first, second = held.ends
     for e in range(len(right)):
@@ -255,16 +256,16 @@ def _measure(
     lengths: Float64,
     variances: Float64,
 ) -> None:
-    """Write lengths (N, E) along the edges' directions and their variances; else infinite ones."""
+    """Measure lengths (N, E) along the edges' directions; variances are infinite if unmeasured."""
     count = points.shape[1]
     information, pull, unsure = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((3, 3))
-    told, moved = np.empty(count), np.empty((count, 3))
+    shown_in, moved = np.empty(count), np.empty((count, 3))
     spread = np.empty((count, 3, 3))
     for n in range(start, stop):
         views = Views(seen.keypoints[n], seen.weights[n])
         inform_points(points[n], rotations[n], translations[n], lenses, views, information, pull)
         for p in range(count):
-            told[p] = (views.weights[:, p] > 0).sum()
+            shown_in[p] = (views.weights[:, p] > 0).sum()
             inverse_symmetric(information[p], TINY, unsure)
             for i in range(3):
                 moved[p, i] = points[n, p, i]
@@ -276,7 +277,7 @@ def _measure(
             along = points[n, a] - points[n, b]
             squared = (along * along).sum()
             lengths[n, e], variances[n, e] = 0.0, np.inf
-            if min(told[a], told[b]) < 2 or squared < TINY:
+            if min(shown_in[a], shown_in[b]) < 2 or squared < TINY:
                 continue
             along /= math.sqrt(squared)
             variance = 0.0

@@ -1,9 +1,8 @@
-"""Keypoints that lie far from where the rest of their frame says, seen once it is explained.
+"""Stray keypoints: those far from where the explanation of their frame predicts them.
 
-`models.capture.outliers` leaves out what cannot be, by the image alone. What it must believe, as a
-keypoint might lie there, can still be nowhere near what the other views and the structure say; and
-what it left out can lie just where they say. So frames are looked at again
-(`models.lifting.second_looks`).
+`models.capture.outliers` leaves out outliers by their pixels alone, before any geometry. A keypoint
+that it keeps can still be far from its projection, and one that it left out can be close to it. So
+frames are judged again once they are explained (`models.lifting.second_looks`).
 """
 
 import math
@@ -24,43 +23,43 @@ Float64 = NDArray[np.float64]
 Int8 = NDArray[np.int8]
 
 STRAY = 8.0  # noise standard deviations from which a keypoint strays
-LEAST_VIEWS = 3  # that show a frame: where two do, all keypoints are held by two rays alone
-NEAR = 0.15  # share of the subject's size: so near to where all others say it is, it is right
+LEAST_VIEWS = 3  # that show a frame: with two, every keypoint has two rays alone
+NEAR = 0.15  # share of the subject's size: a keypoint so near to its prediction is right
 AGREEING = 0.02  # share of it within which rays of two views meet,
 SURE = 3.0  # or so many noise standard deviations,
-ABOUT = 1.5  # and so many sizes of the structure from where the others say that the keypoint is
+ABOUT = 1.5  # at most so many sizes of the structure from the predicted keypoint
 STRAY_SHARE = 0.02  # and at least this share of the subject's size: no lens model is exact
-MOST_STRAY = 0.1  # of the keypoints of a frame: where more do, the frame is explained wrongly
-MOST_OF_VIEW = 0.25  # of the keypoints of a view: where more do, its camera was moved
+MOST_STRAY = 0.1  # of the keypoints of a frame: if more stray, the frame is explained wrongly
+MOST_OF_VIEW = 0.25  # of the keypoints of a view: if more stray, its camera was moved
 
-# Verdicts on what a view shows of a keypoint:
+# Verdicts on a keypoint of a view:
 STAYS, STRAYS, RETURNS = 0, 1, 2
 
 
 class Explained(NamedTuple):
-    """A frame, and what explains it."""
+    """A frame and its explanation."""
 
     lenses: Lenses
     noise: float  # pixels, of keypoints of confidence 1
     views: Views  # weights are inverse variances of the noise
     sizes: Float32  # (K,) of the subject in the views, pixels
-    # (K, P, 3) pixels and confidences of what was left out before; confidence 0: it was not
+    # (K, P, 3) pixels and confidences of keypoints that were left out; confidence 0: it was not
     left_out: Float32
     explanation: Explanation
 
 
 @inner
 def look_again(frame: Explained, verdicts: Int8) -> bool:
-    """Write which keypoints (K, P) of a frame stray, and which return; say whether there are any.
+    """Write which keypoints (K, P) of a frame stray or return; return whether any does.
 
-    `verdicts` are `STAYS` before.
+    All `verdicts` must be `STAYS` before.
     """
     return _find_stray(frame, verdicts) + _find_right(frame, verdicts) > 0
 
 
 @inner
 def _find_stray(frame: Explained, verdicts: Int8) -> int:
-    """Write in which view each keypoint strays most, or in which two that alone show it."""
+    """Mark each keypoint that strays in its worst view, or in both if only two show it."""
     weights, views_of_frame = frame.views.weights, 0
     for k in range(len(verdicts)):
         views_of_frame += total(weights[k]) > 0
@@ -87,7 +86,7 @@ def _find_stray(frame: Explained, verdicts: Int8) -> int:
 
 @inner
 def _unless_too_many(weights: Float64, verdicts: Int8) -> int:
-    """Return how many keypoints stray; where so many do that it is the explanation, none does."""
+    """Return how many keypoints stray; if so many that the explanation is wrong, clear them."""
     found, all_shown, too_many = 0, 0, False
     for k in range(len(verdicts)):
         strays, seen = 0, 0
@@ -105,9 +104,9 @@ def _unless_too_many(weights: Float64, verdicts: Int8) -> int:
 
 @inner
 def _find_right(frame: Explained, verdicts: Int8) -> int:
-    """Let keypoints return that fewer than two views tell.
+    """Mark left-out keypoints as returning where fewer than two views show the keypoint.
 
-    Those do that lie near where they should, or where the rays of two views meet.
+    One returns if it lies near its prediction, or if the rays of two views meet.
     """
     found, point = 0, np.empty(3)
     for p in range(verdicts.shape[1]):
@@ -128,7 +127,7 @@ def _find_right(frame: Explained, verdicts: Int8) -> int:
 def _return_at(
     frame: Explained, p: int, point: Float64, share: float, noises: float, verdicts: Int8
 ) -> int:
-    """Let keypoint p return in the views that show it at a point (3,); returns in how many."""
+    """Mark keypoint p as returning in the views that show it at a point (3,); return how many."""
     found = 0
     for k in range(len(verdicts)):
         x, y, confidence = frame.left_out[k, p]
@@ -142,7 +141,7 @@ def _return_at(
 
 @inner
 def _meet_near(frame: Explained, p: int, verdicts: Int8, out: Float64) -> bool:
-    """Write where the rays of two views to keypoint p meet best (3,), if it may be there."""
+    """Find the point (3,) where rays of two views to keypoint p meet best, if it is plausible."""
     explained, views, best = frame.explanation.points, frame.views, 1.0
     seen, places, point = frame.left_out[:, p].copy(), np.empty((2, 2)), np.empty(3)
     for k in range(len(seen)):

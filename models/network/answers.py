@@ -33,37 +33,37 @@ class Answers(NamedTuple):
     keypoints_used: NDArray[np.int32]  # (N, K)
     # (N, P): usable views that show the keypoint; 0 where it is inferred from the others.
     keypoints_seen: NDArray[np.uint8]
-    # (N, K, P): how probably the prior holds each keypoint for an outlier, in thousandths; NaN
-    # where nothing was observed, or nothing judged. More than `OUTLIER` is left out of the lift or,
-    # where left and right were swapped, used in its partner's place.
+    # (N, K, P): probability of each keypoint to be an outlier, rounded to thousandths. NaN where
+    # it was not observed or not judged. Above `OUTLIER` it is left out of the lift or, if left and
+    # right were swapped, used in its partner's place.
     outlier_probability: Float32
-    findings: NDArray[np.uint8]  # (N,) sums of what stands below this class
-    continued: NDArray[np.bool_]  # (N,) whether refinement started from the answer before
-    # What the findings rest on:
+    findings: NDArray[np.uint8]  # (N,) sums of the bits below this class
+    continued: NDArray[np.bool_]  # (N,) whether refinement started from the previous answer
+    # The figures behind the findings:
     sizes: Float32  # (N,) pixels, mean size of the usable views
     misfits: Float32  # (N,) units of the structure, mean reprojection error of the network
-    rig_residuals: Float32  # (N,) pixels, mean with a rig that was tried and not used; else NaN
+    rig_residuals: Float32  # (N,) pixels, mean residual with a rig that was not used; else NaN
 
 
-# What `Answers.findings` adds up; the codes in `models.findings` say more.
+# The bits of `Answers.findings`; the codes in `models.findings` explain them.
 RIG_NOT_USED, UNLIKE_FIT, OTHER_SCALE, NOT_IN_ROOM = 1, 2, 4, 8
 
 
 class Usual(NamedTuple):
-    """What is usual of the frames of a fit; a frame beyond it is unlike them."""
+    """The range of the frames of a fit; a frame outside is unlike them."""
 
-    misfits: Float64  # (V,) largest of the network with one usable view, two, ... V or more
-    least_size: float  # pixels, of a view
+    misfits: Float64  # (V,) largest misfit of the network with one usable view, two, ... V or more
+    least_size: float  # pixels, the smallest size of a view
     most_size: float
 
 
 def nothing_unusual() -> Usual:
-    """Return limits that no frame is beyond, for fits of which none are known."""
+    """Return limits that every frame is within, for fits whose range is unknown."""
     return Usual(np.full(1, np.inf), 0.0, np.inf)
 
 
 def make_answers(frames: int, views: int, keypoints: int) -> Answers:
-    """Return arrays for the answers of N frames of K views of P keypoints, not yet filled."""
+    """Return unfilled arrays for the answers of N frames of K views of P keypoints."""
     per_view = (frames, views)
     return Answers(
         points3d=np.empty((frames, keypoints, 3), np.float32),

@@ -15,7 +15,7 @@ from models.network.priors.dispatch import decode_into, encode_into
 from models.network.priors.prior import Weights
 from models.network.reprojection_kernels import fill_view_into
 from models.network.settling import ROUNDS, SettlingPolicy
-from models.network.settling_kernels import Scratch, mirror_frame, new_scratch, settle_frame
+from models.network.settling_kernels import Buffers, mirror_frame, new_buffers, settle_frame
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import copy, fill, total
 from models.numerics.normalisation import normalise_into
@@ -41,18 +41,18 @@ def feed_forward(
     stop: int,
     answers: Answers,
 ) -> None:
-    """Write weak-perspective answers for frames from `start` to `stop`; NaN where there is none.
+    """Compute weak-perspective answers for frames from `start` to `stop`; NaN where there is none.
 
-    What is beyond the usual is noted in the answers' findings.
+    Frames unlike those of the fit are marked in the answers' findings.
 
-    The policy says which frames are settled. A structure that is not settled is mirrored if
-    `foreshortening` is negative. If that is 0, the fit could not tell it: structures stay as the
-    network has them.
+    The policy decides which frames are settled. A structure that is not settled is mirrored if
+    `foreshortening` is negative. If it is 0, the fit could not estimate it, and structures keep
+    the handedness of the network.
     """
     _, views, count, _ = seen.keypoints.shape
     filled = np.empty((views, count, 2), np.float32)
     guesses, points = np.empty((views, 3, 3)), np.empty((count, 3))
-    scratch = new_scratch(views, count)
+    buffers = new_buffers(views, count)
     for n in range(start, stop):
         keypoints, weights = seen.keypoints[n], seen.weights[n]
         _write_no_answer(answers, n, weights)
@@ -60,25 +60,25 @@ def feed_forward(
             continue
         _reconstruct(network, keypoints, weights, points, guesses)
         if _hides_keypoints(weights):
-            # What is hidden is filled with its reprojection and the views are read once more.
-            _fill_views(keypoints, weights, points, guesses, scratch, filled)
+            # Hidden keypoints are filled with their reprojections, and the views are encoded again.
+            _fill_views(keypoints, weights, points, guesses, buffers, filled)
             _reconstruct(network, filled, weights, points, guesses)
-        misfit = _misfit(points, keypoints, weights, guesses, scratch)
+        misfit = _misfit(points, keypoints, weights, guesses, buffers)
         _note(answers, n, seen.usable[n], seen.sizes[n], misfit, usual)
         if foreshortening != 0:
             if policy.every_frame or misfit > policy.misfit_limit:
-                settle_frame(points, keypoints, weights, guesses, foreshortening, ROUNDS, scratch)
+                settle_frame(points, keypoints, weights, guesses, foreshortening, ROUNDS, buffers)
             elif foreshortening < 0:
                 mirror_frame(points, guesses)
         copy(points, answers.points3d[n])
         for k in range(views):
             if seen.usable[n, k]:
-                _write_camera(answers, seen, n, k, points, guesses[k], scratch)
+                _write_camera(answers, seen, n, k, points, guesses[k], buffers)
 
 
 @inner
 def _write_no_answer(answers: Answers, n: int, weights: Float32) -> None:
-    """Write that frame n has no structure and no cameras, and what its views show."""
+    """Write frame n without structure and cameras, and the counts of its keypoints."""
     fill(answers.points3d[n], np.nan)
     answers.continued[n] = False
     answers.findings[n] = 0
@@ -107,7 +107,7 @@ def _write_no_answer(answers: Answers, n: int, weights: Float32) -> None:
 def _note(
     answers: Answers, n: int, usable: Bool, sizes: Float32, misfit: float, usual: Usual
 ) -> None:
-    """Write the misfit and the size of frame n, and whether they are beyond the usual."""
+    """Write the misfit and the size of frame n, and whether they are outside the usual range."""
     summed, views, found = 0.0, 0, 0
     for k in range(len(usable)):
         if usable[k]:
@@ -129,11 +129,11 @@ def _write_camera(
     k: int,
     points: Float64,
     guess: Float64,
-    scratch: Scratch,
+    buffers: Buffers,
 ) -> None:
     """Solve for the camera of view k of frame n and write it, in pixels."""
     keypoints, weights = seen.keypoints[n, k], seen.weights[n, k]
-    camera, projected, size = scratch.camera, scratch.projected[k], seen.sizes[n, k]
+    camera, projected, size = buffers.camera, buffers.projected[k], seen.sizes[n, k]
     scale = solve_camera_into(points, keypoints, weights, total(weights), guess, camera).scale
     project_into(points, camera, scale, projected)
     copy(camera.rotation, answers.rotations[n, k])
@@ -169,7 +169,7 @@ def _reconstruct(
 
 @inner
 def _hides_keypoints(weights: Float32) -> bool:
-    """Tell whether some view of `weights` (K, P) shows something, but not all with full weight."""
+    """Return whether a usable view of `weights` (K, P) has keypoints without full weight."""
     hidden = False
     for k in range(len(weights)):
         hidden = hidden or 0 < total(weights[k]) < weights.shape[1]
@@ -182,13 +182,13 @@ def _fill_views(
     weights: Float32,
     points: Float64,
     guesses: Float64,
-    scratch: Scratch,
+    buffers: Buffers,
     filled: Float32,
 ) -> None:
-    """Write views (K, P, 2) with what is hidden filled by its reprojection, normalised."""
-    camera = scratch.camera
+    """Fill the hidden keypoints of views (K, P, 2) with their reprojections, and normalise."""
+    camera = buffers.camera
     for k in range(len(keypoints)):
-        projected = scratch.projected[k]
+        projected = buffers.projected[k]
         whole = total(weights[k])
         if whole > 0:
             scale = solve_camera_into(
@@ -202,10 +202,10 @@ def _fill_views(
 
 @inner
 def _misfit(
-    points: Float64, keypoints: Float32, weights: Float32, guesses: Float64, scratch: Scratch
+    points: Float64, keypoints: Float32, weights: Float32, guesses: Float64, buffers: Buffers
 ) -> float:
-    """Reprojection error of a frame in units of the structure, mean over what was observed."""
-    camera, summed, number = scratch.camera, 0.0, 0
+    """Return the mean reprojection error of a frame's observed keypoints, in structure units."""
+    camera, summed, number = buffers.camera, 0.0, 0
     for k in range(len(keypoints)):
         observed = 0
         for p in range(len(points)):
@@ -214,8 +214,8 @@ def _misfit(
             scale = solve_camera_into(
                 points, keypoints[k], weights[k], total(weights[k]), guesses[k], camera
             ).scale
-            project_into(points, camera, scale, scratch.projected[k])
-            error = _mean_distance(scratch.projected[k], keypoints[k], weights[k])
+            project_into(points, camera, scale, buffers.projected[k])
+            error = _mean_distance(buffers.projected[k], keypoints[k], weights[k])
             summed += observed * error / max(scale, LEAST_SCALE)
             number += observed
     return summed / max(number, 1)
@@ -223,7 +223,7 @@ def _misfit(
 
 @inner
 def _mean_distance(projected: Float64, keypoints: Float32, weights: Float32) -> float:
-    """Reprojection error of one view (P, 2), mean over what was observed."""
+    """Return the mean reprojection error of the observed keypoints of one view (P, 2)."""
     summed, observed = 0.0, 0
     for p in range(len(weights)):
         if weights[p] > 0:

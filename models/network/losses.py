@@ -1,4 +1,4 @@
-"""What a training step minimises: reprojection errors, and distances to teachers."""
+"""The loss of a training step: reprojection errors, and distances to teachers."""
 
 import math
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ LEAST_WEIGHT = 1e-6  # of a view: less would divide by zero
 
 
 class Batch(NamedTuple):
-    """What one step sees, B frames."""
+    """The B frames of one step."""
 
     keypoints: Tensor  # (B, K, P, 2) normalised
     weights: Tensor  # (B, K, P)
@@ -50,7 +50,7 @@ def objective(points: Tensor, projected: Tensor, batch: Batch) -> tuple[Tensor, 
 
 
 def plain_objective(points: Tensor, projected: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Do what `objective` does in tensor operations, on any device."""
+    """Compute the same as `objective` in tensor operations, on any device."""
     squared = (projected - batch.keypoints).square().sum(-1)
     weight = batch.weights.sum(-1)  # (B, K)
     mean = (batch.weights * squared).sum(-1) / weight.clamp_min(LEAST_WEIGHT)
@@ -128,7 +128,7 @@ def _objective(
     by_points: Floats,
     by_projected: Floats,
 ) -> _Loss:
-    """Return what `objective` does; write the gradients (B, P, 3) and (B, K, P, 2) of the total.
+    """Compute `objective`; write the gradients (B, P, 3) and (B, K, P, 2) of the total.
 
     The arguments from `keypoints` to `taught` are the parts of a `Batch`.
     """
@@ -197,7 +197,7 @@ def _structure_distance(
 ) -> float:
     """Return the root-mean-square distance of a structure (P, 3) from its teacher (P, 3).
 
-    The teacher is rotated onto the structure first; `rotation` (3, 3) is scratch. Writes the
+    The teacher is rotated onto the structure first; `rotation` (3, 3) is a buffer. Writes the
     gradient (P, 3) of `factor` times the distance.
     """
     count = len(points)

@@ -1,7 +1,7 @@
 """Gradients of the compiled geometry of a training step, derived by hand.
 
-What `by_x` names is the gradient of the loss by x. Every function takes gradients by what a
-function of the step returned, and gives those by its arguments.
+`by_x` is the gradient of the loss with respect to x. Every function takes the gradients with
+respect to the results of a function of the step, and computes those with respect to its arguments.
 """
 
 from typing import NamedTuple
@@ -25,7 +25,7 @@ Float64 = NDArray[np.float64]
 
 
 class CameraGradients(NamedTuple):
-    """Gradients by what `models.optics.weak_perspective.CameraSolution` holds."""
+    """Gradients with respect to the fields of `models.optics.weak_perspective.CameraSolution`."""
 
     rows: Float64  # (2, 3) of the rotation
     affine: Float64  # (2, 3)
@@ -50,19 +50,19 @@ def reproject_back(
     Parameters
     ----------
     points, normal, matrices, keypoints, weights
-        What it took, and the normalised structures (N, P, 3) that it wrote.
+        Its arguments, and the normalised structures (N, P, 3) that it wrote.
     by_normal, by_projected
-        (N, P, 3) and (N, K, P, 2), by what it wrote.
+        (N, P, 3) and (N, K, P, 2), with respect to its results.
     by_points, by_matrices
         (N, P, 3) and (N, K, 2, 3) are written.
     """
     camera = new_camera()
     guess = np.empty((3, 3))
-    scratch = np.empty_like(normal[0])
+    buffer = np.empty_like(normal[0])
     summed = np.empty(normal[0].shape)  # (P, 3) gradient by the normalised structure
     by = CameraGradients(np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3)), np.empty((3, 3)))
     for n in range(len(points)):
-        radius = normalise_into(points[n], scratch)
+        radius = normalise_into(points[n], buffer)
         summed[:] = by_normal[n]
         for k in range(matrices.shape[1]):
             whole = total(weights[n, k])
@@ -264,7 +264,7 @@ def fill_back(
     Parameters
     ----------
     weights, filled, sizes
-        (N, K, P), (N, K, P, 2) and (N, K): what it took and wrote.
+        (N, K, P), (N, K, P, 2) and (N, K): its argument and its results.
     by_filled
         (N, K, P, 2).
     by_projected

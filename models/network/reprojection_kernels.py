@@ -18,7 +18,7 @@ def reproject(
     weights: Floats,
     projected: Floats,
 ) -> None:
-    """Write what `models.network.reprojection.reproject` returns.
+    """Compute the results of `models.network.reprojection.reproject`.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def reproject(
 def fill(
     projected: Floats, keypoints: Floats, weights: Floats, filled: Floats, sizes: Floats
 ) -> None:
-    """Write what `models.network.reprojection.fill` returns, and the size that each view had.
+    """Compute the results of `models.network.reprojection.fill`, and the sizes of the views.
 
     Parameters
     ----------
@@ -68,9 +68,11 @@ def fill(
 def fill_view_into(
     projected: Floats, keypoints: Floats, weights: Floats, mixed: Floats, filled: Floats
 ) -> float:
-    """Mix a view (P, 2) with its reprojection by the weights (P,), normalise it; the size it had.
+    """Mix a view (P, 2) with its reprojection by the weights (P,), and normalise it.
 
-    `mixed` (P, 2) is scratch, and may be `filled`.
+    Returns the size it had before.
+
+    `mixed` (P, 2) is a buffer, and may be `filled`.
     """
     for p in range(len(weights)):
         weight = weights[p]

@@ -1,9 +1,9 @@
 """Geometry of a training step in tensor operations, differentiable, for other devices than the CPU.
 
 On the CPU the same is compiled: `reprojection_kernels` with `models.optics.weak_perspective`, whose
-words say what is computed and why. Tests hold each function here equal to its compiled twin, values
-and gradients. They are exported to ONNX as well (`models.lifting.onnx_file`), whose tracer does not
-know every operation: not `mT`, `diagonal` or `torch.linalg.solve`.
+docstrings explain what is computed and why. Tests compare each function here with its compiled
+twin, values and gradients. The functions are also exported to ONNX (`models.lifting.onnx_file`),
+whose tracer does not support every operation: not `mT`, `diagonal` or `torch.linalg.solve`.
 """
 
 from typing import NamedTuple
@@ -29,14 +29,14 @@ class WeakPerspective(NamedTuple):
 def reproject_tensors(
     points: Tensor, matrices: Tensor, keypoints: Tensor, weights: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Do what `models.network.reprojection.reproject` does, on any device."""
+    """Compute the same as `models.network.reprojection.reproject`, on any device."""
     points = normalise(points)
     cameras = solve_cameras(points[:, None], keypoints, weights, nearest_rotations(matrices))
     return points, project(points[:, None], cameras)
 
 
 def fill_tensors(projected: Tensor, keypoints: Tensor, weights: Tensor) -> Tensor:
-    """Do what `models.network.reprojection.fill` does, on any device."""
+    """Compute the same as `models.network.reprojection.fill`, on any device."""
     seen = weights[..., None]
     return normalise(seen * keypoints + (1 - seen) * projected)
 
@@ -98,7 +98,7 @@ def solve_cameras(
 ) -> WeakPerspective:
     """Cameras that project `points` onto `image` with least weighted squared error.
 
-    Twin of `models.optics.weak_perspective.solve_camera_into`, which says how.
+    Twin of `models.optics.weak_perspective.solve_camera_into`, which explains the solution.
 
     Parameters
     ----------

@@ -1,12 +1,13 @@
 """After the network: least squares over the views of a frame settle its structure and handedness.
 
-Nothing is learned here. Weak perspective sees a structure and its mirror image alike, but a real
-camera makes near things larger. To first order in depth over distance,
+Nothing is learned here. Under weak perspective a structure and its mirror image look the same, but
+a real camera makes near things larger. To first order in depth over distance,
 
     w = s (R X)_xy (1 - k z) + t,    z = (R X)_z about its mean,
 
 with a foreshortening k > 0 that is the inverse of the distance in units of the structure. With the
-mirror image every z changes its sign, and so does the k that fits: its sign is the handedness.
+mirror image every z changes its sign, and so does the best k. So the sign of k gives the
+handedness.
 
 Settling solves for the cameras (`models.optics.weak_perspective`) and for the structure in turn,
 with the keypoints as they would be without foreshortening. Lifts settle frame by frame in
@@ -37,7 +38,7 @@ class SettlingPolicy(NamedTuple):
     """Which frames of a lift are settled; the others keep the structure of the network."""
 
     every_frame: bool
-    misfit_limit: float  # otherwise frames whose misfit is larger; in units of the structure
+    misfit_limit: float  # otherwise frames with a larger misfit, in units of the structure
 
 
 SETTLE_ALL = SettlingPolicy(every_frame=True, misfit_limit=0.0)
@@ -50,7 +51,7 @@ def settle_beyond(misfit_limit: float) -> SettlingPolicy:
 
 
 class FirstOrder(NamedTuple):
-    """Cameras of N frames of K views, and what they see: `projected + k slopes`."""
+    """Cameras of N frames of K views, and their images: `projected + k slopes`."""
 
     rotations: Float64  # (N, K, 3, 3); the guess in views without weight
     projected: Float64  # (N, K, P, 2) by weak perspective; 0 in views without weight
@@ -81,10 +82,10 @@ def settle(
     foreshortening
         k of the fit, negative if the network's structures are mirror images; see
         `estimate_foreshortening`. A frame follows that sign unless the other explains its
-        keypoints decidedly better. A frame with one view follows it always. If k is 0, nothing is
+        keypoints much better. A frame with one view follows it always. If k is 0, nothing is
         settled.
     rounds
-        How often structures are solved for; with more, the network has less of a say.
+        How often structures are solved for; with more, the network's structure counts less.
 
     Returns
     -------
@@ -120,8 +121,8 @@ def first_order_cameras(
 ) -> FirstOrder:
     """Find the cameras that see structures (N, P, 3) with this foreshortening, to first order.
 
-    The other arguments are those of `settle`. Cameras and what is foreshortened are found in turn,
-    `rounds` times; the first round knows of no foreshortening.
+    The other arguments are those of `settle`. Cameras and foreshortened targets are computed in
+    turn, `rounds` times; the first round has no foreshortening.
     """
     shape = weights.shape
     found = FirstOrder(np.empty((*shape[:2], 3, 3)), np.empty((*shape, 2)), np.empty((*shape, 2)))

@@ -1,4 +1,4 @@
-"""Compiled settling of a frame, for lifts and fits; `settling` says what it is and why."""
+"""Compiled settling of a frame, for lifts and fits; `settling` explains it."""
 
 import math
 from typing import Any, NamedTuple
@@ -24,21 +24,21 @@ STIFFNESS = 0.05  # pull to the network's structure, where one view seen head-on
 DECISIVE = 0.8  # a frame leaves the handedness of the fit if its error falls below this share
 
 
-class Scratch(NamedTuple):
-    """Arrays that settling writes again for every frame of K views and P keypoints."""
+class Buffers(NamedTuple):
+    """Buffers that settling overwrites for every frame of K views and P keypoints."""
 
     camera: CameraSolution
     axes: Float64  # (K, 2, 3) scale times the first two rows of a view's rotation
-    target: Float64  # (K, P, 2) what weak perspective would have shown
+    target: Float64  # (K, P, 2) keypoints with the foreshortening taken out
     projected: Float64  # (K, P, 2) by weak perspective
     slopes: Float64  # (K, P, 2) by which projections move per unit of foreshortening
     other: Float64  # (P, 3) the structure if its handedness is the other one
 
 
 @compiled
-def new_scratch(views: int, keypoints: int) -> Scratch:
-    """Return arrays for `settle_frame`, not yet filled."""
-    return Scratch(
+def new_buffers(views: int, keypoints: int) -> Buffers:
+    """Return unfilled buffers for `settle_frame`."""
+    return Buffers(
         new_camera(),
         np.empty((views, 2, 3)),
         np.empty((views, keypoints, 2)),
@@ -58,10 +58,10 @@ def settle_frames(
     rounds: int,
 ) -> None:
     """Settle structures (N, P, 3) and guesses (N, K, 3, 3) in place; see `settling.settle`."""
-    scratch = new_scratch(*weights.shape[1:])
+    buffers = new_buffers(*weights.shape[1:])
     for n in range(len(points)):
         settle_frame(
-            points[n], keypoints[n], weights[n], guesses[n], foreshortening, rounds, scratch
+            points[n], keypoints[n], weights[n], guesses[n], foreshortening, rounds, buffers
         )
 
 
@@ -75,10 +75,10 @@ def alternate_frames(
     rounds: int,
 ) -> None:
     """Move structures (N, P, 3) in place, each by a foreshortening of its own (N,)."""
-    scratch = new_scratch(*weights.shape[1:])
+    buffers = new_buffers(*weights.shape[1:])
     for n in range(len(points)):
         _alternate(
-            points[n], keypoints[n], weights[n], guesses[n], foreshortenings[n], rounds, scratch
+            points[n], keypoints[n], weights[n], guesses[n], foreshortenings[n], rounds, buffers
         )
 
 
@@ -94,7 +94,7 @@ def project_frames(
     projected: Float64,
     slopes: Float64,
 ) -> None:
-    """Write what `settling.first_order_cameras` returns."""
+    """Compute the results of `settling.first_order_cameras`."""
     camera = new_camera()
     target = np.empty(keypoints.shape[2:])  # (P, 2)
     for n in range(len(points)):
@@ -125,7 +125,7 @@ def settle_frame(
     guesses: Float64,
     foreshortening: float,
     rounds: int,
-    scratch: Scratch,
+    buffers: Buffers,
 ) -> None:
     """Settle the structure (P, 3) of one frame and its guesses (K, 3, 3) in place.
 
@@ -135,12 +135,12 @@ def settle_frame(
     for k in range(len(weights)):
         views += total(weights[k]) > 0
     mirrored = foreshortening < 0
-    copy(points, scratch.other)
-    error = _alternate(points, keypoints, weights, guesses, foreshortening, rounds, scratch)
+    copy(points, buffers.other)
+    error = _alternate(points, keypoints, weights, guesses, foreshortening, rounds, buffers)
     if views > 1:
-        other = scratch.other
+        other = buffers.other
         error_of_other = _alternate(
-            other, keypoints, weights, guesses, -foreshortening, rounds, scratch
+            other, keypoints, weights, guesses, -foreshortening, rounds, buffers
         )
         if error_of_other < DECISIVE * error:
             copy(other, points)
@@ -173,14 +173,14 @@ def _alternate(
     guesses: Float64,
     foreshortening: float,
     rounds: int,
-    scratch: Scratch,
+    buffers: Buffers,
 ) -> float:
-    """Solve for the cameras and for the structure in turn; the root of the squared errors' sum."""
-    copy(keypoints, scratch.target)
+    """Solve for cameras and structure in turn; return the root of the sum of squared errors."""
+    copy(keypoints, buffers.target)
     for _ in range(rounds):
-        _solve_views(points, keypoints, weights, guesses, foreshortening, scratch)
-        _move_points(points, weights, scratch)
-    return math.sqrt(_solve_views(points, keypoints, weights, guesses, foreshortening, scratch))
+        _solve_views(points, keypoints, weights, guesses, foreshortening, buffers)
+        _move_points(points, weights, buffers)
+    return math.sqrt(_solve_views(points, keypoints, weights, guesses, foreshortening, buffers))
 
 
 @inner
@@ -190,19 +190,19 @@ def _solve_views(
     weights: Float32,
     guesses: Float64,
     foreshortening: float,
-    scratch: Scratch,
+    buffers: Buffers,
 ) -> float:
-    """Write axes, projections, slopes and targets of every view; the sum of squared errors."""
-    camera, squared = scratch.camera, 0.0
+    """Compute axes, projections, slopes and targets; return the sum of squared errors."""
+    camera, squared = buffers.camera, 0.0
     for k in range(len(weights)):
         whole = total(weights[k])
         if whole <= 0:
             continue
-        target, projected, slopes = scratch.target[k], scratch.projected[k], scratch.slopes[k]
+        target, projected, slopes = buffers.target[k], buffers.projected[k], buffers.slopes[k]
         scale = solve_camera_into(points, target, weights[k], whole, guesses[k], camera).scale
         for i in range(2):
             for j in range(3):
-                scratch.axes[k, i, j] = scale * camera.rotation[i, j]
+                buffers.axes[k, i, j] = scale * camera.rotation[i, j]
         _first_order_into(points, weights[k], whole, camera, scale, projected, slopes)
         _straighten_into(keypoints[k], slopes, foreshortening, target)
         for p in range(len(points)):
@@ -215,7 +215,7 @@ def _solve_views(
 def _straighten_into(
     keypoints: Float32, slopes: Float64, foreshortening: float, target: Float64
 ) -> None:
-    """Write what weak perspective would have shown (P, 2): keypoints without foreshortening."""
+    """Compute the targets (P, 2): keypoints with the foreshortening taken out."""
     for p in range(len(keypoints)):
         for i in range(2):
             target[p, i] = keypoints[p, i] - foreshortening * slopes[p, i]
@@ -231,10 +231,10 @@ def _first_order_into(
     projected: Float64,
     slopes: Float64,
 ) -> None:
-    """Write weak-perspective projections (P, 2), and how they move per unit of foreshortening.
+    """Compute weak-perspective projections (P, 2), and their slopes by the foreshortening (P, 2).
 
-    By the depth z about its mean, and the projection w about its own: -z w, of which the mean is
-    removed, since the camera's translation takes it up. Means are weighted.
+    With depth z and projection w about their means, the slope is -z w. Its mean is removed, since
+    the camera's translation absorbs it. Means are weighted.
     """
     project_into(points, camera, scale, projected)
     axis = camera.rotation[2]
@@ -256,8 +256,8 @@ def _first_order_into(
 
 
 @inner
-def _move_points(points: Float64, weights: Float32, scratch: Scratch) -> None:
-    """Move each point (3,) to where the views see it: least squares, held back by the stiffness."""
+def _move_points(points: Float64, weights: Float32, buffers: Buffers) -> None:
+    """Move each point (3,) to its least-squares position, held back by the stiffness."""
     normal, solved, pull = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for p in range(len(points)):
         fill(normal, 0)
@@ -266,9 +266,9 @@ def _move_points(points: Float64, weights: Float32, scratch: Scratch) -> None:
             weight = weights[k, p]
             if weight <= 0:
                 continue
-            axes = scratch.axes[k]
-            u = scratch.target[k, p, 0] - scratch.projected[k, p, 0]
-            v = scratch.target[k, p, 1] - scratch.projected[k, p, 1]
+            axes = buffers.axes[k]
+            u = buffers.target[k, p, 0] - buffers.projected[k, p, 0]
+            v = buffers.target[k, p, 1] - buffers.projected[k, p, 1]
             for i in range(3):
                 pull[i] += weight * (axes[0, i] * u + axes[1, i] * v)
                 for j in range(i, 3):

@@ -1,4 +1,4 @@
-"""Chains of points that bend little, from what pulls at each of them."""
+"""Chains of points that bend little, estimated from measurements of each point."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ Float64 = NDArray[np.float64]
 
 
 class Chain(NamedTuple):
-    """M points in Q coordinates, one after the other, and how sure they are."""
+    """M points in Q coordinates, one after the other, and their variances."""
 
     points: Float64  # (M, Q)
     variances: Float64  # (M, Q) of these
@@ -19,17 +19,17 @@ class Chain(NamedTuple):
 
 
 def smooth_chain(sums: Float64, counts: Float64, rates: Float64, scales: Float64) -> Chain:
-    """Return the posterior of M >= 3 points that were each measured some times.
+    """Return the posterior of M >= 3 points, each measured any number of times.
 
-    Measurements have white noise of variance 1, second differences of the points have variance
-    `scales` times `rates`, and nothing else is known. Coordinates are independent of each other.
+    Measurements have white noise of variance 1. Second differences of the points have the prior
+    variance `scales` times `rates`; there is no other prior. Coordinates are independent.
 
     Parameters
     ----------
     sums
-        (M, Q) what was measured of a point, added up.
+        (M, Q) sums of the measurements of a point.
     counts
-        (M,) how many times, not necessarily whole; 0 where it was not. Two or more are positive.
+        (M,) numbers of measurements, not necessarily whole. Two or more are positive.
     rates, scales
         (Q,) and (M - 2,), positive.
     """
@@ -59,7 +59,7 @@ def _smooth_into(
         next_one[j + 1] -= 2.0 * precision
         next_two[j] += precision
     pivots, x = np.empty(count), np.empty(count)
-    # Below the diagonal of L, and the diagonals of the inverse; two more rows of nothing.
+    # Below the diagonal of L, and the diagonals of the inverse; with two rows of zeros at the end.
     one, two = np.zeros(count + 2), np.zeros(count + 2)
     own, with_one, with_two = np.zeros(count + 2), np.zeros(count + 2), np.zeros(count + 2)
     for q in range(size):

@@ -1,14 +1,13 @@
 """Compiled functions: inner loops, turned into machine code by Numba when first used.
 
-A compiled function releases the interpreter lock, so threads run it side by side, and costs one
-call however much it does. Machine code is kept between runs, in this package's `__pycache__` or, if
-that cannot be written, in the user's cache. It serves as long as the syntax of the function's
-module, and of all that this module imports, stays the same (`models.numerics.source_digests`). A
-folder that already holds machine code is read even where it cannot be written, as in a container
-image. Where there is no folder at all, every process compiles anew, which takes minutes.
-`NUMBA_CACHE_DIR` chooses another folder.
+A compiled function releases the interpreter lock, so threads run it in parallel. Machine code is
+kept between runs, in this package's `__pycache__` or, if that cannot be written, in the user's
+cache. It is valid as long as the syntax of the function's module, and of all modules that this one
+imports, stays the same (`models.numerics.source_digests`). A folder that already has machine code
+is read even if it cannot be written, as in a container image. Without any folder, every process
+compiles again, which takes minutes. `NUMBA_CACHE_DIR` chooses another folder.
 
-Of processes that need the same function at the same time, one compiles it and the others wait.
+If several processes need the same function at the same time, one compiles it and the others wait.
 """
 
 import fcntl
@@ -30,12 +29,12 @@ from models.numerics.source_digests import SourceDigests
 P = ParamSpec("P")
 R = TypeVar("R")
 
-# Arithmetic is exact to the letter: a function may be inlined here and shared there, and whichever
-# copy a process happens to run, equal fits must be equal bytes. Where sums may be reordered, which
-# vectorises them, only one copy may exist. NaN and infinity keep their meaning.
+# Arithmetic keeps the order of operations. A function may be inlined in one place and shared in
+# another, and equal fits must be equal bytes whichever copy runs. Functions whose sums may be
+# reordered, which vectorises them, have only one copy. NaN and infinity keep their meaning.
 REORDERED = {"contract", "reassoc", "nsz", "arcp"}
 PATIENCE_SECONDS = 120.0  # for another process that compiles the same function
-KEPT_VERSIONS = 4  # of the machine code of a function, so that one may go back and forth
+KEPT_VERSIONS = 4  # of the machine code of a function, for switching between versions
 
 _functions: list[Any] = []
 
@@ -50,7 +49,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def signatures() -> frozenset[str]:
-    """Return the compiled functions that are machine code in this process, with their arguments."""
+    """Return the functions that are compiled in this process, with the types of their arguments."""
     return frozenset(
         f"{function.py_func.__module__}.{function.py_func.__qualname__}{arguments}"
         for function in _functions
@@ -59,7 +58,7 @@ def signatures() -> frozenset[str]:
 
 
 def load_machine_code() -> None:
-    """Load what earlier processes compiled; those that are forked from this one have it then."""
+    """Load the machine code of earlier processes; forks of this process share it."""
     for function in _functions:
         for arguments in getattr(function._cache, "kept", tuple)():
             function.compile(arguments)
@@ -91,8 +90,8 @@ def reordered(function: Callable[P, R]) -> Callable[P, R]:
 class _Locator(UserProvidedCacheLocator):
     """The folder `numba.config.CACHE_DIR`, which need not be writable.
 
-    Numba would name files by a function's line, and doubt them when its file was written anew or
-    moved to another place.
+    Numba's own locator names files by a function's line, and rejects them when the source file was
+    written again or moved.
     """
 
     def __init__(self, function: Any, file: str) -> None:
@@ -124,7 +123,7 @@ class _Cache(FunctionCache):
         return sig, codegen.magic_tuple()  # the file's name holds the digest of the code
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return machine code; None if this process shall compile it, and then call `save`."""
+        """Return machine code; None if this process must compile it, and then call `save`."""
         found = self._read(sig, target_context)
         if found is None and _LOCKS is not None and _LOCKS.take(self._place):
             found = self._read(sig, target_context)  # which another process may just have written
@@ -172,8 +171,8 @@ class _Cache(FunctionCache):
 class _Locks:
     """Locks that processes hold on functions, as ranges of one file's bytes (fcntl(2)).
 
-    They end with the process that holds them, however it ends. Where the file cannot be opened,
-    nobody is kept from compiling.
+    They end with the process that holds them, however it ends. If the file cannot be opened, no
+    process is kept from compiling.
     """
 
     def __init__(self, file: Path) -> None:

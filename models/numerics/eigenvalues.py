@@ -1,4 +1,4 @@
-"""Eigenvalues of covariances, and what they would be of noise alone."""
+"""Eigenvalues of covariances, and their expectation for white noise."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,9 +1,9 @@
 """Smoothing numbers that change steadily: an integrated Wiener process under white noise.
 
 The state of a process is its value and its velocity, whose changes are white noise (Särkkä &
-Solin, *Applied Stochastic Differential Equations*, 2019, section 6.2). The Kalman filter goes
-forwards, the smoother of Rauch, Tung and Striebel (1965) backwards. Of the value and the velocity
-at the beginning nothing is known.
+Solin, *Applied Stochastic Differential Equations*, 2019, section 6.2). The Kalman filter runs
+forwards, the smoother of Rauch, Tung and Striebel (1965) backwards. Value and velocity at the
+beginning have a flat prior.
 """
 
 import math
@@ -21,12 +21,12 @@ UNKNOWN = 1e9  # variance of values and velocities at the beginning, in variance
 
 
 class Smoothed(NamedTuple):
-    """D processes at N times, and what is to be learnt from them."""
+    """D processes at N times, and the statistics from which their rates are learnt."""
 
     values: Float64  # (D, N)
     variances: Float64  # (D, N) of these
-    forces: Float64  # (D, N, 2) what changed value and velocity before a time, over the rate
-    doubts: Float64  # (D, N) what is not known of that change: its variance for a rate of 1
+    forces: Float64  # (D, N, 2) change of value and velocity before a time, over the rate
+    doubts: Float64  # (D, N) posterior variance of that change, for a rate of 1
     likelihoods: Float64  # (D,) log, of the numbers, up to a constant
 
 
@@ -45,7 +45,7 @@ def smooth(
     numbers
         (D, N) the values with white noise.
     steps
-        (N,) time since the one before; 0 where everything begins anew, as at the first.
+        (N,) time since the one before; 0 where a process starts anew, as at the first.
     seen
         (N,) whether there are numbers at that time.
     rates
@@ -53,8 +53,8 @@ def smooth(
     noise
         Standard deviation of the numbers.
     start
-        (D, 5) states at the time before the first, as `advance` returns them; None if nothing is
-        known of it, and the first of the `steps` is 0.
+        (D, 5) states at the time before the first, as `advance` returns them; None if they are
+        unknown, and the first of the `steps` is 0.
     """
     numbers = np.ascontiguousarray(numbers)
     count, times = numbers.shape
@@ -76,7 +76,7 @@ def advance(
     """Filter: return the states (D, 5) at the time of `numbers` (D,), a `step` after `states`.
 
     A state is expected value and velocity, and variance, covariance and variance of these. The
-    rest is as in `smooth`: with a step of 0 all begins anew.
+    other parameters are those of `smooth`; with a step of 0 a process starts anew.
     """
     after = np.empty((len(numbers), 5))
     _advance_into(states, numbers, step, seen, rates, noise**2, after)
@@ -84,10 +84,10 @@ def advance(
 
 
 def summed_products(smoothed: Smoothed, steps: Float64) -> Float64:
-    """Return by what the rates (D, D) are learnt, each over the product of the two rates.
+    """Return the statistics (D, D) from which rates are learnt, over the product of two rates.
 
-    The expectation of the changes' products under their covariance for a rate of 1, summed over
-    the times and both numbers of a state; what is not known of the changes is left out.
+    This is the expectation of the changes' products under their covariance for a rate of 1, summed
+    over the times and both numbers of a state, without the posterior variance of the changes.
     """
     value, velocity = smoothed.forces[..., 0], smoothed.forces[..., 1]  # (D, N)
     mixed: Float64 = (value * (steps**2 / 2)) @ velocity.T
@@ -99,7 +99,7 @@ def summed_products(smoothed: Smoothed, steps: Float64) -> Float64:
 def _predicted(
     state: Float64, number: float, h: float, rate: float, variance: float
 ) -> tuple[float, float, float, float, float]:
-    """Return the state a step after another; where that is 0, nothing is known but a number."""
+    """Return the state a step after another; with a step of 0, the prior of a new process."""
     if h <= 0:
         return number, 0.0, UNKNOWN * variance, 0.0, UNKNOWN * variance
     x, v, a, b, c = state
@@ -181,7 +181,7 @@ def _smooth_into(
                 out.forces[d, t + 1, 0] = e * off + f * turn
                 out.forces[d, t + 1, 1] = f * off + g * turn
                 a, b, c = a - before[t + 1, 2], b - before[t + 1, 3], c - before[t + 1, 4]
-                # What is known of the forces: inverse times minus (a, b, c), times inverse.
+                # Information on the forces: inverse times minus (a, b, c), times inverse.
                 known_0 = -(e * e * a + 2 * e * f * b + f * f * c)
                 known_1 = -(e * f * a + (e * g + f * f) * b + f * g * c)
                 known_2 = -(f * f * a + 2 * f * g * b + g * g * c)

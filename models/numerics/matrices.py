@@ -1,4 +1,4 @@
-"""Compiled linear algebra of small matrices, written into arrays that the caller gives."""
+"""Compiled linear algebra of small matrices, written into arrays of the caller."""
 
 import math
 from typing import Any

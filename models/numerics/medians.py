@@ -1,4 +1,4 @@
-"""Medians that are one of the numbers."""
+"""Medians that are always one of the numbers."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ Float64 = NDArray[np.float64]
 
 
 def lower_median(numbers: ArrayLike, axis: int | None = None, *, keepdims: bool = False) -> Any:
-    """Return the median; of an even count the lower of the middle two, so that one occurs.
+    """Return the median; of an even count the lower of the middle two.
 
     `numbers` must not be empty.
     """

@@ -1,4 +1,4 @@
-"""Means of what was measured with known errors, and how much it truly varies."""
+"""Means of measurements with known variances, and the true variation between them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +10,11 @@ TINY = 1e-12
 
 
 def random_effects(measured: Float64, variances: Float64) -> tuple[Float64, Float64]:
-    """Means (E,) of what was measured (N, E), and how far it scatters beyond its variances.
+    """Return means (E,) of measurements (N, E), and their scatter (E,) beyond their variances.
 
-    Variances are infinite where nothing was measured. Paule and Mandel, *Consensus values and
-    weighting factors*, 1982: the scatter is that with which the squared residuals are as large as
-    they should be; none, if they are smaller anyway.
+    Variances are infinite where nothing was measured. The scatter is the one under which the
+    squared residuals have their expected size; 0 if they are smaller without any (Paule and Mandel,
+    *Consensus values and weighting factors*, 1982).
     """
     degrees = np.isfinite(variances).sum(0) - 1
     low, high = np.zeros(measured.shape[1]), np.square(measured).max(0, initial=0.0)

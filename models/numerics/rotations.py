@@ -1,7 +1,7 @@
 """Rotations: from vectors (Rodrigues), and nearest to matrices (Kabsch), one of each.
 
-What ends in `_into` is for compiled functions and writes one rotation into an array that the
-caller gives; the others take NumPy arrays with any leading dimensions.
+Functions that end in `_into` are for compiled functions and write one rotation into an array of the
+caller; the others take NumPy arrays with any leading dimensions.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Digests of what the compiler sees: the syntax of a module, and of the modules it imports.
+"""Digests of the compiler's input: the syntax of a module, and of the modules it imports.
 
 Docstrings, comments, blank lines and line numbers change no machine code, so they change no digest.
 """
@@ -19,13 +19,13 @@ Seen = tuple[str, tuple[str, ...]]  # digest of a file's syntax, modules of the 
 
 
 class SourceDigests:
-    """Digests of modules of this package, remembered in a file from one process to the next.
+    """Digests of modules of this package, kept in a file from one process to the next.
 
-    Parsing all modules takes a second, and reading what an earlier process found a hundredth.
+    Parsing all modules takes a second, reading the file a hundredth.
     """
 
     def __init__(self, memory: Path | None) -> None:
-        """Remember in the file `memory`, or nowhere; it is written by `save`."""
+        """Keep digests in the file `memory`, if any; `save` writes it."""
         self._memory = memory
         self._seen: dict[str, Seen] = {}  # by the digest of a file's bytes
         self._new: set[str] = set()
@@ -37,9 +37,9 @@ class SourceDigests:
     def of(self, file: Path) -> str:
         """Return a digest of the syntax of a Python file and of all it imports of this package.
 
-        Imports count wherever they stand, and through what is imported; a package counts as its
-        ``__init__``. Raises ``OSError`` if the file cannot be read, ``SyntaxError`` if it is not
-        Python.
+        Imports count wherever they are in the file, directly or through other modules; a package
+        counts as its ``__init__``. Raises ``OSError`` if the file cannot be read, ``SyntaxError``
+        if it is not Python.
         """
         found: dict[str, str] = {}
         waiting = [file]
@@ -52,7 +52,7 @@ class SourceDigests:
         return hashlib.sha256(json.dumps(sorted(found.items())).encode()).hexdigest()
 
     def save(self) -> None:
-        """Write what was found anew; other processes may read or write the same file."""
+        """Write new digests to the file; other processes may read or write it at the same time."""
         if self._memory is None or not self._new:
             return
         new = self._memory.with_suffix(f".{os.getpid()}")

@@ -1,4 +1,4 @@
-"""Work in steps: generators that yield between pieces of it, so that a fit can be stopped there."""
+"""Work in steps: generators that yield between them, so that a fit can be stopped there."""
 
 from collections.abc import Generator
 from typing import TypeVar
@@ -8,7 +8,7 @@ Steps = Generator[None, None, T]
 
 
 def finished(steps: Steps[T]) -> T:
-    """Take all steps and return what they come to."""
+    """Take all steps and return their result."""
     while True:
         try:
             next(steps)

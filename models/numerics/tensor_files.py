@@ -1,4 +1,4 @@
-"""Tensors and what is known about them, to and from safetensors bytes; never a pickle."""
+"""Tensors and strings about them, to and from safetensors bytes; never a pickle."""
 
 import json
 import math
@@ -22,7 +22,7 @@ Part = TypeVar("Part")
 
 
 class WeightsError(ValueError):
-    """Bytes that are not the weights or checkpoint they should be; the message says why."""
+    """Bytes that are not the expected weights or checkpoint; the message explains why."""
 
 
 def pack(arrays: Arrays, *, kind: str, about: dict[str, str]) -> bytes:
@@ -37,7 +37,7 @@ def _kind(kind: str) -> dict[str, str]:
 
 
 def read_about(data: bytes, *, kind: str) -> dict[str, str]:
-    """Return what the header says, having read nothing else.
+    """Return the strings in the header, reading nothing else.
 
     Raises
     ------
@@ -105,6 +105,6 @@ def prefixed(prefix: str, parts: dict[str, Part]) -> dict[str, Part]:
 
 
 def without_prefix(prefix: str, arrays: Arrays) -> Arrays:
-    """Return the tensors whose names begin with a prefix, under the rest of their names."""
+    """Return the tensors whose names begin with a prefix, under their names without it."""
     chosen = ((name, array) for name, array in arrays.items() if name.startswith(prefix))
     return {name.removeprefix(prefix): array for name, array in chosen}

@@ -1,4 +1,4 @@
-"""Work on many frames, shared between threads, and arrays for what comes of it."""
+"""Work on many frames, shared between threads, and arrays for its results."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -12,10 +12,10 @@ _cores: int | None = None
 
 
 def use_threads(count: int) -> None:
-    """Give each product of torch and NumPy so many threads, from now on in this process.
+    """Set the number of threads of each product of torch and NumPy in this process.
 
-    Their last digits depend on it. A product that another process disturbs waits for its slowest
-    thread, and most products here are too small to gain from a second one.
+    The last digits of products depend on it. A product waits for its slowest thread, which another
+    process may delay, and most products here are too small to gain from a second thread.
     """
     torch.set_num_threads(count)
     threadpool_limits(count, user_api="blas")
@@ -28,9 +28,9 @@ def use_cores(count: int | None) -> None:
 
 
 def empty_aligned(*shape: int) -> NDArray[np.float64]:
-    """Return an array in torch's memory, which is aligned as torch's products like it.
+    """Return an array in torch's memory, which has torch's alignment.
 
-    Their last digits depend on the alignment, and equal fits should be equal bytes.
+    The last digits of products depend on the alignment, and equal fits must be equal bytes.
     """
     array: NDArray[np.float64] = torch.empty(shape, dtype=torch.float64).numpy()
     return array
@@ -39,7 +39,7 @@ def empty_aligned(*shape: int) -> NDArray[np.float64]:
 def in_slices(frames: int, size: int, work: Callable[[slice], object]) -> None:
     """Call `work` for slices of at most `size` frames, in as many threads as there may be.
 
-    Which thread takes which slice changes nothing if `work` writes to the frames of its slice only.
+    The result does not depend on the threads if `work` writes only to the frames of its slice.
     """
     parts = [slice(start, min(start + size, frames)) for start in range(0, frames, size)]
     threads = min(_cores or torch.get_num_threads(), len(parts))

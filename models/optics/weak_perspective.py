@@ -23,7 +23,7 @@ TINY = 1e-12  # keeps quotients finite where a structure or a view lies at one p
 
 
 class CameraSolution(NamedTuple):
-    """The camera of one view, and what it was computed from: its gradients need that."""
+    """The camera of one view, and the quantities that its gradients need."""
 
     rotation: Float64  # (3, 3)
     translation: Float64  # (2,) image units
@@ -47,7 +47,7 @@ class CameraScale(NamedTuple):
 
 @compiled
 def new_camera() -> CameraSolution:
-    """Return arrays for `solve_camera_into`, not yet filled."""
+    """Return unfilled arrays for `solve_camera_into`."""
     return CameraSolution(
         np.empty((3, 3)),
         np.empty(2),
@@ -73,9 +73,9 @@ def solve_camera_into(
 
     The orthographic-n-point problem with scale (paper, "Calculating R using solution from OnP"):
     solve the linear least squares w = M X for the 2x3 matrix M, take the nearest rotation, then
-    the best scale and translation for it. Alone, the linear step inverts the 3x3 scatter of the
-    structure and fails for a flat one. A ridge towards `guess` (Tikhonov) decides those rotations
-    about which the points say nothing.
+    the best scale and translation for it. The linear step inverts the 3x3 scatter of the structure,
+    which fails for a flat one. A ridge towards `guess` (Tikhonov) decides those rotations that the
+    points do not determine.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def solve_camera_into(
     scatter, cross = camera.scatter, camera.cross
     variance = scatter[0, 0] + scatter[1, 1] + scatter[2, 2] + TINY
     ridge = RIDGE * variance
-    # A typical scale is enough for the guess: it only matters where the points say nothing.
+    # A typical scale is enough for the guess: it matters only where points do not determine it.
     root = math.sqrt(spread / variance + TINY)
     pull = ridge * root
     pull_slope = RIDGE * (root - spread / (2.0 * variance * root))

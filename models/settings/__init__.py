@@ -1,5 +1,5 @@
-"""What a fit can be told, what is known of its cameras, and what keypoints must be like.
+"""The configuration of a fit, given cameras, and checks of keypoints.
 
 Offers `config.FitConfig`, `calibration.Camera` and `keypoints.check_keypoints`. Imports neither
-torch nor Numba: processes that fork, or that only check, load it cheaply.
+torch nor Numba, so that processes that fork, or that only check, load it quickly.
 """

@@ -1,4 +1,4 @@
-"""What a user may tell of the cameras and the subject, and need not. Imports no torch."""
+"""What a user may give of the cameras and the subject. Imports no torch."""
 
 import math
 from typing import Annotated, Any, Literal, Self
@@ -10,7 +10,7 @@ from typing_extensions import TypeAliasType
 # A file each in `models.optics.lenses`; and the same lenses, as lifts and models call them.
 LensName = TypeAliasType("LensName", Literal["pinhole", "fisheye"])
 LiftedLensName = TypeAliasType("LiftedLensName", Literal["perspective", "fisheye"])
-Alike = bool | Literal["auto"]  # whether lenses are alike; "auto": as the keypoints say
+Alike = bool | Literal["auto"]  # whether lenses are alike; "auto": estimated from the keypoints
 NUMBERS_OF_COEFFICIENTS: dict[LensName, tuple[int, ...]] = {
     "pinhole": (0, 1, 2, 4, 5, 8),
     "fisheye": (0, 4),
@@ -26,9 +26,9 @@ Coordinate = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 
 
 class Intrinsics(BaseModel):
-    """What is known of a lens, in OpenCV's terms; pixels with the origin that the keypoints have.
+    """A given lens, in OpenCV's terms; pixels with the origin of the keypoints.
 
-    What is left out or null is found from the keypoints.
+    Numbers that are left out or null are estimated from the keypoints.
     """
 
     model_config = ConfigDict(
@@ -57,20 +57,20 @@ class Intrinsics(BaseModel):
         default=None, gt=1, le=1e6, description="Focal length along y, pixels. Null: as along x."
     )
     cx: Coordinate | None = Field(
-        default=None, description="Principal point, pixels. Null: it is found."
+        default=None, description="Principal point, pixels. Null: it is estimated."
     )
     cy: Coordinate | None = None
     distortion: tuple[Annotated[float, Field(ge=-100, le=100)], ...] | None = Field(
         default=None,
         max_length=8,
         description="OpenCV's order: k1, k2[, p1, p2[, k3[, k4, k5, k6]]]; fisheye: k1 to k4."
-        " Empty: there is none. Null: it is found.",
+        " Empty: there is none. Null: it is estimated.",
     )
     focal_sd: float = Field(
         default=0,
         ge=0,
         le=1,
-        description="How unsure the focal length is, as a share of it. 0: as sure as a"
+        description="Standard deviation of the focal length, as a share of it. 0: that of a"
         " calibration.",
     )
 
@@ -78,7 +78,7 @@ class Intrinsics(BaseModel):
     def _a_centre_has_two_numbers(self) -> Self:
         if (self.cx is None) != (self.cy is None):
             raise ValueError(
-                "cx and cy belong together: give both, or neither to have the principal point found"
+                "cx and cy belong together: give both, or neither to have it estimated"
             )
         return self
 
@@ -99,16 +99,16 @@ class Intrinsics(BaseModel):
 
     @property
     def centre(self) -> tuple[float, float] | None:
-        """Principal point (x, y), pixels; None where it was not told."""
+        """Principal point (x, y), pixels; None where it was not given."""
         return None if self.cx is None or self.cy is None else (self.cx, self.cy)
 
 
-def _check_rotation(told: Any) -> Any:
-    """Say what is wrong with a rotation in words that name the fix; None passes."""
-    if told is None:
+def _check_rotation(given: Any) -> Any:
+    """Return a rotation, or raise ValueError with what is wrong and how to mend it; None passes."""
+    if given is None:
         return None
     try:
-        rotation = np.array(told, np.float64)
+        rotation = np.array(given, np.float64)
     except (TypeError, ValueError):
         rotation = np.zeros(0)
     if rotation.shape not in ((3,), (3, 3)) or not np.isfinite(rotation).all():
@@ -124,7 +124,7 @@ def _check_rotation(told: Any) -> Any:
                 f" {angle:.4g}, which is more than a whole turn; if these are degrees, multiply by"
                 " pi / 180; if these are Euler angles, convert them to a matrix"
             )
-        return told
+        return given
     determinant = float(np.linalg.det(rotation))
     gram = rotation @ rotation.T
     scale = float(np.sqrt(gram.trace() / 3))
@@ -140,11 +140,11 @@ def _check_rotation(told: Any) -> Any:
         )
     if abs(scale - 1) > ORTHONORMAL:
         raise ValueError(f"rotation must be orthonormal, got one times {scale:.4g}; divide by it")
-    return told
+    return given
 
 
 class Camera(BaseModel):
-    """What is known of one view's camera."""
+    """A given camera of one view."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -164,11 +164,11 @@ class Camera(BaseModel):
     intrinsics: Intrinsics | None = None
     rotation: Annotated[Matrix3 | Vector3 | None, BeforeValidator(_check_rotation)] = Field(
         default=None,
-        description="R of x_cam = R x_world + t (OpenCV axes), of a camera at rest: 3x3, or"
+        description="R of x_cam = R x_world + t (OpenCV axes), of a static camera: 3x3, or"
         " Rodrigues' vector in radians, as OpenCV's `rvec`.",
     )
     translation: Vector3 | None = Field(
-        default=None, description="t of x_cam = R x_world + t, in the unit results shall have."
+        default=None, description="t of x_cam = R x_world + t, in the unit that results get."
     )
 
     @model_validator(mode="after")
@@ -178,13 +178,15 @@ class Camera(BaseModel):
         return self
 
 
-def _keypoint(told: Any) -> Any:
-    """Say what tells a keypoint, in one sentence where pydantic would have one for each type."""
-    by_index = isinstance(told, int) and not isinstance(told, bool) and told >= 0
-    by_name = isinstance(told, str) and 0 < len(told) <= LONGEST_NAME
+def _keypoint(given: Any) -> Any:
+    """Check the index or name of a keypoint; pydantic would have a message for each type."""
+    by_index = isinstance(given, int) and not isinstance(given, bool) and given >= 0
+    by_name = isinstance(given, str) and 0 < len(given) <= LONGEST_NAME
     if not (by_index or by_name):
-        raise ValueError(f"expected the index of a keypoint, from 0, or its name, got {told!r:.50}")
-    return told
+        raise ValueError(
+            f"expected the index of a keypoint, from 0, or its name, got {given!r:.50}"
+        )
+    return given
 
 
 Keypoint = Annotated[
@@ -194,11 +196,11 @@ Keypoint = Annotated[
 
 
 def as_index(keypoint: Keypoint) -> int:
-    """Return the index of a keypoint; raise ValueError for a name, whose place a dataset knows."""
+    """Return the index of a keypoint; raise ValueError for a name, which needs a dataset."""
     if isinstance(keypoint, str):
         raise ValueError(
-            f"keypoints are told by their indices, from 0, where no dataset gives them names, got"
-            f" the name {keypoint!r}"
+            f"keypoints are given by their indices, from 0, unless a dataset names them, got the"
+            f" name {keypoint!r}"
         )
     return keypoint
 
@@ -211,7 +213,7 @@ class KnownLength(BaseModel):
     keypoints: tuple[Keypoint, Keypoint] = Field(
         description="Its two ends: indices, or names of the dataset's skeleton. Kept as indices."
     )
-    length: float = Field(gt=0, le=1e6, description="In the unit that results shall have.")
+    length: float = Field(gt=0, le=1e6, description="In the unit that results get.")
 
     @property
     def ends(self) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""What a fit can be told. Imports no torch, so that an API can show and check it cheaply."""
+"""The configuration of a fit. Imports no torch, so that an API can show and check it quickly."""
 
 from typing import Annotated, Any, Literal
 
@@ -30,7 +30,7 @@ Index = Annotated[int, Field(ge=0)]
 LEARNING_RATES = ", ".join(
     f"{its.learning_rate:g} for `{name}`" for name, its in PRIOR_SETTINGS.items()
 )
-WARM_STEPS = 1100  # of a fit that starts from a model, unless it was told otherwise
+WARM_STEPS = 1100  # of a fit that starts from a model, unless `steps` is given
 
 
 class FitConfig(BaseModel):
@@ -73,8 +73,8 @@ class FitConfig(BaseModel):
         gt=0,
         le=1,
         description=(
-            "Adam's step size at the start; it falls to zero along half a cosine. Null, which is"
-            f" replaced by it: what suits the prior, {LEARNING_RATES}."
+            "Adam's step size at the start; it falls to zero along half a cosine. Null is replaced"
+            f" by the default of the prior: {LEARNING_RATES}."
         ),
     )
     budget_s: float | None = Field(
@@ -82,85 +82,86 @@ class FitConfig(BaseModel):
         ge=1,
         le=7 * 24 * 3600,
         description=(
-            "Seconds that training may take, over all attempts, finding the cameras included. The"
-            " fit is laid out for this time, as far as `steps` and what else it was told allow."
-            " Null: as long as its steps take."
+            "Seconds that training may take, over all attempts, including the estimation of the"
+            " cameras. The fit is planned for this time, as far as `steps` and the other settings"
+            " allow. Null: no limit."
         ),
     )
     early_stopping: bool = Field(
         default=False,
         description=(
-            "Hold out a twentieth of the frames, from 200 on, and come to an end when predicting"
-            " one of their views from the others gets no better."
+            "Hold out a twentieth of the frames, if there are 200 or more, and end the fit when the"
+            " prediction of one of their views from the others no longer improves."
         ),
     )
     distillation: bool = Field(
         default=True,
         description=(
-            "Let what several views of a frame agree on teach the network about frames with fewer."
-            " Off: the paper's fit, from the reprojection error alone."
+            "Teach the network with structures estimated from several views of a frame, so that it"
+            " needs fewer. Off: the paper's fit, from the reprojection error alone."
         ),
     )
     denoising: bool = Field(
         default=True,
         description=(
-            "Remove noise from the keypoints before anything else, in the fit and in lifts, where"
-            " the capture shows that it is strong, and white once it is divided by the level of"
-            " each keypoint and view (cameras at rest, 40 frames or more)."
-            " Frames of datasets with `fps` or `times` are smoothed in time instead, in fits, their"
-            " reconstructions and lift jobs, also if cameras move."
+            "Remove noise from the keypoints before anything else, in the fit and in lifts, if it"
+            " is strong in the capture, and white once it is divided by the level of each keypoint"
+            " and view (static cameras, 40 frames or more). Frames of datasets with `fps` or"
+            " `times` are smoothed in time instead, in fits, their reconstructions and lift jobs,"
+            " also if cameras move."
         ),
     )
     outlier_rejection: bool = Field(
         default=True,
         description=(
-            "Leave out keypoints that lie where the rest of their frame says that they cannot be,"
-            " in the fit and in lifts (40 frames or more), and put left and right keypoints right"
-            " that were taken for each other in single views."
+            "Leave out keypoints that lie far from where the other keypoints of their frame predict"
+            " them, in the fit and in lifts (40 frames or more). Left and right keypoints that were"
+            " taken for each other in single views are exchanged back."
         ),
     )
     bone_lengths: bool = Field(
         default=True,
         description=(
-            "Hold edges of the skeleton at their lengths in refined lifts, where noise was removed"
-            " and the capture shows that they keep them."
+            "Hold edges of the skeleton at their lengths in refined lifts, if noise was removed"
+            " and their lengths are constant in the capture."
         ),
     )
     synchronise: Synchronise = Field(
         default="auto",
         description=(
-            "`auto`: views that show every moment later than the others are found, and shifted if"
-            " the dataset tells `fps` or `times`; without these they are only reported. `off`: the"
-            " views are taken as they are, save for `times` that differ between views."
+            "`auto`: views that show every moment later than the others are found. They are shifted"
+            " if the dataset has `fps` or `times`, otherwise only reported. `off`: the views are"
+            " used as they are, except for `times` that differ between views."
         ),
     )
     refine: Refine = Field(
         default="auto",
         description=(
-            "Perspective refinement of every frame after the network: `auto` where the residuals"
-            " say that it helps, `full` wherever it can be computed, `off` never (weak perspective,"
-            " as in the paper). Also what lifts do unless they say otherwise."
+            "Perspective refinement of every frame after the network: `auto` where it lowers the"
+            " residuals, `full` wherever it can be computed, `off` never (weak perspective, as in"
+            " the paper). It is also the default of lifts."
         ),
     )
     cameras: Arrangement = Field(
         default="auto",
         description=(
-            "`static`: the cameras rest relative to each other; `moving`: each may move from frame"
-            " to frame; `auto`: found from the keypoints, view by view."
+            "`static`: the cameras do not move relative to each other; `moving`: each may move from"
+            " frame to frame; `auto`: estimated from the keypoints, view by view."
         ),
     )
     cameras_alike: Alike = Field(
         default="auto",
         description=(
-            "Whether lenses that are not told are alike, as those of cameras of one model set to"
-            " the same zoom: `true`, `false`, or `auto`: alike, of several kinds or unlike, as the"
-            " keypoints say of three or more cameras at rest. Other cameras count as alike then."
+            "Whether lenses that are not given are alike, as those of cameras of one model set to"
+            " the same zoom: `true`, `false`, or `auto`. With `auto`, three or more static cameras"
+            " are alike, of several kinds or unlike, as estimated from the keypoints; all other"
+            " cameras count as alike."
         ),
     )
     calibration: tuple[Camera | None, ...] | None = Field(
         default=None,
         max_length=64,
-        description="What is known of the cameras, one entry per view; null where nothing is.",
+        description="Given cameras, one entry per view; null where nothing is known.",
     )
     known_length: KnownLength | None = Field(
         default=None, description="A measured distance in the subject: results get its unit."
@@ -192,8 +193,8 @@ class FitConfig(BaseModel):
 
     @field_validator("learning_rate")
     @classmethod
-    def _suits_the_prior(cls, rate: float | None, told: ValidationInfo) -> float | None:
-        prior = told.data.get("prior")  # there is none if it is not valid
+    def _suits_the_prior(cls, rate: float | None, info: ValidationInfo) -> float | None:
+        prior = info.data.get("prior")  # missing if it is not valid
         return PRIOR_SETTINGS[prior].learning_rate if rate is None and prior is not None else rate
 
     @model_validator(mode="after")
@@ -209,7 +210,7 @@ class FitConfig(BaseModel):
         return self
 
     @property
-    def hand(self) -> tuple[int, int, int, int] | None:
+    def corners(self) -> tuple[int, int, int, int] | None:
         """Indices of the four keypoints that decide the handedness."""
         if self.handedness is None:
             return None
@@ -223,10 +224,11 @@ class FitConfig(BaseModel):
 
 
 def warm(config: FitConfig, source: FitConfig) -> FitConfig:
-    """Fill in what a fit that starts from a model was not told, for a model fitted so.
+    """Return the configuration of a fit that starts from a model fitted with `source`.
 
-    What it was told of `ARCHITECTURE` must be as in the model.
+    Fields that are not set take the model's `ARCHITECTURE`, and `WARM_STEPS`. Fields of
+    `ARCHITECTURE` that are set must agree with the model.
     """
     suits = {field: getattr(source, field) for field in ARCHITECTURE} | {"steps": WARM_STEPS}
-    told = {name: getattr(config, name) for name in config.model_fields_set}
-    return FitConfig.model_validate(suits | told)
+    given = {name: getattr(config, name) for name in config.model_fields_set}
+    return FitConfig.model_validate(suits | given)

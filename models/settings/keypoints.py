@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-MIN_KEYPOINTS = 4  # three fix a weak-perspective camera; the fourth says something about the shape
+MIN_KEYPOINTS = 4  # three fix a weak-perspective camera; the fourth has information on the shape
 MAX_KEYPOINTS = 512
 MAX_VIEWS = 64
 MAX_COORDINATE = 1e6  # pixels; far beyond any sensor, and safe to square in float32
@@ -16,7 +16,7 @@ Int64 = NDArray[np.int64]
 
 
 def check_keypoints(keypoints: ArrayLike) -> Float32:
-    """Return `keypoints` as float32 of shape (N, K, P, 2), or raise ValueError saying why not."""
+    """Return `keypoints` as float32 of shape (N, K, P, 2), or raise ValueError with the reason."""
     try:
         pixels = np.asarray(keypoints, dtype=np.float32)
     except (TypeError, ValueError) as error:
@@ -61,13 +61,13 @@ def check_confidence(confidence: ArrayLike, *, expected: tuple[int, ...]) -> Flo
     if values.size and (values.min() < 0 or values.max() > 1):
         raise ValueError(
             f"confidence must lie in [0, 1], got {values.min():g} to {values.max():g};"
-            " clip what is a little above 1, and divide by the highest what goes far beyond"
+            " clip values a little above 1; if they go far beyond, divide all by the highest"
         )
     return np.where(values < MIN_CONFIDENCE, np.float32(0), values)
 
 
 def check_edges(edges: ArrayLike | None, keypoints: int) -> Int64:
-    """Return which of so many keypoints are joined, (E, 2), each pair once; None is of none.
+    """Return the pairs (E, 2) of so many keypoints that are joined, each once; none for None.
 
     Raises ValueError unless each names two different ones.
     """

@@ -1,6 +1,6 @@
-"""The shape priors that a fit can train, as far as a configuration tells them apart.
+"""The shape priors that a fit can train: their names and sizes in a configuration.
 
-What they compute is in `models.network.priors`.
+Their computations are in `models.network.priors`.
 """
 
 from itertools import pairwise
@@ -17,10 +17,10 @@ MAX_DICTIONARY_ENTRIES = 16_000_000  # the paper's {4096, 2048, ..., 8} needs 11
 
 
 class PriorSettings(NamedTuple):
-    """What a configuration has to know of a prior."""
+    """The properties of a prior that a configuration needs."""
 
     sizes: str  # the field of `FitConfig` that holds its sizes
-    learning_rate: float  # that suits it
+    learning_rate: float  # its default
 
 
 PRIOR_SETTINGS: dict[PriorName, PriorSettings] = {
@@ -32,7 +32,7 @@ ARCHITECTURE = ("prior", *(settings.sizes for settings in PRIOR_SETTINGS.values(
 
 
 class MlpSizes(BaseModel):
-    """How large the prior `mlp` is."""
+    """Sizes of the prior `mlp`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -1,4 +1,4 @@
-"""In which frame of reference answers are told. Imports no torch."""
+"""The frame of reference of answers. Imports no torch."""
 
 from typing import Annotated, Literal
 
@@ -16,5 +16,5 @@ def _is_a_direction(vector: _Vector) -> _Vector:
     return vector
 
 
-# Up in the room: to be found, or (x, y, z) in the frame of reference of the model's cameras.
+# Up in the room: estimated, or (x, y, z) in the frame of reference of the model's cameras.
 Up = Literal["auto"] | Annotated[_Vector, AfterValidator(_is_a_direction)]

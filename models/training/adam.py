@@ -1,11 +1,11 @@
-"""Adam in a few operations on one tensor: `torch.optim.Adam` takes longer to begin them."""
+"""Adam in a few operations on one tensor: `torch.optim.Adam` has more overhead per step."""
 
 import math
 
 import torch
 from torch import Tensor
 
-MEAN_KEPT, SQUARE_KEPT = 0.9, 0.999  # what the running means keep of themselves at each step
+MEAN_KEPT, SQUARE_KEPT = 0.9, 0.999  # shares of the running means that stay at each step
 SMALLEST_ROOT = 1e-8  # added to the root of the squares, which is divided by
 
 

@@ -1,4 +1,4 @@
-"""What each training step sees: frames of the capture, and virtual views of teachers."""
+"""The batches of training steps: frames of the capture, and virtual views of teachers."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from models.training.virtual_views import drop_views, virtual_views
 
 # Shares of a batch that virtual views take if all frames have a teacher, and if none has.
 VIRTUAL_IF_TAUGHT, VIRTUAL_IF_NOT = 0.1, 0.5
-# Weight of the reprojection error, which is weak perspective's, where teachers know perspective.
+# Weight of the weak-perspective reprojection error where teachers were refined in perspective.
 TAUGHT_WEIGHT = 0.02
 
 
@@ -57,7 +57,7 @@ class Batches:
         self._epoch: tuple[int, NDArray[np.int64]] | None = None  # the last one and its order
 
     def draw(self, step: int, teachers: Teachers | None, *, perspective: bool) -> Batch:
-        """Draw the batch of a step; `perspective` says that teachers were refined with it."""
+        """Draw the batch of a step; `perspective` if teachers were refined in perspective."""
         frames = torch.from_numpy(self._frames(step))
         virtual = 0
         if teachers is not None:
@@ -94,7 +94,7 @@ class Batches:
         return batch
 
     def _frames(self, step: int) -> NDArray[np.int64]:
-        """Frames of this step: epoch after epoch, each in an order of its own."""
+        """Return the frames of a step: epoch after epoch, each in a new order."""
         epoch, place = divmod(step * self._size, len(self._data.keypoints))
         picked = self._order(epoch)[place : place + self._size]
         if len(picked) < self._size:

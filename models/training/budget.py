@@ -1,4 +1,4 @@
-"""Planning what is left of a fit for the time that is left."""
+"""Planning the remaining steps of a fit for the remaining time."""
 
 import time
 from dataclasses import dataclass
@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from models.training.schedule import Schedule
 
 PLAN_EVERY = 25  # steps
-WARM_UP_STEPS = 5  # which say nothing about how long the next ones take
+WARM_UP_STEPS = 5  # slower than all others, so not used to predict these
 NEWEST_WEIGHT = 0.1  # of the newest step in the running mean
-# Shares of the time that is left, used as long as nothing was measured: finding the cameras; a
-# refresh, which makes teachers anew; the result, after the last step.
+# Shares of the remaining time that are assumed until they are measured: estimating the cameras; a
+# refresh, which makes teachers again; the result, after the last step.
 CALIBRATION_SHARE, REFRESH_SHARE, RESULT_SHARE = 0.35, 0.04, 0.08
 CALIBRATION_LIMIT = 0.6  # share of the time that is left after which the search for cameras ends
 REFRESH_LIMIT = 0.2  # share of the time that is left: a refresh that takes more is left out
@@ -39,14 +39,14 @@ class Clock:
         return passed
 
     def count_step(self, step: int) -> None:
-        """Add the seconds of a step, and learn from them how long a step takes."""
+        """Add the seconds of a step, and update the estimate of how long a step takes."""
         took = self.count()
         newest = 1.0 if step <= WARM_UP_STEPS else NEWEST_WEIGHT
         self.step_seconds += newest * (took - self.step_seconds)
 
 
 def can_afford_refresh(clock: Clock, budget_s: float) -> bool:
-    """Whether making teachers anew is worth its time."""
+    """Whether there is enough time to make teachers again."""
     return (clock.refresh_seconds or 0.0) <= REFRESH_LIMIT * (budget_s - clock.seconds)
 
 
@@ -59,14 +59,14 @@ def plan_within_budget(
     cameras_sought: bool,
     result_seconds: float | None,
 ) -> Schedule:
-    """Fill the time that is left with what is left of the fit, at the present pace.
+    """Fit the remaining steps into the remaining time, at the present pace.
 
     Parameters
     ----------
     cameras_sought
-        Whether the cameras are still to be found, at the next refresh.
+        Whether the cameras are still to be estimated, at the next refresh.
     result_seconds
-        How long the result will take; None as long as that was not measured.
+        How long the result will take; None if this was not measured yet.
     """
     refreshes = len(schedule.refreshes) - schedule.refreshes_due(step)
     left = budget_s - clock.seconds

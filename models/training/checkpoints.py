@@ -1,4 +1,4 @@
-"""Checkpoints of a fit, as safetensors bytes: its numbers in the header, the rest as tensors."""
+"""Checkpoints of a fit, as safetensors bytes: single numbers in the header, arrays as tensors."""
 
 import hashlib
 import json
@@ -15,7 +15,7 @@ from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
 from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
 from models.capture.observations import Observations
-from models.lifting.curve import CurvePoint, curve_from_tensor, curve_to_tensor
+from models.lifting.curve import CurveRow, curve_from_tensor, curve_to_tensor
 from models.numerics.tensor_files import (
     Arrays,
     Shapes,
@@ -40,7 +40,7 @@ class Checkpoint(NamedTuple):
     weights: Tensor  # (W,) of the network
     moments: tuple[Tensor, Tensor]  # (W,) each, of Adam
     state: TrainerState
-    curve: Sequence[CurvePoint]
+    curve: Sequence[CurveRow]
     teachers: Teachers | None
     self_calibration: SelfCalibration | None
 
@@ -157,7 +157,7 @@ def known_keypoints(written: bytes, keypoints: int) -> NDArray[np.bool_]:
 
 
 def _config_of(about: Mapping[str, str]) -> FitConfig | None:
-    """Return the configuration of a header, completed by the defaults of what it could not know."""
+    """Return the configuration of a header, with defaults for fields that are newer."""
     try:
         return FitConfig.model_validate_json(about.get("config", ""))
     except ValidationError:
@@ -191,7 +191,7 @@ def _read_teachers(parts: Arrays) -> Teachers:
 
 
 def _as_floats(value: Tensor | float) -> Tensor:
-    """Return a part of the teachers as files hold it: tensors of floats."""
+    """Return a field of the teachers as stored in files: a tensor of floats."""
     if isinstance(value, Tensor):
         return value if value.is_floating_point() else value.double()
     return torch.tensor([value], dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Frames that a fit does not see: they tell how far its network is off, and when it has learnt."""
+"""Held-out frames: they measure the error of the network, and when it stops improving."""
 
 import numpy as np
 import torch
@@ -14,9 +14,9 @@ ROUNDS = 3  # of solving for cameras and foreshortening in turn
 
 
 def split(frames: NDArray[np.int64], seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Divide frames (N,) into those to train on and those to hold out, which may be none.
+    """Divide frames (N,) into those to train on and those to hold out.
 
-    Of few frames none is held out.
+    If there are few frames, none is held out.
     """
     count = min(int(HELD_OUT_SHARE * len(frames)), MOST_FRAMES)
     if count < LEAST_FRAMES:
@@ -39,10 +39,10 @@ class Holdout:
 
     @torch.no_grad()
     def error(self, network: Prior, foreshortening: float) -> float:
-        """Reprojection error in the hidden views as a share of their size, mean over frames.
+        """Return the mean reprojection error in the hidden views, as a share of their size.
 
-        Structures are those that the network makes of the other views; a camera for the hidden one
-        is found from what it shows, with this foreshortening, to first order.
+        The network computes structures from the other views. The camera of the hidden view is
+        estimated from its keypoints, with this foreshortening, to first order.
         """
         keypoints, weights = self._data.keypoints, self._data.weights
         points, _, matrices = network.reproject(keypoints, self._shown)

@@ -1,7 +1,7 @@
-"""Which keypoints a fit learns from: those that some view shows, where they are no artefacts.
+"""Preparing the keypoints of a fit: unknown and frozen ones, outliers and noise are removed.
 
-A keypoint that no view ever shows takes no part at all: the network, the shapes and the cameras
-are those of the others, so that nothing is invented and nothing disturbed.
+A keypoint that no view ever shows is left out: the network, the shapes and the cameras are those of
+the other keypoints.
 """
 
 from typing import NamedTuple
@@ -23,15 +23,15 @@ from models.network.answers import nothing_unusual
 from models.settings.config import FitConfig
 from models.training.synchronising import InStep
 
-WORTH_TELLING = 0.005  # share of the keypoints of a view that are outliers
+WORTH_REPORTING = 0.005  # share of the keypoints of a view that are outliers
 
 Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
 
-class Observed(NamedTuple):
-    """N frames of K views of the Q known of P keypoints, and what was noticed of them."""
+class ObservedCapture(NamedTuple):
+    """N frames of K views with the Q known of P keypoints, and the findings about them."""
 
     detected: Observations  # without outliers
     observations: Observations  # and without noise; the same ones if none was removed
@@ -47,22 +47,22 @@ class Observed(NamedTuple):
 
 def observe(
     read: InStep, image_sizes: ImageSizes | None, known: Bool | None, config: FitConfig
-) -> Observed:
-    """Return what a fit learns from.
+) -> ObservedCapture:
+    """Prepare the keypoints that a fit learns from.
 
     Parameters
     ----------
     read
         The keypoints, checked, with the views in step.
     known
-        Which keypoints (P,) the weights have that it starts from; None for a fit of its own.
+        Which keypoints (P,) the weights have that the fit starts from; None if it starts anew.
     config
-        Says whether outliers and noise are to be removed.
+        States whether outliers and noise are to be removed.
 
     Raises
     ------
     ValueError
-        When a view shows a keypoint that the weights have not, or there are other keypoints.
+        When a view shows a keypoint that the weights do not have, or numbers of keypoints differ.
     """
     pixels, confidence = read.keypoints, read.confidence
     places = attempt(frozen_places, [], pixels, observed(pixels, confidence))
@@ -87,7 +87,7 @@ def observe(
         for view in finding.views
     ]
     still = any(finding.code == "no_motion" and not finding.views for finding in findings)
-    if not still:  # one pose, however often it is shown, suits many geometries
+    if not still:  # a single pose fits many geometries, however often it is shown
         order = noticed(order_findings, detected, observations.weights, late=late)
         capture = capture._replace(findings=(*capture.findings, *order))
     capture = capture._replace(known=shown if known is None else _suited(known, shown))
@@ -96,17 +96,17 @@ def observe(
     if outliers is not None:
         judged = OutlierJudge(outliers, range(views)).without_outliers(observations)
         kept, swapped = judged.observations, judged.swapped
-        told = (finding for finding in capture.findings if not _settled(finding, swapped))
+        open_ones = (finding for finding in capture.findings if not _settled(finding, swapped))
         found = (
             *noticed(_mended, swapped, capture.known),
             *noticed(_left_out, observations, kept),
         )
-        capture, observations = capture._replace(findings=(*told, *found)), kept
+        capture, observations = capture._replace(findings=(*open_ones, *found)), kept
     if not config.denoising or not observations.usable.any():
-        return Observed(observations, observations, capture, outliers, NoiseRemoval())
+        return ObservedCapture(observations, observations, capture, outliers, NoiseRemoval())
     removal = learn_noise_removal(observations, read.times)
     clear = removal.remove(observations, range(views), read.times)
-    return Observed(observations, clear, capture, outliers, removal)
+    return ObservedCapture(observations, clear, capture, outliers, removal)
 
 
 def usable_frames(observations: Observations) -> Int64:
@@ -131,13 +131,13 @@ def check_entries_per_view(views: int, config: FitConfig, image_sizes: ImageSize
 
 
 def among_known(config: FitConfig, known: Bool) -> FitConfig:
-    """Return a configuration that counts the keypoints that it names among the known.
+    """Return a configuration with keypoint indices that count the known keypoints alone.
 
     Raises ValueError if it names one that no view shows.
     """
     place = np.cumsum(known) - 1  # of a keypoint among the known
-    length, hand = config.known_length, config.hand
-    for field, named in (("known_length", length and length.ends), ("handedness", hand)):
+    length, corners = config.known_length, config.corners
+    for field, named in (("known_length", length and length.ends), ("handedness", corners)):
         unseen = [keypoint for keypoint in named or () if not known[keypoint]]
         if unseen:
             raise ValueError(
@@ -147,21 +147,21 @@ def among_known(config: FitConfig, known: Bool) -> FitConfig:
     if length is not None:
         a, b = length.ends
         length = length.model_copy(update={"keypoints": (int(place[a]), int(place[b]))})
-    if hand is not None:
-        a, b, c, d = (int(place[keypoint]) for keypoint in hand)
-        hand = (a, b, c, d)
-    return config.model_copy(update={"known_length": length, "handedness": hand})
+    if corners is not None:
+        a, b, c, d = (int(place[keypoint]) for keypoint in corners)
+        corners = (a, b, c, d)
+    return config.model_copy(update={"known_length": length, "handedness": corners})
 
 
 def edges_among_known(edges: Int64, known: Bool) -> Int64:
-    """Return the edges (E, 2) that join known keypoints, these counted among the known."""
+    """Return the edges (E, 2) between known keypoints, as indices among the known."""
     place = np.cumsum(known) - 1
     between: Int64 = place[edges[known[edges].all(1)]]
     return between
 
 
 def _mended(swapped: Bool, known: Bool) -> tuple[Finding, ...]:
-    """Say which of the known keypoints (P,) were swapped (N, K, Q)."""
+    """Yield findings about views in which known keypoints (P,) were swapped (N, K, Q)."""
     if not swapped.any():
         return ()
     frames = np.logical_or.reduce(swapped, axis=2)  # (N, K)
@@ -177,9 +177,9 @@ def _mended(swapped: Bool, known: Bool) -> tuple[Finding, ...]:
 
 
 def _settled(finding: Finding, swapped: Bool) -> bool:
-    """Say whether a finding is about frames of which most were put right: keypoints (N, K, Q).
+    """Whether a finding is about frames most of which were corrected: `swapped` (N, K, Q).
 
-    Epipolar lines do not always tell which of two views it is that shows a frame swapped.
+    Epipolar lines do not always determine which of two views has its sides exchanged.
     """
     if finding.code != "left_right_swapped" or not finding.frames:
         return False
@@ -188,12 +188,12 @@ def _settled(finding: Finding, swapped: Bool) -> bool:
 
 
 def _left_out(before: Observations, after: Observations) -> tuple[Finding, ...]:
-    """Say which views have outliers that were left out."""
+    """Yield findings about views with outliers that were left out."""
     there, left = before.weights > 0, after.weights > 0
     shares = 1 - left.sum((0, 2)) / there.sum((0, 2)).clip(1)  # (K,)
-    if not (shares >= WORTH_TELLING).any():
+    if not (shares >= WORTH_REPORTING).any():
         return ()
-    views = np.flatnonzero(shares >= WORTH_TELLING).tolist()
+    views = np.flatnonzero(shares >= WORTH_REPORTING).tolist()
     share = float(1 - left.sum() / there.sum())
     return (Finding.of("outliers", views=views, share=share),)
 

@@ -1,4 +1,4 @@
-"""Structures that a fit comes to know, and where they are worth more than its network."""
+"""The known structures of a fit, and the numbers of views for which they improve lifts."""
 
 from collections.abc import Callable
 
@@ -10,7 +10,7 @@ from models.bundle.known_structures import LEAST_STRUCTURES, WEIGHTS, KnownStruc
 from models.bundle.problem import Views
 from models.bundle.shape_model import align
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.network.settling import first_order_cameras
 from models.training.batches import Data
 
@@ -23,32 +23,33 @@ MakePrior = Callable[[KnownStructures | None], FittedPrior]
 
 
 def known_structures(
-    lift: Lift, weights: NDArray[np.float32], mean: NDArray[np.float64]
+    lift: LiftedFrames, weights: NDArray[np.float32], mean: NDArray[np.float64]
 ) -> KnownStructures | None:
-    """Return the refined structures of a lift of weights (N, K, P), aligned to `mean` (P, 3).
+    """Return the refined structures of a lift, aligned to `mean` (P, 3), as known structures.
 
-    They are believed everywhere. None if they are too few to look among.
+    `weights` (N, K, P) are those of the lift's keypoints. The structures are used for every number
+    of views. None if they are too few.
     """
     refined = (lift.camera_models > 0).any(1)
     if refined.sum() < LEAST_STRUCTURES:
         return None
     points, _ = align(lift.points3d[refined].astype(np.float64), mean)
     views = (weights[refined] > 0).sum(1)  # (T, P)
-    told = WEIGHTS[np.minimum(views, len(WEIGHTS) - 1)]
+    counts = WEIGHTS[np.minimum(views, len(WEIGHTS) - 1)]
     # Rounded as a file has them, so that a prior and its file lift alike.
-    return KnownStructures.from_arrays(KnownStructures(points, told, np.ones(1)).to_arrays())
+    return KnownStructures.from_arrays(KnownStructures(points, counts, np.ones(1)).to_arrays())
 
 
 def believe_where_better(
     structures: KnownStructures, unseen: Data, make_prior: MakePrior, *, seed: list[int]
 ) -> KnownStructures:
-    """Return the structures, believed for those numbers of views that they make lifts better for.
+    """Return the structures, to be used for those numbers of views for which they improve lifts.
 
-    Frames that the network was not taught, which the structures do not come from either, show one
-    of their views, two, and so on. Their structures are held against what their other views show:
-    those are neither the network's answer nor the structures'. As there are few such frames,
-    structures are believed for one view unless they are worse by more than a standard error, and
-    for several if they are better by more than that. Of too few frames nothing is believed.
+    Held-out frames are lifted from one of their views, two, and so on, with and without the known
+    structures. The results are compared with the keypoints of their other views. As there are few
+    such frames, the structures are used for one view unless they are worse by more than a standard
+    error, and for several views only if they are better by more than that. With too few frames
+    they are not used.
     """
     shown = (unseen.weights > 0).any(-1)  # (H, K)
     several = (shown.sum(1) > 1).nonzero()[:, 0]
@@ -85,27 +86,28 @@ def believe_where_better(
         )
         worse = ours - theirs
         doubt = worse.std() / np.sqrt(len(worse))
-        # A single view leaves so much open that what is known need not prove its worth; of several
-        # it must. Where views tell every keypoint, both are equal: it is as with fewer views.
+        # One view leaves so much open that known structures are used by default; with several
+        # views they must prove better. If views determine every keypoint, both lifts are equal, and
+        # the decision for fewer views holds.
         helps = worse.mean() <= (doubt if views == 1 else -doubt)
         believed.append(believed[-1] if believed and not worse.any() else bool(helps))
     if not any(believed):
         return nothing
-    # What all views of a frame show has nothing to be held against: it counts as one view less.
+    # A lift from all views has no other view to compare with: it counts as one with a view less.
     return structures._replace(believed=np.array([*believed, believed[-1]], np.float64))
 
 
 def _errors_in_hidden_views(
-    lift: Lift,
+    lift: LiftedFrames,
     hidden: Views,
     points: NDArray[np.float32],
     rotations: NDArray[np.float32],
     foreshortening: float,
 ) -> NDArray[np.float64]:
-    """Return how far structures are from what `hidden` views show, shares of a view's size (N,).
+    """Return reprojection errors (N,) of structures in `hidden` views, as shares of a view's size.
 
-    Cameras of these views, (N, K, P, 2) normalised, are found anew for each structure, to first
-    order. They begin as `rotations` (N, K, 3, 3) have them, which see `points` (N, P, 3).
+    Cameras of these views, (N, K, P, 2) normalised, are estimated for each structure, to first
+    order. They start at `rotations` (N, K, 3, 3), which see `points` (N, P, 3).
     """
     structures = np.nan_to_num(lift.points3d).astype(np.float64)
     _, similarity = align(structures, np.nan_to_num(points).astype(np.float64))

@@ -11,7 +11,7 @@ from models.training.adam import Adam
 
 
 class Learner:
-    """Trains a network on a device. The network on the CPU follows when it is asked to."""
+    """Trains a network on a device; `update_network` copies the weights to that on the CPU."""
 
     def __init__(self, network: Prior, device: torch.device) -> None:
         self._device = device
@@ -33,7 +33,7 @@ class Learner:
         return loss, error
 
     def update_network(self) -> None:
-        """Bring the trained weights to the network on the CPU."""
+        """Copy the trained weights to the network on the CPU."""
         if self._trained is not self._network:
             self._network.load_state_dict(self._trained.state_dict())
 
@@ -48,7 +48,7 @@ class Learner:
         return self._adam.mean.cpu(), self._adam.square.cpu()
 
     def resume(self, weights: Tensor, moments: tuple[Tensor, Tensor]) -> None:
-        """Go on with the `weights` and `moments` of another learner."""
+        """Continue with the `weights` and `moments` of another learner."""
         self._adam.weights.copy_(weights)
         self._adam.mean.copy_(moments[0])
         self._adam.square.copy_(moments[1])

@@ -1,9 +1,9 @@
-"""How far the network's structures are off, measured on the frames of a fit.
+"""The errors of the network's structures, measured on the frames of a fit.
 
-The measure is what refinement makes of all views of a frame with the shape model alone: one that
-trusts the network would find it ever more trustworthy. The network is shown one of the views, two,
-and so on. How far it is off is measured on frames that it was not taught, where there are enough of
-them: on those that it was, it seems better than it is.
+The reference is the refinement of all views of a frame with the shape model alone. A refinement
+with the network as its prior would make the network's errors look too small. The network gets one
+of the views, two, and so on. Its errors are measured on held-out frames where there are enough,
+because they are smaller on the frames that it was trained on.
 """
 
 import math
@@ -19,27 +19,27 @@ from torch import Tensor
 from models.bundle.shape_model import align, learn_network_errors, unknown_network_errors
 from models.calibrating.result import SelfCalibration
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.network.settling import SETTLE_ALL, SETTLE_NONE, SettlingPolicy, settle_beyond
 from models.training.batches import Data
 
-MOST_FRAMES = 400  # plenty to learn what the network's errors are like
-LEAST_FRAMES = 5  # with some number of views, to learn from these at all
-LEAST_UNSEEN = 8  # likewise, not taught to the network, to measure its errors on these alone
+MOST_FRAMES = 400  # plenty to learn the distribution of the network's errors
+LEAST_FRAMES = 5  # with some number of views, to measure errors with this number
+LEAST_UNSEEN = 8  # held-out frames, to measure errors on these alone
 MOST_VIEWS = 8  # with more, the network errs as with so many
-USUAL_SHARE = 0.95  # of the frames have a misfit that is usual for the network
+USUAL_SHARE = 0.95  # of the frames have a misfit within the usual limit
 
 MakePrior = Callable[[SelfCalibration], FittedPrior]
 
 
 class _Sample(NamedTuple):
-    """F frames with two views or more, and their structures as all views tell them."""
+    """F frames with two views or more, and their structures refined from all views."""
 
     pixels: Tensor  # (F, K, P, 2)
     weights: Tensor  # (F, K, P)
     order: Tensor  # (F, K) in which the views are shown: those that were observed come first
     observed: Tensor  # (F,) how many these are
-    unseen: Tensor  # (F,) whether the network was not taught the frame
+    unseen: Tensor  # (F,) whether the frame was held out from training
     structures: NDArray[np.float64]  # (F, P, 3)
 
 
@@ -51,12 +51,12 @@ def learn_errors_of_network(
     *,
     seed: list[int],
 ) -> SelfCalibration:
-    """Return the self-calibration with the network's errors as they are now.
+    """Return the self-calibration with the present errors of the network.
 
-    `data` is what the network was taught, `unseen` is not and may be empty. The errors are measured
-    for two policies of settling: every frame, or only frames whose misfit is unusual. The policy
-    with the smaller errors in all frames, seen and unseen, is kept: it changes the answers to the
-    same frames, so the more frames, the surer the choice.
+    `data` are the frames of training, `unseen` are held-out frames and may be empty. Errors are
+    measured for two policies of settling: every frame, or only frames with an unusual misfit. The
+    policy with the smaller errors over all frames is kept. Both policies are compared on the same
+    frames, so the frames of training count as well.
     """
     unknown = unknown_network_errors(data.keypoints.shape[2])
     blank = replace(self_calibration, network_errors=unknown, settling=SETTLE_ALL)
@@ -95,9 +95,9 @@ def _frames_with_several_views(data: Data) -> tuple[Tensor, Tensor]:
 def _learn(
     candidate: SelfCalibration, sample: _Sample, prior: FittedPrior
 ) -> tuple[SelfCalibration, float]:
-    """Learn the errors of the network with one policy of settling, and how large they are in all.
+    """Measure the errors of the network with one policy of settling, and their overall size.
 
-    Too few frames tell nothing: the candidate stays as it is, and its errors are infinite.
+    With too few frames the candidate stays as it is, and its errors count as infinite.
     """
     mean = candidate.shapes.mean
     known = torch.from_numpy(np.isfinite(sample.structures).all((1, 2)))  # (F,)
@@ -124,14 +124,14 @@ def _learn(
 
 
 def _settling_in_lifts(measured: SettlingPolicy, misfits: NDArray[np.float64]) -> SettlingPolicy:
-    """Return the policy of lifts for one that was measured: frames unlike any may be settled."""
+    """Return the policy for lifts from the measured one: unusual frames may be settled."""
     if measured.every_frame:
         return measured
     return settle_beyond(float(np.quantile(misfits, USUAL_SHARE)))
 
 
-def _misfits(lift: Lift) -> NDArray[np.float64]:
-    """Return reprojection errors (N,) in units of the structure, as the compiled network does."""
+def _misfits(lift: LiftedFrames) -> NDArray[np.float64]:
+    """Compute reprojection errors (N,) in structure units, as the compiled network does."""
     used = lift.keypoints_used
     total = np.nansum(used * lift.reprojection_errors / lift.scales, axis=1)
     return np.asarray(total / used.sum(1), np.float64)

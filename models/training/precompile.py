@@ -1,6 +1,6 @@
-"""Compiling ahead: what fits and lifts need, before anybody waits for it.
+"""Compiling the functions of fits and lifts ahead of their first use.
 
-Compiling takes minutes. Later processes read the machine code that this one left (see
+Compiling takes minutes. Later processes read the machine code that this one wrote (see
 `models.numerics.compiled`).
 """
 
@@ -40,18 +40,19 @@ LEFT_AND_RIGHT = ((1, 4), (2, 5))  # keypoints of its figure
 def compile_all(processes: int = PROCESSES) -> frozenset[str]:
     """Fit every prior to a small capture, with and without perspective, and lift in every way.
 
-    One more capture is a noisy film, from cameras at rest: the noise is removed before anything
-    else, frame by frame and in time, and limbs are looked for that a detector swapped.
+    One more capture is a noisy film from static cameras. It compiles the removal of noise, frame by
+    frame and in time, and the search for swapped limbs.
 
     Parameters
     ----------
     processes
-        How many share the work. They are forked: call this before torch computes anything here.
+        How many processes share the work. They are forked: call this before torch computes anything
+        here.
 
     Returns
     -------
     frozenset
-        The functions that are now machine code, each with the types of its arguments.
+        The functions that are compiled now, each with the types of its arguments.
     """
     fork = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(processes, mp_context=fork) as pool:
@@ -79,7 +80,7 @@ def _fit_and_lift(prior: PriorName, refine: Refine) -> None:
 
 
 def _lift_untrained(name: PriorName) -> None:
-    """Lift with a prior that learnt nothing: one process compiles lifts, another compiles fits."""
+    """Lift with an untrained prior: so one process compiles lifts while another compiles fits."""
     capture = synthetic_capture(frames=1, views=2, seed=1)
     views, keypoints = capture.keypoints.shape[1:3]
     config = FitConfig(prior=name)
@@ -126,7 +127,7 @@ def _mend_limbs() -> None:
         OutlierJudge(swapping, range(noisy.shape[1])).put_right(seen)
 
 
-# Those that compile most come first; the others find much of it compiled.
+# The parts that compile most come first; the others then find much of it compiled.
 PARTS: tuple[Callable[[], None], ...] = (
     partial(_fit_and_lift, next(iter(PRIORS)), REFINING[0]),
     *(partial(_lift_untrained, prior) for prior in PRIORS),
@@ -137,7 +138,7 @@ PARTS: tuple[Callable[[], None], ...] = (
 
 
 def noisy_film_at_rest() -> NDArray[np.float64]:
-    """Return keypoints (N, 2, P, 2) of a figure that two cameras at rest film, with noise.
+    """Return keypoints (N, 2, P, 2) of a figure filmed by two static cameras, with noise.
 
     It goes through some poses and back again.
     """

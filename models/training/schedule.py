@@ -1,8 +1,7 @@
-"""When a fit does what: its learning rate, and the steps at which it makes teachers.
+"""The schedule of a fit: its learning rate, and the steps at which it makes teachers.
 
-Both depend on the share of the fit that is done. Every step adds as much to it as any other, unless
-a fit is short of time or learns nothing more: what is left of it is then planned anew over fewer
-steps.
+Both depend on the share of the fit that is done. Every step adds the same share. If a fit is short
+of time or stops improving, its remaining share is distributed over fewer steps.
 """
 
 import math
@@ -17,11 +16,11 @@ WEAK_PERSPECTIVE_REFRESHES = (1 / 2, 3 / 4)
 PERSPECTIVE_REFRESHES = (1 / 3, 1 / 2, 2 / 3, 5 / 6)
 # Where geometry settles the cameras before the first step, teachers are there at once.
 SETTLED_REFRESHES = (0.0, 2 / 3)
-# What reprojection alone would have taught first is left out, and a capture of few frames is learnt
-# in fewer steps: a share of the whole, by frames.
+# Such a fit needs fewer steps, because teachers replace the first part that learns from
+# reprojection alone, and fewer still for few frames: a share of the whole, by frames.
 MOST_SETTLED, LEAST_SETTLED, SETTLED_FRAMES = 2 / 3, 1 / 3, 2000
-LEAST_STEPS = 1000  # that are taken in any case, where the configuration has as many
-NEARLY_DONE = 1 - 1e-9  # share: what is left of a fit must not be nothing, as it is divided by
+LEAST_STEPS = 1000  # that are always taken, if the configuration has as many
+NEARLY_DONE = 1 - 1e-9  # largest share that is done: the remaining share is a divisor
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class Schedule:
 
     learning_rate: float  # Adam's step size at the start
     refreshes: tuple[float, ...]  # shares of the fit after which teachers are made
-    full_steps: int  # of a whole fit that has all the time it needs
+    full_steps: int  # of a whole fit without a time limit
     steps: int  # at which the fit ends
     first_step: int = 0  # step at which this plan began
     done_before: float = 0.0  # share of the fit that was done by then
@@ -73,15 +72,15 @@ class Schedule:
         return self.learning_rate / 2 * (1 + math.cos(math.pi * phase))
 
     def full_steps_left(self, step: int) -> int:
-        """Return how many steps the rest takes that has all the time it needs."""
+        """Return how many steps the remaining part takes without a time limit."""
         return round((1 - self.share_at(step)) * self.full_steps)
 
     def with_steps_left(self, step: int, steps_left: int) -> "Schedule":
-        """Plan to do what is left at a step in so many more steps."""
+        """Distribute the share that remains at a step over so many more steps."""
         share = min(self.share_at(step), NEARLY_DONE)
         return replace(self, first_step=step, done_before=share, steps=step + steps_left)
 
     def skipped_to(self, step: int, share: float) -> "Schedule":
-        """Go on at a step as if this share of the fit were done."""
+        """Continue at a step as if this share of the fit were done."""
         left = round((1 - share) * self.full_steps)
         return replace(self, first_step=step, done_before=share, steps=step + left)

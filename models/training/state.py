@@ -10,19 +10,19 @@ from models.numerics.tensor_files import WeightsError
 from models.training.budget import Clock
 from models.training.schedule import Schedule
 
-# Whether the cameras of a fit are still to be found, are found, or are not looked for: because
-# nobody asked for them, or because the time for it is over.
+# Whether the cameras of a fit are still sought, are found, or are not sought: because the
+# configuration does not ask for them, or because the time for it is over.
 CameraSearch = Literal["sought", "found", "not_sought"]
 
 
 @dataclass
 class TeachingState:
-    """What a fit knows of its cameras and teachers, beside these."""
+    """The state of cameras and teachers, besides these themselves."""
 
     cameras: CameraSearch
     found_at_step: int | None = None  # where the cameras were found
     mirrored: bool = False  # whether the network's structures are mirror images of the true ones
-    result_seconds: float | None = None  # what the last step of the result took, once measured
+    result_seconds: float | None = None  # duration of the result's last step, once measured
 
 
 @dataclass
@@ -44,8 +44,8 @@ class TrainerState:
     step: int = 0  # steps taken
     loss: float = 0.0  # running mean over recent batches
     reprojection_error: float = 0.0  # pixels, running mean over recent batches
-    refreshes_done: int = 0  # how many times teachers were made, or left out for want of time
-    ends_early: bool = False  # whether nothing more is learned: the fit does its last steps
+    refreshes_done: int = 0  # how many times teachers were made, or skipped for lack of time
+    ends_early: bool = False  # whether the fit stopped improving and takes its last steps
 
 
 _ADAPTER = TypeAdapter(TrainerState)

@@ -1,4 +1,4 @@
-"""Bringing the views of a capture in step before a fit looks at anything else."""
+"""Bringing the views of a capture in step, before anything else in a fit."""
 
 from typing import NamedTuple
 
@@ -21,12 +21,12 @@ LONGEST_GAP = 5  # places on the grid of times that missing frames take
 
 
 class InStep(NamedTuple):
-    """The keypoints of a capture with its views in step, and what was found on the way."""
+    """The keypoints of a capture with its views in step, and the findings about them."""
 
     keypoints: Float32  # (N, K, P, 2) pixels
     confidence: Float32 | None  # (N, K, P)
-    times: Float64 | None  # (N,) seconds, of the first view, if they were told
-    clocks: Clocks | None  # of views that were shifted although their times are those of others
+    times: Float64 | None  # (N,) seconds, of the first view, if they were given
+    clocks: Clocks | None  # of views that were shifted although their given times are the same
     findings: tuple[Finding, ...]
 
 
@@ -38,10 +38,10 @@ def put_in_step(
 ) -> InStep:
     """Read late views (of keypoints (N, K, P, 2)) later, so that every frame is one moment.
 
-    Times (N,) or (N, K) in seconds that differ between views are honoured. With them, views that
-    are late nevertheless are looked for and shifted; without them they are only reported, and
-    nothing is reported of frames that do not follow each other in time. `synchronise: off` looks
-    for nothing. If the search fails, that is logged, and no view is late.
+    Times (N,) or (N, K) in seconds may differ between views, and the views are then shifted by the
+    difference. With times, views that are still late are found and shifted too. Without times
+    they are only reported, and only if frames follow each other in time. `synchronise: off`
+    disables the search. If the search fails, the error is logged and no view counts as late.
     """
     read, trust = in_step(keypoints, confidence, times)
     first = None if times is None else times.reshape(len(times), -1)[:, 0]
@@ -71,8 +71,8 @@ def put_in_step(
 def _timing(pixels: Float64, weights: Float64, slots: Int, reach: int) -> Timing | None:
     """Find by how many frames views are late.
 
-    Views or keypoints that changed places look late as well, and so does a camera that was moved.
-    If fewer views do once these are put right, then that was all.
+    Exchanged views or keypoints and a camera that was moved also look like late views. If fewer
+    views look late once these are corrected, the corrected frames decide.
     """
     timing = find_timing(*_spread(pixels, weights, slots), reach=reach)
     if timing is None or not _out_of_step(timing):
@@ -87,9 +87,9 @@ def _out_of_step(timing: Timing) -> int:
 
 
 def _slots(times: Float64, step: float) -> Int:
-    """Return places (N,) on a grid of even steps: frames that are missing leave a place free.
+    """Return places (N,) on a grid of even steps, with free places for missing frames.
 
-    Long pauses are cut short, and no frame shares a place with another.
+    Long pauses are shortened. No two frames have the same place.
     """
     steps = np.round(np.diff(times) / step).astype(np.int64)
     return np.concatenate(([0], np.cumsum(np.clip(steps, 1, LONGEST_GAP))))
@@ -113,7 +113,7 @@ def _weights(keypoints: Float32, confidence: Float32 | None) -> Float64:
 
 
 def _finding(timing: Timing, view: int, step: float | None) -> Finding:
-    """Say by how much a view is late; `step` is the time between frames, if it is known."""
+    """Return findings of late views; `step` is the time between frames, if it is known."""
     offsets = timing.offsets[:, view]
     sure = bool(timing.late[view])
     applied = sure and step is not None

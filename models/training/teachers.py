@@ -1,11 +1,11 @@
-"""Self-distillation: what several views of a frame agree on teaches the network about fewer views.
+"""Self-distillation: structures from several views of a frame teach the network to use fewer views.
 
-Where a frame has two views or more, least squares over them knows better than the network
-(`models.network.settling`). Such settled structures become teachers: they supervise the network on
-the frames they come from, and on *virtual views* (`models.training.virtual_views`): a teacher seen
-by made-up cameras like those of the capture, often few of them, with the noise and the gaps of the
-capture. No 3D enters from outside: teachers are a function of the keypoints and of the network's
-weights.
+Where a frame has two views or more, least squares over them (`models.network.settling`) is more
+accurate than the network. Such settled structures become teachers. They supervise the network on
+the frames they come from, and on *virtual views* (`models.training.virtual_views`): projections of
+a teacher into drawn cameras like those of the capture, often few of them, with the noise and the
+gaps of the capture. No 3D data enters from outside: teachers are a function of the keypoints and of
+the network's weights.
 """
 
 import math
@@ -33,14 +33,14 @@ UPRIGHT_WEIGHT = 0.1  # of "cameras stand upright" next to "cameras do not roll"
 
 
 class Teachers(NamedTuple):
-    """Settled structures of T frames and what it takes to make virtual views of them."""
+    """Settled structures of T frames, and the data for making virtual views of them."""
 
     points: Tensor  # (T, P, 3) centred, root-mean-square radius 1, in the network's handedness
     rotations: Tensor  # (T, K, 3, 3) of the cameras that saw them
     observed: Tensor  # (T, K) 1 where there was such a camera, else 0
     up_axes: Tensor  # (T, 3) unit vectors along gravity, upwards or downwards
     taught: Tensor  # (N,) whether a frame of the capture has a teacher
-    indices: Tensor  # (N,) which teacher that is; of no meaning for other frames
+    indices: Tensor  # (N,) index of this teacher; arbitrary for other frames
     foreshortening: float  # k in the network's handedness, see models.network.settling
     noise: float  # standard deviation of a keypoint's coordinate, as a share of its view's size
 
@@ -65,13 +65,13 @@ def find_teachers(
     foreshortening = estimate_foreshortening(*some, rounds=ROUNDS)
     early = settle(*arrays, foreshortening)
     late = settle(*arrays, foreshortening, rounds=ROUNDS)
-    # Two views have hardly more equations than unknowns: more rounds would settle on their noise.
+    # Two views have hardly more equations than unknowns: more rounds would fit their noise.
     _, views, shown, _ = arrays  # (T, K, P, 2), (T, K, P)
     pair = ((shown.sum(-1) > 0).sum(1) == 2)[:, None, None]
     structures = np.where(pair, early[0], late[0])  # (T, P, 3)
     guesses = np.where(pair[..., None], early[1], late[1])  # (T, K, 3, 3)
     if foreshortening < 0:
-        # Back to the handedness that the network is used to; the fit decides it at its end.
+        # Back to the handedness of the network; the fit decides the true one at its end.
         structures, guesses = mirror_images(structures, guesses)
 
     cameras = first_order_cameras(structures, views, shown, guesses, foreshortening)
@@ -125,13 +125,13 @@ def as_teachers(
 
     They come from `frames` (T,) of the `count` N of the capture.
     """
-    # Cameras hardly roll: their x axes are level, and up is what is most at right angles to all
-    # of them; where they are too much alike to tell, along their y axes.
+    # Cameras hardly roll, so their x axes are level. Up is the direction most perpendicular to all
+    # of them, or along their y axes where the x axes are too much alike.
     x, y = rotations[..., 0, :], rotations[..., 1, :]  # (T, K, 3)
     level = torch.einsum("tk,tki,tkj->tij", observed, x, x)
     upright = torch.einsum("tk,tki,tkj->tij", observed, y, y)
     axes = torch.linalg.eigh(UPRIGHT_WEIGHT * upright - level).eigenvectors
-    up_axes = axes[..., -1].contiguous()  # as a checkpoint gives it back: compiled for once
+    up_axes = axes[..., -1].contiguous()  # laid out as in a checkpoint, so compiled only once
     taught = torch.zeros(count, dtype=torch.bool)
     indices = torch.zeros(count, dtype=torch.long)
     taught[frames] = True
@@ -157,7 +157,7 @@ def perspective_teachers(
     rotations, translations
         (T, K, 3, 3) and (T, K, 3), in units of the structures.
     observed
-        (T, K) whether there was such a camera; of others there may be any finite numbers.
+        (T, K) whether there was such a camera; others may have any finite numbers.
     frames, count
         Indices (T,) of the frames that the structures come from, of the N of the capture.
     noise
@@ -169,7 +169,7 @@ def perspective_teachers(
     distances = translations.norm(dim=-1) / radius[:, None]  # (T, K)
     weights = observed.to(points.dtype)
     foreshortening = float((weights / distances).sum() / weights.sum())
-    # Weak perspective looks along the ray to the subject, not along the axis of the lens.
+    # A weak-perspective camera looks along the ray to the subject, not along the lens's axis.
     rays = torch.nn.functional.normalize(translations, dim=-1)
     ahead = rays.new_tensor([0.0, 0.0, 1.0]).expand_as(rays)
     axes = torch.linalg.cross(rays, ahead, dim=-1)

@@ -1,4 +1,4 @@
-"""What a fit makes beside the network's weights: cameras, the network's errors, teachers."""
+"""The parts of a fit besides the network's weights: cameras, the network's errors, teachers."""
 
 import logging
 import math
@@ -16,7 +16,7 @@ from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.known_structures import KnownStructures
 from models.bundle.problem import Scene, Views
-from models.calibrating.handedness import NothingFoundError, same_hand
+from models.calibrating.handedness import NothingFoundError, same_handedness
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
 from models.calibrating.self_calibration import (
@@ -24,9 +24,9 @@ from models.calibrating.self_calibration import (
     most_frames,
     self_calibrate,
 )
-from models.lifting.curve import CurvePoint
+from models.lifting.curve import CurveRow
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift, join
+from models.lifting.lift import LiftedFrames, join
 from models.lifting.skeleton_lengths import SkeletonLengths, learn_skeleton_lengths
 from models.network.answers import Usual
 from models.network.priors.prior import Prior
@@ -45,7 +45,7 @@ logger = logging.getLogger(__name__)
 LIFTED_FRAMES = 256  # between two chances to stop
 HANDEDNESS_FRAMES = 1000  # plenty to decide the handedness of a fit
 LENGTH_FRAMES = 2000  # plenty to learn the lengths of a skeleton
-HIDDEN = 0.01  # share of the keypoints that fewer than two views tell: structures are learnt again
+HIDDEN = 0.01  # if more keypoints are seen by fewer than two views, structures are learnt again
 ROUNDS = 3  # of that
 
 
@@ -68,17 +68,17 @@ class Teaching:
         self.self_calibration: SelfCalibration | None = None
         self._network = network
         self._data = data
-        self._unseen = unseen  # frames that the network is not taught
+        self._unseen = unseen  # frames that are held out from training
         self._config = config
         self._image_sizes = image_sizes
-        self._removed_noise = removed_noise  # and what is left of it, pixels
-        self._detected = detected  # the data with the noise that was removed, weighed by it
+        self._removed_noise = removed_noise  # and the noise left, pixels
+        self._detected = detected  # the data before noise was removed, weighted by this noise
         self._edges = edges  # (E, 2) of the skeleton
 
     def settle_by_geometry(self) -> Iterator[None]:
-        """Find static cameras from keypoints alone, and teach what they see, if they decide that.
+        """Find static cameras from keypoints alone, if possible, and make teachers with them.
 
-        Yields now and then, to be stopped there: then nothing was found.
+        Yields now and then. If it is stopped there, no cameras are found.
         """
         frames = self._frames_of_several_views(0).sort().values
         if not len(frames):
@@ -117,11 +117,11 @@ class Teaching:
         )
 
     def make_teachers(self, step: int, *, most: int) -> Iterator[None]:
-        """Make teachers anew, and find the cameras first if they are sought.
+        """Make new teachers, after estimating the cameras if they are sought.
 
-        Yields now and then, to be stopped there: what was made until then is kept. A fit that goes
-        on from its last checkpoint at the same step goes on with the cameras it had found.
-        Without cameras, `most` teachers are settled at most.
+        Yields now and then. If it is stopped there, everything made until then is kept. A fit that
+        is resumed at the same step continues with the cameras it had found. Without cameras, at
+        most `most` teachers are settled.
         """
         config, data, state = self._config, self._data, self.state
         if state.cameras == "not_sought":
@@ -145,11 +145,11 @@ class Teaching:
             yield from self._make_perspective_teachers(self.self_calibration, frames, step)
 
     def stop_searching(self) -> None:
-        """Go on without cameras if they are not found by now."""
+        """Continue without cameras if they are not found by now."""
         if self.self_calibration is None:
             self.state.cameras = "not_sought"
 
-    def result(self, step: int, curve: list[CurvePoint]) -> FittedPrior:
+    def result(self, step: int, curve: list[CurveRow]) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
         found = self.self_calibration
         if found is None:
@@ -166,7 +166,7 @@ class Teaching:
         prior = self._as_prior(found, curve, skeleton, structures)
         if structures is None:
             return prior
-        # Lengths make structures truer, and so what they tell of noisy frames.
+        # Lengths improve the structures, and so the sharpening of noisy frames by them.
         lift = finished(self._lifted(prior, frames))
         truer = known_structures(lift, self._data.weights[frames].numpy(), found.shapes.mean)
         if truer is None:
@@ -175,13 +175,13 @@ class Teaching:
         return self._as_prior(found, curve, skeleton, truer)
 
     def usual(self) -> Usual:
-        """Return what is usual of the frames of the fit, with the network as it is now."""
+        """Return the usual range of the frames of the fit, with the present network."""
         return learn_usual(self._as_prior(None), self._data, self._unseen)
 
     def _as_prior(
         self,
         self_calibration: SelfCalibration | None,
-        curve: list[CurvePoint] | None = None,
+        curve: list[CurveRow] | None = None,
         skeleton: SkeletonLengths | None = None,
         structures: KnownStructures | None = None,
     ) -> FittedPrior:
@@ -205,11 +205,11 @@ class Teaching:
         )
 
     def _every(self, most: int) -> int:
-        """Return which part of the frames is at most so many."""
+        """Return a part of the frames, at most so many."""
         return math.ceil(len(self._data.keypoints) / most)
 
     def _find_cameras(self, frames: Tensor) -> Iterator[None]:
-        """Find the cameras from frames (T,) with two views or more, if their keypoints tell."""
+        """Estimate the cameras from frames (T,) with two views or more, if this is possible."""
         frames = frames[: most_frames(*self._data.keypoints.shape[1:3])]
         pixels, weights = self._data.pixels(frames), self._data.weights[frames]
         prior = self._as_prior(None)
@@ -230,13 +230,13 @@ class Teaching:
             return
         found, scene = result
         self.self_calibration = found
-        scene_is_mirrored = not same_hand(scene.points, answers.points)
+        scene_is_mirrored = not same_handedness(scene.points, answers.points)
         self.state.mirrored = (prior.foreshortening < 0) != scene_is_mirrored
 
     def _found_by(
         self, steps: Steps[tuple[SelfCalibration, Scene] | None]
     ) -> Steps[tuple[SelfCalibration, Scene] | None]:
-        """Return what a search comes to, with the noise that was removed before it."""
+        """Return the result of a search, with the noise that was removed before it."""
         try:
             result = yield from steps
         except (LinAlgError, NothingFoundError):
@@ -250,7 +250,7 @@ class Teaching:
         return replace(found, reason=reason, noise=max(found.noise, left)), scene
 
     def _noisy_frames(self) -> NoisyFrames | None:
-        """Return all frames before and after noise was removed from them; None if none was."""
+        """Return all frames before and after noise removal; None if no noise was removed."""
         if self._removed_noise is None:
             return None
         every = torch.arange(len(self._data.weights))
@@ -264,11 +264,11 @@ class Teaching:
     def _learn_lengths(
         self, prior: FittedPrior, found: SelfCalibration | None
     ) -> SkeletonLengths | None:
-        """Learn what edges of the skeleton keep their lengths, where it is known what noise is.
+        """Learn which edges of the skeleton keep their lengths, if white noise was removed.
 
-        Only white noise that was removed is: what detectors do beyond it looks like steady edges.
+        Other errors of detectors are not white and look like edges of constant length.
         """
-        if found is None or self._removed_noise is None or not found.resting.all():
+        if found is None or self._removed_noise is None or not found.static.all():
             return None
         if not self._config.bone_lengths or not len(self._edges):
             return None
@@ -285,7 +285,7 @@ class Teaching:
         )
 
     def _with_network_errors(self, self_calibration: SelfCalibration, step: int) -> SelfCalibration:
-        """Measure the network's errors as they are now, and the time that it takes."""
+        """Measure the present errors of the network, and the time that this takes."""
         started = time.perf_counter()
         measured = learn_errors_of_network(
             self_calibration,
@@ -305,10 +305,10 @@ class Teaching:
 
     def _learn_structures(
         self, found: SelfCalibration, frames: Tensor, *, seed: list[int]
-    ) -> Steps[tuple[KnownStructures | None, Lift | None]]:
-        """Lift frames (T,), and again with what was learnt of them if views hide much of them.
+    ) -> Steps[tuple[KnownStructures | None, LiftedFrames | None]]:
+        """Lift frames (T,), and again with their known structures if many keypoints are hidden.
 
-        Yields now and then, to be stopped there; returns what is known, and the last lift.
+        Yields now and then, to be stopped there. Returns the known structures, and the last lift.
         """
         if not len(frames):
             return None, None
@@ -334,7 +334,7 @@ class Teaching:
                 break
         return structures, lift
 
-    def _lifted(self, prior: FittedPrior, frames: Tensor) -> Steps[Lift]:
+    def _lifted(self, prior: FittedPrior, frames: Tensor) -> Steps[LiftedFrames]:
         """Return the refined lift of frames (T,); yields now and then, to be stopped there."""
         lifts = []
         for some in torch.split(frames, LIFTED_FRAMES):
@@ -373,7 +373,7 @@ class Teaching:
         observed: Tensor,
         seen: tuple[Tensor, Tensor, Tensor],
     ) -> None:
-        """Teach structures, rotations and translations `seen` in frames (T,) by views (T, K)."""
+        """Make teachers of structures and poses `seen` in frames (T,); `observed` is (T, K)."""
         noise = found.noise / float(self._data.sizes[frames][observed].mean())
         count, mirrored = len(self._data.keypoints), self.state.mirrored
         self.teachers = perspective_teachers(
@@ -381,11 +381,8 @@ class Teaching:
         )
 
 
-def _weak_perspective(lift: Lift) -> WeakPerspectiveScene:
-    """Return structures, rotations, scales and translations (x, y) of a lift in float64.
-
-    Harmless numbers stand where there is no answer.
-    """
+def _weak_perspective(lift: LiftedFrames) -> WeakPerspectiveScene:
+    """Return structures, rotations, scales and translations (x, y) of a lift, finite everywhere."""
 
     def number(array: NDArray[np.float32], without: float) -> NDArray[np.float64]:
         return np.asarray(np.nan_to_num(array, nan=without), np.float64)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from models.calibrating.image_sizes import ImageSizes
 from models.findings.advice import attempt
 from models.findings.finding import Finding
-from models.lifting.curve import CurvePoint
+from models.lifting.curve import CurveRow
 from models.lifting.fitted_prior import FittedPrior
 from models.network.answers import nothing_unusual
 from models.network.priors.prior import Prior
@@ -46,11 +46,11 @@ from models.training.teaching import Teaching
 
 CURVE_ROWS = 200
 NEWEST_WEIGHT = 0.05  # of the newest batch in the running means
-# Early stopping: in PATIENCE of the steps, TOLERANCE of the error of the held-out frames must go.
+# Early stopping: in PATIENCE of the steps, the error of held-out frames must fall by TOLERANCE.
 PATIENCE, TOLERANCE = 0.1, 0.01
-HOLDOUT_CHECKS = 100  # looks at the held-out frames in a fit
-LAST_SHARE = 0.1  # of the steps: what a fit that learns nothing more takes to come to its end
-TEACHER_SHARE = 3  # at most a third as many weak-perspective teachers as steps: each takes its time
+HOLDOUT_CHECKS = 100  # measurements of the held-out error in a fit
+LAST_SHARE = 0.1  # of the steps, which a fit that stopped improving still takes
+TEACHER_SHARE = 3  # steps for each weak-perspective teacher at least, as each takes time
 
 StoppedBy = Literal["steps", "budget", "early"]
 Stage = Literal["training", "refining"]
@@ -66,7 +66,7 @@ class Progress:
     reprojection_error: float  # pixels, running mean over recent batches
     seconds_left: float
     stage: Stage = "training"
-    stopped_by: StoppedBy | None = None  # what ended the fit; None while it goes on
+    stopped_by: StoppedBy | None = None  # why the fit ended; None while it goes on
 
 
 class Trainer:
@@ -91,12 +91,12 @@ class Trainer:
     ) -> None:
         """Prepare a fit of `keypoints` (N, K, P, 2) pixels, from a `checkpoint` if given.
 
-        `times` (N,) or (N, K) in seconds tell when frames, or their views, were taken: views are
-        then put in step (`models.training.synchronising`), and noise is removed by what the frames
-        before and after show. `image_sizes` are (width, height) in pixels, one per view, None where
-        unknown. `edges` (E, 2) are the keypoints that a skeleton joins, whose distances are held in
-        lifts where noise hides that they stay the same. `start` is a prior whose weights the fit
-        begins with; `models.settings.config.warm` says what suits it. Training steps are taken on
+        `times` (N,) or (N, K) in seconds are the times of frames, or of their views. With them,
+        views are put in step (`models.training.synchronising`), and noise is removed by smoothing
+        in time. `image_sizes` are (width, height) in pixels, one per view, None where unknown.
+        `edges` (E, 2) are the keypoints that a skeleton joins. Lifts hold their lengths where these
+        are constant but for noise. `start` is a prior whose weights the fit starts from;
+        `models.settings.config.warm` makes a suitable configuration. Training steps are taken on
         the `device`, everything else on the CPU.
 
         Raises
@@ -153,7 +153,7 @@ class Trainer:
             edges_among_known(pairs, self._capture.known),
         )
         self._state = TrainerState(Schedule.of(config), self._teaching.state)
-        self._curve: list[CurvePoint] = []
+        self._curve: list[CurveRow] = []
         if checkpoint is not None:
             self._restore(checkpoint)
 
@@ -169,7 +169,7 @@ class Trainer:
 
     @property
     def stopped_by(self) -> StoppedBy | None:
-        """What ended the fit; None if it can go on."""
+        """The reason why the fit ended; None if it can go on."""
         state = self._state
         if state.step < state.schedule.steps:
             return None
@@ -211,7 +211,7 @@ class Trainer:
         return prior.of_capture(self.config, capture, self._outliers, self._noise_removal)
 
     def checkpoint(self) -> bytes:
-        """Return everything needed to go on, as safetensors bytes."""
+        """Return everything needed to continue, as safetensors bytes."""
         saved = Checkpoint(
             weights=self._learner.weights,
             moments=self._learner.moments,
@@ -247,7 +247,7 @@ class Trainer:
         return self._learner.step(batch, count=step + 1, rate=rate)
 
     def _settle_by_geometry(self) -> Iterator[Progress]:
-        """Find static cameras from keypoints alone; then training begins with what they see."""
+        """Find static cameras from keypoints alone; training then starts with teachers."""
         state = self._state
         for _ in self._teaching.settle_by_geometry():
             if state.clock.count() and state.clock.seconds > CALIBRATION_LIMIT * self._budget:
@@ -261,7 +261,7 @@ class Trainer:
             self._plan_within_budget()
 
     def _make_due_teachers(self) -> Iterator[Progress]:
-        """Find the cameras and make the teachers that are due."""
+        """Estimate the cameras and make the teachers that are due."""
         state = self._state
         due = state.schedule.refreshes_due(state.step)
         if due <= state.refreshes_done:
@@ -302,7 +302,7 @@ class Trainer:
         return math.inf if self.config.budget_s is None else self.config.budget_s
 
     def _plan_rest(self) -> None:
-        """Plan the rest anew where time is short, or nothing more is learned."""
+        """Plan the remaining steps again if time is short or the fit stopped improving."""
         if self.step % PLAN_EVERY == 0:
             self._plan_within_budget()
         if (
@@ -324,7 +324,7 @@ class Trainer:
             )
 
     def _check_holdout(self, holdout: Holdout) -> None:
-        """Go on to what comes next if the held-out frames gain nothing any more."""
+        """Move on to the next stage if the held-out error no longer falls."""
         state = self._state
         self._learner.update_network()
         teachers = self._teaching.teachers
@@ -345,7 +345,7 @@ class Trainer:
     def _add_to_curve(self) -> None:
         state = self._state
         if not self._curve or self._curve[-1].step < state.step:
-            self._curve.append(CurvePoint(state.step, state.loss, state.reprojection_error))
+            self._curve.append(CurveRow(state.step, state.loss, state.reprojection_error))
 
     def _progress(self, stage: Stage) -> Progress:
         state, steps = self._state, self._state.schedule.steps
@@ -396,5 +396,5 @@ def _begin_with(network: Prior, config: FitConfig, start: FittedPrior) -> None:
 
 
 def _running_mean(mean: float, value: float, newest: float | None) -> float:
-    """Let a running mean follow a value by the share `newest`; it begins with the first."""
+    """Move a running mean towards a value by the share `newest`; it starts at the first value."""
     return value if newest is None else mean + newest * (value - mean)

@@ -1,4 +1,4 @@
-"""Virtual views: teachers seen by made-up cameras like those of the capture, compiled."""
+"""Virtual views: projections of teachers into drawn cameras like those of the capture, compiled."""
 
 import math
 from typing import Any, NamedTuple
@@ -118,11 +118,11 @@ def _drop_views_of_frame(weights: Floats, uniform: Floats, out: Floats) -> None:
 def _draw_views(
     teachers: _Teachers, weights: Floats, uniform: Floats, normal: Floats, out: _Views
 ) -> None:
-    """Write `out` from random numbers.
+    """Make virtual views `out` from random numbers.
 
-    Of `uniform` (V, 4 + 3 K), in [0, 1), a row says which frame's gaps it has, which teacher it
-    shows, which views it loses (2 + K), which of the teacher's cameras each view starts from (K),
-    and how far that camera walks round the teacher (K). Of `normal` (V, K, 3 + 2 P) a view has the
+    A row of `uniform` (V, 4 + 3 K), in [0, 1), chooses the frame whose gaps are used, the teacher,
+    the views that are dropped (2 + K), the teacher's camera from which each view starts (K), and
+    how far this camera moves around the teacher (K). A view of `normal` (V, K, 3 + 2 P) has the
     tilt of its camera and the noise of its keypoints.
     """
     views, count = weights.shape[1:]

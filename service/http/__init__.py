@@ -1,9 +1,9 @@
-"""What any HTTP service needs; it knows nothing of keypoints.
+"""The parts of any HTTP service; nothing here depends on keypoints.
 
 ``errors``
     Every error as RFC 9457 problem details: ``ApiError``, ``invalid``, ``problems``.
 ``dependencies``
-    What endpoints ask for: the settings, the store, the queue, the parameters of pages.
+    Dependencies of endpoints: the settings, the store, the queue, the parameters of pages.
 ``hosts``, ``origins``
     Names of the service, and web pages, that requests may come by.
 ``connections``, ``peers``
@@ -17,7 +17,7 @@
 ``idempotency``
     The ``Idempotency-Key`` header.
 ``request_ids``, ``metrics``
-    Identifiers of requests, and what is counted of them.
+    Identifiers of requests, and their counters.
 ``operations``
-    What the OpenAPI document says of an operation and FastAPI cannot see.
+    Parts of the OpenAPI document that FastAPI cannot derive from the code.
 """

@@ -69,7 +69,7 @@ class Authentication:
         return caller
 
     def _identify(self, scope: Scope) -> Caller:
-        """Return who sends a request; raise ``ApiError`` 401 if nobody knows."""
+        """Return the caller of a request; raise ``ApiError`` 401 if it is unknown."""
         token = _token_in(scope)
         if token is not None:
             keyring: Keyring = scope["app"].state.keyring
@@ -82,7 +82,7 @@ class Authentication:
         raise _unauthorized(f"This needs a key. {HOW}")
 
     def _is_owner(self, scope: Scope) -> bool:
-        """Tell whether a request without a key is one of the service's own user."""
+        """Return whether a request without a key is one of the service's own user."""
         peer = cast(Peer | None, scope["state"].get("peer"))
         if peer is None or not self._settings.trust_local or not peer.trusted:
             return False
@@ -100,7 +100,7 @@ def needed(method: str, path: str) -> access_keys.Scope:
 
 
 def _is_of_page(scope: Scope) -> bool:
-    """Whether a request is for the page, which asks for a key itself and holds nobody's data."""
+    """Whether a request is for the page, which asks for a key itself and has no user's data."""
     path, reads = scope["path"], scope.get("method") in ("GET", "HEAD")
     return reads and (path == "/" or path.startswith(f"{PAGE_FILES}/"))
 

@@ -121,7 +121,7 @@ class Connection(HttpToolsProtocol):
         super().handle_websocket_upgrade()
 
     def send_400_response(self, msg: str) -> None:
-        """Say, as a problem, why the parser went no further."""
+        """Return the reason why the parser stopped, as a problem."""
         large = len(self.url) + sum(len(n) + len(v) for n, v in self.headers or ()) > MAX_HEAD_BYTES
         self._refuse(_too_large() if large else ApiError("malformed_request", msg))
 

@@ -43,18 +43,18 @@ async def get_redis(request: Request) -> Redis:
 
 
 async def refuse_foreign_changes(connection: HTTPConnection) -> None:
-    """Refuse what a script of another web page would change; it cannot read what it gets."""
+    """Refuse changes by scripts of other web pages; browsers keep these from reading answers."""
     if connection.scope.get("method") not in ("GET", "HEAD"):
         refuse_foreign(connection)
 
 
 def refuse_if_leaving(connection: HTTPConnection) -> None:
-    """Refuse, once this process leaves, what would have to be broken off.
+    """Refuse long requests once this process is shutting down.
 
     Raises
     ------
     ApiError
-        503 that says so.
+        503, with this reason.
     """
     if connection.app.state.leaving.is_set():
         raise ApiError(
@@ -78,8 +78,8 @@ async def refuse_unknown_query(connection: HTTPConnection) -> None:
         raise ApiError("not_found", "No identifier has the character NUL (%00).")
     if not connection.scope["query_string"]:
         return
-    said = connection.query_params.multi_items()
-    if nul := [name for name, value in said if "\0" in name + value]:
+    parameters = connection.query_params.multi_items()
+    if nul := [name for name, value in parameters if "\0" in name + value]:
         raise of_mistakes([Mistake(pointer(name), NUL) for name in nul[:MOST]])
     route = connection.scope["route"]
     known = [

@@ -75,7 +75,7 @@ def ranged_response(
 def streamed_response(
     request: Request, pieces: Iterator[bytes], *, media_type: str, checksum: str
 ) -> Response:
-    """Answer a GET with what is made piece by piece, of a size that nobody knows: without ranges.
+    """Answer a GET with bytes that are made piece by piece, of unknown size: without ranges.
 
     ``checksum`` is its entity tag.
     """
@@ -87,7 +87,7 @@ def streamed_response(
 
 
 def _is_known(request: Request, etag: str) -> bool:
-    """Tell whether the client has what it asks for."""
+    """Return whether the client already has this representation."""
     matches = [
         tag.strip().removeprefix("W/")
         for tag in request.headers.get("if-none-match", "").split(",")

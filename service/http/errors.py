@@ -267,7 +267,7 @@ def _handler(to_api_error: Callable[[Any], ApiError]) -> Callable[[Request, Any]
 
 
 def _with_place(request: Request, error: HTTPException) -> HTTPException:
-    """Return Starlette's own error, which says no more than its status, with what was asked."""
+    """Return Starlette's own error, which has only a status, with the method and path."""
     if error.detail != HTTPStatus(error.status_code).phrase:
         return error
     detail = f"{error.detail}: {request.method} {request.url.path}"
@@ -344,10 +344,10 @@ def _of_damage(error: DamagedError) -> ApiError:
 
 
 def of_bug(_error: Exception) -> ApiError:
-    """Return the error of what nobody foresaw; it tells nothing of it."""
+    """Return the error for an unforeseen exception, without any details of it."""
     return ApiError(
         "internal_error",
-        "This is a fault in Fewview; its log says more.",
+        "This is a fault in Fewview; its log has the details.",
         headers={"Connection": "close"},  # as the server does after an exception
     )
 

@@ -6,7 +6,7 @@ from service.http.errors import of_bug
 
 
 class Faults:
-    """Answers an exception that nobody foresaw, and raises it again for the log.
+    """Answers an unforeseen exception, and raises it again for the log.
 
     Starlette does so outside of all middleware, where the answer lacks the headers without which a
     web page's script cannot read it.

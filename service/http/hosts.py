@@ -12,10 +12,10 @@ from service.settings import WILDCARDS, Settings, is_address, is_loopback
 class Hosts:
     """Refuses requests, and handshakes of WebSockets, whose ``Host`` names another place.
 
-    Whoever controls a name can let it point to this machine once a browser has loaded a page from
-    it (DNS rebinding). The browser then takes the service for a part of that page, but still names
-    the host of that page. No name has to be trusted for an address: the names of loopback, the
-    address listened on and, where that is all of them, any address.
+    The owner of a name can point it to this machine after a browser has loaded a page from it (DNS
+    rebinding). The browser then treats the service as part of that page, but still sends the host
+    of that page. Addresses need not be allowed by name: loopback, the address listened on and, if
+    that is all addresses, any address.
     """
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
@@ -30,8 +30,8 @@ class Hosts:
             if not self._is_ours(host):
                 error = ApiError(
                     "host_not_allowed",
-                    f"The service is not known as {host!r:.200}; FEWVIEW_ALLOWED_HOSTS tells the "
-                    "names under which it is reached.",
+                    f"The service is not known as {host!r:.200}; list the names under "
+                    "which it is reached in FEWVIEW_ALLOWED_HOSTS.",
                 )
                 await error.response()(scope, receive, send)
                 return

@@ -18,10 +18,10 @@ def idempotency(request: Request, key: str | None, upload: Upload) -> Idempotenc
 
 
 def _digest(request: Request, upload: Upload) -> str:
-    """Return the SHA-256 of everything in a request that what it makes may depend on.
+    """Return the SHA-256 of everything in a request that its result may depend on.
 
-    Of a form these are its fields and files, and not its bytes: clients that send it again choose
-    another boundary.
+    For a form these are its fields and files instead of its bytes, because clients that send it
+    again choose another boundary.
     """
     whole = [
         request.method,
@@ -36,9 +36,10 @@ def _digest(request: Request, upload: Upload) -> str:
 
 
 def _older_digest(request: Request, upload: Upload) -> str | None:
-    """Return what older versions noted of a request, for those sent again across an upgrade.
+    """Return the digest that older versions recorded, for requests repeated across an upgrade.
 
-    Keys are kept for a day. What was cut off at 200 characters stands for many requests: None.
+    Keys are kept for a day. None if the older digest was cut off at 200 characters, for it then
+    does not identify one request.
     """
     digest = hashlib.sha256(upload.data)
     for file in upload.files[1:]:

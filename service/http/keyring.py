@@ -50,9 +50,9 @@ OWNER = Caller(Author(), frozenset(SCOPES))  # the user that the service runs as
 
 
 class Keyring:
-    """The keys in force. A thread reads the records twice a second; nobody waits for it.
+    """The valid keys. A thread reads the records twice a second; no request waits for it.
 
-    While the records cannot be read, the keys that were in force stay so.
+    While the records cannot be read, the keys that were valid stay so.
     """
 
     def __init__(self, store: Store, fixed: Mapping[str, Caller]) -> None:
@@ -79,7 +79,7 @@ class Keyring:
         return self._find(access_keys.digest(token))
 
     def is_in_force(self, caller: Caller) -> bool:
-        """Tell whether a caller's key is still in force. It waits for nothing."""
+        """Return whether a caller's key is still valid, without waiting."""
         return caller.digest is None or self._find(caller.digest) is not None
 
     def _find(self, digest: str) -> Caller | None:
@@ -117,7 +117,7 @@ def caller_of(connection: HTTPConnection) -> Caller:
 
 
 def still_let_in(connection: HTTPConnection) -> Callable[[], bool]:
-    """Return what tells whether the key of a request is still in force."""
+    """Return a function that checks whether the key of a request is still valid."""
     keyring: Keyring = connection.app.state.keyring
     return partial(keyring.is_in_force, caller_of(connection))
 

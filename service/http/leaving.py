@@ -1,4 +1,4 @@
-"""How the server leaves: first it says so and finishes what it has in hand, then it closes."""
+"""How the server shuts down: it reports this, finishes the requests in hand, and then closes."""
 
 import asyncio
 import socket
@@ -10,11 +10,11 @@ CLOSE_SECONDS = 3  # after which requests that were not finished in time are can
 
 
 class Server(uvicorn.Server):
-    """Serves until it is told to leave (SIGTERM); uvicorn closes its sockets as soon as that comes.
+    """Serves until SIGTERM, at which uvicorn alone would close its sockets at once.
 
-    From then on ``leaving`` is set, WebSockets are closed with 1012 ("service restart" in IANA's
-    registry), and requests are still answered: for ``drain_seconds``, so that who asks for
-    readiness sends no more of them, and until none is in hand, for up to ``grace_seconds``.
+    From then on ``leaving`` is set, and WebSockets are closed with 1012 ("service restart" in
+    IANA's registry). Requests are still answered: for ``drain_seconds``, until load balancers that
+    check readiness send no more, and then until none is in hand, for up to ``grace_seconds``.
     """
 
     def __init__(

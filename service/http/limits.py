@@ -14,11 +14,11 @@ SLOWEST = 1024  # bytes a second
 
 
 class BodyLimit:
-    """Refuses a body that is too long or slow, and any while those in hand fill the room for them.
+    """Refuses a body that is too long or slow, and any body while those in hand fill the memory.
 
-    One that says how long it is is refused before it is read, any other as soon as it is too long.
-    FastAPI's own ``max_body_size`` answers in plain text, whatever the error handlers. One whose
-    client falls silent, or sends less than a KiB a second, gives its room up.
+    A body with a declared length is refused before it is read, any other as soon as it is too long.
+    FastAPI's own ``max_body_size`` would answer in plain text, whatever the error handlers. A body
+    whose client falls silent, or sends less than a KiB a second, is given up.
     """
 
     def __init__(

@@ -31,7 +31,7 @@ LIFT_SECONDS = (0.0002, 0.0005, *SECONDS[:11])
 FRAMES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 
 
-disable_created_metrics()  # type: ignore[no-untyped-call]  # series that nobody asks for
+disable_created_metrics()  # type: ignore[no-untyped-call]  # series without use
 
 
 class Metrics:

@@ -1,4 +1,4 @@
-"""What the OpenAPI document says of operations and FastAPI cannot see by itself."""
+"""Parts of the OpenAPI document on operations that FastAPI cannot derive from the code."""
 
 from typing import Any
 

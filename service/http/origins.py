@@ -1,4 +1,4 @@
-"""Scripts of other web pages, which browsers let send what nobody allowed them to."""
+"""Refusing scripts of other web pages, from which browsers send requests without permission."""
 
 from urllib.parse import urlsplit
 
@@ -11,13 +11,13 @@ from service.settings import Settings
 def refuse_foreign(connection: HTTPConnection) -> None:
     """Refuse a request of a web page that is neither the service's own nor of an allowed origin.
 
-    Before a script opens a WebSocket, or posts a form, browsers ask nobody, but they name its
-    origin; other clients name none.
+    Browsers open a WebSocket or post a form for a script without asking the server first, but they
+    send its origin; other clients send none.
 
     Raises
     ------
     ApiError
-        403 that says how to allow it.
+        403, with how to allow it.
     """
     origin = connection.headers.get("origin")
     if origin is None or _host(origin) == connection.headers.get("host"):
@@ -26,8 +26,8 @@ def refuse_foreign(connection: HTTPConnection) -> None:
     if not {"*", origin} & {*settings.allowed_origins}:
         raise ApiError(
             "origin_not_allowed",
-            f"Scripts of {origin!r:.200} may not do this here; FEWVIEW_CORS_ORIGINS tells the "
-            "origins that may.",
+            f"Scripts of {origin!r:.200} may not do this here; list allowed origins in "
+            "FEWVIEW_CORS_ORIGINS.",
         )
 
 

@@ -19,7 +19,7 @@ USUAL_OVERFLOW = 65534
 def peer_uid(client: tuple[str, int], server: tuple[str, int]) -> int | None:
     """Return the user whose process is at a client's end of a TCP connection over loopback.
 
-    It takes some 50 microseconds and waits for nobody.
+    It takes some 50 microseconds and never waits.
 
     Parameters
     ----------
@@ -29,8 +29,8 @@ def peer_uid(client: tuple[str, int], server: tuple[str, int]) -> int | None:
     Returns
     -------
     int | None
-        None where it cannot be known: the client is no process of this network namespace, it has
-        closed its socket, an address is not of loopback, or the system does not say.
+        None if unknown: the client is not in this network namespace, it has closed its socket, an
+        address is not loopback, or the system does not provide it.
     """
     theirs, ours = _end(client), _end(server)
     if theirs is None or ours is None:
@@ -60,9 +60,9 @@ class Peer:
     def trusted(self) -> bool:
         """Whether it is a process of root or of the user that this process has.
 
-        A client may send a request, break its connection off and leave its port to a process of
-        another user, which connects from there. So our end is looked at after theirs: while that
-        is connected, nobody else can be at the other end.
+        A client may send a request, close its connection and leave its port to a process of another
+        user, which connects from there. So our end is checked after the client's: while it is
+        connected, no other process can be at the other end.
         """
         theirs, ours = _end(self._client), _end(self._server)
         if theirs is None or ours is None:
@@ -76,9 +76,9 @@ class Peer:
 
 @cache
 def _trusted_uids() -> AbstractSet[int]:
-    """Return root and our own user, unless that is the one whom the kernel names for unknown ones.
+    """Return root and our own user, without the one that the kernel reports for unknown users.
 
-    That user (overflowuid) stands for everybody whom a user namespace does not know.
+    That user (overflowuid) stands for all users outside of the user namespace.
     """
     try:
         overflow = int(OVERFLOW.read_text())

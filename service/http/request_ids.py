@@ -19,10 +19,11 @@ STARTS = ("http.response.start", "websocket.accept", "websocket.http.response.st
 
 
 class Watched:
-    """Gives every request an identifier, every answer the header that names it, and counts both.
+    """Gives every request an identifier, puts it into a header of the answer, and counts both.
 
-    The outermost of all, so that no answer is without it. Nothing is reset afterwards: each request
-    has a task, and so a context, of its own, and what the server logs of its end belongs to it.
+    It is the outermost middleware, so that no answer lacks the header. The identifier is not reset
+    afterwards: each request has its own task, and so its own context, and the server's log lines
+    about its end belong to it.
     """
 
     def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
@@ -51,7 +52,7 @@ class Watched:
         try:
             await self._app(scope, receive, send_with_header)
         finally:
-            # Without a status, nobody was answered, or a handshake was refused by closing it.
+            # Without a status there was no answer, or a handshake was refused by closing it.
             status = status or (500 if scope["type"] == "http" else 403)
             self._metrics.answered(scope, status, time.perf_counter() - began)
 

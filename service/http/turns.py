@@ -17,7 +17,7 @@ async def turn(places: asyncio.Semaphore) -> AsyncIterator[None]:
     Raises
     ------
     ApiError
-        503 if none came free for `LONGEST_WAIT`: nobody waits without end for those who are slow.
+        503 if none became free within `LONGEST_WAIT`.
     """
     try:
         async with asyncio.timeout(LONGEST_WAIT):

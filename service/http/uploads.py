@@ -55,7 +55,7 @@ ZIP_FAULTS = (
     ValueError,
 )
 ZIP_ENTRY = b"PK\x01\x02"  # begins every entry of a zip file's directory
-NULL_BYTES = 256  # what a null of JSON counts: it may stand for a keypoint, a view or a frame
+NULL_BYTES = 256  # counted for a null of JSON: it may mean a keypoint, a view or a frame
 # Times the largest JSON body: what a body may take as lists, while it is read in a process of its
 # own. Captures take 10 to 15.
 DECODED = 16
@@ -161,8 +161,8 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
 async def read_files(request: Request) -> AsyncIterator[Upload]:
     """Give a body as `read_upload` does; a form may have files of detectors.
 
-    Those may be small, and yet be read for minutes, in a process of its own: they have turns of
-    their own, so that large uploads do not wait for them.
+    Reading such files may take minutes even if they are small, in a separate process. So they have
+    separate turns, and large uploads do not wait for them.
     """
     settings: Settings = request.app.state.settings
     upload = await read_body(request, max_files=settings.max_views)

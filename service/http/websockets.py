@@ -17,10 +17,10 @@ MOST_FRAGMENTS = 1024  # of a message
 class WebSocketConnection(NamedWebSocket):
     """Speaks WebSocket as uvicorn does, within bounds that uvicorn leaves open.
 
-    A frame may have as few as six bytes, and much may come at once: so it is worked on for a few
-    milliseconds at a time. While a message waits for the application, or the client does not read
-    what it is sent, be it answers or pongs, nothing more is read. A message has `MOST_FRAGMENTS`
-    fragments at most. A client that reads nothing for long is left.
+    Input may have many frames of as few as six bytes, so it is processed for a few milliseconds at
+    a time. While a message waits for the application, or the client does not read answers or pongs,
+    nothing more is read. A message has `MOST_FRAGMENTS` fragments at most. The connection of a
+    client that reads nothing for long is closed.
     """
 
     def __init__(self, *arguments: Any, seconds: float, **more: Any) -> None:

@@ -1,4 +1,4 @@
-"""The page: a front end whose sources are in `page/`, served as the files that were built of it.
+"""The page: a front end with its sources in `page/`, served as built files.
 
-It shows what it asks of the API, as any other client does; nothing of it is stored here.
+It gets all data from the API, as any other client does.
 """

@@ -45,7 +45,7 @@ class ImmutableFiles(StaticFiles):
 
 
 def serve_page(app: FastAPI, built: Path = BUILT) -> None:
-    """Add the page to the application; without it, a few words that say how to build it."""
+    """Add the page to the application; if it was not built, add a note on how to build it."""
 
     async def show(_request: Request) -> Response:
         headers = HEADERS | {"Cache-Control": "no-cache"}

@@ -51,7 +51,7 @@ LONGEST_BACKLOG = 1024  # connections that wait for a process
 
 
 class StartError(Exception):
-    """A part could not be started; the message says why and what to do."""
+    """A part could not be started; the message has the reason and what to do."""
 
 
 class _Stop(Exception):  # noqa: N818 (no error)
@@ -191,7 +191,7 @@ def serve(settings: Settings) -> None:
             stop(users, STOP_SECONDS + settings.drain_seconds + settings.grace_seconds)
             stop(queue)  # which the others need until their end
         finally:
-            end_children(before)  # whoever started it, and whenever
+            end_children(before)  # by any process, at any time
     if lock is not None:
         lock.close()
 
@@ -231,7 +231,7 @@ def _check_queue(url: AnyUrl) -> None:
 
 
 def _open_store(settings: Settings) -> None:
-    """Open records and objects once before any child does; what is wrong is said in a line."""
+    """Open records and objects once before any child does, and report errors in one line."""
     try:
         with closing(Store(settings)) as store:
             _check_keys(settings, store)

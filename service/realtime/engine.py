@@ -1,9 +1,9 @@
-"""The lifting engine: a few threads that lift what many clients ask for.
+"""The lifting engine: a few threads that lift the frames of many clients.
 
-Whatever was asked of the same model in the same way while the threads were busy is lifted together.
-A call that comes alone waits for nothing, and no call waits for company. What has more frames than
-a slice is cut, and its slices take turns with everything else, so that nobody waits for more than a
-slice or two of the others' frames.
+Calls of the same model with the same options that arrive while the threads are busy are lifted
+together. A call that comes alone starts at once, and no call waits for others to join it. A call
+with more frames than a slice is cut, and its slices take turns with all other calls, so that no
+call waits for more than a slice or two of the others.
 """
 
 import asyncio
@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.lifting.lift import Lift, join
-from models.lifting.observing import Observed, join_observed
+from models.lifting.lift import LiftedFrames, join
+from models.lifting.observing import ObservedFrames, join_observed
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
 from service.realtime.warm_models import WarmModel, WarmModels
@@ -50,7 +50,7 @@ class Way(NamedTuple):
 
 
 def _ignore(_figure: float) -> None:
-    """Take a figure that nobody wants."""
+    """Ignore a figure."""
 
 
 @dataclass(eq=False, slots=True)
@@ -60,15 +60,15 @@ class _Call:
     way: Way
     keypoints: Float32
     confidence: Float32 | None
-    observed: Observed | None  # in place of these
-    previous: Lift | None
+    observed: ObservedFrames | None  # in place of these
+    previous: LiftedFrames | None
     slice_size: int  # frames that are lifted in one go
-    answer: "asyncio.Future[Lift]"
+    answer: "asyncio.Future[LiftedFrames]"
     frames: int
     missing: int  # frames without an answer yet
     asked_at: float = field(default_factory=time.perf_counter)
     taken: int = 0  # frames that a thread has taken
-    parts: dict[int, Lift] = field(default_factory=dict)  # answers by their first frame
+    parts: dict[int, LiftedFrames] = field(default_factory=dict)  # answers by their first frame
 
 
 class _Piece(NamedTuple):
@@ -79,7 +79,7 @@ class _Piece(NamedTuple):
     stop: int
 
 
-_Outcome = Lift | Exception
+_Outcome = LiftedFrames | Exception
 
 
 class Engine:
@@ -135,8 +135,8 @@ class Engine:
         confidence: Float32 | None = None,
         refine: Refine | None = None,
         views: Sequence[int] | None = None,
-        previous: Lift | None = None,
-    ) -> "asyncio.Future[Lift]":
+        previous: LiftedFrames | None = None,
+    ) -> "asyncio.Future[LiftedFrames]":
         """Lift frames (N, K, P, 2) as ``FittedPrior.lift`` does, together with those of others.
 
         Called in the event loop. A future that is cancelled gives its place in the queue up.
@@ -160,11 +160,11 @@ class Engine:
     def lift_observed(
         self,
         model: WarmModel,
-        observed: Observed,
+        observed: ObservedFrames,
         *,
         refine: Refine | None = None,
-        previous: Lift | None = None,
-    ) -> "asyncio.Future[Lift]":
+        previous: LiftedFrames | None = None,
+    ) -> "asyncio.Future[LiftedFrames]":
         """Lift frames that ``model`` observed as ``FittedPrior.lift_observed`` does; see `lift`."""
         keypoints, judged = observed.observations.keypoints, observed.outlier_probability
         way = Way(
@@ -183,11 +183,11 @@ class Engine:
         way: Way,
         keypoints: Float32,
         confidence: Float32 | None,
-        observed: Observed | None,
-        previous: Lift | None,
+        observed: ObservedFrames | None,
+        previous: LiftedFrames | None,
         frames: int,
-    ) -> "asyncio.Future[Lift]":
-        answer: asyncio.Future[Lift] = asyncio.get_running_loop().create_future()
+    ) -> "asyncio.Future[LiftedFrames]":
+        answer: asyncio.Future[LiftedFrames] = asyncio.get_running_loop().create_future()
         size = _slice_size(way.model, way.refine)
         call = _Call(
             way, keypoints, confidence, observed, previous, size, answer, frames, missing=frames
@@ -207,13 +207,13 @@ class Engine:
         while pieces := self._take():
             try:
                 finished = self._outcomes(pieces)
-            except BaseException:  # also what is meant to end a thread: nobody would lift any more
+            except BaseException:  # also those that end a thread, which must go on lifting
                 logger.exception("A batch of lifts failed")
                 fault = RuntimeError("a batch of lifts failed")
                 finished = [(piece.call, fault) for piece in pieces]
             self._on_batch(sum(piece.stop - piece.start for piece in pieces))
             if finished:
-                with suppress(RuntimeError):  # the loop is closed: nobody waits any more
+                with suppress(RuntimeError):  # the loop is closed: no caller waits any more
                     finished[0][0].answer.get_loop().call_soon_threadsafe(self._deliver, finished)
 
     def _outcomes(self, pieces: list[_Piece]) -> "list[tuple[_Call, _Outcome]]":
@@ -271,7 +271,7 @@ class Engine:
             return [NotFoundError("model", model.id)] * len(pieces)
         try:
             return _lift_together(pieces)
-        except Exception as error:  # noqa: BLE001 - those who wait are told
+        except Exception as error:  # noqa: BLE001 - it is passed to the callers that wait
             if len(pieces) == 1:
                 return [error]
         return [outcome for piece in pieces for outcome in self._lift([piece])]  # one is at fault
@@ -325,7 +325,7 @@ def _lift_together(pieces: list[_Piece]) -> list[_Outcome]:
     ]
 
 
-def _observe(pieces: list[_Piece]) -> Observed:
+def _observe(pieces: list[_Piece]) -> ObservedFrames:
     way = pieces[0].call.way
     observed = [
         c.observed.frames(slice(start, stop)) for c, start, stop in pieces if c.observed is not None

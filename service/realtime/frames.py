@@ -50,7 +50,7 @@ def to_frames(
 
 
 def check_views(views: list[int], prior: FittedPrior, came: int) -> None:
-    """Raise ``ApiError`` unless ``views`` says of each view that came which of the fit's it is."""
+    """Raise ``ApiError`` unless ``views`` names a view of the fit for each view of the frame."""
     if len(views) != came:
         raise invalid("/views", f"expected one index per view: {came}, got {len(views)}")
     if len(set(views)) < came:

@@ -15,7 +15,7 @@ from starlette.responses import Response, StreamingResponse
 from models.capture.clocks import in_step
 from models.lifting import lift as lifts
 from models.lifting.lift_findings import lift_findings
-from models.lifting.observing import Observed
+from models.lifting.observing import ObservedFrames
 from models.settings.config import Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
@@ -101,7 +101,7 @@ class _Asked(NamedTuple):
 
 
 class _Query(NamedTuple):
-    """What the query says, for where the body is silent."""
+    """The parameters of the query, for fields that the body leaves out."""
 
     model: str | None
     refine: Refine | None
@@ -118,7 +118,7 @@ def _understand(
     model_of: Callable[[str], WarmModel | None],
     room_of: Callable[[WarmModel, Up | None], Room | None],
 ) -> _Asked | None:
-    """Return what the body asks for, and the query where it is silent.
+    """Return the request of the body, completed by the query.
 
     None if ``model_of`` has no such model, or ``room_of`` no such room.
     """
@@ -167,8 +167,8 @@ def _understand(
     return _Asked(model, capture, asked.refine or query.refine, views, room)
 
 
-def _observe(asked: _Asked) -> Observed:
-    """Return frames that told times as the model sees them: in step, and smoothed in time."""
+def _observe(asked: _Asked) -> ObservedFrames:
+    """Prepare frames with times for the model: in step, and smoothed in time."""
     prior, capture, times = asked.model.prior, asked.capture, asked.capture.times
     clocks = prior.capture.clocks_of(asked.views, capture.keypoints.shape[1])
     keypoints, confidence = in_step(capture.keypoints, capture.confidence, times, clocks)
@@ -224,7 +224,7 @@ router = APIRouter(tags=["lift"], route_class=DirectRoute)
     openapi_extra=request_body(
         LiftRequest,
         binary="A safetensors or .npz file with `frames` (or `keypoints`: frames, views, "
-        "keypoints, 2) and optionally `confidence` and `times`; the query says the rest.",
+        "keypoints, 2) and optionally `confidence` and `times`; the query has the others.",
     ),
 )
 async def lift(
@@ -238,14 +238,14 @@ async def lift(
 ) -> Response:
     """Lift frames to 3D with a fitted model.
 
-    The query says what the body does not: of bytes `model`, of either `refine`, `views`, `frame`
-    and `up`.
+    The query completes the body: `model` for bytes, and `refine`, `views`, `frame` and `up` for
+    either.
 
-    Any number of the views, in any order; missing keypoints and views allowed. Every frame is
-    lifted on its own, unless `times` are told: the frames are then one film, and smoothed in time
-    if the model was fitted to one. Structures come in the model's canonical frame, or in the room
-    of its cameras at rest (`frame`), with the handedness that the fit settled on. Each view's
-    `camera` says by which camera model it was explained.
+    Frames may have any number of the views, in any order; keypoints and views may be missing. Every
+    frame is lifted on its own, unless `times` are given: the frames are then one film, smoothed in
+    time if the model was fitted to one. Structures are in the model's canonical frame, or in the
+    room of its static cameras (`frame`), with the handedness that the fit decided on. Each view's
+    `camera` is the camera model that explains it.
     """
     engine: Engine = request.app.state.engine
     rooms: Rooms = request.app.state.rooms
@@ -262,7 +262,7 @@ async def lift(
         partial(engine.models.warm, project),
         rooms.remembered,
     )
-    if asked is None:  # the model or its room is cold, or there is none: records are waited for
+    if asked is None:  # the model or its room is not in memory: the records are read
         async with turn(request.app.state.large_uploads):
             asked = await run_in_threadpool(
                 understand, partial(engine.models.get, project), rooms.find
@@ -283,14 +283,14 @@ async def lift(
         answer = engine.lift_observed(asked.model, observed, refine=asked.refine)
     lifted = await _unless_gone(request, answer)
     if lifted is None:
-        return Response(status_code=499)  # which nobody reads
+        return Response(status_code=499)  # the client is gone
     size = JSON_BYTES * sum(array.nbytes for array in lifted.arrays.values())
     in_parts = format == "json" and size >= LARGE_BYTES
     return await _run(request, size, _answer, request, asked, lifted, format, in_parts)
 
 
 def _answer(
-    request: Request, asked: _Asked, lifted: lifts.Lift, format: Format, in_parts: bool
+    request: Request, asked: _Asked, lifted: lifts.LiftedFrames, format: Format, in_parts: bool
 ) -> Response:
     if asked.room is not None:
         lifted = asked.room.place(lifted, asked.views)
@@ -326,7 +326,9 @@ async def _run(
         return await running
 
 
-async def _unless_gone(request: Request, answer: "asyncio.Future[lifts.Lift]") -> lifts.Lift | None:
+async def _unless_gone(
+    request: Request, answer: "asyncio.Future[lifts.LiftedFrames]"
+) -> lifts.LiftedFrames | None:
     """Wait for the answer; if the client goes away meanwhile, give it up and return None."""
     patience = answer.get_loop().call_later(PATIENCE_SECONDS, _watch, request, answer)
     try:
@@ -340,7 +342,7 @@ async def _unless_gone(request: Request, answer: "asyncio.Future[lifts.Lift]") -
         patience.cancel()
 
 
-def _watch(request: Request, answer: "asyncio.Future[lifts.Lift]") -> None:
+def _watch(request: Request, answer: "asyncio.Future[lifts.LiftedFrames]") -> None:
     """Cancel the answer when the client goes away."""
 
     async def disconnected() -> None:

@@ -1,4 +1,4 @@
-"""The rooms of models, found once and kept."""
+"""The rooms of models, computed once and kept."""
 
 import threading
 
@@ -12,9 +12,9 @@ MOST = 64  # rooms of a model kept at once, of a few hundred bytes each
 
 
 class Rooms:
-    """What is known of the rooms of models that were asked for. Safe to use from many threads.
+    """The rooms of models, kept after their first use. Safe to use from many threads.
 
-    A room of which the fit's frames told up and the floor is forgotten when the fit is deleted.
+    A room with up and floor from the frames of a fit is dropped when the fit is deleted.
     """
 
     def __init__(self, store: Store) -> None:
@@ -34,15 +34,15 @@ class Rooms:
             with self._finding:
                 room = self.remembered(model, up)
                 if room is None:
-                    told_by = model.fit_id
+                    source = model.fit_id
                     room = find_room(self._store, model.id, model.prior.cameras, up)
                     if len(model.rooms) >= MOST:
                         model.rooms.clear()
-                    model.rooms[told_by, up] = room
+                    model.rooms[source, up] = room
         return room
 
     def remembered(self, model: WarmModel, up: Up | None) -> Room | None:
-        """Return a room for which nothing is to be read, None if that is not yet so."""
+        """Return a room that needs no reading of records; None if it does."""
         if up is None:
             return find_room(self._store, model.id, model.prior.cameras, None)
         return model.rooms.get((model.fit_id, up))
@@ -54,5 +54,5 @@ def check_known(room: Room, views: list[int] | None, count: int) -> None:
         raise invalid(
             "/views",
             f"expected which {count} of the {len(room.rotations)} views of the fit these are: "
-            "frame=room has a place for known cameras only",
+            "frame=room needs known cameras",
         )

@@ -4,7 +4,7 @@ import asyncio
 from collections import deque
 from concurrent.futures import Executor
 
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.lifting.observing import Following
 from models.settings.config import Refine
 from service.realtime.engine import Engine
@@ -29,9 +29,9 @@ class SmoothedFrames:
         self._engine, self._executor, self._model = engine, executor, model
         self._following, self._refine, self._continuity = following, refine, continuity
         self._waiting: deque[Frame] = deque()
-        self._previous: Lift | None = None
+        self._previous: LiftedFrames | None = None
 
-    async def take(self, frame: Frame) -> list[tuple[Frame, Lift]]:
+    async def take(self, frame: Frame) -> list[tuple[Frame, LiftedFrames]]:
         """Return the frames, with their lifts, that a good frame or a flush makes ready.
 
         To be awaited before the next frame is given.
@@ -46,16 +46,16 @@ class SmoothedFrames:
             observed = await run(
                 self._executor, self._following.push, keypoints, confidence, frame.time
             )
-        told: list[tuple[Frame, Lift]] = []
-        while observed is not None and len(told) < len(observed.observations.weights):
+        answered: list[tuple[Frame, LiftedFrames]] = []
+        while observed is not None and len(answered) < len(observed.observations.weights):
             lift = await self._engine.lift_observed(
                 self._model,
-                observed.frames(slice(len(told), len(told) + 1)),
+                observed.frames(slice(len(answered), len(answered) + 1)),
                 refine=self._refine,
                 previous=self._previous if self._continuity else None,
             )
             self._previous = lift
-            told.append((self._waiting.popleft(), lift))
+            answered.append((self._waiting.popleft(), lift))
         if frame.flush:
             self._previous = None
-        return told
+        return answered

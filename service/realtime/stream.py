@@ -13,7 +13,7 @@ from starlette.responses import Response
 from starlette.websockets import WebSocketDisconnect
 
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.lifting.observing import Following
 from service.http.authentication import subprotocol_of
 from service.http.bounds import check_bounds
@@ -64,7 +64,7 @@ MAX_DROPPED = 10_000  # frames, until a client that reads no answers is not read
 CLOSE_CODE = 4000  # plus the status of the problem that ends a stream
 
 # What is awaited of a frame: its lift, or in streams with a lag what its coming makes ready.
-_Answer = asyncio.Future[Lift] | asyncio.Future[list[tuple[Frame, Lift]]]
+_Answer = asyncio.Future[LiftedFrames] | asyncio.Future[list[tuple[Frame, LiftedFrames]]]
 
 logger = logging.getLogger(__name__)
 router = APIRouter(tags=["lift"])
@@ -219,13 +219,13 @@ class _Conversation:
         self._at_a_time = 1 if one else FRAMES_IN_HAND
         self._arrived: deque[Frame] = deque()
         self._asked: deque[tuple[Frame, _Answer | None]] = deque()
-        self._previous: Lift | None = None
+        self._previous: LiftedFrames | None = None
         self._something_asked = asyncio.Event()
         self._something_answered = asyncio.Event()
 
     def ready(self) -> str:
-        """Return what the server says first."""
-        said = StreamReady(
+        """Return the first message of the server."""
+        ready = StreamReady(
             model=self._model.id,
             keypoints=self._prior.keypoints_per_frame,
             views=self._start.views,
@@ -243,10 +243,10 @@ class _Conversation:
                 idle_seconds=self._settings.stream_idle_seconds,
             ),
         )
-        return said.model_dump_json(exclude={"lag", "fps"} if said.lag is None else None)
+        return ready.model_dump_json(exclude={"lag", "fps"} if ready.lag is None else None)
 
     async def read(self, silence: asyncio.Timeout) -> None:
-        """Take frames as they come, until the client leaves; as many as may be in hand."""
+        """Take frames as they arrive, as many as may be in hand, until the client leaves."""
         now, patience = asyncio.get_running_loop().time, self._settings.stream_idle_seconds
         while True:
             silence.reschedule(now() + patience)
@@ -323,20 +323,20 @@ class _Conversation:
                 await self._something_asked.wait()
             frame, answer = self._asked[0]
             answered = [] if answer is None else await answer
-            if isinstance(answered, Lift):
+            if isinstance(answered, LiftedFrames):
                 if self._continuity:
                     self._previous = answered
                 answered = [(frame, answered)]
-            messages = [(told, self._message(told, lift)) for told, lift in answered]
+            messages = [(frame, self._message(frame, lift)) for frame, lift in answered]
             if frame.error is not None:
                 messages = [(frame, _error_text(frame.error, frame.sequence))]
             self._asked.popleft()
             self._ask()
             self._something_answered.set()
-            for told, message in messages:
-                await self._send(told, message)
+            for frame, message in messages:
+                await self._send(frame, message)
 
-    def _message(self, frame: Frame, lift: Lift) -> str | bytes:
+    def _message(self, frame: Frame, lift: LiftedFrames) -> str | bytes:
         if self._room is not None:
             lift = self._room.place(lift, self._start.views)
         return write_answer(frame, lift, self._prior)
@@ -360,9 +360,9 @@ def _follow(prior: FittedPrior, start: StreamStart) -> Following:
     if not prior.smooths:
         raise invalid(
             "/lag",
-            "expected no lag: this model does not smooth in time. Fit it to a dataset that tells "
-            "`fps` or `times`, and whose frames are near enough in time for noise to be told from "
-            "motion; or leave `lag` out",
+            "expected no lag: this model does not smooth in time. Fit it to a dataset with `fps` "
+            "or `times`, whose frames are near enough in time to separate noise from motion; or "
+            "leave `lag` out",
         )
     return prior.follow(views=start.views, lag=start.lag)
 

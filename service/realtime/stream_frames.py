@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from models.findings.finding import dumped
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.lifting.lift_findings import lift_findings
 from models.settings.times import MAX_TIME
 from service.http.bounds import check_bounds
@@ -75,20 +75,20 @@ class Frame:
 
 
 class FilmClock:
-    """Tells when the frames of a stream with a lag were taken, and sees to it that times rise."""
+    """Gives the times of frames in a stream with a lag, and checks that they rise."""
 
     def __init__(self, fps: float | None) -> None:
-        """Begin; without `fps` every frame tells its time."""
+        """Begin; without `fps` every frame has its time."""
         self._fps, self._last = fps, -math.inf
 
     def begin_anew(self) -> None:
         """Forget the frames so far."""
         self._last = -math.inf
 
-    def time_of(self, sequence: int | None, told: float | None) -> float:
+    def time_of(self, sequence: int | None, given: float | None) -> float:
         """Return the time of the next frame; raise ``ApiError`` if it is missing or not later."""
         if self._fps is None:
-            field, time = "/time", told
+            field, time = "/time", given
             if time is None:
                 raise invalid(
                     field, "expected the time of the frame in seconds: this stream has a lag"
@@ -96,8 +96,8 @@ class FilmClock:
             if not abs(time) <= MAX_TIME:
                 raise invalid(field, f"expected seconds, {MAX_TIME:g} at most, got {time:g}")
         else:
-            if told is not None:
-                raise invalid("/time", "expected none: this stream was told `fps`")
+            if given is not None:
+                raise invalid("/time", "expected none: this stream has `fps`")
             field, time = "/sequence", (sequence or 0) / self._fps
         if time <= self._last:
             raise invalid(
@@ -125,19 +125,19 @@ def read_frame(
     points = prior.keypoints_per_frame
     try:
         if isinstance(message, bytes):
-            keypoints, confidence, told = _from_bytes(frame, message, points, timed=timed)
+            keypoints, confidence, time = _from_bytes(frame, message, points, timed=timed)
         else:
             found = json_object(message)
             if clock is not None and "flush" in found:
                 flush = _read_flush(found)
                 clock.begin_anew()
                 return flush
-            keypoints, confidence, told = _from_json(frame, found, points, settings, timed=timed)
+            keypoints, confidence, time = _from_json(frame, found, points, settings, timed=timed)
         capture = to_frames(keypoints, confidence, views, prior, settings, field="keypoints")
         if room is not None:
             check_known(room, views, capture.keypoints.shape[1])
         if clock is not None:
-            frame.time = clock.time_of(frame.sequence, told)
+            frame.time = clock.time_of(frame.sequence, time)
         frame.capture = capture
     except ApiError as error:
         frame.error = error
@@ -233,7 +233,7 @@ def seen_bytes(keypoints: int) -> int:
     return -(-keypoints // ALIGNED) * ALIGNED
 
 
-def write_answer(frame: Frame, lift: Lift, prior: FittedPrior) -> str | bytes:
+def write_answer(frame: Frame, lift: LiftedFrames, prior: FittedPrior) -> str | bytes:
     """Return the answer to a frame, lifted by a prior: text if it came as text, else bytes."""
     continued = bool(lift.continued[0])
     if not frame.binary:

@@ -16,7 +16,7 @@ from models.settings.rooms import Up
 from store import aliases, lookup, models
 from store.database import Store
 from store.errors import NotFoundError
-from store.records import Model
+from store.records import ModelRecord
 from worker.rooms import Room
 
 logger = logging.getLogger(__name__)
@@ -26,7 +26,7 @@ LOOK_SECONDS = 1.0  # between two looks at the records
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class WarmModel:
-    """A model in memory, for everybody who lifts with it.
+    """A model in memory, shared by all lifts with it.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class WarmModel:
     ready
         The compiled code that it needs to lift is loaded.
     gone
-        It was deleted, by whatever process: nobody is to lift with it any more.
+        It was deleted, by any process, and must not be used any more.
     rooms
-        What is known of its rooms, by the fit whose frames told it and by up.
+        Its known rooms, by the fit that they were estimated from and by up.
     """
 
     id: str
@@ -52,11 +52,11 @@ class WarmModel:
 
 
 class WarmModels:
-    """Models in memory, the least recently used given up first. Safe to use from many threads.
+    """Models in memory; the least recently used are dropped first. Safe to use from many threads.
 
-    Whether they are still there is asked once a second, by a thread that nobody waits for: lifts go
-    on whatever becomes of the records, and a model that any process deleted is served for a second
-    longer at most.
+    A separate thread checks once a second which models still exist. So lifts continue while the
+    records cannot be read, and a model that any process deleted is served for at most a second
+    longer.
     """
 
     def __init__(self, store: Store, *, max_bytes: int) -> None:
@@ -98,7 +98,7 @@ class WarmModels:
         return model
 
     def read(self, project: str, identifier: str) -> WarmModel:
-        """Return a model, as its record says now; only the first call of many reads its weights.
+        """Return a model as it is in the records; only the first call reads its weights.
 
         It may not be ready to lift: to load compiled code takes a second.
 
@@ -115,7 +115,7 @@ class WarmModels:
         model_id = identifier
         if lookup.is_alias(identifier):
             with self._store.reading() as session:
-                model_id = lookup.resolved(session, Model, identifier, project)
+                model_id = lookup.resolved(session, ModelRecord, identifier, project)
         model = self._in_memory(project, model_id)
         if model is not None:
             self._compare([model])
@@ -179,9 +179,9 @@ class WarmModels:
 
     def _load(self, project: str, model_id: str) -> WarmModel:
         try:
-            record = lookup.get(self._store, Model, model_id)
+            record = lookup.get(self._store, ModelRecord, model_id)
             if record.project != project:
-                raise NotFoundError(Model.noun, model_id)
+                raise NotFoundError(ModelRecord.noun, model_id)
             prior = FittedPrior.from_bytes(models.load_weights(self._store, record))
         finally:
             with self._lock:
@@ -203,9 +203,9 @@ class WarmModels:
     def warm_newest(self) -> None:
         """Make the newest model warm, and ready what all lifts need, before anyone asks."""
         try:
-            for record in lookup.page(self._store, Model, limit=1, after=None):
+            for record in lookup.page(self._store, ModelRecord, limit=1, after=None):
                 self.get(record.project, record.id)
-        except Exception:  # whoever asks will be told
+        except Exception:  # the next caller gets the error
             logger.exception("The newest model could not be read")
 
     def _bytes(self) -> int:

@@ -15,7 +15,7 @@ from service.resources.lists import MOST_LISTED
 from service.wire.json_bodies import read_json
 from store import aliases, lookup
 from store.labels import Text
-from store.records import Model, ModelAlias
+from store.records import ModelAlias, ModelRecord
 
 router = APIRouter(tags=["models"])
 
@@ -100,7 +100,7 @@ def set_alias(
     try:
         name = _ALIAS.validate_python(model_id)
     except ValidationError:
-        lookup.get(store, Model, model_id)  # or 404: there may be no such model
+        lookup.get(store, ModelRecord, model_id)  # or 404: there may be no such model
         raise invalid(
             "/model_id",
             f"expected an alias such as walk@production, of a-z, 0-9, '.', '_' and '-'; "

@@ -67,10 +67,10 @@ def download_animation(
 ) -> Response:
     """Download the structures of every fitted frame as an animation.
 
-    Tools expect y up, as `frame=room&up=auto` gives it. Keypoints are called as the model's
-    skeleton does. Times are those of the dataset, or else 30 frames/s.
+    Tools expect y up, as with `frame=room&up=auto`. Keypoints have the names of the model's
+    skeleton. Times are those of the dataset, or else 30 frames/s.
     """
-    model = lookup.get(store, records.Model, model_of(fit))
+    model = lookup.get(store, records.ModelRecord, model_of(fit))
     if fit.frames * model.keypoints > MOST_POINTS:
         raise invalid(
             "/format",
@@ -93,11 +93,11 @@ def download_animation(
 
 
 def _moments(
-    fit: records.FitJob, store: Store
+    fit: records.FitRecord, store: Store
 ) -> tuple[float | None, np.ndarray[tuple[int], np.dtype[np.float64]] | None]:
     """Return frames per second and times (N,) in seconds, None where the dataset has none."""
     try:
-        dataset = lookup.get(store, records.Dataset, fit.dataset_id)
+        dataset = lookup.get(store, records.DatasetRecord, fit.dataset_id)
         if dataset.last_times is None:
             return dataset.fps, None
         times = datasets.load(store, fit.dataset_id, frames=fit.frames).times

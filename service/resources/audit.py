@@ -69,7 +69,7 @@ def list_audit(
     return AuditPage(items=[_entry(record) for record in found[:limit]], next_cursor=more)
 
 
-def _entry(record: records.AuditEntry) -> AuditEntry:
+def _entry(record: records.AuditRecord) -> AuditEntry:
     return AuditEntry(
         id=record.id,
         at=datetime.fromtimestamp(record.at, UTC),

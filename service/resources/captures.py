@@ -29,12 +29,12 @@ def download_capture(dataset_id: Identifier, store: StoreDep, request: Request) 
     `confidence` (1 in frames that came without), `points3d` (NaN in those), `times`,
     `keypoint_names`, `edges`, `view_names`, `image_sizes` (0 where unknown) and `fps`.
     """
-    record = lookup.get(store, records.Dataset, dataset_id)
+    record = lookup.get(store, records.DatasetRecord, dataset_id)
     file = capture_file(store, record)
     return ranged_response(
         request,
         file.size,
-        partial(file.read, lookup.reader_of(store, records.Dataset, record.id)),
+        partial(file.read, lookup.reader_of(store, records.DatasetRecord, record.id)),
         media_type=OCTETS,
         filename=f"{record.id}.npz",
         checksum=file.checksum(),

@@ -1,4 +1,4 @@
-"""Changing what people say of what is stored."""
+"""Changing names, tags and metadata of stored resources."""
 
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -28,13 +28,13 @@ class Change(BaseModel):
     )
 
     name: Name | None = None
-    tags: Tags | None = Field(None, description=f"In place of those it had. {TAGS}")
-    metadata: Metadata | None = Field(None, description=f"In place of what it was. {METADATA}")
+    tags: Tags | None = Field(None, description=f"They replace the present ones. {TAGS}")
+    metadata: Metadata | None = Field(None, description=f"It replaces the present one. {METADATA}")
 
     def columns(self) -> dict[str, Any]:
-        """Return the record's columns that change, with what they are to hold."""
-        told = {"name": self.name, "tags": self.tags, "user_metadata": self.metadata}
-        return {column: value for column, value in told.items() if value is not None}
+        """Return the record's columns that change, with their new values."""
+        given = {"name": self.name, "tags": self.tags, "user_metadata": self.metadata}
+        return {column: value for column, value in given.items() if value is not None}
 
 
 def add_change_route(
@@ -56,8 +56,8 @@ def add_change_route(
         f"/{{{noun}_id}}",
         name=f"change_{noun}",
         response_model=form,
-        description=f"Change what is said of a {noun}: `name`, `tags`, `metadata`. What is left "
-        "out stays as it is.",
+        description=f"Change the labels of a {noun}: `name`, `tags`, `metadata`. Fields that are "
+        "left out stay as they are.",
         responses=problems(*BODY_PROBLEMS, "not_found"),
         openapi_extra=request_body(Change),
     )

@@ -19,7 +19,7 @@ from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, TIMES, Name
 from service.wire.skeletons import Skeleton
 from store.capture import Capture
 from store.capture_files import UNKNOWN_SIZE
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.labels import Labels, Text
 
 CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d", "times"})
@@ -34,7 +34,7 @@ ImageSize = Annotated[
 
 
 class DatasetDescription(Labels):
-    """What can be said of a capture besides its arrays."""
+    """The description of a capture besides its arrays."""
 
     name: Name = "capture"
     skeleton: Skeleton | None = None
@@ -56,21 +56,21 @@ class DatasetDescription(Labels):
         "out of step are then found and shifted (`synchronise` of a fit).",
     )
 
-    def describe(self, capture: Capture) -> Description:
+    def describe(self, capture: Capture) -> CaptureDescription:
         """Return the description, checked against the capture it describes."""
         views, keypoints = capture.keypoints.shape[1:3]
         if self.skeleton is not None:
             self.skeleton.check(keypoints)
         for field in ("image_sizes", "view_names"):
-            told = getattr(self, field)
-            if told is not None and len(told) != views:
-                raise invalid(f"/{field}", f"expected one per view ({views}), got {len(told)}")
+            given = getattr(self, field)
+            if given is not None and len(given) != views:
+                raise invalid(f"/{field}", f"expected one per view ({views}), got {len(given)}")
         if self.fps is not None and capture.times is not None:
             try:
                 check_rate(self.fps, capture.times)
             except ValueError as error:
                 raise invalid("/fps", str(error)) from error
-        return Description(
+        return CaptureDescription(
             name=self.name,
             skeleton=self.skeleton.model_dump() if self.skeleton else None,
             view_names=self.view_names,
@@ -104,7 +104,7 @@ class Frames(BaseModel):
 
 
 class DatasetCreate(DatasetDescription, Frames):
-    """A capture and what is said of it."""
+    """A capture and its description."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -127,64 +127,66 @@ class DatasetCreate(DatasetDescription, Frames):
     @model_validator(mode="before")
     @classmethod
     def _no_file(cls, value: Any) -> Any:
-        """Say how a detector's JSON is sent, which many post as it is."""
-        told = value.keys() if isinstance(value, dict) else set()
-        if isinstance(value, list) or told & OF_DETECTORS:
+        """Refuse a detector's JSON that was posted as it is, with how to send it."""
+        names = value.keys() if isinstance(value, dict) else set()
+        if isinstance(value, list) or names & OF_DETECTORS:
             raise ValueError(f"expected an object with `keypoints`. {HOW_TO_SEND_FILES}")
         return value
 
 
 class DatasetForm(DetectorReading, DatasetDescription):
-    """What can be said beside files in a form."""
+    """The fields of a form besides its files."""
 
 
-def read_new(upload: Upload, settings: Settings, name: str | None) -> tuple[Capture, Description]:
-    """Return the capture in a body, and what is said of it.
+def read_new(
+    upload: Upload, settings: Settings, name: str | None
+) -> tuple[Capture, CaptureDescription]:
+    """Return the capture in a body, and its description.
 
     Raises
     ------
     ApiError
-        If the body cannot be read, or what it says cannot be.
+        If the body cannot be read, or is invalid.
     """
     if upload.is_json:
         body = read_json(upload, DatasetCreate)
         notes: list[str] = []
         capture = _capture_of(body, upload, settings, notes)
         return capture, replace(body.describe(capture), notes=notes)
-    said: dict[str, Any] = {"name": name} if name is not None else {}
+    fields: dict[str, Any] = {"name": name} if name is not None else {}
     reading, upload = asked_of(upload)
     if upload.files and (reading or not holds_arrays(upload)):
-        known = upload.form(DatasetDescription, said, DatasetForm)
-        found, told, notes = read_files(
+        known = upload.form(DatasetDescription, fields, DatasetForm)
+        found, described, notes = read_files(
             upload, reading, settings, fps=known.fps, image_sizes=known.image_sizes
         )
-        said |= told
+        fields |= described
     elif reading:
         raise invalid(f"/{next(iter(reading))}", "expected beside `files` only, not beside arrays")
     else:
         found = read_arrays(upload, settings, CAPTURE_ARRAYS | DESCRIPTION_ARRAYS)
-        said |= _described_in(found)
+        fields |= _described_in(found)
         notes = []
     capture = _capture_in(found, settings, notes)
-    description = upload.form(DatasetDescription, said, DatasetForm).describe(capture)
+    description = upload.form(DatasetDescription, fields, DatasetForm).describe(capture)
     return capture, replace(description, notes=notes)
 
 
 def _described_in(found: Arrays) -> dict[str, Any]:
-    """Return what arrays say of a capture, in the terms of a description."""
-    said: dict[str, Any] = {}
+    """Return the fields of a description that are in the arrays of a capture."""
+    fields: dict[str, Any] = {}
     skeleton = {key: _listed(found, key) for key in ("keypoint_names", "edges") if key in found}
     if skeleton:
-        said["skeleton"] = skeleton
+        fields["skeleton"] = skeleton
     for key in ("image_sizes", "view_names"):
         if key in found:
-            said[key] = _listed(found, key)
-    if isinstance(said.get("image_sizes"), list):
-        said["image_sizes"] = [None if s == UNKNOWN_SIZE else s for s in said["image_sizes"]]
+            fields[key] = _listed(found, key)
+    if isinstance(fields.get("image_sizes"), list):
+        fields["image_sizes"] = [None if s == UNKNOWN_SIZE else s for s in fields["image_sizes"]]
     if "fps" in found:
         fps = _listed(found, "fps")
-        said["fps"] = fps[0] if isinstance(fps, list) and len(fps) == 1 else fps
-    return said
+        fields["fps"] = fps[0] if isinstance(fps, list) and len(fps) == 1 else fps
+    return fields
 
 
 def read_frames(upload: Upload, settings: Settings) -> Capture:

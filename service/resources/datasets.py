@@ -84,7 +84,7 @@ class DatasetFacts(BaseModel):
     skeleton: Skeleton | None
     view_names: list[str] | None
     image_sizes: list[ImageSize | None] | None
-    fps: float | None = Field(description="Frames per second, if they were told.")
+    fps: float | None = Field(description="Frames per second, null if unknown.")
     has_times: bool = Field(description="Whether every frame came with its time.")
     tags: list[str]
     metadata: dict[str, Any]
@@ -94,7 +94,7 @@ class DatasetFacts(BaseModel):
     findings: Findings
 
     @staticmethod
-    def known(record: records.Dataset) -> dict[str, Any]:
+    def known(record: records.DatasetRecord) -> dict[str, Any]:
         """Return these of a record, stored or not."""
         return {
             "name": record.name,
@@ -132,7 +132,7 @@ class Dataset(DatasetFacts, DatasetStored):
     )
 
     @classmethod
-    def of(cls, record: records.Dataset) -> Self:
+    def of(cls, record: records.DatasetRecord) -> Self:
         """Return the wire form of a record."""
         created_at = datetime.fromtimestamp(record.created_at, UTC)
         return cls(id=record.id, created_at=created_at, **cls.known(record))
@@ -172,8 +172,8 @@ def create_dataset(
 ) -> Dataset:
     """Store a capture.
 
-    `name` in the query names a capture that comes as raw bytes. Files of detectors come in a form,
-    as `files`, one for each camera; `notes` of the answer say what was understood.
+    `name` in the query names a capture that is sent as raw bytes. Files of detectors are sent in a
+    form, as `files`, one for each camera; `notes` of the answer report how they were read.
     """
     capture, description = read_new(upload, settings, name)
     record = datasets.create(
@@ -220,17 +220,17 @@ def append_frames(
 
 
 add_list_routes(
-    router, records.Dataset, DatasetPage, Dataset.of, prefix="ds", delete=datasets.delete
+    router, records.DatasetRecord, DatasetPage, Dataset.of, prefix="ds", delete=datasets.delete
 )
 
 
 @router.get("/{dataset_id}", responses=problems("not_found"))
 def get_dataset(dataset_id: Identifier, store: StoreDep) -> Dataset:
     """Describe a dataset."""
-    return Dataset.of(lookup.get(store, records.Dataset, dataset_id))
+    return Dataset.of(lookup.get(store, records.DatasetRecord, dataset_id))
 
 
-add_change_route(router, records.Dataset, Dataset, Dataset.of)
+add_change_route(router, records.DatasetRecord, Dataset, Dataset.of)
 
 
 @router.delete(

@@ -98,20 +98,20 @@ def evaluate(
     )
 
 
-def _fit(asked: EvaluationCreate, store: Store) -> records.FitJob | None:
+def _fit(asked: EvaluationCreate, store: Store) -> records.FitRecord | None:
     if (asked.fit_id is None) == (asked.points is None):
         raise invalid("/fit_id", "expected a fit or points, one of the two")
-    return None if asked.fit_id is None else lookup.get(store, records.FitJob, asked.fit_id)
+    return None if asked.fit_id is None else lookup.get(store, records.FitRecord, asked.fit_id)
 
 
 def _dataset(
-    asked: EvaluationCreate, fit: records.FitJob | None, store: Store, settings: Settings
-) -> tuple[records.Dataset | None, Capture | None]:
+    asked: EvaluationCreate, fit: records.FitRecord | None, store: Store, settings: Settings
+) -> tuple[records.DatasetRecord | None, Capture | None]:
     """Return the dataset that is compared with, and its frames; those that the fit saw."""
     identifier = asked.dataset_id or (fit.dataset_id if fit is not None else None)
     if identifier is None or (asked.dataset_id is None and asked.truth is not None):
         return None, None
-    dataset = lookup.get(store, records.Dataset, identifier)
+    dataset = lookup.get(store, records.DatasetRecord, identifier)
     frames = fit.frames if fit is not None and fit.dataset_id == identifier else dataset.frames
     if frames > settings.max_frames:
         raise invalid(

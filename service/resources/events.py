@@ -46,15 +46,15 @@ class Events:
     ) -> AsyncIterator[Job]:
         """Yield the record of a job as it is and with every change, until it has ended.
 
-        It also ends where the job is deleted, where this process leaves (whoever still wants to
-        know asks another) and where the follower may follow it no longer.
+        It also ends when the job is deleted, when this process shuts down (clients then ask
+        another) and when the follower's key is no longer valid.
 
         Parameters
         ----------
         seen
             The revision that the follower has, 0 for none.
         may_follow
-            Tells whether the follower's key is still in force; asked with every look.
+            Returns whether the follower's key is still valid; called with every look.
         """
         current: Job | None = job
         while current is not None:
@@ -119,12 +119,12 @@ class Events:
 
 
 async def take_place(request: Request) -> AsyncIterator[Events]:
-    """Give what tells of changes to one of so many followers as there may be at a time.
+    """Give the source of changes to one of a limited number of followers.
 
     Raises
     ------
     ApiError
-        503 if there are as many, or if this process leaves.
+        503 if there are too many, or if this process shuts down.
     """
     refuse_if_leaving(request)
     places: asyncio.Semaphore = request.app.state.event_places

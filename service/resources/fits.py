@@ -67,9 +67,9 @@ class FitCreate(Labels):
     from_model: Text | None = Field(
         None,
         max_length=200,
-        description="A model of the same keypoints to start from, of the same subject or species, "
-        "say: its weights are the first ones. Its `dictionary_sizes` are the fit's, and "
-        "`steps` are 1100 unless they are told.",
+        description="A model of the same keypoints whose weights the fit starts from, for example "
+        "of the same subject or species. The fit has its `dictionary_sizes`, and 1100 `steps` "
+        "unless these are given.",
     )
     config: FitConfig = FitConfig()
 
@@ -169,7 +169,7 @@ class Fit(BaseModel):
     findings: Findings
 
     @classmethod
-    def of(cls, record: records.FitJob) -> Self:
+    def of(cls, record: records.FitRecord) -> Self:
         """Return the wire form of a record."""
         return cls.model_validate(
             {
@@ -201,7 +201,7 @@ class FitPage(Page[Fit]):
     model_config = page_of(Fit)
 
 
-FitDep = Annotated[records.FitJob, Depends(finder(records.FitJob))]
+FitDep = Annotated[records.FitRecord, Depends(finder(records.FitRecord))]
 
 
 @router.post(
@@ -241,7 +241,7 @@ def create_fit(
 
 add_list_routes(
     router,
-    records.FitJob,
+    records.FitRecord,
     FitPage,
     Fit.of,
     prefix="fit",
@@ -250,7 +250,7 @@ add_list_routes(
 )
 
 
-def _cancel(store: Store, redis: Redis, fit_id: str) -> records.FitJob:
+def _cancel(store: Store, redis: Redis, fit_id: str) -> records.FitRecord:
     record = fits.cancel(store, fit_id)
     if record.status == "cancelled":
         # Best effort: a cancelled fit cannot be claimed, its job would end at once.
@@ -262,7 +262,7 @@ def _cancel(store: Store, redis: Redis, fit_id: str) -> records.FitJob:
 
 add_job_routes(
     router,
-    records.FitJob,
+    records.FitRecord,
     Fit,
     Fit.of,
     cancel=_cancel,

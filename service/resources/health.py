@@ -78,13 +78,13 @@ class Version(BaseModel):
 
 @router.get("/version", responses=problems())
 async def get_version() -> Version:
-    """Tell the versions of the service and of its API."""
+    """Return the versions of the service and of its API."""
     return Version(service=version("fewview-server"), api=API_VERSION)
 
 
 @router.get("/health/live", responses=problems())
 async def check_live() -> Liveness:
-    """Tell that the process is up."""
+    """Report that the process is up."""
     return Liveness()  # asynchronous: all threads may be waiting for the records
 
 
@@ -111,11 +111,11 @@ def check_ready(request: Request, connection: RedisDep) -> Readiness:
             reach()
         except (redis.exceptions.RedisError, SQLAlchemyError, ObjectStoreError, OSError) as error:
             logger.warning("%s cannot be used: %s", name, error)
-            words = "cannot be reached; the log says why"
+            words = "cannot be reached; see the log for the reason"
             failures.append((f"/{name}", RECORDS_DAMAGED if is_corrupt(error) else words))
         except DeploymentError as error:
             logger.error("%s", error)
-            failures.append((f"/{name}", "not those of the records; the log says more"))
+            failures.append((f"/{name}", "not those of the records; see the log for details"))
         else:
             checks[name] = Check(milliseconds=round(1000 * (time.perf_counter() - started), 3))
     if "records" in checks and request.app.state.integrity.damage() is not None:
@@ -127,6 +127,6 @@ def check_ready(request: Request, connection: RedisDep) -> Readiness:
     workers = at_work.count(connection)
     waits = any(queue.has_work() for queue in open_queues(connection))
     if waits and workers.known and not workers.at_work:
-        why = "jobs wait, and no worker does its work; the workers' logs say why"
+        why = "jobs wait, and no worker is working; see the workers' logs for the reason"
         raise ApiError("unavailable", f"workers: {why}.", errors=[("/workers", why)])
     return Readiness(**checks, workers=workers.at_work)

@@ -18,10 +18,10 @@ PATIENCE_SECONDS = 0.1  # that who asks waits for a look: small records are look
 
 
 class Integrity:
-    """What the last look at the records found; who asks has another begun, if it is time for one.
+    """The result of the last check of the records; asking for it starts another one when due.
 
-    A look reads all of the records. So it is made in a thread of its own, by a process one at a
-    time, and takes a twentieth of the time at most.
+    A check reads all of the records. So it runs in a separate thread, in one process at a time, for
+    at most a twentieth of the time.
     """
 
     def __init__(self, store: Store) -> None:
@@ -46,7 +46,7 @@ class Integrity:
             if found != self._found:
                 logger.error("The records are damaged: %s", found or "no longer")
             self._found = found
-        except (TimeoutError, SQLAlchemyError) as error:  # what is away is said by others
+        except (TimeoutError, SQLAlchemyError) as error:  # other checks report this
             logger.info("The records were not looked through: %s", error)
         finally:
             now = time.monotonic()

@@ -29,7 +29,7 @@ LastEventId = Annotated[
 
 
 class Words(NamedTuple):
-    """What the OpenAPI document says of the operations on one kind of job."""
+    """The texts of the OpenAPI document on one kind of job."""
 
     delete: str
     cancel: str
@@ -59,7 +59,7 @@ async def job_columns(
 
 
 def announce(job: Any, store: Store, redis: Redis, response: Response) -> None:
-    """Put a job that was recorded just now on its queue, and say where it is."""
+    """Put a job that was just recorded on its queue, and return its location."""
     if job.status == "queued":
         offer(redis, store, job)
     response.headers["Location"] = _url(job)
@@ -80,9 +80,9 @@ def add_job_routes(
     Parameters
     ----------
     form, to_wire
-        The JSON form of a job, and what makes it of a record.
+        The JSON form of a job, and the function that makes it from a record.
     cancel, delete
-        Do so, and raise as ``store.jobs`` says.
+        Functions that do so, and raise as those of ``store.jobs``.
     """
     noun = kind.noun
     path = f"/{{{noun}_id}}"

@@ -133,7 +133,7 @@ class LiftJob(BaseModel):
     findings: Findings
 
     @classmethod
-    def of(cls, record: records.LiftJob) -> Self:
+    def of(cls, record: records.LiftRecord) -> Self:
         """Return the wire form of a record."""
         labels = labels_of(record)
         plain = cls.model_fields.keys() - labels.keys() - {"progress"}
@@ -150,7 +150,7 @@ class LiftPage(Page[LiftJob]):
     model_config = page_of(LiftJob)
 
 
-LiftDep = Annotated[records.LiftJob, Depends(finder(records.LiftJob))]
+LiftDep = Annotated[records.LiftRecord, Depends(finder(records.LiftRecord))]
 
 
 @router.post(
@@ -181,7 +181,7 @@ def create_lift(
     body = read_json(upload, LiftCreate)
     in_room = is_room(body.frame, body.up)
     if body.views is not None or in_room:
-        dataset = lookup.get(store, records.Dataset, body.dataset_id)
+        dataset = lookup.get(store, records.DatasetRecord, body.dataset_id)
         model = engine.models.get(store.project, body.model_id)
         if body.views is not None:
             check_views(body.views, model.prior, dataset.views)
@@ -205,13 +205,13 @@ async def _columns(
     model_id: Annotated[str | None, Query(max_length=200)] = None,
 ) -> Columns:
     if model_id is not None and lookup.is_alias(model_id):
-        model_id = (await run_in_threadpool(lookup.get, store, records.Model, model_id)).id
+        model_id = (await run_in_threadpool(lookup.get, store, records.ModelRecord, model_id)).id
     return shared | {"model_id": model_id}
 
 
 add_list_routes(
     router,
-    records.LiftJob,
+    records.LiftRecord,
     LiftPage,
     LiftJob.of,
     prefix="lift",
@@ -220,13 +220,13 @@ add_list_routes(
 )
 
 
-def _cancel(store: Store, _redis: Redis, lift_id: str) -> records.LiftJob:
+def _cancel(store: Store, _redis: Redis, lift_id: str) -> records.LiftRecord:
     return lifts.cancel(store, lift_id)
 
 
 add_job_routes(
     router,
-    records.LiftJob,
+    records.LiftRecord,
     LiftJob,
     LiftJob.of,
     cancel=_cancel,
@@ -276,7 +276,7 @@ def get_lift_result(
     return ranged_response(
         request,
         file.size,
-        partial(file.read, lookup.reader_of(store, records.LiftJob, lift.id)),
+        partial(file.read, lookup.reader_of(store, records.LiftRecord, lift.id)),
         media_type=MEDIA_TYPES[chosen],
         filename=f"{lift.id}.{chosen}",
         checksum=file.checksum(),

@@ -28,15 +28,14 @@ _MOMENT = (
     "unless it names another zone."
 )
 
-# Parameters of names that are not known beforehand, as OpenAPI says them: an object whose members
-# are parameters of their own.
+# Parameters of arbitrary names, in the form of OpenAPI: an object whose members are the parameters.
 _METADATA_QUERY = {
     "name": FREE_QUERY,
     "in": "query",
     "style": "form",
     "explode": True,
-    "description": f"`?{FREE_QUERY}.subject=M7`: those whose metadata says this under this key of "
-    f"its first level; numbers, `true` and `false` as in JSON. {MOST_LABELS} keys at most.",
+    "description": f"`?{FREE_QUERY}.subject=M7`: those whose metadata has this value under this "
+    f"key of its first level; numbers, `true` and `false` as in JSON. {MOST_LABELS} keys at most.",
     "schema": {
         "type": "object",
         "propertyNames": {"pattern": rf"^{FREE_QUERY}\."},
@@ -126,7 +125,7 @@ class Page(BaseModel, Generic[Item]):
 
 
 async def no_columns() -> Columns:
-    """Return the columns that a list without filters of its own is asked for: none."""
+    """Return no filters, for a list without filters of its own."""
     return {}
 
 
@@ -145,13 +144,13 @@ def add_list_routes(
     Parameters
     ----------
     page, to_wire
-        The JSON form of a page, and what makes that of an item of a record.
+        The JSON form of a page, and the function that makes an item from a record.
     prefix
         Of the identifiers.
     delete
         Deletes one; raises ``ConflictError`` if it is in use.
     columns
-        A dependency: what columns of the record must hold, by the names of the query.
+        A dependency: required values of the record's columns, from the query.
     """
     nouns = f"{kind.noun}s"
     asked_for = Depends(_asked_of(prefix, columns))
@@ -172,11 +171,11 @@ def add_list_routes(
         "",
         name=f"delete_{nouns}",
         response_model=Deleted,
-        description=f"Delete the {nouns} that the list with the same query shows: those of some "
-        "`id`, say, or of a `tag`. Without any filter nothing is deleted. What is in use stays, "
-        "and is named in `refused`. Ask with `dry_run=true` first, which deletes nothing and "
-        "answers how many are `found`; then send this number as `expected_count`. If it does not "
-        "agree any more, nothing is deleted (409).",
+        description=f"Delete the {nouns} that the list with the same query shows, for example "
+        "those of some `id` or of a `tag`. Without any filter nothing is deleted. Those in use "
+        "stay and are listed in `refused`. Send `dry_run=true` first, which deletes nothing and "
+        "returns how many are `found`; then send this number as `expected_count`. If it no longer "
+        "agrees, nothing is deleted (409).",
         responses=problems("conflict"),
         openapi_extra=extra,
     )
@@ -223,7 +222,7 @@ def _asked_of(
         identifiers: Annotated[
             list[Annotated[str, Field(max_length=200)]],
             Query(alias="id", max_length=MOST_LISTED, description="These; may be repeated."),
-        ] = [],  # noqa: B006 (nobody changes it)
+        ] = [],  # noqa: B006 (never changed)
         name: Annotated[Name | None, Query(description="Those of this very name.")] = None,
         tags: Annotated[
             list[Tag],

@@ -43,7 +43,7 @@ def get_metrics(request: Request, connection: RedisDep) -> Response:
     (`fewview_part_reached`).
     """
     metrics: Metrics = request.app.state.metrics
-    store: Store = request.app.state.store  # of the whole deployment, whoever asks
+    store: Store = request.app.state.store  # of the whole deployment, for every caller
     held = CollectorRegistry()
     held.register(_Held(list(_of_everything(store, connection))))
     counted = generate_latest(all_processes(metrics))

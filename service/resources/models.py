@@ -30,7 +30,7 @@ from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.calibrations import MEDIA_TYPES, CalibrationFormat, calibration_file
 from service.wire.cameras import ModelCameras
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
-from service.wire.model_files import Description, described, taken_apart
+from service.wire.model_files import ModelDescription, described, taken_apart
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
 from store import aliases, lookup, models, records
@@ -87,7 +87,7 @@ class ModelSummary(BaseModel):
     fit_id: str | None = Field(description="The fit that made it; null if it was imported.")
     dataset_id: str | None
     frames: int | None = Field(
-        description="Frames it was fitted to; null if it was imported and its file does not say."
+        description="Frames it was fitted to; null if it was imported from a file without them."
     )
     views: int | None = Field(
         description="Views it was fitted to, null as `frames`; it lifts any number of them."
@@ -115,12 +115,12 @@ class ModelSummary(BaseModel):
     findings: Findings
 
     @classmethod
-    def of(cls, record: records.Model) -> Self:
+    def of(cls, record: records.ModelRecord) -> Self:
         """Return the wire form of a record."""
-        return cls.model_validate(cls._said(record))
+        return cls.model_validate(cls._fields_of(record))
 
     @classmethod
-    def _said(cls, record: records.Model) -> dict[str, Any]:
+    def _fields_of(cls, record: records.ModelRecord) -> dict[str, Any]:
         return {
             "id": record.id,
             "name": record.name,
@@ -153,8 +153,8 @@ class Model(ModelSummary):
     training_curve: list[CurvePoint]
 
     @classmethod
-    def _said(cls, record: records.Model) -> dict[str, Any]:
-        return {**super()._said(record), "training_curve": record.training_curve}
+    def _fields_of(cls, record: records.ModelRecord) -> dict[str, Any]:
+        return {**super()._fields_of(record), "training_curve": record.training_curve}
 
 
 class ModelPage(Page[ModelSummary]):
@@ -164,21 +164,21 @@ class ModelPage(Page[ModelSummary]):
 
 
 class ModelImport(Labels):
-    """What can be said of imported weights, over what the file says of itself."""
+    """Labels of imported weights, which replace those in the file."""
 
     name: Name = "imported"
     skeleton: Skeleton | None = None
 
 
 add_list_routes(
-    router, records.Model, ModelPage, ModelSummary.of, prefix="mdl", delete=models.delete
+    router, records.ModelRecord, ModelPage, ModelSummary.of, prefix="mdl", delete=models.delete
 )
 
 
 @router.get("/{model_id}", responses=problems("not_found"))
 def get_model(model_id: Identifier, store: StoreDep) -> Model:
     """Describe a model: configuration, training curve, errors."""
-    return Model.of(lookup.get(store, records.Model, model_id))
+    return Model.of(lookup.get(store, records.ModelRecord, model_id))
 
 
 @router.get(
@@ -202,9 +202,9 @@ def get_model_cameras(
         ),
     ] = "json",
 ) -> Response | ModelCameras:
-    """Tell what the fit found out about its cameras: what they are, how surely, and why.
+    """Return the cameras that the fit estimated, with standard deviations and reasons.
 
-    A model that was fitted without refinement answers too, with the arrangement `unknown`.
+    A model that was fitted without refinement has the arrangement `unknown`.
     """
     model = engine.models.read(store.project, model_id)
     cameras = ModelCameras.of(model.id, model.prior.cameras)
@@ -213,7 +213,7 @@ def get_model_cameras(
     try:
         file = calibration_file(cameras, format, *_names_and_sizes(store, model.id))
     except ValueError as error:
-        raise ApiError("conflict", f"{error}; format=json says all that is known") from error
+        raise ApiError("conflict", f"{error}; format=json has everything that is known") from error
     return bytes_response(
         request, file.content, media_type=file.media_type, filename=f"{model.id}-{file.filename}"
     )
@@ -222,12 +222,12 @@ def get_model_cameras(
 def _names_and_sizes(
     store: Store, model_id: str
 ) -> tuple[list[str] | None, list[tuple[int, int] | None] | None]:
-    """Return names and (width, height) of the views, None where no dataset says them."""
-    dataset_id = lookup.get(store, records.Model, model_id).dataset_id
+    """Return names and (width, height) of the views, None if no dataset has them."""
+    dataset_id = lookup.get(store, records.ModelRecord, model_id).dataset_id
     if dataset_id is None:
         return None, None
     try:
-        dataset = lookup.get(store, records.Dataset, dataset_id)
+        dataset = lookup.get(store, records.DatasetRecord, dataset_id)
     except NotFoundError:
         return None, None
     sizes = [None if size is None else (size[0], size[1]) for size in dataset.image_sizes or ()]
@@ -243,13 +243,13 @@ def _names_and_sizes(
 def download_weights(model_id: Identifier, store: StoreDep, request: Request) -> Response:
     """Download a model (safetensors), whole or a range of its bytes.
 
-    Beside the weights, with configuration, training curve, cameras and findings, its header says
-    name, skeleton, views, frames and figures: `POST /models` makes the same model of it.
+    The file has the weights with configuration, training curve, cameras and findings. Its header
+    has name, skeleton, views, frames and figures, so that `POST /models` makes the same model.
     """
-    record = lookup.get(store, records.Model, model_id)
+    record = lookup.get(store, records.ModelRecord, model_id)
     return bytes_response(
         request,
-        described(models.load_weights(store, record), Description.of(record)),
+        described(models.load_weights(store, record), ModelDescription.of(record)),
         media_type=OCTETS,
         filename=f"{record.id}.safetensors",
     )
@@ -285,7 +285,7 @@ def download_network(
             f"Model {model.id!r} removes noise from its keypoints before the network, which ONNX "
             "has no part for: fit with `denoising: false`.",
         )
-    weights = models.load_weights(store, lookup.get(store, records.Model, model.id))
+    weights = models.load_weights(store, lookup.get(store, records.ModelRecord, model.id))
     made = subprocess.run(  # noqa: S603 (our own program)
         tied(*python("-m", "models.lifting.onnx_file")),
         input=weights,
@@ -321,7 +321,7 @@ def import_model(
             "unsupported_media_type",
             "expected the weights' bytes (application/octet-stream) or a form, got JSON",
         )
-    said = upload.form(ModelImport, {} if name is None else {"name": name})
+    given = upload.form(ModelImport, {} if name is None else {"name": name})
     try:
         weights, known = taken_apart(upload.data)
         prior = FittedPrior.from_bytes(weights)
@@ -331,16 +331,16 @@ def import_model(
     if views and known.views not in (None, views):
         raise ApiError(
             "malformed_body",
-            f"These are no weights of a model: they are of {views} views, and the file says "
-            f"{known.views}.",
+            f"These are no weights of a model: they are of {views} views, and the file's header "
+            f"has {known.views}.",
         )
     known = known.model_copy(
-        update={field: getattr(said, field) for field in said.model_fields_set}
+        update={field: getattr(given, field) for field in given.model_fields_set}
     )
     if known.skeleton is not None:
         known.skeleton.check(prior.keypoints_per_frame)
     columns: dict[str, Any] = {
-        "name": known.name or said.name,
+        "name": known.name or given.name,
         "views": known.views,
         "frames": known.frames,
         "keypoints": prior.keypoints_per_frame,
@@ -361,7 +361,7 @@ def import_model(
     return Model.of(record)
 
 
-add_change_route(router, records.Model, Model, Model.of)
+add_change_route(router, records.ModelRecord, Model, Model.of)
 
 
 @router.delete(

@@ -38,7 +38,7 @@ class DatasetPreview(DatasetFacts):
     )
 
     @classmethod
-    def of(cls, record: records.Dataset, capture: Capture) -> Self:
+    def of(cls, record: records.DatasetRecord, capture: Capture) -> Self:
         """Return the wire form of what would be stored."""
         there = np.isfinite(capture.keypoints[..., 0])
         frame = int(there.sum(axis=(1, 2)).argmax())

@@ -41,7 +41,7 @@ class Queues(BaseModel):
 
 @router.get("", responses=problems("unavailable"))
 def list_queues(redis: RedisDep) -> Queues:
-    """Tell what waits for workers: what to start more of them by, or fewer."""
+    """Return the jobs that wait for workers, for starting more or fewer of these."""
     return Queues(items=[_waiting(queue) for queue in open_queues(redis)])
 
 

@@ -122,21 +122,21 @@ def get_reconstruction(
     As JSON, or as the arrays `points3d` (N, P, 3), `rotations` (N, K, 3, 3), `scales` (N, K),
     `translations` (N, K, 3), `focals` (N, K, 2), `principal_points` (N, K, 2), `distortions`
     (N, K, 8), `reprojection_errors` (N, K), NaN where there is no answer; `keypoints_used` (N, K)
-    and `camera_models` (N, K): 0 weak perspective, 1 perspective, 2 fisheye, -1 no camera. Of weak
-    perspective a translation is (x, y) in pixels and NaN. `keypoints_seen` (N, P) counts the views
-    that show a keypoint, 0 where it is inferred from the others; a keypoint that no view of the fit
-    shows is NaN. `outlier_probability` (N, K, P) says how probably a keypoint of a view is an
-    outlier, 0 to 1, NaN where nothing was observed or judged; what exceeds 0.5 was left out.
-    `findings` (N,) adds up what was noticed of a frame: 1 `rig_not_used`, 2
+    and `camera_models` (N, K): 0 weak perspective, 1 perspective, 2 fisheye, -1 no camera. The
+    translation of a weak-perspective camera is (x, y) in pixels and NaN. `keypoints_seen` (N, P)
+    counts the views that show a keypoint, 0 where it is inferred from the others; a keypoint that
+    no view of the fit shows is NaN. `outlier_probability` (N, K, P) is the probability of a
+    keypoint to be an outlier, NaN where it was not observed or not judged; above 0.5 it was left
+    out. `findings` (N,) are sums of the findings of a frame: 1 `rig_not_used`, 2
     `frame_unlike_fit`, 4 `coordinates_of_another_scale`, 8 `not_in_room`. Reconstructions that
     older versions stored lack these three.
 
-    With `frame=room` all frames are in one room, and the cameras as they see that room. Canonical
-    translations have the unit of each frame's first view: where that view moves while others rest,
-    the unit differs from frame to frame. In the room it is one.
+    With `frame=room` all frames are in one room, and so are the cameras. Canonical translations
+    have the unit of each frame's first view: if that view moves while others are static, the unit
+    differs from frame to frame. In the room there is one unit.
 
-    With the fit's own `refine`, or without, this is what the fit stored. With another the frames
-    are lifted when asked for, by the fit's model, which takes longer.
+    With the fit's own `refine`, or without, the stored reconstruction is returned. With another
+    `refine` the frames are lifted for this request, by the fit's model, which takes longer.
     """
     about = {
         "fit_id": fit.id,
@@ -155,7 +155,14 @@ def get_reconstruction(
         found = _frames(store, fit, refine, frames)
     elif _is_stored(fit, refine):
         if chosen == "json":
-            said = (request.app.version, reconstruction_key(fit), about, findings, frame, direction)
+            identity = (
+                request.app.version,
+                reconstruction_key(fit),
+                about,
+                findings,
+                frame,
+                direction,
+            )
             parts: Iterator[Arrays] = map(_completed, reconstruction_parts(store, fit))
             if room is not None:
                 parts = map(room.place_arrays, parts)
@@ -163,14 +170,14 @@ def get_reconstruction(
                 request,
                 json_pieces(parts, about, findings),
                 media_type=JSON,
-                checksum=hashlib.sha256(repr(said).encode()).hexdigest(),
+                checksum=hashlib.sha256(repr(identity).encode()).hexdigest(),
             )
         metadata = metadata_of(about, findings)
         if room is None and (file := reconstruction_file(store, fit, chosen, metadata)) is not None:
             return ranged_response(
                 request,
                 file.size,
-                partial(file.read, lookup.reader_of(store, records.FitJob, fit.id)),
+                partial(file.read, lookup.reader_of(store, records.FitRecord, fit.id)),
                 media_type=NPZ if chosen == "npz" else OCTETS,
                 filename=f"{filename}.{chosen}",
                 checksum=file.checksum(),
@@ -184,12 +191,12 @@ def get_reconstruction(
     return arrays_response(request, found, about, findings, format=chosen, filename=filename)
 
 
-def frames_of(fit: records.FitJob, frames: str) -> range:
+def frames_of(fit: records.FitRecord, frames: str) -> range:
     """Return the frames of a fit that a query asks for."""
     return range(fit.frames)[slice(*(int(part) if part else None for part in frames.split(":")))]
 
 
-def _frames(store: StoreDep, fit: records.FitJob, refine: Refine | None, frames: str) -> Arrays:
+def _frames(store: StoreDep, fit: records.FitRecord, refine: Refine | None, frames: str) -> Arrays:
     """Return some frames of what a fit stored.
 
     Raises
@@ -206,12 +213,12 @@ def _frames(store: StoreDep, fit: records.FitJob, refine: Refine | None, frames:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _is_stored(fit: records.FitJob, refine: Refine | None) -> bool:
-    """Tell whether a fit has stored its frames refined like this."""
+def _is_stored(fit: records.FitRecord, refine: Refine | None) -> bool:
+    """Return whether a fit stored its frames with this refinement."""
     return refine in (None, fit.config.get("refine", "off"))  # older fits refined nothing
 
 
-def stored_arrays(fit: records.FitJob, store: StoreDep) -> Arrays:
+def stored_arrays(fit: records.FitRecord, store: StoreDep) -> Arrays:
     """Return the reconstruction that a fit stored, in canonical frames."""
     return _completed(safetensors_arrays(fits.load_reconstruction(store, fit)))
 
@@ -233,9 +240,13 @@ def _completed(arrays: Arrays) -> Arrays:
 
 
 def _lift_again(
-    fit: records.FitJob, refine: Refine, store: StoreDep, engine: EngineDep, settings: SettingsDep
+    fit: records.FitRecord,
+    refine: Refine,
+    store: StoreDep,
+    engine: EngineDep,
+    settings: SettingsDep,
 ) -> Arrays:
-    """Lift the frames of a fit with its model, refined otherwise than the fit was told.
+    """Lift the frames of a fit with its model, with another refinement than the fit's.
 
     Raises
     ------
@@ -255,14 +266,14 @@ def _lift_again(
         )
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
     prior = engine.models.get(store.project, model_id).prior
-    times = datasets.times_of(lookup.get(store, records.Dataset, fit.dataset_id), capture)
+    times = datasets.times_of(lookup.get(store, records.DatasetRecord, fit.dataset_id), capture)
     keypoints, confidence = in_step(
         capture.keypoints, capture.confidence, times, prior.capture.clocks
     )
     return prior.lift(keypoints, confidence=confidence, refine=refine, times=times).arrays
 
 
-def model_of(fit: records.FitJob) -> str:
+def model_of(fit: records.FitRecord) -> str:
     """Return the identifier of a fit's model; raise ``ConflictError`` if it has none."""
     if fit.model_id is None:
         raise ConflictError(

@@ -66,7 +66,7 @@ class Webhook(BaseModel):
     created_at: datetime
 
     @classmethod
-    def of(cls, record: records.Webhook, **more: str) -> Self:
+    def of(cls, record: records.WebhookRecord, **more: str) -> Self:
         """Return the wire form of a record."""
         known = {"id": record.id, "url": record.url, "events": record.events}
         return cls.model_validate({**known, "created_at": _moment(record.created_at), **more})

@@ -1,15 +1,15 @@
-"""The forms in which things travel: JSON, npz, safetensors, and the bytes of a stream.
+"""The formats of messages: JSON, npz, safetensors, and the bytes of a stream.
 
 ``arrays``
     Arrays from and to bytes, and from nested lists.
 ``captures``
     Keypoints of a request, checked against the limits.
 ``detector_files``, ``reading_apart``
-    Files as detectors write them, read in a process of its own.
+    Files as detectors write them, read in a separate process.
 ``schemas``, ``skeletons``, ``cameras``
     The JSON forms of keypoints and lifts, of skeletons, and of a model's cameras.
 ``representations``
     Answers that carry a lift's arrays, in the form that the client accepts.
 ``stream_messages``
-    What is said in a stream of frames.
+    The messages of a stream of frames.
 """

@@ -42,7 +42,7 @@ def animation_file(
     Raises
     ------
     ApiError
-        422 that says why the format cannot hold them.
+        422 with the reason why the format cannot hold them.
     """
     if format == "trc" and unit is None:
         raise invalid("/unit", "expected m or mm: TRC names the unit of its points")

@@ -159,9 +159,9 @@ def from_nested(
     sizes
         The sizes that are known beforehand, for input that is null as far as that axis.
     max_bytes
-        Largest array to make: a few nulls can stand for many numbers.
+        Largest array to make: a few nulls can mean many numbers.
 
-    An ``Unlisted`` stands for lists of nulls.
+    An ``Unlisted`` represents lists of nulls.
 
     Raises
     ------

@@ -58,7 +58,7 @@ def calibration_file(
     Raises
     ------
     ValueError
-        If the format cannot say these cameras; the message says why.
+        If the format cannot describe these cameras; the message has the reason.
     """
     if not cameras.views:
         raise ValueError(f"no cameras were found: {cameras.reason}")

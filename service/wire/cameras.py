@@ -21,20 +21,20 @@ EXAMPLE_FINDING = Finding.of(
 ).model_dump(mode="json")
 UNKNOWN = (
     "This model was fitted without refinement (refine: off), or by an older Fewview, or to "
-    "keypoints that say nothing of cameras, such as those of a single view: its views are weak "
-    "perspective, with a camera of their own in every frame."
+    "keypoints that do not determine cameras, such as those of a single view: its views are weak "
+    "perspective, with another camera in every frame."
 )
 
 
 class FoundView(BaseModel):
-    """The camera of one view; a standard deviation of 0 stands by what was given and kept.
+    """The camera of one view. The standard deviation of a given number is 0.
 
-    What could not be found is null.
+    Numbers that could not be estimated are null.
     """
 
     index: int = Field(description="Which view of the fit; what `views` of `POST /lift` counts.")
     camera: LiftedLensName
-    resting: bool = Field(description="Whether it rests relative to the other resting cameras.")
+    resting: bool = Field(description="Whether it is static relative to the other static cameras.")
     focal: Vector2 | None = Field(description="Focal length along x and y, pixels.")
     focal_sd: float | None = Field(description="Pixels.")
     principal_point: Vector2 | None = Field(description="(x, y), pixels.")
@@ -52,14 +52,14 @@ class FoundView(BaseModel):
     )
     translation_sd: Vector3 | None = Field(description="The same unit.")
     reprojection_error: float | None = Field(
-        description="Pixels, mean over the frames it was found from."
+        description="Pixels, mean over the frames it was estimated from."
     )
 
 
 class ModelCameras(BaseModel):
-    """What a fit found out about its cameras.
+    """The cameras that a fit estimated.
 
-    Cameras at rest share one frame of reference: that of the first of them, or the one in which
+    Static cameras share one frame of reference: that of the first of them, or the one in which
     their poses were given.
     """
 
@@ -111,11 +111,11 @@ class ModelCameras(BaseModel):
 
     model: str
     arrangement: FoundArrangement = Field(
-        description="`mixed`: some rest and some move; `unknown`: cameras were not sought."
+        description="`mixed`: some are static and some move; `unknown`: cameras were not estimated."
     )
     reason: str = Field(description="Why, in words.")
     findings: Findings = Field(
-        description="What was noticed of the cameras, such as a calibration that contradicts the "
+        description="Findings about the cameras, such as a calibration that contradicts the "
         "keypoints."
     )
     noise: float | None = Field(
@@ -125,8 +125,8 @@ class ModelCameras(BaseModel):
         default=None,
         ge=0,
         le=1,
-        description="How sure it is that structures are no mirror images; 1 if it was told, null"
-        " for models of an older Fewview. Below 0.99 there is a finding.",
+        description="Probability that structures are no mirror images; 1 if the handedness was"
+        " given, null for models of an older Fewview. Below 0.99 there is a finding.",
     )
     views: list[FoundView] = Field(description="Of the fit, in its order; none if unknown.")
 
@@ -146,7 +146,7 @@ class ModelCameras(BaseModel):
             {
                 "index": view,
                 "camera": found.camera_models[view],
-                "resting": bool(found.resting[view]),
+                "resting": bool(found.static[view]),
                 "focal": _known(found.focals[view]),
                 "focal_sd": _known(found.focal_sds[view]),
                 "principal_point": _known(found.principal_points[view]),
@@ -159,7 +159,7 @@ class ModelCameras(BaseModel):
                 "translation_sd": _known(found.translation_sds[view]),
                 "reprojection_error": _known(found.reprojection_errors[view]),
             }
-            for view in range(len(found.resting))
+            for view in range(len(found.static))
         ]
         return cls.model_validate(
             {

@@ -109,10 +109,10 @@ def to_array(value: object, name: str, shape: Shape, max_bytes: int) -> NDArray[
 
 
 def convert(fields: Mapping[str, object], max_bytes: int) -> Converted:
-    """Return the arrays that fields of a body make, or why one makes none.
+    """Return the arrays in the fields of a body, or the error of a field that is no array.
 
-    Fields that need keypoints which make none are left out. Lists that hold nothing but nulls stay
-    open: how many keypoints they stand for, a model may say.
+    If there are no keypoints, fields that need them are left out. Lists of nulls alone stay open,
+    because a model may give the number of their keypoints.
     """
     found: Converted = {}
     shape: Shape = (None, None, None, 2)

@@ -86,12 +86,12 @@ def available() -> tuple[str, ...]:
 def confine(folder: Path | None) -> None:
     """Confine this process, for good, to a folder, if any, and to reading Python's libraries.
 
-    Where the kernel has neither means, nothing happens: `available` says so.
+    Without support of the kernel nothing happens; `available` returns what it supports.
 
     Raises
     ------
     OSError
-        If the kernel has a means, and refuses it.
+        If the kernel supports it, but refuses.
     """
     means = available()
     if means:

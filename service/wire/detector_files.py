@@ -61,8 +61,8 @@ class DetectorReading(BaseModel):
     table_columns: str = Field(
         "",
         max_length=LONGEST_NOTE,
-        description="Of `files`: what the columns of a table hold, where their names do not say "
-        "it, such as `x={}_x,y={}_y,frame=No`.",
+        description="Of `files`: the contents of a table's columns, if their names are unusual, "
+        "such as `x={}_x,y={}_y,frame=No`.",
     )
     cameras: str = Field(
         "",
@@ -87,11 +87,11 @@ class DetectorReading(BaseModel):
     )
 
 
-class Read(NamedTuple):
-    """What was read: arrays, what they are described by, and sentences on what was understood."""
+class ReadFiles(NamedTuple):
+    """The result of reading files: arrays, fields that describe them, and notes for the user."""
 
     arrays: Arrays
-    said: dict[str, Any]
+    fields: dict[str, Any]
     notes: list[str]
 
 
@@ -125,41 +125,41 @@ def read_files(
     *,
     fps: float | None,
     image_sizes: Sequence[Sequence[int] | None] | None,
-) -> Read:
-    """Read an upload's files, in a process of its own.
+) -> ReadFiles:
+    """ReadFiles an upload's files, in a separate process.
 
     Parameters
     ----------
     asked
         Fields of `DetectorReading`, as text.
     fps
-        Frames per second, where the files tell no times.
+        Frames per second, if the files have no times.
     image_sizes
         (width, height) in pixels of each view, None where unknown.
 
     Raises
     ------
     ApiError
-        422 if an option cannot be, a file cannot be read, or files do not fit together.
+        422 if an option is invalid, a file cannot be read, or files do not fit together.
     """
     try:
-        said = DetectorReading.model_validate(asked)
+        form = DetectorReading.model_validate(asked)
     except ValidationError as error:
         raise from_validation(error, DetectorReading) from error
     try:
         options = ReadingOptions(
-            format=said.format or None,
-            person=said.person,
-            min_confidence=said.min_confidence,
-            skeleton=said.skeleton_name or None,
-            align=said.align,
+            format=form.format or None,
+            person=form.person,
+            min_confidence=form.min_confidence,
+            skeleton=form.skeleton_name or None,
+            align=form.align,
             fps=fps,
             image_size=[None if s is None else (s[0], s[1]) for s in image_sizes or ()] or None,
-            columns=said.table_columns or None,
-            cameras=said.cameras or None,
-            trial=said.trial or None,
-            y=said.y,
-            mirror=said.mirror or None,
+            columns=form.table_columns or None,
+            cameras=form.cameras or None,
+            trial=form.trial or None,
+            y=form.y,
+            mirror=form.mirror or None,
         )
         with TemporaryDirectory(prefix="fewview-") as folder:
             names: list[str] = []
@@ -174,20 +174,20 @@ def read_files(
         for name in ("keypoints", "confidence", "points3d", "times")
         if (array := getattr(found, name)) is not None
     }
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "fps": found.fps,
         "view_names": [_text(name, LONGEST_NAME) for name in found.view_names or ()],
     }
     if found.keypoint_names is not None or found.edges is not None:
-        told["skeleton"] = {"keypoint_names": found.keypoint_names, "edges": found.edges or ()}
+        fields["skeleton"] = {"keypoint_names": found.keypoint_names, "edges": found.edges or ()}
     if found.image_sizes is not None:
-        told["image_sizes"] = found.image_sizes
-    return Read(arrays, told, [_sentence(note) for note in found.notes[:MOST_NOTES]])
+        fields["image_sizes"] = found.image_sizes
+    return ReadFiles(arrays, fields, [_sentence(note) for note in found.notes[:MOST_NOTES]])
 
 
-def _text(told: str, longest: int) -> str:
-    """Return text that a file had a say in, of bounded length, without halves of characters."""
-    return told[:longest].encode(errors="replace").decode()
+def _text(text: str, longest: int) -> str:
+    """Return text from a file, of bounded length, without halves of characters."""
+    return text[:longest].encode(errors="replace").decode()
 
 
 def _sentence(message: str) -> str:
@@ -195,9 +195,9 @@ def _sentence(message: str) -> str:
     return _text(FOLDERS.sub("", message), LONGEST_NOTE)
 
 
-def _name(told: str, taken: list[str]) -> str:
+def _name(given: str, taken: list[str]) -> str:
     """Return a file's name without a folder, and without what a name should not have."""
-    plain = re.sub(r"[^\w.() +-]", "_", re.split(r"[/\\]", told)[-1]).lstrip(". ")
+    plain = re.sub(r"[^\w.() +-]", "_", re.split(r"[/\\]", given)[-1]).lstrip(". ")
     plain = plain.encode()[-LONGEST_NAME:].decode(errors="ignore") or "file"
     numbered = (f"{number}_{plain}" for number in count(1))
     return next(name for name in chain([plain], numbered) if name not in (OUT, *taken))

@@ -106,12 +106,12 @@ def found_cameras(found: ModelCameras) -> Cameras:
 
 
 def calibrated(entries: Sequence[ToldCamera | None]) -> Cameras:
-    """Return the cameras of a calibration as the client has them.
+    """Return the cameras of a calibration as objects of the client.
 
     Raises
     ------
     ValueError
-        If a lens is not told whole.
+        If a lens is not given completely.
     """
     cameras = []
     for view, entry in enumerate(entries):
@@ -134,7 +134,7 @@ def calibrated(entries: Sequence[ToldCamera | None]) -> Cameras:
 
 
 def triangulated(keypoints: Float32, cameras: Cameras) -> Float64:
-    """Return the points (N, P, 3) that views (N, K, P, 2) show, by those K cameras at rest.
+    """Triangulate points (N, P, 3) from views (N, K, P, 2) with K static cameras.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""Processes that work on bodies of strangers, so that this one goes on with what others ask.
+"""Processes for the bodies of untrusted clients, so that this process stays free for others.
 
-Much that is written in C, such as parsing JSON, lets no other thread of its process do anything
-before it has ended. A process of its own does not start in an instant, though: so one is kept that
-has imported all that is needed, and forks another for each body. That one is confined, bounded in
-memory and time, and ends with its answer. None outlives the process that asks.
+Functions in C, such as JSON parsers, often block all other threads of their process until they end.
+Starting another process takes long, however. So one process is kept that has imported all that is
+needed, and forks another one for each body. That one is confined, bounded in memory and time, and
+ends with its answer. None outlives the process that uses it.
 """
 
 import atexit
@@ -135,7 +135,7 @@ class _Server:
             return True
         try:
             self._channel.recv(1, socket.MSG_DONTWAIT)
-        except BlockingIOError:  # it never says anything
+        except BlockingIOError:  # it never writes anything
             return False
         except OSError:  # another thread has closed this end
             pass
@@ -151,8 +151,8 @@ class _Server:
 
 
 def serve(channel: socket.socket, work: Work) -> None:
-    """Fork a process for each that is asked for, until nobody can ask any more."""
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for those that have ended
+    """Fork a process for each request, until the parent has closed its end."""
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # ended children need no wait
     parent = os.getpid()
     while True:
         data, descriptors, _, _ = socket.recv_fds(channel, LONGEST_NAME, 1)
@@ -181,7 +181,7 @@ def _serve_one(connection: socket.socket, parent: int, work: Work) -> None:
         _send(connection, {"answer": answer, "arrays": shapes})
         for array in arrays.values():
             connection.sendall(np.ascontiguousarray(array).data.cast("B"))
-    except BaseException:  # noqa: BLE001 (nobody above it would say what it was)
+    except BaseException:  # noqa: BLE001 (no caller above reports it)
         traceback.print_exc()
     finally:
         os._exit(0)

@@ -115,10 +115,10 @@ def _read_apart(upload: Upload, kind: type[BaseModel]) -> dict[str, Any]:
 
 
 def work(asked: dict[str, Any], data: bytearray) -> tuple[dict[str, Any], Arrays]:
-    """Read a body in a process of its own: its arrays, and all else that is valid, as JSON.
+    """Read a body in a separate process: its arrays, and all other valid fields as JSON.
 
-    Or what is wrong: with the body as a whole (``problem``), or with an array (``refused``), which
-    may be of no interest.
+    Otherwise return the error, of the body as a whole (``problem``) or of an array (``refused``),
+    which the caller may ignore.
     """
     module = __import__(asked["module"], fromlist=[asked["kind"]])
     kind: type[BaseModel] = getattr(module, asked["kind"])

@@ -1,4 +1,4 @@
-"""Values of JSON that stand for another kind: what pydantic would convert is refused."""
+"""JSON values of another kind than expected: they are refused where pydantic would convert them."""
 
 from collections.abc import Iterator
 from itertools import islice

@@ -25,8 +25,8 @@ Count = Annotated[int, Field(ge=1, le=2**53)]
 Figure = Annotated[float, Field(ge=0, allow_inf_nan=False)] | None
 
 
-class Figures(BaseModel):
-    """What was measured of a model when it was fitted, as `GET /models/{id}` says it."""
+class ModelFigures(BaseModel):
+    """The errors of a model measured in its fit, as in `GET /models/{id}`."""
 
     reprojection_error: Figure = None
     frames_lifted: Annotated[int, Field(ge=0, le=2**53)] | None = None
@@ -35,7 +35,7 @@ class Figures(BaseModel):
     pck_threshold: Figure = None
 
 
-class Description(Labels):
+class ModelDescription(Labels):
     """What is known of a model and not in its weights. What is not known here is ignored."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
@@ -44,24 +44,24 @@ class Description(Labels):
     views: Annotated[int, Field(ge=1, le=MAX_VIEWS)] | None = None
     frames: Count | None = None
     skeleton: Skeleton | None = None
-    metrics: Figures = Figures()
+    metrics: ModelFigures = ModelFigures()
 
     @classmethod
-    def of(cls, model: records.Model) -> Self:
-        """Return what the record of a model says."""
+    def of(cls, model: records.ModelRecord) -> Self:
+        """Return the description of a model from its record."""
         fields = ("name", "views", "frames", "skeleton", "metrics")
-        said = {field: getattr(model, field) for field in fields} | labels_of(model)
-        return cls.model_validate(said, strict=False)
+        values = {field: getattr(model, field) for field in fields} | labels_of(model)
+        return cls.model_validate(values, strict=False)
 
 
-def described(weights: bytes, description: Description) -> bytes:
+def described(weights: bytes, description: ModelDescription) -> bytes:
     """Return weights (safetensors) with a description in their header."""
     header, tensors = _split(weights)
     header["__metadata__"][ENTRY] = description.model_dump_json()
     return _joined(header, tensors)
 
 
-def taken_apart(data: bytes) -> tuple[bytes, Description]:
+def taken_apart(data: bytes) -> tuple[bytes, ModelDescription]:
     """Return the weights in a file without their description, and that; it is empty in older files.
 
     Raises
@@ -72,13 +72,13 @@ def taken_apart(data: bytes) -> tuple[bytes, Description]:
         If the description is none.
     """
     header, tensors = _split(data)
-    said = header["__metadata__"].pop(ENTRY, None)
-    if said is None:
-        return data, Description()
+    entry = header["__metadata__"].pop(ENTRY, None)
+    if entry is None:
+        return data, ModelDescription()
     try:
-        return _joined(header, tensors), Description.model_validate_json(said)
+        return _joined(header, tensors), ModelDescription.model_validate_json(entry)
     except ValidationError as error:
-        raise from_validation(error, Description) from error
+        raise from_validation(error, ModelDescription) from error
 
 
 def _split(data: bytes) -> tuple[dict[str, Any], bytes]:

@@ -1,8 +1,8 @@
-"""Reading files of strangers in a process of its own, which may run out of memory, time or luck.
+"""Reading untrusted files in a separate process, which may crash or run out of memory or time.
 
-Readers trust no count that is in a file, and yet a small file may ask for gigabytes, and the
-libraries below them are written in C. What happens there ends the child, and not its parent; and
-the child is confined, so that no file can have it read what is not in the upload.
+Readers trust no count in a file, and yet a small file may need gigabytes, and the libraries below
+them are written in C. A crash ends the child, not its parent. The child is also confined, so that
+no file can make it read anything outside the upload.
 
 How many children there are at a time is bounded in `app.py`: the process's `large_at_a_time` and
 two more, of `MEMORY` at most each. Should they fill the machine's memory all the same, the kernel
@@ -33,7 +33,7 @@ logger = logging.getLogger(__name__)
 
 MEMORY = 3 * 2**30  # bytes of addresses, what Python and its libraries take among them
 SECONDS = 120
-QUICK_SECONDS, SLOW_NICENESS = 5, 10  # whoever takes longer than the former has the latter
+QUICK_SECONDS, SLOW_NICENESS = 5, 10  # a child that takes longer gets this niceness
 OUT, CAPTURE, OTHERS = "out", "capture.npz", "others.json"
 LONGEST_LOG = 2000  # characters
 
@@ -41,12 +41,12 @@ LONGEST_LOG = 2000  # characters
 def read_apart(
     folder: Path, names: Sequence[str], options: ReadingOptions, *, max_bytes: int
 ) -> Capture:
-    """Read files as `fewview.read` does, in a process of its own; they are not trusted.
+    """Read untrusted files as `fewview.read` does, in a separate process.
 
     Parameters
     ----------
     folder
-        Where the files are, and nothing else; messages leave it out.
+        The folder with the files, and nothing else; messages leave it out.
     names
         Of the files in it, one for each camera.
     max_bytes

@@ -92,6 +92,6 @@ def json_pieces(
 
 
 def metadata_of(about: dict[str, str | None], findings: Sequence[Finding]) -> dict[str, str]:
-    """Return what a safetensors file says beside its arrays."""
+    """Return the strings of a safetensors file besides its arrays."""
     metadata = {name: value for name, value in about.items() if value is not None}
     return metadata | {"findings": orjson.dumps(dumped(findings)).decode()}

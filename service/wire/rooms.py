@@ -1,4 +1,4 @@
-"""How it is asked for answers in a room, and not in canonical frames of reference."""
+"""Parameters of requests for answers in the room instead of canonical frames of reference."""
 
 from typing import Annotated
 
@@ -10,14 +10,15 @@ from service.http.errors import invalid
 
 FRAME_OF_REFERENCE = (
     "Frame of reference of points and cameras: `canonical`, centred and turning with the subject, "
-    "or `room`, that of the model's cameras at rest, in which a walking subject walks."
+    "or `room`, that of the model's static cameras, in which a walking subject walks."
 )
 UP = (
-    "Of frame `room`: has its y axis point up, and its origin on the floor if keypoints are named "
-    "as feet. A vector (x, y, z) in the room as it is without, or `auto`: found from the frames "
-    "of the fit. An imported model has none, nor has one whose fit was deleted: then `up` must be "
-    "a vector, and there is no floor. Without `up` the room is the first resting camera's (x "
-    "right, y down, z forward), or that of the poses which the fit was told."
+    "The direction of up in frame `room`. The y axis then points up, and the origin is on the "
+    "floor if keypoints are named as feet. `auto`, estimated from the frames of the fit, or a "
+    "vector (x, y, z) in the frame of reference without `up`. An imported model, and one whose fit "
+    "was deleted, have no such frames: `up` must be a vector, and there is no floor. Without `up` "
+    "the frame is that of the first static camera (x right, y down, z forward), or of the given "
+    "poses."
 )
 UP_QUERY = f"{UP} In a query: `up=auto` or `up=0,-1,0`."
 FrameQuery = Annotated[FrameOfReference | None, Query(description=FRAME_OF_REFERENCE)]
@@ -27,7 +28,7 @@ _UP: TypeAdapter[Up] = TypeAdapter(Up)
 
 
 def read_up(text: str | None) -> Up | None:
-    """Return what a query says of up.
+    """Return the direction of up in a query.
 
     Raises
     ------
@@ -45,7 +46,7 @@ def read_up(text: str | None) -> Up | None:
 
 
 def is_room(frame: FrameOfReference | None, up: Up | None) -> bool:
-    """Tell whether answers are wanted in the room; raise ``ApiError`` for up without a room."""
+    """Return whether answers are wanted in the room; raise ``ApiError`` for up without a room."""
     if frame != "room" and up is not None:
-        raise invalid("/up", "up is of a room: ask for frame=room too, or leave it out")
+        raise invalid("/up", "up needs frame=room: give that too, or leave up out")
     return frame == "room"

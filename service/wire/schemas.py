@@ -44,8 +44,8 @@ TIMES_SCHEMA = _nullable(
     {"anyOf": [_list_of({"type": "number"}), _list_of(_list_of({"type": "number"}))]}
 ) | {
     "title": "Times",
-    "description": "When the frames were taken, in seconds, rising: a number a frame, or frames x "
-    "views where every camera has a clock of its own.",
+    "description": "Times of the frames in seconds, rising: one number for each frame, or frames x "
+    "views if every camera has its own clock.",
 }
 FRAME_KEYPOINTS_SCHEMA = _VIEWS_OF_KEYPOINTS | {
     "title": "Keypoints of a frame",
@@ -67,12 +67,12 @@ TIMES = Annotated[Any, WithJsonSchema(TIMES_SCHEMA)]
 Name = Annotated[Text, Field(min_length=1, max_length=200)]
 
 REFINE = (
-    "Perspective refinement: `auto` where the residuals say that it helps, `full` wherever it can "
-    "be computed, `off` never; without it what the fit was told."
+    "Perspective refinement: `auto` where it lowers the residuals, `full` wherever it can be "
+    "computed, `off` never; the default is that of the fit."
 )
 VIEWS = (
-    "Which of the fitted views these are: one index per view that comes, none twice. Without it "
-    "the fit's own order if as many come, else cameras of which nothing is known."
+    "Which of the fitted views these are: one index per view, none twice. Without it they are "
+    "those of the fit in its order if the numbers agree, else unknown cameras."
 )
 
 Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]

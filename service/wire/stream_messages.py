@@ -1,4 +1,4 @@
-"""What is said in a stream of frames: JSON, or bytes of a fixed little-endian layout.
+"""The messages of a stream of frames: JSON, or bytes of a fixed little-endian layout.
 
 A frame in bytes:  kind u8 = 1, flags u8, views u16 (K), sequence u32, with flag 2 its time f64,
                    keypoints f32 (K, P, 2) and, with flag 1, confidence f32 (K, P). NaN: not
@@ -57,7 +57,7 @@ Overload = TypeAliasType("Overload", Literal["latest", "all"])
 
 
 class StreamStart(BaseModel):
-    """A client's first message: what it is going to send."""
+    """A client's first message: the frames that it will send."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -94,10 +94,10 @@ class StreamStart(BaseModel):
         None,
         ge=0,
         le=MAX_LAG,
-        description="Frames are smoothed in time, and each is answered when so many more are "
-        "there: the more, the truer. Every frame has its time, or `fps` says how many a second "
-        "there are. Only for models of captures that told times, and whose noise could be told "
-        "from motion. Without it every frame is lifted as it comes.",
+        description="Smooth frames in time, and answer each when so many more have arrived: the "
+        "more, the more accurate. Every frame needs its time, or `fps` is given. Only for models "
+        "of captures with times whose noise could be separated from motion. Without it every frame "
+        "is lifted as it arrives.",
     )
     fps: float | None = Field(
         None,
@@ -150,7 +150,7 @@ class StreamReady(BaseModel):
     model: str
     keypoints: int = Field(description="Keypoints P that every view of a frame must have.")
     views: list[int] | None
-    refine: Refine = Field(description="What is done, also if the client did not say.")
+    refine: Refine = Field(description="The refinement used, given or by default.")
     on_overload: Overload
     continuity: bool
     frame: FrameOfReference
@@ -191,8 +191,8 @@ class StreamFrame(BaseModel):
         None,
         allow_inf_nan=False,
         strict=True,
-        description="When it was taken, in seconds, after the frame before; in streams with `lag` "
-        "that were not told `fps`, and only there.",
+        description="Its time in seconds, later than that of the previous frame; only in streams "
+        "with `lag` and without `fps`, which need it.",
     )
 
 

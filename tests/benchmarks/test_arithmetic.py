@@ -1,4 +1,4 @@
-"""The arithmetic that runtimes are compared with is the network's, and costs what it is said to."""
+"""The arithmetic that runtimes are compared with is the network's, at the stated cost."""
 
 import numpy as np
 import pytest

@@ -251,7 +251,7 @@ def test_answers_come_in_the_room(served: Served, tmp_path: Path) -> None:
     job = client.lifts.wait(client.lifts.create(model, dataset, frame="room", up=up))
     assert job.frame == "room"
     np.testing.assert_array_equal(client.lifts.result(job).points3d, mine.points3d)
-    with pytest.raises(fewview.Conflict, match="none of its cameras rest"):
+    with pytest.raises(fewview.Conflict, match="none of its cameras is static"):
         client.fits.reconstruction(served.fit, frame="room")
     np.save(tmp_path / "keypoints.npy", keypoints.swapaxes(0, 1))
     file, command = tmp_path / "out.npz", [sys.executable, "-m", "fewview.cli", "lift", model.id]

@@ -153,8 +153,8 @@ def test_a_fit_is_told_a_calibration_file(served: Served, tmp_path: Path) -> Non
 
     entries = [by_hand | {"translation": [view, 0, 4]} for view in range(3)]
     made = [
-        served.client.fits.create(served.dataset, calibration=told, steps=100_000).raw
-        for told in ([e | {"rotation": turn} for e in entries], file, cameras, str(file))
+        served.client.fits.create(served.dataset, calibration=given, steps=100_000).raw
+        for given in ([e | {"rotation": turn} for e in entries], file, cameras, str(file))
     ]
     words = ("fit", served.dataset.id, *more)
     made.append(said(fewview(*words, str(file))))

@@ -77,10 +77,10 @@ def test_the_command(truth: Float64, tmp_path: Path) -> None:
     )
     np.savez(tmp_path / "truth.npz", points3d=truth)
     files = (str(tmp_path / "found.npz"), str(tmp_path / "truth.npz"))
-    told = json.loads(run("evaluate", *files, "--json", "--reach", "0.5").stdout)
-    assert told["pa_mpjpe"] == pytest.approx(0, abs=1e-9)
-    assert told["keypoint_names"][8] == "k8"
-    assert told["thresholds"][-1] == 0.5
+    answer = json.loads(run("evaluate", *files, "--json", "--reach", "0.5").stdout)
+    assert answer["pa_mpjpe"] == pytest.approx(0, abs=1e-9)
+    assert answer["keypoint_names"][8] == "k8"
+    assert answer["thresholds"][-1] == 0.5
     assert "PA-MPJPE" in run("evaluate", *files).stdout
     lens = np.array([[1000.0, 0, 640], [0, 1000, 512], [0, 0, 1]])
     cameras = [

@@ -128,10 +128,10 @@ def test_cameras_that_were_given_say_the_room(walk: Walk) -> None:
 
 
 def test_up_and_the_floor(walk: Walk) -> None:
-    told = walk.room(up=walk.up, keypoint_names=NAMES)
+    given = walk.room(up=walk.up, keypoint_names=NAMES)
     found = walk.room(up="auto", keypoint_names=NAMES)
     assert "plane of the feet" in found.notes[0]
-    for room in (told, found):
+    for room in (given, found):
         assert abs(room.points[:, 4:, 1].min()) < 0.02
         np.testing.assert_allclose(room.points[:, 0, 1], 1.7, atol=0.02)
         assert np.linalg.det(room.rotations[0]) == pytest.approx(1)
@@ -197,7 +197,7 @@ def test_frames_are_said_in_the_room_with_their_cameras(walk: Walk) -> None:
             lift["translations"][deep] = (walk.translations * units[:, None, None])[deep]
             lift["scales"] = scales / units[:, None]
         placed = in_room(lift, *rig)
-        nowhere = [4, 5, 6] if first_moves else [5]  # with one view at rest there is no baseline
+        nowhere = [4, 5, 6] if first_moves else [5]  # with one static view there is no baseline
         there = np.delete(np.arange(80), nowhere)
         np.testing.assert_allclose(placed["points3d"][there], walk.truth[there], atol=1e-9)
         np.testing.assert_allclose(in_cameras(placed)[there], before[there], rtol=1e-6, atol=1e-6)

@@ -64,10 +64,10 @@ def test_files_become_an_animation_cameras_and_a_model(
     words += ["--fps", "50", "--formats", "trc,npz,csv", "--known-length", "k2,k9,0.5"]
     first = run(*words)
     assert first.returncode == 0, first.stderr
-    told = json.loads(first.stdout)
-    assert told["arrangement"] == "static"
-    assert told["frames"] == told["in_room"] == 40
-    written = {Path(file).name for file in told["files"]}
+    answer = json.loads(first.stdout)
+    assert answer["arrangement"] == "static"
+    assert answer["frames"] == answer["in_room"] == 40
+    written = {Path(file).name for file in answer["files"]}
     assert {"animation.trc", "animation.npz", "animation.csv", "cameras.toml"} <= written
     assert {"cameras.yml", "model.safetensors"} <= written
 
@@ -81,7 +81,7 @@ def test_files_become_an_animation_cameras_and_a_model(
         assert np.nanmedian(apart) < 2
 
     again = run(*words)
-    assert json.loads(again.stdout)["model"] == told["model"]
+    assert json.loads(again.stdout)["model"] == answer["model"]
     assert run(*words, "-c", "seed=5", "--formats", "obj").returncode == 2
 
 
@@ -97,13 +97,13 @@ def test_a_camera_that_was_moved_counts_as_two(tmp_path: Path) -> None:
     words += ["--image-size", size, "--formats", "npz,trc", "--unit", "m"]
     done = run(*words)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    (note,) = [note for note in told["notes"] if "was moved at frame" in note]
+    answer = json.loads(done.stdout)
+    (note,) = [note for note in answer["notes"] if "was moved at frame" in note]
     first = int(note.partition("frame ")[2].partition(":")[0])
     assert abs(first - 60) <= 1
-    assert told["arrangement"] == "static"
+    assert answer["arrangement"] == "static"
     # A unit that nothing gives is none, so TRC, which needs one, is not written.
-    assert any(note.startswith("no unit: ") for note in told["notes"])
+    assert any(note.startswith("no unit: ") for note in answer["notes"])
     with np.load(tmp_path / "out" / "animation.npz") as arrays:
         points = arrays["points"]
         assert "unit" not in arrays
@@ -127,9 +127,9 @@ def test_it_goes_on_where_it_was_stopped(files: list[str], tmp_path: Path) -> No
             assert time.monotonic() < deadline
             time.sleep(0.05)
         process.send_signal(signal.SIGTERM)  # Ctrl-C is ignored in the background
-        _, said = process.communicate(timeout=300)
-    assert process.returncode == 130, said
-    assert "goes on" in said
+        _, message = process.communicate(timeout=300)
+    assert process.returncode == 130, message
+    assert "goes on" in message
     before = json.loads(notes.read_text())
     ended = run(*words)
     assert ended.returncode == 0, ended.stderr
@@ -137,7 +137,7 @@ def test_it_goes_on_where_it_was_stopped(files: list[str], tmp_path: Path) -> No
     assert (tmp_path / "animation.csv").exists()
     with safe_open(tmp_path / "model.safetensors", "numpy") as file:
         config = json.loads(json.loads(file.metadata()["fewview"])["config"])
-    assert [told["intrinsics"]["fx"] for told in config["calibration"]] == [500, 501, 502]
+    assert [answer["intrinsics"]["fx"] for answer in config["calibration"]] == [500, 501, 502]
     assert "calibration with the views' names" in ended.stdout
 
 

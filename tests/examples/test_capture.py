@@ -1,4 +1,4 @@
-"""Reading captures: what is wrong with a file is said in one line."""
+"""Reading captures: the error of a file is one line."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -100,7 +100,7 @@ class RigCapture:
 
 
 def around(azimuths: list[float], distance: float = 4.0) -> tuple[Float64, Float64]:
-    """Rotations (K, 3, 3) and translations (K, 3) of cameras at rest that look at one place."""
+    """Rotations (K, 3, 3) and translations (K, 3) of static cameras that look at one place."""
     rotations, translations = [], []
     for number, azimuth in enumerate(azimuths):
         tilt = [-8.0, -20.0, -3.0][number % 3]

@@ -1,4 +1,4 @@
-"""A figure that walks about and moves its limbs over time, seen by cameras at rest."""
+"""A figure that walks about and moves its limbs over time, seen by static cameras."""
 
 import numpy as np
 from numpy.typing import NDArray

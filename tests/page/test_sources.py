@@ -153,7 +153,7 @@ def worst(off: Floats, outliers: NDArray[Any]) -> float | str:
 
 def write_capture(folder: Path, detected: NDArray[np.float32]) -> None:
     names = [f"L_{n}" if n % 2 else "hüfte" + "x" * n for n in range(POINTS)]
-    said: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "keypoint_names": names,
         "view_names": ["left", "überkopf", "c"],
         "edges": [[0, 1], [1, 2]],
@@ -161,11 +161,11 @@ def write_capture(folder: Path, detected: NDArray[np.float32]) -> None:
         "fps": 59.94,
         "times": [n / 59.94 for n in range(FRAMES)],
     }
-    arrays: dict[str, Any] = {name: np.array(value) for name, value in said.items()}
+    arrays: dict[str, Any] = {name: np.array(value) for name, value in fields.items()}
     np.savez(folder / "capture.npz", keypoints=detected, **arrays)
-    said["image_sizes"][1] = None
-    said["fps"] = float(np.float32(said["fps"]))
-    truth = {"shape": detected.shape[:3], "keypoints": listed(detected), **said}
+    fields["image_sizes"][1] = None
+    fields["fps"] = float(np.float32(fields["fps"]))
+    truth = {"shape": detected.shape[:3], "keypoints": listed(detected), **fields}
     dump(folder / "capture.json", truth)
 
 

@@ -231,13 +231,13 @@ class Live:
     http: httpx2.Client
     process: "subprocess.Popen[str]"
     data_dir: Path
-    said: str  # as it started
+    printed: str  # as it started
 
     @property
     def queue_url(self) -> str:
         """The URL of its queue, as it says it."""
-        found = re.search(r"queue\s+(\S+)", self.said)
-        assert found, self.said
+        found = re.search(r"queue\s+(\S+)", self.printed)
+        assert found, self.printed
         return found[1]
 
     def fit(self, dataset_id: str, **config: Any) -> dict[str, Any]:
@@ -342,15 +342,15 @@ def start_service(
         cwd=cwd,
     )
     assert process.stdout is not None
-    said = ""
-    while "Ctrl-C" not in said:
+    message = ""
+    while "Ctrl-C" not in message:
         line = process.stdout.readline()
-        assert line, f"the service ended: {said}"
-        said += line
-    address = re.search(r"API\s+(http://\S+)", said)
-    assert address, said
+        assert line, f"the service ended: {message}"
+        message += line
+    address = re.search(r"API\s+(http://\S+)", message)
+    assert address, message
     http = httpx2.Client(base_url=address[1], timeout=120)
-    return Live(address[1], http, process, folder, said)
+    return Live(address[1], http, process, folder, message)
 
 
 def kill_service(live: Live) -> None:

@@ -1,4 +1,4 @@
-"""Objects that are not what was stored are said to be so, and never lifted or served."""
+"""Damaged objects are reported as such, and never lifted or served."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +11,7 @@ from starlette.testclient import TestClient
 
 from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
-from store.records import Model
+from store.records import ModelRecord
 from tests.damage import HARMS, flip, truncate
 from tests.service.conftest import (
     BYTES,
@@ -35,9 +35,9 @@ def only_file(settings: Settings, folder: str) -> Path:
 def test_a_damaged_capture_is_not_served(api: TestClient, settings: Settings, harm: Harm) -> None:
     dataset = make_dataset(api, frames=30)["id"]
     harm(only_file(settings, f"datasets/{dataset}"))
-    said = problem(api.get(f"/datasets/{dataset}/capture"), 500, "object_damaged")
-    assert f"datasets/{dataset}/chunk_" in said
-    assert "backup" in said
+    message = problem(api.get(f"/datasets/{dataset}/capture"), 500, "object_damaged")
+    assert f"datasets/{dataset}/chunk_" in message
+    assert "backup" in message
     assert api.get(f"/datasets/{dataset}").status_code == 200
     assert api.delete(f"/datasets/{dataset}").status_code == 204
     problem(api.get(f"/datasets/{dataset}/capture"), 404, "not_found")
@@ -87,7 +87,7 @@ def test_weights_that_an_older_version_stored_are_checked_too(
     file = file.rename(file.with_name("weights.safetensors"))
     store = api.app.state.store  # type: ignore[attr-defined]
     with store.writing() as session:
-        session.get(Model, model).weights_key = f"models/{model}/weights.safetensors"
+        session.get(ModelRecord, model).weights_key = f"models/{model}/weights.safetensors"
     assert api.get(f"/models/{model}/weights").status_code == 200
     truncate(file)
     problem(api.get(f"/models/{model}/weights"), 500, "object_damaged")

@@ -1,4 +1,4 @@
-"""A full disk is said to be one, nothing half-written stays, and space that is made is used."""
+"""A full disk is reported, nothing half-written stays, and space that is freed is used."""
 
 import subprocess
 from collections.abc import Iterator
@@ -52,7 +52,7 @@ def small(tmp_path: Path) -> Iterator[Live]:
     kill_service(live)
 
 
-def test_a_full_disk_is_said_and_nothing_half_written_stays(small: Live) -> None:
+def test_a_full_disk_is_reported_and_nothing_half_written_stays(small: Live) -> None:
     disk = Path(f"/proc/{small.process.pid}/root{small.data_dir}")  # as the service sees it
     made: list[str] = []
     while (answer := post(small.http, 2000, f"fill-{len(made)}")).status_code == 201:
@@ -81,7 +81,7 @@ def test_a_full_disk_is_said_and_nothing_half_written_stays(small: Live) -> None
     assert small.http.delete(f"/datasets/{again.json()['id']}").status_code == 204
 
 
-def test_records_that_may_grow_no_more_are_said_so(tmp_path: Path, valkey: ValkeyServer) -> None:
+def test_records_that_may_not_grow_are_reported(tmp_path: Path, valkey: ValkeyServer) -> None:
     settings = Settings(
         data_dir=tmp_path, redis_url=f"{valkey.connection_url}/0", allowed_hosts="*"
     )

@@ -35,7 +35,7 @@ def test_a_program_in_typescript_does_the_whole_job(
     shutil.copy(ROOT / "examples" / "generated_client.ts", project)
     node(project, f"{BIN}/tsc", *STRICT, "generated_client.ts")
     (project / "keypoints.json").write_text(json.dumps(frames_of(capture.keypoints[:40])))
-    said = node(project, "generated_client.js", live.url, "keypoints.json", "out.npz")
+    message = node(project, "generated_client.js", live.url, "keypoints.json", "out.npz")
     with np.load(project / "out.npz") as arrays:
         assert arrays["points3d"].shape == (40, 16, 3)
-        np.testing.assert_allclose(json.loads(said), arrays["points3d"][0], atol=1e-4)
+        np.testing.assert_allclose(json.loads(message), arrays["points3d"][0], atol=1e-4)

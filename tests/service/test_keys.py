@@ -310,12 +310,12 @@ def test_a_key_takes_no_more_than_its_quotas(
     with stranger.websocket_connect("/lift/stream", headers=slow) as stream:
         stream.send_text(orjson.dumps({"model": things.model_id}).decode())
         assert stream.receive_json()["type"] == "ready"
-        said = []
+        message = []
         for sequence in range(8):
             frame = {"sequence": sequence, "keypoints": frames["frames"][0]}
             stream.send_text(orjson.dumps(frame).decode())
-            said.append(stream.receive_json())
-    assert "quota_exceeded" in [answer.get("code") for answer in said]
+            message.append(stream.receive_json())
+    assert "quota_exceeded" in [answer.get("code") for answer in message]
 
     small = key(project="small", quotas=Quotas(stored_bytes=2000, queued_jobs=1))
     one = stranger.post("/datasets", json=FRAMES, headers=small)

@@ -73,7 +73,7 @@ def test_a_fit_takes_the_prior_of_the_model_it_starts_from(api: TestClient, mlp_
         ({"dictionary_sizes": [16, 8]}, "/config/dictionary_sizes"),
     ],
 )
-def test_a_fit_that_is_told_another_prior_than_its_model_is_refused(
+def test_a_fit_with_another_prior_than_its_model_is_refused(
     api: TestClient, mlp_model: str, config: dict[str, Any], pointer: str
 ) -> None:
     body = {"dataset_id": make_dataset(api)["id"], "from_model": mlp_model, "config": config}

@@ -11,8 +11,8 @@ import pytest
 from store import attempts, clock, datasets, fits, lift_chunks, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
-from store.records import FitJob, LiftJob
+from store.datasets import CaptureDescription
+from store.records import FitRecord, LiftRecord
 
 HOUR = 3600.0
 
@@ -30,7 +30,7 @@ def clock_off(seconds: float) -> Iterator[None]:
 def test_a_fit_is_not_taken_from_a_worker_that_holds_it(
     store: Store, capture: Capture, off: float
 ) -> None:
-    dataset = datasets.create(store, capture, Description("a"))
+    dataset = datasets.create(store, capture, CaptureDescription("a"))
     fit = fits.create(store, dataset_id=dataset.id, name="f", config={})
     with clock_off(off):
         attempt = attempts.claim(store, fit.id, lease_seconds=5)
@@ -42,13 +42,13 @@ def test_a_fit_is_not_taken_from_a_worker_that_holds_it(
         assert fits.recover(store) == []
         fits.cancel(store, fit.id)
         assert not fits.enforce_cancel(store, fit.job_id, patience_seconds=60)
-    record = lookup.get(store, FitJob, fit.id)
+    record = lookup.get(store, FitRecord, fit.id)
     assert (record.status, record.crashes) == ("running", 0)
 
 
-def make_lift(store: Store, capture: Capture) -> LiftJob:
+def make_lift(store: Store, capture: Capture) -> LiftRecord:
     """Record a lift of one chunk."""
-    dataset = datasets.create(store, capture, Description("a"))
+    dataset = datasets.create(store, capture, CaptureDescription("a"))
     about: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
     model = models.create(store, b"weights", name="m", keypoints=dataset.keypoints, **about)
     chunk_frames = dataset.frames
@@ -72,7 +72,7 @@ def test_a_chunk_is_not_taken_from_a_helper_that_holds_it(
         lifts.cancel(store, lift.id)
     assert not lifts.was_cancelled(store, lift.job_id, patience_seconds=60)
     assert lifts.was_cancelled(store, lift.job_id, patience_seconds=-1)
-    assert lookup.get(store, LiftJob, lift.id).status == "cancelled"
+    assert lookup.get(store, LiftRecord, lift.id).status == "cancelled"
 
 
 def test_who_waited_for_the_records_takes_nothing_whose_holder_had_to_wait_too(
@@ -91,7 +91,7 @@ def test_who_waited_for_the_records_takes_nothing_whose_holder_had_to_wait_too(
             lost = threads.submit(fits.recover, store)
             time.sleep(2)
         assert (chunk.result(), attempt.result(), lost.result()) == (None, None, [])
-    assert lift_chunks.claim(store, other) is not None  # now it tells a death
+    assert lift_chunks.claim(store, other) is not None  # now it means a death
     assert [lost.id for lost in fits.recover(store)] == [fit.id]
 
 

@@ -11,7 +11,7 @@ from store import datasets, housekeeping, keys, lookup
 from store.capture import extend_checksum
 from store.database import Store
 from store.ids import new_id
-from store.records import Dataset
+from store.records import DatasetRecord
 from store.settings import StoreSettings
 from tests.deployments import embedded_only
 from tests.fork_server import Popen
@@ -48,7 +48,7 @@ def test_killed_writers_leave_whole_datasets_and_orphans_that_are_swept(
             writer.stdout.readline()
             time.sleep(rng.uniform(0.02, 0.2))
             writer.kill()
-    stored = lookup.page(store, Dataset, limit=10_000, after=None)
+    stored = lookup.page(store, DatasetRecord, limit=10_000, after=None)
     assert stored
     for dataset in stored:
         capture = datasets.load(store, dataset.id)

@@ -9,7 +9,7 @@ from sqlalchemy import text
 from store import datasets, housekeeping
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.deployment import MARK
 from store.errors import DeploymentError
 from store.objects import Objects
@@ -19,7 +19,7 @@ from store.settings import StoreSettings
 @pytest.fixture
 def full(store: Store, capture: Capture) -> Store:
     """Store a dataset in the records and objects of one deployment."""
-    datasets.create(store, capture, Description("season"))
+    datasets.create(store, capture, CaptureDescription("season"))
     return store
 
 
@@ -28,7 +28,7 @@ def keys(store: Store) -> list[str]:
 
 
 def beside(store: Store, tmp_path: Path) -> StoreSettings:
-    """Return the settings of a worker that was told of the objects, and not of the records."""
+    """Return the settings of a worker with the objects, and without the records."""
     return StoreSettings(data_dir=tmp_path / "elsewhere", store_url=store.objects.url)
 
 

@@ -1,4 +1,4 @@
-"""Which databases records may be in, and what is said of others."""
+"""Which databases records may be in, and the errors for others."""
 
 import subprocess
 import sys
@@ -45,10 +45,10 @@ def test_a_password_is_not_shown_when_the_database_cannot_be_reached(tmp_path: P
     assert "54secret" not in run
 
 
-def test_a_missing_driver_is_said_in_a_line(tmp_path: Path) -> None:
+def test_a_missing_driver_is_reported_in_one_line(tmp_path: Path) -> None:
     hide = "sys.modules['psycopg'] = None;"
-    said = _worker(tmp_path, hide, "postgresql://fewview:54secret@127.0.0.1:1/records")
-    assert said == "PostgreSQL needs its driver: pip install 'fewview-server[postgresql]'."
+    message = _worker(tmp_path, hide, "postgresql://fewview:54secret@127.0.0.1:1/records")
+    assert message == "PostgreSQL needs its driver: pip install 'fewview-server[postgresql]'."
 
 
 def _worker(folder: Path, before: str, url: str) -> str:

@@ -9,7 +9,7 @@ from store import attempts, datasets, fits, housekeeping, jobs, lifts, lookup, m
 from store.attempts import Attempt
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.errors import (
     ConfigError,
     ConflictError,
@@ -20,7 +20,7 @@ from store.errors import (
 )
 from store.idempotency import Idempotency
 from store.jobs import MAX_CRASHES
-from store.records import FitJob, Model
+from store.records import FitRecord, ModelRecord
 
 DESCRIBE = {
     "keypoints": 5,
@@ -31,12 +31,12 @@ DESCRIBE = {
 
 
 @pytest.fixture
-def fit(store: Store, capture: Capture) -> FitJob:
-    dataset = datasets.create(store, capture, Description("a"))
+def fit(store: Store, capture: Capture) -> FitRecord:
+    dataset = datasets.create(store, capture, CaptureDescription("a"))
     return fits.create(store, dataset_id=dataset.id, name="f", config={"seed": 1})
 
 
-def claim(store: Store, fit: FitJob, lease_seconds: float = 60) -> Attempt:
+def claim(store: Store, fit: FitRecord, lease_seconds: float = 60) -> Attempt:
     attempt = attempts.claim(store, fit.id, lease_seconds=lease_seconds)
     assert attempt is not None
     return attempt
@@ -53,7 +53,7 @@ def objects(store: Store) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("config", "said"),
+    ("config", "message"),
     [
         ({"calibration": [None]}, "expected 2, got 1"),
         ({"known_length": {"keypoints": [0, 5], "length": 1}}, "2 different keypoints below 5"),
@@ -63,9 +63,9 @@ def objects(store: Store) -> set[str]:
     ],
 )
 def test_a_config_must_speak_of_the_datasets_views_and_keypoints(
-    store: Store, fit: FitJob, config: dict[str, Any], said: str
+    store: Store, fit: FitRecord, config: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(ConfigError, match=said) as refused:
+    with pytest.raises(ConfigError, match=message) as refused:
         fits.create(store, dataset_id=fit.dataset_id, name="f", config=config)
     assert [refused.value.field] == list(config)
     good = {
@@ -94,8 +94,8 @@ def _model(store: Store, *, keypoints: int) -> str:
     ).id
 
 
-def test_a_fit_may_start_from_a_model_of_the_same_keypoints(store: Store, fit: FitJob) -> None:
-    def start(model_id: str, config: dict[str, Any]) -> FitJob:
+def test_a_fit_may_start_from_a_model_of_the_same_keypoints(store: Store, fit: FitRecord) -> None:
+    def start(model_id: str, config: dict[str, Any]) -> FitRecord:
         return fits.create(
             store, dataset_id=fit.dataset_id, name="f", config=config, from_model=model_id
         )
@@ -119,18 +119,18 @@ def test_a_fit_may_start_from_a_model_of_the_same_keypoints(store: Store, fit: F
         start(good, {})
 
 
-def test_one_attempt_at_a_time(store: Store, fit: FitJob) -> None:
+def test_one_attempt_at_a_time(store: Store, fit: FitRecord) -> None:
     claim(store, fit)
     assert attempts.claim(store, fit.id, lease_seconds=60) is None
-    assert lookup.get(store, FitJob, fit.id).status == "running"
+    assert lookup.get(store, FitRecord, fit.id).status == "running"
 
 
-def test_a_stale_attempt_can_write_nothing(store: Store, fit: FitJob) -> None:
+def test_a_stale_attempt_can_write_nothing(store: Store, fit: FitRecord) -> None:
     stale = claim(store, fit, lease_seconds=0.01)
     attempts.save_checkpoint(store, stale, b"old")
     time.sleep(0.02)
     fresh = claim(store, fit)
-    before = lookup.get(store, FitJob, fit.id)
+    before = lookup.get(store, FitRecord, fit.id)
     for write in (
         lambda: attempts.beat(store, stale, {"step": 99}),
         lambda: attempts.save_checkpoint(store, stale, b"stale"),
@@ -140,7 +140,7 @@ def test_a_stale_attempt_can_write_nothing(store: Store, fit: FitJob) -> None:
     ):
         with pytest.raises(LeaseLostError):
             write()
-    after = lookup.get(store, FitJob, fit.id)
+    after = lookup.get(store, FitRecord, fit.id)
     assert (after.status, after.revision, after.progress, after.model_id) == (
         "running",
         before.revision,
@@ -149,25 +149,25 @@ def test_a_stale_attempt_can_write_nothing(store: Store, fit: FitJob) -> None:
     )
     assert attempts.load_checkpoint(store, fit.id) == b"old"
     assert objects(store) == {"chunk", "checkpoint"}
-    assert lookup.page(store, Model, limit=1, after=None) == []
+    assert lookup.page(store, ModelRecord, limit=1, after=None) == []
     succeed(store, fresh)
 
 
 def test_success_leaves_model_and_reconstruction_and_no_checkpoint(
-    store: Store, fit: FitJob
+    store: Store, fit: FitRecord
 ) -> None:
     attempt = claim(store, fit)
     attempts.save_checkpoint(store, attempt, b"1")
     attempts.save_checkpoint(store, attempt, b"2")
     model_id = succeed(store, attempt)
-    record = lookup.get(store, FitJob, fit.id)
+    record = lookup.get(store, FitRecord, fit.id)
     assert (record.status, record.model_id) == ("succeeded", model_id)
-    assert lookup.get(store, Model, model_id).fit_id == fit.id
+    assert lookup.get(store, ModelRecord, model_id).fit_id == fit.id
     assert objects(store) == {"chunk", "weights", "reconstruction"}
 
 
 @pytest.mark.parametrize("status", ["succeeded", "failed", "cancelled"])
-def test_terminal_states_are_never_left(store: Store, fit: FitJob, status: str) -> None:
+def test_terminal_states_are_never_left(store: Store, fit: FitRecord, status: str) -> None:
     attempt = claim(store, fit)
     if status == "succeeded":
         succeed(store, attempt)
@@ -182,10 +182,10 @@ def test_terminal_states_are_never_left(store: Store, fit: FitJob, status: str) 
     else:
         with pytest.raises(ConflictError):
             fits.cancel(store, fit.id)
-    assert lookup.get(store, FitJob, fit.id).status == status
+    assert lookup.get(store, FitRecord, fit.id).status == status
 
 
-def test_cancelling(store: Store, fit: FitJob) -> None:
+def test_cancelling(store: Store, fit: FitRecord) -> None:
     attempt = claim(store, fit)
     assert attempts.beat(store, attempt, None) is False
     asked = fits.cancel(store, fit.id)
@@ -193,17 +193,17 @@ def test_cancelling(store: Store, fit: FitJob) -> None:
     assert attempts.beat(store, attempt, None) is True
     assert fits.enforce_cancel(store, fit.job_id, patience_seconds=60) is False
     assert fits.enforce_cancel(store, fit.job_id, patience_seconds=0) is True
-    assert lookup.get(store, FitJob, fit.id).status == "cancelled"
+    assert lookup.get(store, FitRecord, fit.id).status == "cancelled"
     with pytest.raises(LeaseLostError):
         succeed(store, attempt)
 
 
-def test_a_queued_fit_is_cancelled_at_once(store: Store, fit: FitJob) -> None:
+def test_a_queued_fit_is_cancelled_at_once(store: Store, fit: FitRecord) -> None:
     assert fits.cancel(store, fit.id).status == "cancelled"
     assert attempts.claim(store, fit.id, lease_seconds=60) is None
 
 
-def test_a_fit_nobody_runs_any_more_is_cancelled_at_once(store: Store, fit: FitJob) -> None:
+def test_a_fit_nobody_runs_any_more_is_cancelled_at_once(store: Store, fit: FitRecord) -> None:
     attempt = claim(store, fit, lease_seconds=0.01)
     time.sleep(0.02)
     assert fits.cancel(store, fit.id).status == "cancelled"
@@ -211,37 +211,39 @@ def test_a_fit_nobody_runs_any_more_is_cancelled_at_once(store: Store, fit: FitJ
         attempts.beat(store, attempt, None)
 
 
-def test_a_lost_fit_is_queued_again_and_given_up_in_the_end(store: Store, fit: FitJob) -> None:
+def test_a_lost_fit_is_queued_again_and_given_up_in_the_end(store: Store, fit: FitRecord) -> None:
     for crash in range(1, MAX_CRASHES + 1):
         claim(store, fit, lease_seconds=0.001)
         time.sleep(0.005)
         queued = [lost.id for lost in fits.recover(store)]
         assert queued == ([fit.id] if crash < MAX_CRASHES else [])
-    record = lookup.get(store, FitJob, fit.id)
+    record = lookup.get(store, FitRecord, fit.id)
     assert record.status == "failed"
     assert record.error is not None
     assert record.error["code"] == "worker_lost"
 
 
-def test_a_released_fit_counts_no_crash_and_keeps_its_checkpoint(store: Store, fit: FitJob) -> None:
+def test_a_released_fit_counts_no_crash_and_keeps_its_checkpoint(
+    store: Store, fit: FitRecord
+) -> None:
     attempt = claim(store, fit)
     attempts.save_checkpoint(store, attempt, b"half")
     attempts.release(store, attempt)
-    record = lookup.get(store, FitJob, fit.id)
+    record = lookup.get(store, FitRecord, fit.id)
     assert (record.status, record.crashes) == ("queued", 0)
     claim(store, fit)
     assert attempts.load_checkpoint(store, fit.id) == b"half"
 
 
-def test_a_fit_released_as_it_is_cancelled_is_cancelled(store: Store, fit: FitJob) -> None:
+def test_a_fit_released_as_it_is_cancelled_is_cancelled(store: Store, fit: FitRecord) -> None:
     attempt = claim(store, fit)
     fits.cancel(store, fit.id)
     attempts.release(store, attempt)
-    assert lookup.get(store, FitJob, fit.id).status == "cancelled"
+    assert lookup.get(store, FitRecord, fit.id).status == "cancelled"
     assert fits.recover(store) == []
 
 
-def test_whoever_ends_a_fit_its_checkpoint_goes(store: Store, fit: FitJob) -> None:
+def test_whoever_ends_a_fit_its_checkpoint_goes(store: Store, fit: FitRecord) -> None:
     attempt = claim(store, fit)
     attempts.save_checkpoint(store, attempt, b"half")
     fits.cancel(store, fit.id)
@@ -251,7 +253,7 @@ def test_whoever_ends_a_fit_its_checkpoint_goes(store: Store, fit: FitJob) -> No
 
 
 def test_only_so_many_fits_wait_and_a_repeated_request_is_none_of_them(
-    store: Store, fit: FitJob
+    store: Store, fit: FitRecord
 ) -> None:
     def create(idempotency: Idempotency | None) -> str:
         return fits.create(
@@ -269,30 +271,30 @@ def test_only_so_many_fits_wait_and_a_repeated_request_is_none_of_them(
         create(None)
 
 
-def test_attempts_count_starts(store: Store, fit: FitJob) -> None:
+def test_attempts_count_starts(store: Store, fit: FitRecord) -> None:
     claim(store, fit, lease_seconds=0.001)
     time.sleep(0.005)
     fits.recover(store)
     assert claim(store, fit).number == 2
 
 
-def test_one_fit_per_job(store: Store, fit: FitJob) -> None:
+def test_one_fit_per_job(store: Store, fit: FitRecord) -> None:
     first = fits.create(store, dataset_id=fit.dataset_id, name="x", config={}, job_id="job")
     again = fits.create(store, dataset_id=fit.dataset_id, name="x", config={}, job_id="job")
     assert first.id == again.id
 
 
-def test_deleting_a_fit_keeps_its_model(store: Store, fit: FitJob) -> None:
+def test_deleting_a_fit_keeps_its_model(store: Store, fit: FitRecord) -> None:
     attempt = claim(store, fit)
     with pytest.raises(ConflictError):
         fits.delete(store, fit.id)
     model_id = succeed(store, attempt)
     fits.delete(store, fit.id)
-    assert lookup.get(store, Model, model_id).fit_id is None
+    assert lookup.get(store, ModelRecord, model_id).fit_id is None
     assert "reconstruction" not in objects(store)
 
 
-def test_a_lift_in_its_room_keeps_a_fit(store: Store, fit: FitJob) -> None:
+def test_a_lift_in_its_room_keeps_a_fit(store: Store, fit: FitRecord) -> None:
     model_id = succeed(store, claim(store, fit))
     asked: dict[str, Any] = {"model_id": model_id, "dataset_id": fit.dataset_id, "chunk_frames": 5}
     lifts.create(store, name="canonical", **asked)
@@ -303,12 +305,12 @@ def test_a_lift_in_its_room_keeps_a_fit(store: Store, fit: FitJob) -> None:
     fits.delete(store, fit.id)
 
 
-def test_a_fit_that_gets_further_each_time_is_tried_on(store: Store, fit: FitJob) -> None:
-    def crash_at(step: int) -> FitJob:
+def test_a_fit_that_gets_further_each_time_is_tried_on(store: Store, fit: FitRecord) -> None:
+    def crash_at(step: int) -> FitRecord:
         attempt = claim(store, fit)
         attempts.beat(store, attempt, {"step": step})
         attempts.give_up(store, attempt, "killed")
-        return lookup.get(store, FitJob, fit.id)
+        return lookup.get(store, FitRecord, fit.id)
 
     for step in range(10, 10 * jobs.MAX_CRASHES, 10):
         assert crash_at(step).status == "queued"

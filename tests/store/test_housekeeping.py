@@ -9,7 +9,7 @@ from sqlalchemy import text
 from store import datasets, housekeeping, keys
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.ids import new_id
 
 
@@ -39,7 +39,7 @@ def test_an_orphan_is_condemned_first_and_goes_when_its_time_has_come(store: Sto
 
 
 def test_what_a_record_knows_again_is_spared(store: Store, capture: Capture) -> None:
-    dataset = datasets.create(store, capture, Description("restored"))
+    dataset = datasets.create(store, capture, CaptureDescription("restored"))
     (key,) = listed(store)
     with store.writing() as session:  # the records are restored from a backup that is too old
         session.execute(text("UPDATE chunks SET key = 'other'"))
@@ -68,7 +68,7 @@ def test_more_than_crashes_leave_is_not_condemned(
     store: Store, capture: Capture, caplog: pytest.LogCaptureFixture
 ) -> None:
     for _ in range(housekeeping.FEW + 1):
-        datasets.create(store, capture, Description("season"))
+        datasets.create(store, capture, CaptureDescription("season"))
     with store.writing() as session:
         session.execute(text("DELETE FROM datasets"))
     before = listed(store)
@@ -81,8 +81,8 @@ def test_more_than_crashes_leave_is_not_condemned(
 def test_what_a_user_deletes_goes_however_much_and_whatever_fails(
     store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = [datasets.create(store, capture, Description("old")).id for _ in range(30)]
-    kept = datasets.create(store, capture, Description("kept"))
+    made = [datasets.create(store, capture, CaptureDescription("old")).id for _ in range(30)]
+    kept = datasets.create(store, capture, CaptureDescription("kept"))
 
     def away(*_: str) -> None:
         raise OSError("the objects are away")
@@ -97,7 +97,7 @@ def test_what_a_user_deletes_goes_however_much_and_whatever_fails(
 
 
 def test_what_a_sweep_condemned_can_be_deleted_by_its_user(store: Store, capture: Capture) -> None:
-    dataset = datasets.create(store, capture, Description("restored"))
+    dataset = datasets.create(store, capture, CaptureDescription("restored"))
     (key,) = listed(store)
     with store.writing() as session:
         session.execute(text("INSERT INTO condemned_objects VALUES (:key, 1e12)"), {"key": key})

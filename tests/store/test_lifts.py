@@ -15,12 +15,12 @@ from store.array_files import LaidOutFile
 from store.capture import Capture
 from store.crc import combine
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.errors import ConflictError, LeaseLostError, LiftError, NotFoundError, QueueFullError
 from store.jobs import MAX_CRASHES
 from store.lift_chunks import Helper
 from store.lift_files import ResultFormat, result_file
-from store.records import LiftChunk, LiftJob
+from store.records import LiftChunk, LiftRecord
 
 FRAMES, CHUNK = 12, 5
 RNG = np.random.default_rng(0)
@@ -38,18 +38,18 @@ def make_model(store: Store, keypoints: int = 5) -> str:
 
 
 @pytest.fixture
-def lift(store: Store, capture: Capture) -> LiftJob:
-    dataset = datasets.create(store, capture, Description("a"))
+def lift(store: Store, capture: Capture) -> LiftRecord:
+    dataset = datasets.create(store, capture, CaptureDescription("a"))
     return create(store, dataset.id)
 
 
-def create(store: Store, dataset_id: str, **more: Any) -> LiftJob:
+def create(store: Store, dataset_id: str, **more: Any) -> LiftRecord:
     model_id = more.pop("model_id", None) or make_model(store)
     asked: dict[str, Any] = {"name": "l", "chunk_frames": CHUNK} | more
     return lifts.create(store, model_id=model_id, dataset_id=dataset_id, **asked)
 
 
-def join(lift: LiftJob, lease_seconds: float = 60) -> Helper:
+def join(lift: LiftRecord, lease_seconds: float = 60) -> Helper:
     return lift_chunks.join(lift.id, lease_seconds=lease_seconds)
 
 
@@ -70,21 +70,23 @@ def objects(store: Store) -> list[str]:
     return [key for key, _ in store.objects.list() if key.startswith("lifts/")]
 
 
-def test_helpers_share_the_chunks_and_the_last_ends_the_lift(store: Store, lift: LiftJob) -> None:
+def test_helpers_share_the_chunks_and_the_last_ends_the_lift(
+    store: Store, lift: LiftRecord
+) -> None:
     assert (lift.status, lift.frames, lift.chunks) == ("queued", 12, 3)
     ours, theirs = join(lift), join(lift)
     first, second = claim(store, ours), claim(store, theirs)
-    assert lookup.get(store, LiftJob, lift.id).status == "running"
+    assert lookup.get(store, LiftRecord, lift.id).status == "running"
     finish(store, theirs, second)
     third = claim(store, theirs)
     assert [(c.first_frame, c.frames) for c in (first, second, third)] == [(0, 5), (5, 5), (10, 2)]
     assert lift_chunks.claim(store, join(lift)) is None
     finish(store, theirs, third)
-    half = lookup.get(store, LiftJob, lift.id)
+    half = lookup.get(store, LiftRecord, lift.id)
     assert (half.status, half.frames_done, half.chunks_done) == ("running", 7, 2)
     assert half.seconds_left is not None
     finish(store, ours, first)
-    ended = lookup.get(store, LiftJob, lift.id)
+    ended = lookup.get(store, LiftRecord, lift.id)
     assert (ended.status, ended.frames_done, ended.seconds_left) == ("succeeded", 12, None)
     assert lift.revision < half.revision < ended.revision
     assert len(objects(store)) == 6
@@ -94,7 +96,7 @@ def test_helpers_share_the_chunks_and_the_last_ends_the_lift(store: Store, lift:
 
 
 def test_a_chunk_whose_lease_ran_out_is_anyones_and_its_old_holder_writes_nothing(
-    store: Store, lift: LiftJob
+    store: Store, lift: LiftRecord
 ) -> None:
     stale = join(lift, lease_seconds=0.01)
     chunk = claim(store, stale)
@@ -114,10 +116,10 @@ def test_a_chunk_whose_lease_ran_out_is_anyones_and_its_old_holder_writes_nothin
     finish(store, fresh, again)
     with pytest.raises(LeaseLostError):
         finish(store, fresh, again)  # what is done stays as it is
-    assert lookup.get(store, LiftJob, lift.id).chunks_done == 1
+    assert lookup.get(store, LiftRecord, lift.id).chunks_done == 1
 
 
-def test_a_beat_keeps_the_lease(store: Store, lift: LiftJob) -> None:
+def test_a_beat_keeps_the_lease(store: Store, lift: LiftRecord) -> None:
     helper = join(lift, lease_seconds=0.5)
     chunk = claim(store, helper)
     for _ in range(8):
@@ -129,11 +131,11 @@ def test_a_beat_keeps_the_lease(store: Store, lift: LiftJob) -> None:
 
 @pytest.mark.parametrize("how", ["lease", "error"])
 def test_a_chunk_that_takes_down_its_workers_ends_the_lift(
-    store: Store, lift: LiftJob, how: str
+    store: Store, lift: LiftRecord, how: str
 ) -> None:
     finish(store, done := join(lift), claim(store, done))
     for _ in range(MAX_CRASHES):
-        assert lookup.get(store, LiftJob, lift.id).status == "running"
+        assert lookup.get(store, LiftRecord, lift.id).status == "running"
         helper = join(lift, lease_seconds=0.001)
         chunk = claim(store, helper)
         assert chunk.first_frame == CHUNK
@@ -141,7 +143,7 @@ def test_a_chunk_that_takes_down_its_workers_ends_the_lift(
             lift_chunks.give_up(store, helper, chunk, "MemoryError: no more")
         time.sleep(0.005)
     assert lift_chunks.claim(store, join(lift)) is None
-    record = lookup.get(store, LiftJob, lift.id)
+    record = lookup.get(store, LiftRecord, lift.id)
     assert record.status == "failed"
     assert record.error is not None
     assert record.error["code"] == ("worker_lost" if how == "lease" else "internal_error")
@@ -149,14 +151,14 @@ def test_a_chunk_that_takes_down_its_workers_ends_the_lift(
     assert objects(store) == []
 
 
-def test_a_chunk_given_back_counts_as_no_crash(store: Store, lift: LiftJob) -> None:
+def test_a_chunk_given_back_counts_as_no_crash(store: Store, lift: LiftRecord) -> None:
     for _ in range(MAX_CRASHES + 1):
         helper = join(lift)
         lift_chunks.release(store, helper, claim(store, helper))
     assert claim(store, join(lift)).crashes == 0
 
 
-def test_cancelling_is_at_once_and_final(store: Store, lift: LiftJob) -> None:
+def test_cancelling_is_at_once_and_final(store: Store, lift: LiftRecord) -> None:
     helper = join(lift)
     finish(store, helper, claim(store, helper))
     chunk = claim(store, helper)
@@ -167,7 +169,7 @@ def test_cancelling_is_at_once_and_final(store: Store, lift: LiftJob) -> None:
     with pytest.raises(LeaseLostError):
         finish(store, helper, chunk)
     lift_chunks.fail(store, helper, "x", "y")
-    assert lookup.get(store, LiftJob, lift.id).error is None
+    assert lookup.get(store, LiftRecord, lift.id).error is None
     assert lift_chunks.claim(store, helper) is None
     assert lifts.recover(store) == []
     assert objects(store) == []
@@ -175,7 +177,7 @@ def test_cancelling_is_at_once_and_final(store: Store, lift: LiftJob) -> None:
     assert not lifts.was_cancelled(store, lift.job_id, patience_seconds=60)
 
 
-def test_a_lift_that_ended_otherwise_cannot_be_cancelled(store: Store, lift: LiftJob) -> None:
+def test_a_lift_that_ended_otherwise_cannot_be_cancelled(store: Store, lift: LiftRecord) -> None:
     with pytest.raises(ConflictError):
         lifts.delete(store, lift.id)
     lift_chunks.fail(store, join(lift), "dataset_not_found", "gone")
@@ -183,10 +185,10 @@ def test_a_lift_that_ended_otherwise_cannot_be_cancelled(store: Store, lift: Lif
         lifts.cancel(store, lift.id)
     lifts.delete(store, lift.id)
     with pytest.raises(NotFoundError):
-        lookup.get(store, LiftJob, lift.id)
+        lookup.get(store, LiftRecord, lift.id)
 
 
-def test_each_job_that_starts_makes_room_for_one_more(store: Store, lift: LiftJob) -> None:
+def test_each_job_that_starts_makes_room_for_one_more(store: Store, lift: LiftRecord) -> None:
     first = lifts.waiting_job(lift)
     assert first == lift.job_id == lift.id
     claim(store, join(lift))
@@ -209,7 +211,7 @@ def test_each_job_that_starts_makes_room_for_one_more(store: Store, lift: LiftJo
     assert len(lifts.recover(store)) == 1
 
 
-def test_what_a_lift_needs_cannot_be_deleted(store: Store, lift: LiftJob) -> None:
+def test_what_a_lift_needs_cannot_be_deleted(store: Store, lift: LiftRecord) -> None:
     for delete, identifier in ((datasets.delete, lift.dataset_id), (models.delete, lift.model_id)):
         with pytest.raises(ConflictError, match=lift.id):
             delete(store, identifier)
@@ -218,7 +220,7 @@ def test_what_a_lift_needs_cannot_be_deleted(store: Store, lift: LiftJob) -> Non
     models.delete(store, lift.model_id)
 
 
-def test_what_cannot_be_lifted_is_refused(store: Store, lift: LiftJob) -> None:
+def test_what_cannot_be_lifted_is_refused(store: Store, lift: LiftRecord) -> None:
     for model_id, dataset_id in ((lift.model_id, "ds_x"), ("mdl_x", lift.dataset_id)):
         with pytest.raises(NotFoundError):
             create(store, dataset_id, model_id=model_id)
@@ -235,14 +237,14 @@ def test_what_cannot_be_lifted_is_refused(store: Store, lift: LiftJob) -> None:
 
 
 def test_many_keypoints_make_short_chunks(store: Store) -> None:
-    rng = np.random.default_rng(0)  # what moves is soon checked: keypoints at rest are compared
+    rng = np.random.default_rng(0)  # moving keypoints are checked fast: static ones are compared
     many = Capture.checked(rng.uniform(0, 900, (9, 16, 512, 2)))
-    dataset = datasets.create(store, many, Description("a"))
+    dataset = datasets.create(store, many, CaptureDescription("a"))
     model_id = make_model(store, 512)
     lift = create(store, dataset.id, model_id=model_id, chunk_frames=4096)
     assert lift.chunks == 1
     wide = Capture.checked(rng.uniform(0, 900, (130, 32, 512, 2)))
-    dataset = datasets.create(store, wide, Description("a"))
+    dataset = datasets.create(store, wide, CaptureDescription("a"))
     assert create(store, dataset.id, model_id=model_id, chunk_frames=4096).chunks == 3
 
 
@@ -252,7 +254,7 @@ def test_frames_are_read_without_the_others(store: Store, start: int, stop: int)
     keypoints = rng.uniform(0, 900, (12, 2, 5, 2)).astype(np.float32)
     confidence = rng.uniform(0, 1, (12, 2, 5)).astype(np.float32)
     truth = rng.normal(size=(12, 5, 3))
-    dataset = datasets.create(store, Capture.checked(keypoints[:4]), Description("a"))
+    dataset = datasets.create(store, Capture.checked(keypoints[:4]), CaptureDescription("a"))
     for cut in (slice(4, 5), slice(5, 12)):
         more = Capture.checked(keypoints[cut], confidence[cut], truth[cut])
         datasets.append(store, dataset.id, more, max_frames=100)
@@ -268,17 +270,17 @@ def test_frames_are_read_without_the_others(store: Store, start: int, stop: int)
         datasets.load_frames(store, dataset.id, start, 13)
 
 
-def result(store: Store, lift: LiftJob, wanted: ResultFormat) -> LaidOutFile:
+def result(store: Store, lift: LiftRecord, wanted: ResultFormat) -> LaidOutFile:
     helper = join(lift)
     while (chunk := lift_chunks.claim(store, helper)) is not None:
         finish(store, helper, chunk)
-    lift = lookup.get(store, LiftJob, lift.id)
+    lift = lookup.get(store, LiftRecord, lift.id)
     return result_file(lift, lifts.finished_chunks(store, lift), wanted, {"lift_id": lift.id})
 
 
 @pytest.mark.parametrize("wanted", ["jsonl", "npz", "safetensors"])
 def test_a_result_is_one_file_whichever_parts_of_it_are_read(
-    store: Store, lift: LiftJob, wanted: ResultFormat
+    store: Store, lift: LiftRecord, wanted: ResultFormat
 ) -> None:
     file = result(store, lift, wanted)
     get = store.objects.get_range
@@ -305,7 +307,7 @@ def test_a_result_is_one_file_whichever_parts_of_it_are_read(
 
 
 def test_a_lift_that_an_older_version_began_has_the_arrays_that_it_knew(
-    store: Store, lift: LiftJob
+    store: Store, lift: LiftRecord
 ) -> None:
     helper = join(lift)
     finish(store, helper, claim(store, helper), less="scales")
@@ -316,7 +318,7 @@ def test_a_lift_that_an_older_version_began_has_the_arrays_that_it_knew(
         np.testing.assert_array_equal(array, ARRAYS[name])
 
 
-def test_each_format_of_each_lift_has_a_checksum_of_its_own(store: Store, lift: LiftJob) -> None:
+def test_each_format_of_each_lift_has_a_checksum_of_its_own(store: Store, lift: LiftRecord) -> None:
     other = create(store, lift.dataset_id)
     formats: tuple[ResultFormat, ...] = ("jsonl", "npz", "safetensors")
     found = {

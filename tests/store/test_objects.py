@@ -16,7 +16,7 @@ from obstore.exceptions import BaseError as ObjectStoreError
 from store import datasets, housekeeping, keys
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.errors import DamagedError
 from store.ids import new_id
 from store.objects import Objects
@@ -44,7 +44,7 @@ def test_what_is_put_is_got_whole_and_in_part(objects: Objects) -> None:
     assert objects.get_ranges(key, ranges) == [data[start:end] for start, end in ranges]
 
 
-def test_what_is_not_there_is_said_so(objects: Objects) -> None:
+def test_missing_objects_are_reported(objects: Objects) -> None:
     key = keys.of_chunk(new_id("ds"), b"w")
     assert not objects.has(key)
     with pytest.raises(FileNotFoundError):
@@ -159,7 +159,7 @@ def test_places_of_one_bucket_do_not_see_each_other(s3: S3) -> None:
     assert dict(other.list()) == {}
 
 
-def test_a_store_that_pauses_is_waited_for_and_one_that_is_gone_is_told_soon() -> None:
+def test_a_store_that_pauses_is_waited_for_and_one_that_is_gone_is_reported_soon() -> None:
     with s3_served() as s3:
         objects = Objects(s3.new_url())
         key = keys.of_weights(new_id("mdl"), b"w")
@@ -184,7 +184,7 @@ def test_whoever_deletes_does_not_wait_for_objects_that_are_away(
 ) -> None:
     with s3_served() as s3:
         store = Store(StoreSettings(data_dir=tmp_path, store_url=s3.new_url()))
-        made = [datasets.create(store, capture, Description("old")).id for _ in range(12)]
+        made = [datasets.create(store, capture, CaptureDescription("old")).id for _ in range(12)]
         os.kill(s3.process.pid, signal.SIGSTOP)
         started = time.monotonic()
         datasets.delete(store, made[0])

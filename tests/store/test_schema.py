@@ -15,7 +15,7 @@ from store import lookup, schema
 from store.database import Store
 from store.engine import open_engine
 from store.errors import StoreError
-from store.records import Dataset, FitJob, Model, Record
+from store.records import DatasetRecord, FitRecord, ModelRecord, Record
 from store.settings import StoreSettings
 from tests.deployments import PostgreSQL
 
@@ -85,12 +85,12 @@ def test_records_of_e3d0c35_are_migrated_and_hold_what_they_held(
     objects.mkdir()
     (objects / "deployment.json").write_text('{"deployment": "dep"}')
     store = Store(own)
-    found = lookup.page(store, Dataset, lookup.Filters(tags=["old"]), limit=9, after=None)
+    found = lookup.page(store, DatasetRecord, lookup.Filters(tags=["old"]), limit=9, after=None)
     assert [(one.id, one.observed, one.user_metadata) for one in found] == [
         ("ds_1", [15, 15], {"subject": "M7"})
     ]
-    assert lookup.get(store, FitJob, "fit_1").config == {"seed": 1}
-    assert lookup.get(store, Model, "mdl_1").fit_id == "fit_1"
+    assert lookup.get(store, FitRecord, "fit_1").config == {"seed": 1}
+    assert lookup.get(store, ModelRecord, "mdl_1").fit_id == "fit_1"
     store.close()
 
 

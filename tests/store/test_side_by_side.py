@@ -11,10 +11,10 @@ import pytest
 from store import attempts, datasets, fits, jobs, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.errors import ConflictError, KeyReusedError, NotFoundError, QueueFullError, StoreError
 from store.idempotency import Idempotency
-from store.records import Dataset, FitJob, LiftJob, Model
+from store.records import DatasetRecord, FitRecord, LiftRecord, ModelRecord
 from store.settings import StoreSettings
 
 ROUNDS = 6
@@ -45,8 +45,8 @@ def at_once(*works: Callable[[], Any]) -> list[Any]:
         return list(threads.map(run, works))
 
 
-def by_all(stores: list[Store], work: Callable[..., Any], *told: Any) -> list[Any]:
-    return at_once(*(partial(work, store, *told) for store in stores))
+def by_all(stores: list[Store], work: Callable[..., Any], *given: Any) -> list[Any]:
+    return at_once(*(partial(work, store, *given) for store in stores))
 
 
 def succeeded(store: Store, dataset_id: str) -> tuple[str, str]:
@@ -64,10 +64,10 @@ def succeeded(store: Store, dataset_id: str) -> tuple[str, str]:
 def test_a_request_that_comes_many_times_at_once_makes_one_thing(
     stores: list[Store], capture: Capture, kind: str
 ) -> None:
-    dataset = datasets.create(stores[0], capture, Description("a")).id
+    dataset = datasets.create(stores[0], capture, CaptureDescription("a")).id
     makers: dict[str, Callable[[Store, Idempotency], Any]] = {
         "dataset": lambda store, key: datasets.create(
-            store, capture, Description("b"), idempotency=key
+            store, capture, CaptureDescription("b"), idempotency=key
         ),
         "model": lambda store, key: models.create(
             store, b"w", name="m", idempotency=key, **DESCRIBE
@@ -85,14 +85,14 @@ def test_a_request_that_comes_many_times_at_once_makes_one_thing(
     others = [Idempotency(kind, "other", digest) for digest in "abcd"]
     different = at_once(*map(partial, [makers[kind]] * 4, stores, others))
     assert sum(isinstance(one, KeyReusedError) for one in different) == 3
-    frames = lookup.get(stores[0], Dataset, dataset).frames
+    frames = lookup.get(stores[0], DatasetRecord, dataset).frames
     assert frames == capture.frames * (1 + (ROUNDS + 1) * (kind == "frames"))
 
 
 def test_a_queue_job_is_recorded_once_and_the_queue_keeps_its_bound(
     stores: list[Store], capture: Capture
 ) -> None:
-    dataset = datasets.create(stores[0], capture, Description("a")).id
+    dataset = datasets.create(stores[0], capture, CaptureDescription("a")).id
 
     def make(store: Store, job_id: str) -> str:
         return fits.create(
@@ -100,8 +100,8 @@ def test_a_queue_job_is_recorded_once_and_the_queue_keeps_its_bound(
         ).id
 
     def refuse(store: Store, job_id: str) -> str:
-        said: dict[str, Any] = {"name": "f", "dataset_id": "", "config": {}}
-        return jobs.refuse(store, FitJob, job_id=job_id, error={"code": "x"}, **said)
+        fields: dict[str, Any] = {"name": "f", "dataset_id": "", "config": {}}
+        return jobs.refuse(store, FitRecord, job_id=job_id, error={"code": "x"}, **fields)
 
     for number in range(ROUNDS):
         assert len(set(by_all(stores, make, f"job{number}"))) == 1
@@ -113,7 +113,7 @@ def test_a_queue_job_is_recorded_once_and_the_queue_keeps_its_bound(
 def test_what_is_deleted_is_used_by_nothing_new(stores: list[Store], capture: Capture) -> None:
     first = stores[0]
     for _ in range(ROUNDS):
-        dataset = datasets.create(first, capture, Description("a")).id
+        dataset = datasets.create(first, capture, CaptureDescription("a")).id
         model = models.create(first, b"w", name="m", **DESCRIBE).id
         begin = partial(fits.create, name="n", config={}, dataset_id=dataset)
         lift = partial(lifts.create, name="n", chunk_frames=5, dataset_id=dataset, model_id=model)
@@ -123,13 +123,13 @@ def test_what_is_deleted_is_used_by_nothing_new(stores: list[Store], capture: Ca
             partial(models.delete, stores[3], model),
             partial(datasets.delete, first, dataset),
         )
-        for fit in lookup.page(first, FitJob, limit=9, after=None):
-            assert lookup.get(first, Dataset, fit.dataset_id)
+        for fit in lookup.page(first, FitRecord, limit=9, after=None):
+            assert lookup.get(first, DatasetRecord, fit.dataset_id)
             fits.cancel(first, fit.id)
             fits.delete(first, fit.id)
-        for made in lookup.page(first, LiftJob, limit=9, after=None):
-            assert lookup.get(first, Dataset, made.dataset_id)
-            assert lookup.get(first, Model, made.model_id)
+        for made in lookup.page(first, LiftRecord, limit=9, after=None):
+            assert lookup.get(first, DatasetRecord, made.dataset_id)
+            assert lookup.get(first, ModelRecord, made.model_id)
             lifts.cancel(first, made.id)
             lifts.delete(first, made.id)
 
@@ -137,7 +137,7 @@ def test_what_is_deleted_is_used_by_nothing_new(stores: list[Store], capture: Ca
 def test_a_fit_and_its_model_are_deleted_side_by_side(
     stores: list[Store], capture: Capture
 ) -> None:
-    dataset = datasets.create(stores[0], capture, Description("a")).id
+    dataset = datasets.create(stores[0], capture, CaptureDescription("a")).id
     for _ in range(ROUNDS):
         (fit, model), (other_fit, other_model) = (succeeded(stores[0], dataset) for _ in range(2))
         gone = at_once(
@@ -150,7 +150,7 @@ def test_a_fit_and_its_model_are_deleted_side_by_side(
 
 
 def test_a_model_that_a_fit_is_to_start_from_stays(store: Store, capture: Capture) -> None:
-    dataset = datasets.create(store, capture, Description("a")).id
+    dataset = datasets.create(store, capture, CaptureDescription("a")).id
     _, model = succeeded(store, dataset)
     fit = fits.create(store, dataset_id=dataset, name="f", config={}, from_model=model)
     with pytest.raises(ConflictError, match=fit.id):
@@ -163,7 +163,7 @@ def test_a_model_that_a_fit_is_to_start_from_stays(store: Store, capture: Captur
 
 def test_what_is_deleted_twice_at_once_is_gone_once(stores: list[Store], capture: Capture) -> None:
     for _ in range(ROUNDS):
-        dataset = datasets.create(stores[0], capture, Description("a")).id
+        dataset = datasets.create(stores[0], capture, CaptureDescription("a")).id
         gone = by_all(stores, datasets.delete, dataset)
         assert gone.count(None) == 1
         assert sum(isinstance(one, NotFoundError) for one in gone) == 3

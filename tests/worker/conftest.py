@@ -21,8 +21,8 @@ from models.training.trainer import fit
 from store import datasets, fits, lookup
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
-from store.records import FitJob
+from store.datasets import CaptureDescription
+from store.records import FitRecord
 from tests.deployments import deployed
 from tests.fork_server import Popen
 from tests.processes import free_port, tied
@@ -91,10 +91,10 @@ def fit_here(capture: Capture) -> FitHere:
     """Fit the capture in a test process, without queue and worker."""
 
     def fit_once(config: dict[str, Any]) -> FittedPrior:
-        told = FitConfig.model_validate(config)
-        name = hashlib.sha256(told.model_dump_json().encode()).hexdigest()
+        given = FitConfig.model_validate(config)
+        name = hashlib.sha256(given.model_dump_json().encode()).hexdigest()
         return fitted_once(
-            name, lambda: fit(capture.keypoints, told, confidence=capture.confidence)
+            name, lambda: fit(capture.keypoints, given, confidence=capture.confidence)
         )
 
     return fit_once
@@ -102,7 +102,7 @@ def fit_here(capture: Capture) -> FitHere:
 
 @pytest.fixture
 def dataset_id(store: Store, capture: Capture) -> str:
-    return datasets.create(store, capture, Description("figure")).id
+    return datasets.create(store, capture, CaptureDescription("figure")).id
 
 
 @pytest.fixture
@@ -123,7 +123,7 @@ def start_worker(settings: WorkerSettings) -> Iterator[StartWorker]:
         process.wait()
 
 
-def queue(store: Store, redis: Redis, dataset_id: str, config: dict[str, Any]) -> FitJob:
+def queue(store: Store, redis: Redis, dataset_id: str, config: dict[str, Any]) -> FitRecord:
     """Record a fit and put it on its queue."""
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=config)
     enqueue(open_queue(redis), fit)
@@ -137,18 +137,18 @@ def wait_for(condition: Callable[[], bool], what: str, seconds: float = 120) -> 
         time.sleep(0.02)
 
 
-def wait_until(store: Store, fit_id: str, *statuses: str, seconds: float = 120) -> FitJob:
+def wait_until(store: Store, fit_id: str, *statuses: str, seconds: float = 120) -> FitRecord:
     wait_for(
-        lambda: lookup.get(store, FitJob, fit_id).status in statuses,
+        lambda: lookup.get(store, FitRecord, fit_id).status in statuses,
         f"{fit_id} to be {statuses}",
         seconds,
     )
-    return lookup.get(store, FitJob, fit_id)
+    return lookup.get(store, FitRecord, fit_id)
 
 
 def wait_for_step(store: Store, fit_id: str, step: int) -> None:
     def reached() -> bool:
-        fit = lookup.get(store, FitJob, fit_id)
+        fit = lookup.get(store, FitRecord, fit_id)
         assert fit.status in ("queued", "running"), fit.error
         return fit.progress is not None and fit.progress["step"] >= step
 

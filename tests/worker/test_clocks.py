@@ -12,7 +12,7 @@ from rq import Worker
 from benchmarks.chaos_clock import Clocks
 from store import fits, lookup
 from store.database import Store
-from store.records import FitJob
+from store.records import FitRecord
 from tests.processes import tied
 from tests.worker.conftest import (
     LONG,
@@ -44,13 +44,13 @@ def test_neither_takes_the_others_fit(
     tmp_path: Path,
     off: float,
 ) -> None:
-    def queued() -> FitJob:
+    def queued() -> FitRecord:
         fit = fits.create(store, dataset_id=dataset_id, name="f", config=LONG)
         enqueue(open_queue(redis), fit)
         return fit
 
-    def step_of(fit: FitJob) -> int:
-        progress = lookup.get(store, FitJob, fit.id).progress
+    def step_of(fit: FitRecord) -> int:
+        progress = lookup.get(store, FitRecord, fit.id).progress
         return 0 if progress is None else int(progress["step"])
 
     start_worker()
@@ -72,7 +72,7 @@ def test_neither_takes_the_others_fit(
         begun = {fit.id: step_of(fit) for fit in both}
         time.sleep(SHORT_LEASE)  # in which each has looked after the records a few times
         for fit in both:
-            record = lookup.get(store, FitJob, fit.id)
+            record = lookup.get(store, FitRecord, fit.id)
             assert (record.status, record.attempt, record.crashes) == ("running", 1, 0)
             assert step_of(fit) > begun[fit.id]
     finally:

@@ -5,8 +5,8 @@ from redis import Redis
 from store import attempts, datasets, fits, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
-from store.records import LiftJob
+from store.datasets import CaptureDescription
+from store.records import LiftRecord
 from tests.damage import flip, truncate
 from tests.worker.conftest import CONFIG, FitHere, StartWorker, wait_for, wait_until
 from worker.queue import enqueue, open_queue
@@ -32,7 +32,7 @@ def test_a_damaged_object_fails_what_needs_it_and_the_worker_goes_on(
     }
     model = models.create(store, weights, **columns)
     truncate(objects / model.weights_key)
-    whole, harmed = (datasets.create(store, capture, Description(n)).id for n in ("a", "b"))
+    whole, harmed = (datasets.create(store, capture, CaptureDescription(n)).id for n in ("a", "b"))
     (chunk,) = (objects / "datasets" / harmed).iterdir()
     flip(chunk)
     sound = fits.create(store, dataset_id=whole, name="sound", config=CONFIG)
@@ -53,8 +53,8 @@ def test_a_damaged_object_fails_what_needs_it_and_the_worker_goes_on(
     assert record.error is not None
     assert record.error["code"] == "object_damaged"
     assert harmed in record.error["message"]
-    wait_for(lambda: lookup.get(store, LiftJob, lift.id).status == "failed", "the lift to fail")
-    error = lookup.get(store, LiftJob, lift.id).error
+    wait_for(lambda: lookup.get(store, LiftRecord, lift.id).status == "failed", "the lift to fail")
+    error = lookup.get(store, LiftRecord, lift.id).error
     assert error is not None
     assert error["code"] == "object_damaged"
     assert wait_until(store, sound.id, "succeeded", "failed").error is None

@@ -9,13 +9,13 @@ import pytest
 from safetensors.numpy import load
 
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.training.trainer import Trainer
 from store import attempts, datasets, fits, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
-from store.records import FitJob, Model
+from store.datasets import CaptureDescription
+from store.records import FitRecord, ModelRecord
 from tests.worker.conftest import CONFIG
 from worker import fitting
 from worker.heartbeat import Heartbeat
@@ -34,9 +34,9 @@ def store(tmp_path: Path) -> Any:
     store.close()
 
 
-def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked: Any) -> FitJob:
+def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked: Any) -> FitRecord:
     """Fit in slices of 5 frames; after the second slice set what is ``asked`` of the heartbeat."""
-    described = Description("figure", skeleton={"edges": EDGES}, image_sizes=SIZES)
+    described = CaptureDescription("figure", skeleton={"edges": EDGES}, image_sizes=SIZES)
     dataset_id = datasets.create(store, capture, described).id
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 5})
     attempt = attempts.claim(store, fit.id, lease_seconds=60)
@@ -44,7 +44,7 @@ def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked
     heartbeat = Heartbeat(partial(attempts.beat, store, attempt))
     lifted: list[int] = []
 
-    def lift(prior: FittedPrior, keypoints: Any, **more: Any) -> Lift:
+    def lift(prior: FittedPrior, keypoints: Any, **more: Any) -> LiftedFrames:
         lifted.append(len(keypoints))
         if len(lifted) == 2:
             vars(heartbeat).update(asked)
@@ -61,7 +61,7 @@ def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked
     settings = WorkerSettings(data_dir=Path("unused"), checkpoint_seconds=3600)
     fitting.run_attempt(store, attempt, heartbeat, settings)
     assert lifted == ([5, 5] if asked else [5, 5, 5, 1])
-    return lookup.get(store, FitJob, fit.id)
+    return lookup.get(store, FitRecord, fit.id)
 
 
 def test_slices_make_the_whole(
@@ -72,7 +72,7 @@ def test_slices_make_the_whole(
     found = load(fits.load_reconstruction(store, fit))
     assert fit.model_id is not None
     prior = FittedPrior.from_bytes(
-        models.load_weights(store, lookup.get(store, Model, fit.model_id))
+        models.load_weights(store, lookup.get(store, ModelRecord, fit.model_id))
     )
     whole = LIFT(prior, capture.keypoints, confidence=capture.confidence)
     assert found.keys() == whole.arrays.keys()
@@ -96,15 +96,15 @@ def test_what_is_asked_counts_between_two_slices(
     assert (fit.checkpoint_key is not None) == (asked == "leave")
 
 
-def test_the_trainer_is_told_the_image_sizes_and_the_edges(
+def test_the_trainer_gets_the_image_sizes_and_the_edges(
     store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: list[Any] = []
+    given: list[Any] = []
 
     def trainer(*arguments: Any, **more: Any) -> Trainer:
-        told.extend((more["image_sizes"], more["edges"]))
+        given.extend((more["image_sizes"], more["edges"]))
         return Trainer(*arguments, **more)
 
     monkeypatch.setattr(fitting, "Trainer", trainer)
     run(store, capture, monkeypatch)
-    assert told == [[(1280, 1024), None, (640, 480)], EDGES]
+    assert given == [[(1280, 1024), None, (640, 480)], EDGES]

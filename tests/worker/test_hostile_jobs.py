@@ -15,7 +15,7 @@ from rq.serializers import JSONSerializer
 
 from store import jobs, lookup
 from store.database import Store
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 from tests.deployments import on_every_deployment
 from tests.fork_server import run
 from tests.processes import tied
@@ -139,7 +139,7 @@ def test_whatever_a_job_says_it_fails_alone(
     wait_for(lambda: bool(good.is_finished), "the job behind them to succeed")
     assert names_of_workers(redis) == started  # it did not have to begin anew
     for name, job in asked.items():
-        record = jobs.by_job(store, FitJob, job.id)
+        record = jobs.by_job(store, FitRecord, job.id)
         assert record is not None, name
         if job.is_finished:  # what such a field may be, as it happens
             assert record.status == "succeeded", name
@@ -183,10 +183,10 @@ def test_whatever_is_written_about_a_job_stops_no_worker(
     )
     for (name, queue), job in spoilt.items():
         if name.startswith("data") and queue == "fits":
-            record = jobs.by_job(store, FitJob, job.id)
+            record = jobs.by_job(store, FitRecord, job.id)
             assert record is not None, name
             assert record.status == "failed"
-    assert jobs.by_job(store, LiftJob, behind.id) is not None
+    assert jobs.by_job(store, LiftRecord, behind.id) is not None
 
 
 def test_a_job_that_is_to_be_tried_for_ever_keeps_nobody_waiting(
@@ -216,7 +216,7 @@ def test_a_job_that_the_records_refuse_is_set_aside(
     start_worker()
     wait_for(lambda: bool(good.is_finished), "the job behind it")
     assert odd.is_failed
-    record = jobs.by_job(store, FitJob, odd.id)
+    record = jobs.by_job(store, FitRecord, odd.id)
     assert record is not None
     assert record.error is not None
     assert (record.status, record.error["code"]) == ("failed", "internal_error")
@@ -249,4 +249,4 @@ def test_sigterm_within_a_statement_ends_the_worker(
     environment = os.environ | settings.to_environment()
     ran = run(tied("-c", ASKED_TO_LEAVE), env=environment, timeout=60)
     assert ran.returncode == 0, ran.stderr
-    assert lookup.get(store, FitJob, fit.id).status == "queued"
+    assert lookup.get(store, FitRecord, fit.id).status == "queued"

@@ -10,7 +10,7 @@ from sqlalchemy import text
 from store import fits, lookup
 from store.database import Store
 from store.errors import NotFoundError
-from store.records import FitJob
+from store.records import FitRecord
 from worker.housekeeping import keep_house
 from worker.settings import WorkerSettings
 
@@ -36,10 +36,10 @@ def test_what_was_kept_long_enough_goes(
     redis.zincrby(cancelled.key, -8 * DAY, forgotten.id)
 
     keep_house(settings)
-    assert lookup.get(store, FitJob, old.id).name == "old"  # as long as nobody asks for less
+    assert lookup.get(store, FitRecord, old.id).name == "old"  # as long as nobody asks for less
     assert cancelled.get_job_ids() == [remembered.id]
     assert not Job.exists(forgotten.id, connection=redis)
     keep_house(settings.model_copy(update={"keep_failed_days": 30.0}))
     with pytest.raises(NotFoundError):
-        lookup.get(store, FitJob, old.id)
-    assert lookup.get(store, FitJob, recent.id).name == "new"
+        lookup.get(store, FitRecord, old.id)
+    assert lookup.get(store, FitRecord, recent.id).name == "new"

@@ -23,7 +23,7 @@ from store import datasets, fits, jobs, lookup, models
 from store.capture import Capture
 from store.database import Store
 from store.labels import labels_of
-from store.records import FitJob, Model
+from store.records import FitRecord, ModelRecord
 from tests.deployments import on_every_deployment
 from tests.worker.conftest import (
     CONFIG,
@@ -56,8 +56,8 @@ def test_a_plain_producer_gets_record_progress_and_model(
     labels = {"tags": ["pilot"], "metadata": {"subject": "M7"}}
     job = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=config, **labels)
     start_worker()
-    wait_for(lambda: jobs.by_job(store, FitJob, job.id) is not None, "the job's record")
-    known = jobs.by_job(store, FitJob, job.id)
+    wait_for(lambda: jobs.by_job(store, FitRecord, job.id) is not None, "the job's record")
+    known = jobs.by_job(store, FitRecord, job.id)
     assert known is not None
     record = wait_until(store, known.id, "succeeded", "failed")
 
@@ -66,7 +66,7 @@ def test_a_plain_producer_gets_record_progress_and_model(
     assert record.progress["step"] == record.progress["steps"] == config["steps"]
     assert record.config == FitConfig.model_validate(config).model_dump(mode="json")
     assert record.model_id is not None
-    model = lookup.get(store, Model, record.model_id)
+    model = lookup.get(store, ModelRecord, record.model_id)
     assert labels_of(model) == labels_of(record) == labels
     prior = FittedPrior.from_bytes(store.objects.get(model.weights_key))
     assert prior.to_bytes() == fit_here(config).to_bytes()
@@ -99,19 +99,21 @@ def test_a_waiting_job_has_a_record_that_can_be_cancelled(
     first = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=LONG)
     second = queue.enqueue("worker.jobs.fit", dataset_id, LONG, "by position")
     start_worker()
-    wait_for(lambda: jobs.by_job(store, FitJob, second.id) is not None, "the waiting job's record")
-    waiting = jobs.by_job(store, FitJob, second.id)
+    wait_for(
+        lambda: jobs.by_job(store, FitRecord, second.id) is not None, "the waiting job's record"
+    )
+    waiting = jobs.by_job(store, FitRecord, second.id)
     assert waiting is not None
     assert (waiting.status, waiting.name) == ("queued", "by position")
     assert fits.cancel(store, waiting.id).status == "cancelled"
-    running = jobs.by_job(store, FitJob, first.id)
+    running = jobs.by_job(store, FitRecord, first.id)
     assert running is not None
     wait_for_step(store, running.id, 1)
     fits.cancel(store, running.id)
     wait_until(store, running.id, "cancelled", seconds=4)
     wait_for(lambda: bool(second.is_finished), "the cancelled fit's job to end")
-    assert lookup.get(store, FitJob, waiting.id).attempt == 0  # never claimed
-    assert lookup.page(store, Model, limit=1, after=None) == []
+    assert lookup.get(store, FitRecord, waiting.id).attempt == 0  # never claimed
+    assert lookup.page(store, ModelRecord, limit=1, after=None) == []
 
 
 def test_a_fit_that_was_deleted_is_not_made_again(
@@ -126,7 +128,7 @@ def test_a_fit_that_was_deleted_is_not_made_again(
     )
     start_worker()
     wait_for(lambda: bool(next_one.is_finished), "the other fit")
-    assert [fit.name for fit in lookup.page(store, FitJob, limit=9, after=None)] == ["fit"]
+    assert [fit.name for fit in lookup.page(store, FitRecord, limit=9, after=None)] == ["fit"]
 
 
 def test_a_job_may_start_from_a_model_and_be_short_of_time(
@@ -135,8 +137,8 @@ def test_a_job_may_start_from_a_model_and_be_short_of_time(
     queue = Queue("fits", connection=redis)
     first = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=CONFIG)
     start_worker()
-    wait_for(lambda: jobs.by_job(store, FitJob, first.id) is not None, "the job's record")
-    known = jobs.by_job(store, FitJob, first.id)
+    wait_for(lambda: jobs.by_job(store, FitRecord, first.id) is not None, "the job's record")
+    known = jobs.by_job(store, FitRecord, first.id)
     assert known is not None
     source = wait_until(store, known.id, "succeeded", "failed").model_id
     assert source is not None
@@ -147,8 +149,8 @@ def test_a_job_may_start_from_a_model_and_be_short_of_time(
         config={"steps": 1_000_000, "budget_s": 1, "learning_rate": 1e-9, "refine": "off"},
         from_model=source,
     )
-    wait_for(lambda: jobs.by_job(store, FitJob, second.id) is not None, "the job's record")
-    warm = jobs.by_job(store, FitJob, second.id)
+    wait_for(lambda: jobs.by_job(store, FitRecord, second.id) is not None, "the job's record")
+    warm = jobs.by_job(store, FitRecord, second.id)
     assert warm is not None
     record = wait_until(store, warm.id, "succeeded", "failed")
     assert record.from_model == source
@@ -159,7 +161,7 @@ def test_a_job_may_start_from_a_model_and_be_short_of_time(
     assert record.model_id is not None
     weights = [
         FittedPrior.from_bytes(
-            models.load_weights(store, lookup.get(store, Model, model_id))
+            models.load_weights(store, lookup.get(store, ModelRecord, model_id))
         ).weights
         for model_id in (source, record.model_id)
     ]
@@ -187,7 +189,7 @@ def test_a_fit_whose_model_is_gone_says_so(
     ).id
     fit = fits.create(store, dataset_id=dataset_id, name="f", config={}, from_model=source)
     with store.writing() as session:  # which the store refuses while the fit waits
-        session.delete(lookup.lock(session, Model, source))
+        session.delete(lookup.lock(session, ModelRecord, source))
     enqueue(open_queue(redis), fit)
     start_worker()
     error = wait_until(store, fit.id, "succeeded", "failed").error
@@ -241,7 +243,7 @@ def test_jobs_that_can_never_run_say_why(
     for job, (arguments, code, message) in zip(asked, NEVER_RUN, strict=True):
         with subtests.test(arguments=arguments):
             wait_for(partial(has_failed, job), "the job to fail")
-            record = jobs.by_job(store, FitJob, job.id)
+            record = jobs.by_job(store, FitRecord, job.id)
             assert record is not None
             assert record.error is not None
             assert record.status == "failed"
@@ -276,7 +278,7 @@ def test_a_job_that_cannot_be_read_stops_no_worker(
     worker = start_worker()
     wait_for(lambda: bool(good.is_finished), "the job behind it to succeed")
     assert worker.poll() is None
-    record = jobs.by_job(store, FitJob, unreadable.id)
+    record = jobs.by_job(store, FitRecord, unreadable.id)
     assert record is not None
     assert record.status == "failed"
     assert record.error is not None
@@ -333,7 +335,7 @@ def test_nothing_but_plain_data_is_read_and_nothing_but_the_fit_is_run(
     assert bomb.is_failed
     assert not (tmp_path / "gone-off").exists()
     assert other.is_failed
-    record = jobs.by_job(store, FitJob, other.id)
+    record = jobs.by_job(store, FitRecord, other.id)
     assert record is not None
     assert (record.status, record.attempt) == ("failed", 0)
 
@@ -362,4 +364,4 @@ def test_a_fit_sees_the_frames_there_were_when_it_was_made(
     start_worker()
     record = wait_until(store, fit.id, "succeeded")
     assert record.model_id is not None
-    assert lookup.get(store, Model, record.model_id).frames == capture.frames == fit.frames
+    assert lookup.get(store, ModelRecord, record.model_id).frames == capture.frames == fit.frames

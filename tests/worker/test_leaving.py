@@ -1,4 +1,4 @@
-"""A worker that is told to leave does so, whatever it is about to do."""
+"""A worker that gets SIGTERM leaves, whatever it is about to do."""
 
 import os
 import signal
@@ -8,7 +8,7 @@ from rq import Queue
 
 from store import lookup
 from store.database import Store
-from store.records import FitJob
+from store.records import FitRecord
 from tests.fork_server import Popen, run
 from tests.processes import tied
 from tests.worker.conftest import LONG, queue
@@ -45,7 +45,7 @@ runner.run(WorkerSettings())
 """
 
 
-def test_the_worker_is_told_to_leave_in_an_import(redis: Redis, settings: WorkerSettings) -> None:
+def test_the_worker_gets_sigterm_in_an_import(redis: Redis, settings: WorkerSettings) -> None:
     Queue("fits", connection=redis).enqueue("worker.jobs.fit", dataset_id="ds_none")
     environment = os.environ | settings.to_environment()
     worker = Popen(tied("-c", TOLD_IN_AN_IMPORT), env=environment)
@@ -56,14 +56,14 @@ def test_the_worker_is_told_to_leave_in_an_import(redis: Redis, settings: Worker
         worker.wait()
 
 
-def test_the_worker_is_told_to_leave_as_a_job_comes(
+def test_the_worker_gets_sigterm_as_a_job_comes(
     store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
 ) -> None:
     fit = queue(store, redis, dataset_id, LONG)
     worker = Popen(tied("-c", TOLD_BEFORE_THE_JOB), env=os.environ | settings.to_environment())
     try:
         assert worker.wait(30) == 0
-        assert lookup.get(store, FitJob, fit.id).status in ("queued", "running")
+        assert lookup.get(store, FitRecord, fit.id).status in ("queued", "running")
     finally:
         worker.kill()
         worker.wait()
@@ -85,7 +85,7 @@ runner.run(WorkerSettings())
 """
 
 
-def test_the_worker_is_told_to_leave_in_an_outage(
+def test_the_worker_gets_sigterm_in_an_outage(
     store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings
 ) -> None:
     queue(store, redis, dataset_id, LONG)

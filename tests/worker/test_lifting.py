@@ -21,9 +21,9 @@ from models.lifting.fitted_prior import FittedPrior
 from store import datasets, fits, housekeeping, lift_chunks, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.lift_files import result_file
-from store.records import Dataset, FitJob, LiftChunk, LiftJob, Model
+from store.records import DatasetRecord, FitRecord, LiftChunk, LiftRecord, ModelRecord
 from tests.worker.conftest import (
     CONFIG,
     SHORT_LEASE,
@@ -71,20 +71,20 @@ def frames() -> Capture:
     return Capture.checked(keypoints, confidence)
 
 
-MakeLift = Callable[..., LiftJob]
+MakeLift = Callable[..., LiftRecord]
 
 
 @pytest.fixture
 def make_lift(
     store: Store, redis: Redis, model_id: str, frames: Capture, settings: WorkerSettings
 ) -> MakeLift:
-    def make(count: int = SOME, **more: Any) -> LiftJob:
+    def make(count: int = SOME, **more: Any) -> LiftRecord:
         confidence = frames.confidence
         assert confidence is not None
         half = count // 2 + 5  # the cut between two uploads lies within a chunk
         first = Capture(frames.keypoints[:half], confidence[:half])
         rest = Capture(frames.keypoints[half:count], confidence[half:count])
-        dataset = datasets.create(store, first, Description("many"))
+        dataset = datasets.create(store, first, CaptureDescription("many"))
         datasets.append(store, dataset.id, rest, max_frames=count)
         lift = lifts.create(
             store,
@@ -100,21 +100,22 @@ def make_lift(
     return make
 
 
-def wait_until(store: Store, lift: LiftJob, *statuses: str, seconds: float = 120) -> LiftJob:
-    wait_for(lambda: lookup.get(store, LiftJob, lift.id).status in statuses, f"{statuses}", seconds)
-    return lookup.get(store, LiftJob, lift.id)
+def wait_until(store: Store, lift: LiftRecord, *statuses: str, seconds: float = 120) -> LiftRecord:
+    get = lookup.get
+    wait_for(lambda: get(store, LiftRecord, lift.id).status in statuses, f"{statuses}", seconds)
+    return get(store, LiftRecord, lift.id)
 
 
-def wait_for_chunks(store: Store, lift: LiftJob, count: int) -> None:
+def wait_for_chunks(store: Store, lift: LiftRecord, count: int) -> None:
     def reached() -> bool:
-        record = lookup.get(store, LiftJob, lift.id)
+        record = lookup.get(store, LiftRecord, lift.id)
         assert record.status in ("queued", "running"), (record.status, record.error)
         return record.chunks_done >= count
 
     wait_for(reached, f"{count} chunks")
 
 
-def succeeded(store: Store, lift: LiftJob) -> list[LiftChunk]:
+def succeeded(store: Store, lift: LiftRecord) -> list[LiftChunk]:
     record = wait_until(store, lift, "succeeded", "failed")
     assert record.error is None
     assert record.frames_done == record.frames
@@ -128,7 +129,7 @@ def holders(store: Store) -> set[str]:
 
 
 def is_writable(settings: WorkerSettings) -> bool:
-    """Tell whether nobody is amid a transaction, frozen or not."""
+    """Return whether nobody is amid a transaction, frozen or not."""
     with closing(sqlite3.connect(settings.data_dir / "records.db", timeout=0.1)) as records:
         try:
             records.execute("BEGIN IMMEDIATE")
@@ -137,9 +138,9 @@ def is_writable(settings: WorkerSettings) -> bool:
     return True
 
 
-def assert_is_the_lift_of(store: Store, lift: LiftJob, frames: Capture, prior: FittedPrior) -> None:
+def assert_is_lift_of(store: Store, lift: LiftRecord, frames: Capture, prior: FittedPrior) -> None:
     """Compare a result with what the prior says of the same frames, here and at once."""
-    record = lookup.get(store, LiftJob, lift.id)
+    record = lookup.get(store, LiftRecord, lift.id)
     file = result_file(record, lifts.finished_chunks(store, record), "safetensors", {})
     found = load(b"".join(file.read(store.objects.get_range, 0, file.size)))
     assert frames.confidence is not None
@@ -165,7 +166,7 @@ def test_a_lift_is_the_same_as_at_once_in_every_format(
     for lift in (plain, refined):
         chunks = succeeded(store, lift)
         assert [chunk.crashes for chunk in chunks] == [0] * lift.chunks
-        assert_is_the_lift_of(store, lift, frames, prior)
+        assert_is_lift_of(store, lift, frames, prior)
     file = result_file(plain, lifts.finished_chunks(store, plain), "jsonl", {})
     lines = b"".join(file.read(store.objects.get_range, 0, file.size)).splitlines()
     assert len(lines) == plain.frames
@@ -187,7 +188,7 @@ def test_workers_share_the_chunks(
 
     def both_hold_chunks() -> bool:
         seen.update(holders(store))
-        assert lookup.get(store, LiftJob, lift.id).status == "running", "one worker did it all"
+        assert lookup.get(store, LiftRecord, lift.id).status == "running", "one worker did it all"
         return len(seen) >= 2
 
     wait_for(both_hold_chunks, "both workers to help")
@@ -223,13 +224,13 @@ def test_who_is_killed_loses_one_chunk_and_nothing_is_done_twice(
     after = {chunk.first_frame: chunk.arrays_key for chunk in chunks}
     assert before.items() <= after.items()
     assert sum(chunk.crashes for chunk in chunks) <= 1
-    assert_is_the_lift_of(store, lift, frames, prior)
+    assert_is_lift_of(store, lift, frames, prior)
     housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1)
     left = [key for key, _ in store.objects.list() if key.startswith("lifts/")]
     assert len(left) == 2 * lift.chunks
 
 
-def test_a_worker_that_is_told_to_leave_gives_its_chunk_back(
+def test_a_worker_that_gets_sigterm_gives_its_chunk_back(
     store: Store, make_lift: MakeLift, start_worker: StartWorker
 ) -> None:
     lift = make_lift(refine="off")
@@ -237,7 +238,7 @@ def test_a_worker_that_is_told_to_leave_gives_its_chunk_back(
     wait_for_chunks(store, lift, 3)
     worker.send_signal(signal.SIGTERM)
     assert worker.wait(10) == 0
-    record = lookup.get(store, LiftJob, lift.id)
+    record = lookup.get(store, LiftRecord, lift.id)
     assert record.status == "running"
     assert not holders(store)
     start_worker()
@@ -312,8 +313,8 @@ def test_a_fit_behind_a_long_lift_gets_its_turn(
         store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 5, "refine": "off"}
     )
     enqueue(open_queue(redis), fit)
-    wait_for(lambda: lookup.get(store, FitJob, fit.id).status == "succeeded", "the fit")
-    assert lookup.get(store, LiftJob, lift.id).status == "running"
+    wait_for(lambda: lookup.get(store, FitRecord, fit.id).status == "succeeded", "the fit")
+    assert lookup.get(store, LiftRecord, lift.id).status == "running"
     lifts.cancel(store, lift.id)
 
 
@@ -372,7 +373,7 @@ def test_a_job_that_can_never_run_says_why(
 def test_what_vanishes_under_a_lift_fails_it(
     store: Store, make_lift: MakeLift, start_worker: StartWorker, what: str
 ) -> None:
-    records = {"dataset": Dataset, "model": Model}
+    records = {"dataset": DatasetRecord, "model": ModelRecord}
     lift = make_lift(3 * CHUNK, refine="off")
     # The API refuses to delete it now; a restored backup or another program may not.
     with store.writing() as session:
@@ -395,5 +396,5 @@ def test_a_call_for_help_with_a_lift_that_is_gone_makes_nothing(
     start_worker()
     wait_for(lambda: bool(job.is_finished), "the job to end")
     with store.reading() as session:
-        assert session.query(LiftJob).count() == 0
+        assert session.query(LiftRecord).count() == 0
         assert lift_chunks.claim(store, lift_chunks.join(lift.id, lease_seconds=1)) is None

@@ -15,9 +15,9 @@ from rq import Queue, Worker
 from store import datasets, fits, jobs, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.jobs import TERMINAL
-from store.records import FitJob, LiftJob
+from store.records import FitRecord, LiftRecord
 from tests.object_stores import folder_away
 from tests.worker.conftest import CONFIG, FitHere, StartWorker, wait_for, wait_for_step, wait_until
 from worker import patience
@@ -46,13 +46,13 @@ def records_away(store: Store) -> Iterator[None]:
 
 
 @pytest.fixture
-def lift(store: Store, capture: Capture, fit_here: FitHere) -> LiftJob:
+def lift(store: Store, capture: Capture, fit_here: FitHere) -> LiftRecord:
     """Record a lift of many chunks."""
     about: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
     weights = fit_here(CONFIG).to_bytes()
     model = models.create(store, weights, name="m", keypoints=16, **about)
     many = Capture(np.tile(capture.keypoints, (CHUNKS, 1, 1, 1)))
-    dataset = datasets.create(store, many, Description("many"))
+    dataset = datasets.create(store, many, CaptureDescription("many"))
     return lifts.create(
         store,
         model_id=model.id,
@@ -67,13 +67,13 @@ def test_a_fit_and_a_lift_outlive_an_outage(
     store: Store,
     redis: Redis,
     dataset_id: str,
-    lift: LiftJob,
+    lift: LiftRecord,
     start_worker: StartWorker,
     away: Callable[[Store], AbstractContextManager[None]],
     seconds: float,
 ) -> None:
-    def lifted() -> LiftJob:
-        return lookup.get(store, LiftJob, lift.id)
+    def lifted() -> LiftRecord:
+        return lookup.get(store, LiftRecord, lift.id)
 
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=SLOW)
     for record in (fit, lift):  # a worker for each
@@ -88,7 +88,7 @@ def test_a_fit_and_a_lift_outlive_an_outage(
     assert ended.error is None
     assert ended.crashes == 0
     assert ended.model_id is not None
-    assert lookup.get(store, FitJob, fit.id).reconstruction_key is not None
+    assert lookup.get(store, FitRecord, fit.id).reconstruction_key is not None
     wait_for(lambda: lifted().status in TERMINAL, "the lift's end")
     assert (lifted().status, lifted().error) == ("succeeded", None)
     assert {chunk.crashes for chunk in lifts.finished_chunks(store, lifted())} == {0}
@@ -102,9 +102,9 @@ def test_a_job_that_comes_while_objects_are_away_waits_for_them(
     with objects_away(store):
         queue = Queue("fits", connection=redis)
         job = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=BRIEF)
-        wait_for(lambda: jobs.by_job(store, FitJob, job.id) is not None, "its record", 20)
+        wait_for(lambda: jobs.by_job(store, FitRecord, job.id) is not None, "its record", 20)
         time.sleep(3)
-    fit = jobs.by_job(store, FitJob, job.id)
+    fit = jobs.by_job(store, FitRecord, job.id)
     assert fit is not None
     assert wait_until(store, fit.id, "succeeded", "failed").error is None
     wait_for(lambda: job.get_status(refresh=True) == "finished", "the job's end", 10)

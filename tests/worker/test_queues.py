@@ -15,8 +15,8 @@ from rq.exceptions import DequeueTimeout
 from store import datasets, fits, jobs, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
-from store.records import FitJob, LiftJob
+from store.datasets import CaptureDescription
+from store.records import FitRecord, LiftRecord
 from tests.fork_server import Popen, run
 from tests.processes import tied
 from tests.worker.conftest import CONFIG, FitHere, wait_for, wait_until
@@ -47,27 +47,27 @@ def start_taking(settings: WorkerSettings) -> Iterator[StartTaking]:
 
 
 @pytest.fixture
-def lift(store: Store, dataset_id: str, fit_here: FitHere) -> LiftJob:
+def lift(store: Store, dataset_id: str, fit_here: FitHere) -> LiftRecord:
     columns: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
     model = models.create(store, fit_here(CONFIG).to_bytes(), name="m", keypoints=16, **columns)
     return lifts.create(store, model_id=model.id, dataset_id=dataset_id, name="l", chunk_frames=64)
 
 
-def test_a_worker_takes_what_it_was_told_to(
-    store: Store, redis: Redis, dataset_id: str, lift: LiftJob, start_taking: StartTaking
+def test_a_worker_takes_from_its_configured_queues(
+    store: Store, redis: Redis, dataset_id: str, lift: LiftRecord, start_taking: StartTaking
 ) -> None:
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 1})
     for record in (fit, lift):
         enqueue(open_queue(redis, queue_for(store, record)), record)
     start_taking("lifts")
-    wait_for(lambda: lookup.get(store, LiftJob, lift.id).status == "succeeded", "the lift")
-    assert lookup.get(store, FitJob, fit.id).status == "queued"
+    wait_for(lambda: lookup.get(store, LiftRecord, lift.id).status == "succeeded", "the lift")
+    assert lookup.get(store, FitRecord, fit.id).status == "queued"
     start_taking("fits, gpu-fits")
     assert wait_until(store, fit.id, "succeeded", "failed").error is None
 
 
 def test_fits_that_pay_on_a_gpu_wait_apart_wherever_they_come_from(
-    store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings, lift: LiftJob
+    store: Store, redis: Redis, dataset_id: str, settings: WorkerSettings, lift: LiftRecord
 ) -> None:
     small = fits.create(store, dataset_id=dataset_id, name="f", config={})
     large = fits.create(store, dataset_id=dataset_id, name="g", config=LARGE)
@@ -82,7 +82,7 @@ def test_fits_that_pay_on_a_gpu_wait_apart_wherever_they_come_from(
     # What others put elsewhere stays there.
     other = Queue("gpu-fits", connection=redis).enqueue("worker.jobs.fit", dataset_id=dataset_id)
     reconciler.step()
-    assert jobs.by_job(store, FitJob, other.id) is not None
+    assert jobs.by_job(store, FitRecord, other.id) is not None
     assert open_queue(redis, "gpu-fits").get_job_ids() == [large.job_id, other.id]
 
 
@@ -99,11 +99,11 @@ def test_a_job_is_found_again_whichever_queue_it_was_taken_from(redis: Redis) ->
 
 
 def test_a_job_that_runs_waits_nowhere(
-    redis: Redis, store: Store, lift: LiftJob, start_taking: StartTaking
+    redis: Redis, store: Store, lift: LiftRecord, start_taking: StartTaking
 ) -> None:
     enqueue(open_queue(redis, "lifts"), lift)
     start_taking("lifts,fits")
-    wait_for(lambda: lookup.get(store, LiftJob, lift.id).status == "succeeded", "the lift")
+    wait_for(lambda: lookup.get(store, LiftRecord, lift.id).status == "succeeded", "the lift")
     wait_for(lambda: not open_queue(redis, "lifts").intermediate_queue.get_job_ids(), "no job")
 
 
@@ -138,7 +138,7 @@ def test_a_large_capture_pays_sooner(store: Store) -> None:
     found = []
     for views, keypoints in ((2, 10), (12, 200)):
         capture = Capture.checked(rng.normal(size=(3, views, keypoints, 2)))
-        dataset = datasets.create(store, capture, Description("d"))
+        dataset = datasets.create(store, capture, CaptureDescription("d"))
         fit = fits.create(store, dataset_id=dataset.id, name="f", config=config)
         found.append(queue_for(store, fit))
     assert found == ["fits", "gpu-fits"]
@@ -147,7 +147,7 @@ def test_a_large_capture_pays_sooner(store: Store) -> None:
 def test_a_fit_that_is_not_understood_waits_with_the_others(store: Store, dataset_id: str) -> None:
     """Of another version, perhaps: it fails when it is its turn, and holds up nobody before."""
     fit = fits.create(store, dataset_id=dataset_id, name="f", config={})
-    assert queue_for(store, lookup.change(store, FitJob, fit.id, {"config": {"a": 1}})) == "fits"
+    assert queue_for(store, lookup.change(store, FitRecord, fit.id, {"config": {"a": 1}})) == "fits"
 
 
 @pytest.mark.parametrize("deployment", ["scaled"], indirect=True)
@@ -177,11 +177,11 @@ def test_what_no_record_can_hold_stops_no_worker(
     )
     shown = ("\ufffd", "my job:1", "no?thing")
     for job_id in (good.id, unreadable.id, "n" * 200, *shown):
-        fit = jobs.by_job(store, FitJob, job_id)
+        fit = jobs.by_job(store, FitRecord, job_id)
         assert fit is not None
         assert fit.status == "failed"
     for job_id in (large.id, *shown):
-        refused = jobs.by_job(store, LiftJob, job_id)
+        refused = jobs.by_job(store, LiftRecord, job_id)
         assert refused is not None
         assert refused.status == "failed"
 

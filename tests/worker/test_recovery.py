@@ -20,7 +20,7 @@ from store import fits, housekeeping, lookup
 from store.capture import Capture
 from store.database import Store
 from store.jobs import by_job
-from store.records import FitJob, Model
+from store.records import FitRecord, ModelRecord
 from tests.deployments import on_every_deployment
 from tests.fork_server import Popen
 from tests.processes import descendants, free_port, processes, tied
@@ -58,16 +58,16 @@ def undisturbed(fit_here: FitHere) -> bytes:
 
 
 @pytest.fixture
-def queued(store: Store, redis: Redis, dataset_id: str) -> FitJob:
+def queued(store: Store, redis: Redis, dataset_id: str) -> FitRecord:
     return queue(store, redis, dataset_id, SLOW)
 
 
-def assert_as_if_nothing_had_happened(store: Store, fit: FitJob, undisturbed: bytes) -> None:
+def assert_as_if_nothing_had_happened(store: Store, fit: FitRecord, undisturbed: bytes) -> None:
     record = wait_until(store, fit.id, "succeeded", "failed")
     assert record.error is None
     assert record.attempt > 1
     assert record.model_id is not None
-    weights = store.objects.get(lookup.get(store, Model, record.model_id).weights_key)
+    weights = store.objects.get(lookup.get(store, ModelRecord, record.model_id).weights_key)
     assert weights == undisturbed
     # A kill between writing a checkpoint and recording it leaves an object, which the sweep takes.
     housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1)
@@ -77,12 +77,12 @@ def assert_as_if_nothing_had_happened(store: Store, fit: FitJob, undisturbed: by
 
 @on_every_deployment
 def test_the_worker_is_killed(
-    store: Store, queued: FitJob, undisturbed: bytes, start_worker: StartWorker
+    store: Store, queued: FitRecord, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
     wait_for_step(store, queued.id, 100)
     wait_for(
-        lambda: lookup.get(store, FitJob, queued.id).checkpoint_key is not None, "a checkpoint"
+        lambda: lookup.get(store, FitRecord, queued.id).checkpoint_key is not None, "a checkpoint"
     )
     horse = work_horse(worker)
     worker.kill()
@@ -93,7 +93,7 @@ def test_the_worker_is_killed(
 
 
 def test_the_work_horse_is_killed(
-    store: Store, queued: FitJob, undisturbed: bytes, start_worker: StartWorker
+    store: Store, queued: FitRecord, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
     wait_for_step(store, queued.id, 100)
@@ -109,7 +109,7 @@ def test_the_work_horse_is_killed_while_it_seeks_the_cameras(
     worker = start_worker()
 
     def refining() -> bool:
-        progress = lookup.get(store, FitJob, fit.id).progress
+        progress = lookup.get(store, FitRecord, fit.id).progress
         return progress is not None and progress["stage"] == "refining"
 
     wait_for(refining, "the cameras to be sought")
@@ -134,39 +134,39 @@ def checkpoints_cannot_be_recorded(settings: WorkerSettings) -> Iterator[None]:
 def test_records_refuse_what_an_attempt_writes(
     store: Store,
     settings: WorkerSettings,
-    queued: FitJob,
+    queued: FitRecord,
     undisturbed: bytes,
     start_worker: StartWorker,
 ) -> None:
     def ended() -> bool:
-        fit = lookup.get(store, FitJob, queued.id)
+        fit = lookup.get(store, FitRecord, queued.id)
         return fit.crashes > 0 or fit.status == "failed"
 
     start_worker()
     wait_for_step(store, queued.id, 100)
     wait_for(
-        lambda: lookup.get(store, FitJob, queued.id).checkpoint_key is not None, "a checkpoint"
+        lambda: lookup.get(store, FitRecord, queued.id).checkpoint_key is not None, "a checkpoint"
     )
     with checkpoints_cannot_be_recorded(settings):
         wait_for(ended, "the attempt to end")
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
 
 
-def test_the_worker_is_told_to_leave(
-    store: Store, queued: FitJob, undisturbed: bytes, start_worker: StartWorker
+def test_the_worker_gets_sigterm(
+    store: Store, queued: FitRecord, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
     wait_for_step(store, queued.id, 100)
     worker.send_signal(signal.SIGTERM)
     assert worker.wait(10) == 0
-    record = lookup.get(store, FitJob, queued.id)
+    record = lookup.get(store, FitRecord, queued.id)
     assert (record.status, record.crashes) == ("queued", 0)
     start_worker()
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
 
 
 def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
-    store: Store, queued: FitJob, undisturbed: bytes, start_worker: StartWorker
+    store: Store, queued: FitRecord, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     frozen = start_worker()
     wait_for_step(store, queued.id, 100)
@@ -174,7 +174,7 @@ def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
     freeze(store, queued, frozen.pid, horse)
     start_worker()
     wait_for(
-        lambda: lookup.get(store, FitJob, queued.id).attempt >= 2, "another worker to take over"
+        lambda: lookup.get(store, FitRecord, queued.id).attempt >= 2, "another worker to take over"
     )
     for pid in (horse, frozen.pid):
         subprocess.run(["kill", "-CONT", str(pid)], check=True)
@@ -200,8 +200,8 @@ def test_a_job_stuck_between_queue_and_worker_is_put_back(
         redis.lmove(jobs.key, jobs.intermediate_queue_key)  # a worker took it and was killed
     start_worker()
     assert wait_until(store, queued.id, "succeeded", "failed").error is None
-    wait_for(lambda: by_job(store, FitJob, other.id) is not None, "the other's record", 10)
-    record = by_job(store, FitJob, other.id)
+    wait_for(lambda: by_job(store, FitRecord, other.id) is not None, "the other's record", 10)
+    record = by_job(store, FitRecord, other.id)
     assert record is not None
     assert wait_until(store, record.id, "succeeded", "failed").error is None
 
@@ -230,7 +230,7 @@ def test_redis_dies_under_a_running_fit(
         for record in (fit, waiting):
             ended = wait_until(store, record.id, "succeeded", "failed")
             assert ended.error is None
-        assert lookup.get(store, FitJob, fit.id).attempt == 1  # it never noticed
+        assert lookup.get(store, FitRecord, fit.id).attempt == 1  # it never noticed
     finally:
         worker.kill()
         worker.wait()
@@ -248,13 +248,13 @@ def test_cancel_stops_a_running_fit_and_its_process(
     fits.cancel(store, fit.id)
     wait_until(store, fit.id, "cancelled", seconds=2)
     wait_for(lambda: not is_alive(horse), "the work-horse to end", 2)
-    assert lookup.get(store, FitJob, fit.id).checkpoint_key is None
+    assert lookup.get(store, FitRecord, fit.id).checkpoint_key is None
 
 
-def freeze(store: Store, fit: FitJob, *pids: int) -> None:
+def freeze(store: Store, fit: FitRecord, *pids: int) -> None:
     """Stop processes while none of them writes, or they would keep everybody else from it."""
     with store.writing() as session:
-        lookup.lock(session, FitJob, fit.id)
+        lookup.lock(session, FitRecord, fit.id)
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
 
@@ -313,10 +313,10 @@ def test_a_capture_without_any_usable_view_fails_with_the_reason(
     import numpy as np
 
     from store import datasets
-    from store.datasets import Description
+    from store.datasets import CaptureDescription
 
     nothing = Capture.checked(np.full((3, 2, 6, 2), np.nan))
-    dataset = datasets.create(store, nothing, Description("empty"))
+    dataset = datasets.create(store, nothing, CaptureDescription("empty"))
     fit = fits.create(store, dataset_id=dataset.id, name="f", config=CONFIG)
     enqueue(open_queue(redis), fit)
     start_worker()

@@ -14,9 +14,9 @@ from models.training.trainer import fit
 from store import datasets, lifts, lookup, models
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.lift_files import result_file
-from store.records import LiftJob
+from store.records import LiftRecord
 from tests.models.lifting.comparison import without
 from tests.models.walk import film
 from tests.sharing import fitted_once
@@ -78,7 +78,7 @@ def test_a_lift_job_in_chunks_is_the_whole(
     settings: WorkerSettings,
     start_worker: StartWorker,
 ) -> None:
-    description = Description(name="film", fps=FPS)
+    description = CaptureDescription(name="film", fps=FPS)
     dataset = datasets.create(store, Capture.checked(keypoints), description)
     columns: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
     model = models.create(store, prior.to_bytes(), name="m", keypoints=16, **columns)
@@ -92,9 +92,9 @@ def test_a_lift_job_in_chunks_is_the_whole(
     enqueue(open_queue(redis), lift)
     start_worker()
     wait_for(
-        lambda: lookup.get(store, LiftJob, lift.id).status in ("succeeded", "failed"), "the lift"
+        lambda: lookup.get(store, LiftRecord, lift.id).status in ("succeeded", "failed"), "the lift"
     )
-    record = lookup.get(store, LiftJob, lift.id)
+    record = lookup.get(store, LiftRecord, lift.id)
     assert record.error is None
     file = result_file(record, lifts.finished_chunks(store, record), "safetensors", {})
     found = load(b"".join(file.read(store.objects.get_range, 0, file.size)))

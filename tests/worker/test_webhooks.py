@@ -20,7 +20,7 @@ from store import access_keys, fits, jobs, lifts, lookup, webhooks
 from store.authors import Author
 from store.database import Store
 from store.errors import InputError
-from store.records import Delivery, FitJob
+from store.records import Delivery, FitRecord
 from tests.deployments import on_every_deployment
 from tests.processes import descendants, processes
 from tests.service.conftest import wait_for
@@ -111,7 +111,7 @@ def test_the_ends_of_a_fit_and_of_a_lift_are_delivered_and_signed(
     (got,) = receiver.got
     assert got.path == "/hook?lab=1"
     sent = json.loads(got.body)
-    ended = lookup.get(store, FitJob, fit.id)
+    ended = lookup.get(store, FitRecord, fit.id)
     assert sent["type"] == "fit.succeeded"
     assert sent["data"] == {
         "id": fit.id,
@@ -151,7 +151,7 @@ def test_every_end_is_announced_once_to_those_that_ask_for_it(
     cancelled = cancelled_fit(store, dataset_id)
     fits.cancel(store, cancelled)  # again
     refused = jobs.refuse(
-        store, FitJob, job_id="j", error={"code": "c"}, name="f", dataset_id="", config={}
+        store, FitRecord, job_id="j", error={"code": "c"}, name="f", dataset_id="", config={}
     )
     deliver(settings)
     sent = sorted((m["type"], m["data"]["id"]) for m in map(json.loads, bodies(receiver)))

@@ -67,7 +67,7 @@ class Keys(Resource[Driver]):
         expires_at: datetime | None = None,
         **quotas: int,
     ) -> Steps[NewKey]:
-        """Make a key. Where the answer is lost on its way, a key is left whose token nobody has.
+        """Make a key. If the answer is lost on its way, a key without a known token is left.
 
         Parameters
         ----------
@@ -104,7 +104,7 @@ class Keys(Resource[Driver]):
 
     @operation
     def revoke(self, key: Key | str) -> Steps[None]:
-        """Have a key be refused within a second, and what it opened end."""
+        """Revoke a key: it is refused within a second, and its streams and events end."""
         return self._call(Request("DELETE", path("keys", identifier(key)), nothing))
 
 

@@ -37,7 +37,7 @@ def to_npz(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 def to_safetensors(
     arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, str] | None = None
 ) -> bytes:
-    """Return arrays of numbers, and what is said of them, as the bytes of a safetensors file."""
+    """Return arrays of numbers, and strings about them, as the bytes of a safetensors file."""
     header: dict[str, Any] = {"__metadata__": dict(metadata)} if metadata else {}
     bodies, end = [], 0
     for name, array in arrays.items():

@@ -1,4 +1,4 @@
-"""What is known of a dataset's cameras, as requests tell it."""
+"""Given cameras of a dataset, in the form of requests."""
 
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
@@ -11,10 +11,10 @@ from fewview.calibration import Camera, as_config, read_for_views
 Calibration = str | PathLike[str] | Sequence[Camera | Mapping[str, Any] | None]
 
 
-def told(
+def in_request_form(
     call: Callable[[Request[Dataset]], Steps[Dataset]], calibration: Calibration, dataset_id: str
 ) -> Steps[list[Any]]:
-    """Return a calibration as the API takes it, an entry for each view of a dataset.
+    """Return a calibration in the API's form, with an entry for each view of a dataset.
 
     Raises
     ------

@@ -49,24 +49,24 @@ class Datasets(Stored[Driver, Dataset]):
             A :class:`~fewview.Capture`, a file that :func:`fewview.read` reads, or keypoints
             (N, K, P, 2) in pixels, NaN where not observed.
         fps
-            Frames per second, if frames follow each other and the capture does not say: views
+            Frames per second, if frames follow each other and the capture has no rate: views
             that are out of step are then found.
         tags, metadata
-            Words, and anything that is JSON, to find the dataset by.
+            Words, and any JSON object, for finding the dataset.
 
         Raises
         ------
         FormatError
             The file cannot be read.
         InvalidRequest
-            The capture cannot be used; ``errors`` say why.
+            The capture cannot be used; ``errors`` have the reasons.
         """
         capture = to_capture(capture)
-        said = labels(tags, metadata) | {
+        fields = labels(tags, metadata) | {
             "fps": fps or capture.fps,
             "image_sizes": capture.image_sizes,
         }
-        form = {key: json.dumps(value) for key, value in said.items() if value is not None}
+        form = {key: json.dumps(value) for key, value in fields.items() if value is not None}
         if name is not None:
             form["name"] = name
         first, *others = parts(capture)
@@ -119,7 +119,7 @@ def to_capture(source: Source) -> Capture:
     if isinstance(source, Capture):
         return source
     if isinstance(source, str | PathLike):
-        from fewview.readers import read  # noqa: PLC0415 (not needed for the rest)
+        from fewview.readers import read  # noqa: PLC0415 (not needed elsewhere)
 
         return read(source)
     return Capture(np.asarray(source, np.float32))

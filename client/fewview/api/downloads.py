@@ -34,16 +34,16 @@ class _Part(NamedTuple):
 
 
 def download(where: str, target: Path, patience: float, **params: str) -> Steps[Path]:
-    """Download a file; what is there of it already is kept, if it is of the same version.
+    """Download a file; a part that is there already is kept, if it is of the same version.
 
-    Until it is whole it has a name of its own beside the target.
+    Until the file is complete, it has another name beside the target.
 
     Raises
     ------
     ApiError
         The service refused.
     ConnectionFailed
-        The service was away for longer than ``patience``; call again to go on.
+        The service was away for longer than ``patience``; call again to continue.
     OSError
         The file cannot be written.
     """

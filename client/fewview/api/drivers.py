@@ -124,7 +124,7 @@ class _AsyncLine:
 
 @contextmanager
 def _reaching(url: httpx2.URL) -> Iterator[None]:
-    """Turn what goes wrong on the way into an error that says what to do."""
+    """Turn errors of the connection into an error with a remedy."""
     try:
         yield
     except httpx2.TimeoutException as error:
@@ -134,5 +134,5 @@ def _reaching(url: httpx2.URL) -> Iterator[None]:
     except httpx2.HTTPError as error:
         raise ConnectionFailed(
             f"{url} cannot be reached ({str(error) or type(error).__name__}): start the service "
-            "with `fewview serve`, or say where it is: Client(url), --url or FEWVIEW_URL"
+            "with `fewview serve`, or give its address: Client(url), --url or FEWVIEW_URL"
         ) from error

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fewview.api.calibrations import Calibration, told
+from fewview.api.calibrations import Calibration, in_request_form
 from fewview.api.forms import Dataset, Fit, form_in
 from fewview.api.lifting import identifier
 from fewview.api.operations import Driver, Resource, operation
@@ -30,7 +30,7 @@ class Evaluations(Resource[Driver]):
         mirrored_too: bool = False,
         triangulate: str | None = None,
     ) -> Steps[dict[str, Any]]:
-        """Measure a fit's structures, or others, and return the figures as the API words them.
+        """Measure a fit's structures, or others, and return the figures as the API names them.
 
         Parameters
         ----------
@@ -46,12 +46,12 @@ class Evaluations(Resource[Driver]):
         Raises
         ------
         InvalidRequest
-            These cannot be compared; ``errors`` say why.
+            These cannot be compared; ``errors`` have the reasons.
         """
         if calibration is not None and fit is not None:
             of = yield from self._call(Request("GET", path("fits", identifier(fit)), form_in(Fit)))
-            calibration = yield from told(self._call, calibration, of.dataset_id)
-        said = {
+            calibration = yield from in_request_form(self._call, calibration, of.dataset_id)
+        fields = {
             "fit_id": None if fit is None else identifier(fit),
             "dataset_id": None if dataset is None else identifier(dataset),
             "points": None if points is None else _listed(points),
@@ -62,7 +62,7 @@ class Evaluations(Resource[Driver]):
             "mirrored_too": mirrored_too,
             "triangulate": triangulate,
         }
-        body = {key: value for key, value in said.items() if value is not None}
+        body = {key: value for key, value in fields.items() if value is not None}
         return (
             yield from self._call(
                 Request(

@@ -6,7 +6,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from fewview.api.arrays import SAFETENSORS
-from fewview.api.calibrations import Calibration, told
+from fewview.api.calibrations import Calibration, in_request_form
 from fewview.api.forms import Dataset, Fit, Model, form_in
 from fewview.api.jobs import Jobs
 from fewview.api.lifting import Lift, identifier, room_query
@@ -39,15 +39,14 @@ class Fits(Jobs[Driver, Fit]):
         Parameters
         ----------
         from_model
-            A model of the same keypoints whose weights are the first ones.
+            A model of the same keypoints from whose weights the fit starts.
         calibration
-            What is known of the cameras: a calibration file, whose cameras are those with the
-            names of the dataset's views (:func:`fewview.calibration.for_views`), or else in their
-            order; or a list in the order of the views, of
-            :class:`~fewview.calibration.Camera` and of what the API takes, None where nothing is
-            known.
+            Given cameras: a calibration file, whose cameras have the names of the dataset's views
+            (:func:`fewview.calibration.for_views`) or else are in their order; or a list in the
+            order of the views, of :class:`~fewview.calibration.Camera` or of objects as the API
+            takes them, None where nothing is known.
         tags, metadata
-            Words, and anything that is JSON, to find the fit and its model by.
+            Words, and any JSON object, for finding the fit and its model.
         config
             Fields of ``FitConfig`` in the API: ``steps``, ``cameras``, ``known_length`` and more.
 
@@ -56,20 +55,20 @@ class Fits(Jobs[Driver, Fit]):
         FormatError
             The calibration cannot be read, or its cameras do not fit the views.
         InvalidRequest
-            The configuration is wrong, or not one for this dataset; ``errors`` say where.
+            The configuration is wrong, or does not fit this dataset; ``errors`` name the fields.
         TooManyRequests
             Too many fits wait.
         """
         if calibration is not None:
-            known = yield from told(self._call, calibration, identifier(dataset))
+            known = yield from in_request_form(self._call, calibration, identifier(dataset))
             config["calibration"] = known
-        said = labels(tags, metadata) | {
+        fields = labels(tags, metadata) | {
             "dataset_id": identifier(dataset),
             "name": name,
             "from_model": None if from_model is None else identifier(from_model),
             "config": config or None,
         }
-        body = {key: value for key, value in said.items() if value is not None}
+        body = {key: value for key, value in fields.items() if value is not None}
         return (
             yield from self._call(
                 Request("POST", "/fits", form_in(Fit), headers=once(), body={"json": body})
@@ -90,14 +89,14 @@ class Fits(Jobs[Driver, Fit]):
         Parameters
         ----------
         refine
-            ``auto``, ``full`` or ``off``: have them lifted anew, refined so.
+            ``auto``, ``full`` or ``off``: lift them again with this refinement.
         frame, up
             The frame of reference; see :meth:`~fewview.Client.lift`.
 
         Raises
         ------
         Conflict
-            The fit has not succeeded, or none of its cameras rest and there is no room.
+            The fit has not succeeded, or none of its cameras is static and there is no room.
         """
         where = path("fits", identifier(fit), "reconstruction")
         headers = {"Accept": SAFETENSORS}

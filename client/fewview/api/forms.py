@@ -1,4 +1,4 @@
-"""What the service tells, as frozen dataclasses; ``raw`` has the whole of it as it came."""
+"""Answers of the service as frozen dataclasses; ``raw`` has the whole JSON object."""
 
 import types
 from collections.abc import Callable
@@ -34,16 +34,16 @@ class Finding:
 
 @dataclass(frozen=True)
 class Described:
-    """Something stored.
+    """A stored resource.
 
     Attributes
     ----------
     id
-        What the service calls it.
+        Its identifier.
     raw
-        All that the service told of it, which may be more than the fields here.
+        The whole JSON object, which may have more than the fields here.
     tags, metadata
-        What was said of it, to find it again.
+        Its labels, for finding it again.
     """
 
     id: str
@@ -203,14 +203,14 @@ class Model(Described):
 
 @dataclass(frozen=True, eq=False)
 class FoundCamera:
-    """The camera of one view, in OpenCV's terms; None where it was not found.
+    """The camera of one view, in OpenCV's terms; None where it was not estimated.
 
     Attributes
     ----------
     index
         Which view of the fit.
     resting
-        Whether it rests relative to the other resting cameras.
+        Whether it is static relative to the other static cameras.
     focal, principal_point
         (2,) pixels.
     distortion
@@ -221,7 +221,7 @@ class FoundCamera:
     reprojection_error
         Pixels.
     raw
-        All that the service told, standard deviations (``..._sd``) too.
+        The whole JSON object, with standard deviations (``..._sd``).
     """
 
     index: int
@@ -238,12 +238,12 @@ class FoundCamera:
 
 @dataclass(frozen=True, eq=False)
 class Cameras:
-    """What a fit found out about its cameras.
+    """The cameras that a fit estimated.
 
     Attributes
     ----------
     arrangement
-        ``static``, ``moving``, ``mixed`` or ``unknown``; ``reason`` says why.
+        ``static``, ``moving``, ``mixed`` or ``unknown``; ``reason`` explains it.
     noise
         Pixels, the standard deviation of a keypoint's coordinate.
     """
@@ -324,7 +324,7 @@ class Version:
 
 @dataclass(frozen=True)
 class Alias:
-    """A name that stands for a model and can be moved to another."""
+    """A name for a model that can be moved to another model."""
 
     alias: str
     model_id: str
@@ -346,8 +346,8 @@ def page_of(form: type[Form]) -> Callable[[httpx2.Response], Page[Form]]:
     return read_page
 
 
-def read(form: type[Form], said: dict[str, Any]) -> Form:
-    """Return what the service said as a dataclass; what the form does not know stays in ``raw``.
+def read(form: type[Form], document: dict[str, Any]) -> Form:
+    """Return a JSON object of the service as a dataclass; unknown fields stay in ``raw``.
 
     Raises
     ------
@@ -355,10 +355,10 @@ def read(form: type[Form], said: dict[str, Any]) -> Form:
         If a field is missing that has no default, or is of another kind.
     """
     hints = _hints(form)  # type: ignore[arg-type] # of Hashable
-    found: dict[str, Any] = {"raw": said} if "raw" in hints else {}
+    found: dict[str, Any] = {"raw": document} if "raw" in hints else {}
     for name, hint in hints.items():
-        if name in said:
-            found[name] = _value(hint, said[name])
+        if name in document:
+            found[name] = _value(hint, document[name])
     return form(**found)
 
 

@@ -21,7 +21,7 @@ class HealthChecks(Resource[Driver]):
 
     @operation
     def queues(self) -> Steps[Queues]:
-        """Tell what waits for workers, and for how long."""
+        """Return the jobs that wait for workers, and for how long they have."""
         return self._call(Request("GET", "/queues", form_in(Queues)))
 
     @operation
@@ -31,5 +31,5 @@ class HealthChecks(Resource[Driver]):
 
     @operation
     def version(self) -> Steps[Version]:
-        """Tell what runs."""
+        """Return the versions of the service."""
         return self._call(Request("GET", "/version", form_in(Version)))

@@ -21,7 +21,7 @@ class Jobs(Stored[Driver, J]):
 
     @operation
     def cancel(self, job: J | str) -> Steps[J]:
-        """Cancel a job; what it has done is lost.
+        """Cancel a job; its work is lost.
 
         Raises
         ------
@@ -51,14 +51,14 @@ class Jobs(Stored[Driver, J]):
         ConnectionFailed
             The service was away for longer than the client's ``patience``.
         """
-        following = _Following(identifier(job), on_progress or nothing_said)
+        following = _Following(identifier(job), on_progress or ignore)
         failures = 0
         while True:
             if failures < MOST_TRIES:
                 heard = yield from self._hear(following)
                 failures = 0 if heard else failures + 1
             if following.job is None or not following.job.ended:
-                following.tell((yield from self._call(self._get(following.job_id))))
+                following.notify((yield from self._call(self._get(following.job_id))))
             found: J = following.job
             if found.ended:
                 return _succeeded(found)
@@ -75,7 +75,7 @@ class Jobs(Stored[Driver, J]):
             yield from patiently(Open(request, events=True), self._patience)
             while (event := (yield Read())) is not None:
                 heard, following.last_event = True, event.id
-                following.tell(read(self._form, json.loads(event.data)))
+                following.notify(read(self._form, json.loads(event.data)))
                 if event.event == "end":
                     break
         except NotFound:
@@ -93,14 +93,14 @@ class _Following:
         self.job: Any = None
         self.last_event = ""
 
-    def tell(self, job: Job) -> None:
+    def notify(self, job: Job) -> None:
         """Pass on a job that has changed."""
         if self.job is None or job.raw != self.job.raw:
             self.job = job
             self._on_progress(job)
 
 
-def nothing_said(_job: object) -> None:
+def ignore(_job: object) -> None:
     """Keep progress to oneself."""
 
 

@@ -22,16 +22,16 @@ class Lift:
     Attributes
     ----------
     points3d
-        (N, P, 3) canonical structures, right-handed; the unit is the one that the fit was told.
-        If the room was asked for, points in the room; NaN in frames that have no place in it.
+        (N, P, 3) canonical structures, right-handed, in the unit given to the fit. With
+        ``frame="room"``, points in the room; NaN in frames that have no place in it.
     rotations
         (N, K, 3, 3) from there to each camera's axes: x right, y down, z forward.
     scales
         (N, K) pixels per unit.
     translations
         (N, K, 3): in perspective, units; in weak perspective (x, y) in pixels, and NaN. In a
-        canonical frame the unit is that of the first view; where it moves while others rest, the
-        unit differs from frame to frame, and in the room it is one.
+        canonical frame the unit is that of the first view; if this view moves while others are
+        static, the unit differs from frame to frame. In the room there is one unit.
     focals, principal_points
         (N, K, 2) pixels.
     distortions
@@ -43,18 +43,18 @@ class Lift:
     camera_models
         (N, K): -1 no camera, 0 weak perspective, 1 perspective, 2 fisheye.
     keypoints_seen
-        (N, P) how many views show each; 0 is inferred. None of old reconstructions.
+        (N, P) how many views show each; 0 is inferred. None for old reconstructions.
     outlier_probability
-        (N, K, P) in [0, 1]: how probably a keypoint of a view is an outlier. What exceeds 0.5 was
-        left out of the lift or, where left and right were swapped, used in its partner's place.
-        NaN where nothing was observed or judged; None of old reconstructions.
+        (N, K, P) in [0, 1]: probability of a keypoint to be an outlier. Above 0.5 it was left out
+        of the lift or, if left and right were swapped, used in its partner's place. NaN where it
+        was not observed or not judged; None for old reconstructions.
     frame_findings
         (N,) sums of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``,
-        8 ``not_in_room``; None of old reconstructions.
+        8 ``not_in_room``; None for old reconstructions.
     findings
-        The same and more in words.
+        The same and others, with texts.
     model_id
-        Of the model that lifted; None if it was deleted since.
+        The model of the lift; None if it was deleted since.
     """
 
     points3d: Float32
@@ -126,7 +126,7 @@ def lift_request(
     refine
         ``auto``, ``full`` or ``off``: where frames are refined in perspective. None: as in the fit.
     views
-        Which K views of the fit these are; None if they are all, or not said.
+        Which K views of the fit these are; None if they are all, or unknown.
     frame, up
         The frame of reference of points and cameras; see :meth:`~fewview.Client.lift`.
     """

@@ -46,22 +46,22 @@ class Lifts(Jobs[Driver, LiftJob]):
         refine
             ``auto``, ``full`` or ``off``: where frames are refined. None: as in the fit.
         views
-            Which views of the fit the dataset's are; None if they are all, or not said.
+            Which views of the fit the dataset's are; None if they are all, or unknown.
         frame, up
             The frame of reference of the result; see :meth:`~fewview.Client.lift`.
         tags, metadata
-            Words, and anything that is JSON, to find the lift by.
+            Words, and any JSON object, for finding the lift.
 
         Raises
         ------
         Conflict
-            The model has no room, since none of its cameras rest.
+            The model has no room, because none of its cameras is static.
         InvalidRequest
-            The dataset has other keypoints than the model, or such views are not.
+            The dataset has other keypoints than the model, or there are no such views.
         TooManyRequests
             Too many lifts wait.
         """
-        said = labels(tags, metadata) | {
+        fields = labels(tags, metadata) | {
             "model_id": identifier(model),
             "dataset_id": identifier(dataset),
             "name": name,
@@ -70,7 +70,7 @@ class Lifts(Jobs[Driver, LiftJob]):
             "frame": frame,
             "up": None if up is None else up_in_json(up),
         }
-        body = {key: value for key, value in said.items() if value is not None}
+        body = {key: value for key, value in fields.items() if value is not None}
         return self._call(
             Request("POST", "/lifts", form_in(LiftJob), headers=once(), body={"json": body})
         )

@@ -22,9 +22,9 @@ class Models(Stored[Driver, Model]):
 
     @operation
     def set_alias(self, alias: str, model: Model | str) -> Steps[Alias]:
-        """Have an alias, such as ``walk@production``, stand for a model from now on.
+        """Point an alias, such as ``walk@production``, to a model.
 
-        It may be given wherever a model is. ``delete("walk@production")`` deletes the alias alone.
+        It can be used in place of a model's id. ``delete("walk@production")`` deletes only it.
 
         Raises
         ------
@@ -43,7 +43,7 @@ class Models(Stored[Driver, Model]):
 
     @operation
     def cameras(self, model: Model | str) -> Steps[Cameras]:
-        """Tell what the fit found out about its cameras."""
+        """Return the cameras that the fit estimated."""
         where = path("models", identifier(model), "cameras")
         return self._call(Request("GET", where, form_in(Cameras)))
 
@@ -54,7 +54,7 @@ class Models(Stored[Driver, Model]):
         Raises
         ------
         Conflict
-            The format cannot say these cameras.
+            The format cannot describe these cameras.
         """
         where = path("models", identifier(model), "cameras")
         request = Request("GET", where, lambda found: found.content, params={"format": format})
@@ -62,14 +62,15 @@ class Models(Stored[Driver, Model]):
 
     @operation
     def download(self, model: Model | str, file: str | PathLike[str]) -> Steps[Path]:
-        """Download a model into a file; what broke off goes on where it was.
+        """Download a model into a file; an interrupted download continues where it stopped.
 
-        All that is known of it, as safetensors; a file that ends in ``.onnx`` gets its network.
+        The file has the whole model as safetensors, or only the network if its name ends in
+        ``.onnx``.
 
         Raises
         ------
         Conflict
-            The network cannot be said as ONNX.
+            The network cannot be exported to ONNX.
         """
         file = Path(file)
         part = "network" if file.suffix.lower() == ".onnx" else "weights"

@@ -76,11 +76,11 @@ def pause_before(attempt: int) -> float:
 
 
 def problem_of(response: httpx2.Response) -> ApiError:
-    """Return the error that a response tells, which has been read."""
+    """Return the error in a response that has been read."""
     problem: Any
     try:
         problem = response.json()
-    except ValueError:  # of a proxy, say
+    except ValueError:  # for example from a proxy
         problem = None
     if not isinstance(problem, dict):
         problem = {"detail": f"{response.status_code} {response.reason_phrase}: {response.url}"}
@@ -88,7 +88,7 @@ def problem_of(response: httpx2.Response) -> ApiError:
 
 
 def _gone_already(response: httpx2.Response, attempt: int) -> bool:
-    """Tell whether an earlier attempt, whose answer was lost, has deleted the resource."""
+    """Return whether an earlier attempt, whose answer was lost, has deleted the resource."""
     return attempt > 0 and response.status_code == 404 and response.request.method == "DELETE"
 
 

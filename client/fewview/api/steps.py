@@ -64,7 +64,7 @@ class Request(Generic[T]):
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise TypeError(f"expected what JSON can say, got {type(value).__name__}")
+    raise TypeError(f"expected a value that JSON can represent, got {type(value).__name__}")
 
 
 @dataclass(frozen=True)

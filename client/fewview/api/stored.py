@@ -40,7 +40,7 @@ class Stored(Resource[Driver], Generic[Driver, S]):
         Parameters
         ----------
         metadata
-            What theirs says under keys of its first level: texts, numbers or truths.
+            Values of their metadata under keys of its first level: strings, numbers or booleans.
         filters
             Those of the API's query: ``id``, ``tag`` (one or several), ``name``,
             ``created_after`` (a datetime), of jobs ``status`` and more.
@@ -50,7 +50,7 @@ class Stored(Resource[Driver], Generic[Driver, S]):
 
     @operation
     def update(self, stored: S | str, /, **changes: Any) -> Steps[S]:
-        """Change what is said of one: its ``name``, ``tags`` or ``metadata``.
+        """Change the labels of one: its ``name``, ``tags`` or ``metadata``.
 
         Raises
         ------
@@ -133,15 +133,15 @@ class Stored(Resource[Driver], Generic[Driver, S]):
 
 
 def labels(tags: Iterable[str], metadata: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return what is said of something as it is made, as it travels."""
+    """Return the labels of a new resource, in the form of requests."""
     return {"tags": list(tags), "metadata": dict(metadata or {})}
 
 
-def _metadata(said: Mapping[str, Any] | None) -> dict[str, str]:
+def _metadata(given: Mapping[str, Any] | None) -> dict[str, str]:
     """Return the query that asks for metadata: what is no text is written as JSON."""
     return {
         f"metadata.{key}": value if isinstance(value, str) else json.dumps(value)
-        for key, value in (said or {}).items()
+        for key, value in (given or {}).items()
     }
 
 
@@ -151,5 +151,5 @@ def _found(response: httpx2.Response) -> int:
 
 def _answered(response: httpx2.Response) -> tuple[Deleted, str | None]:
     """Read what was deleted, and where it goes on."""
-    said = response.json()
-    return read(Deleted, said), said["next_cursor"]
+    document = response.json()
+    return read(Deleted, document), document["next_cursor"]

@@ -45,7 +45,7 @@ _logger.addFilter(_conceal)
 
 
 class Start(TypedDict, total=False):
-    """What is said of a stream before its first frame; all of it may be left out.
+    """The options of a stream; all are optional.
 
     Attributes
     ----------
@@ -54,17 +54,17 @@ class Start(TypedDict, total=False):
     refine
         ``auto``, ``full`` or ``off``; None as in the fit.
     on_overload
-        ``all``: no frame is lost, and sending blocks. ``latest``: a new frame takes the place of
-        one that waits.
+        ``all``: no frame is lost, and sending blocks. ``latest``: a new frame replaces one that
+        waits.
     continuity
-        Whether frames follow each other, and refinement may start from the answer before.
+        Whether frames follow each other, so that refinement may start from the previous answer.
     frame, up
         The frame of reference of the answers; see :meth:`~fewview.Client.lift`.
     lag
-        Frames are smoothed in time, each by up to so many later ones, 0 to 50, for which its answer
-        waits. Only models that were fitted to noisy frames with times can.
+        Smooth frames in time, each by up to so many later ones, 0 to 50, for which its answer
+        waits. Only for models that were fitted to noisy frames with times.
     fps
-        With ``lag``: how many frames there are a second; else every frame is sent with its time.
+        With ``lag``: frames per second; without it every frame is sent with its time.
     """
 
     views: Sequence[int] | None
@@ -316,7 +316,7 @@ def _opening(url: str) -> Iterator[None]:
         raise api_error(error.response.status_code, problem) from error
     except (OSError, WebSocketException) as error:  # TimeoutError is an OSError
         raise ConnectionFailed(
-            f"{url} cannot be reached ({error}): start the service with `fewview serve`, or say "
+            f"{url} cannot be reached ({error}): start the service with `fewview serve`, or give "
             "where it is: Client(url) or FEWVIEW_URL"
         ) from error
 

@@ -1,4 +1,4 @@
-"""What is said in a stream of frames: bytes of a fixed little-endian layout, and JSON.
+"""The messages of a stream of frames: bytes of a fixed little-endian layout, and JSON.
 
 ``docs/streaming.md`` describes both.
 """
@@ -17,7 +17,7 @@ from fewview.errors import ApiError, ConnectionFailed, api_error
 FRAME, ANSWER = 1, 2
 WITH_CONFIDENCE, WITH_TIME = 1, 2
 LIFTED, CONTINUED = 1, 2
-ALIGNED = 4  # bytes that what an answer says of keypoints is filled up to
+ALIGNED = 4  # bytes: the keypoints' part of an answer is padded to a multiple of this
 HEADER, TIME = struct.Struct("<BBHI"), struct.Struct("<d")
 FLUSH = json.dumps({"flush": True})
 VIEW = np.dtype(
@@ -45,7 +45,7 @@ STATUSES = {
 
 @dataclass(frozen=True)
 class Ready:
-    """What the service understood; ``raw`` has the rest, limits too."""
+    """The options as the service understood them; ``raw`` has all fields, also the limits."""
 
     model: str
     keypoints: int
@@ -122,18 +122,18 @@ def write_frame(
 
 
 def read_message(message: str | bytes, keypoints: int) -> Answer | Dropped:
-    """Return what the service said after it was ready, of P ``keypoints`` a view.
+    """Return a message of the service after it was ready, with P ``keypoints`` for each view.
 
     Raises
     ------
     ApiError
-        It said that something is wrong; ``errors`` say what.
+        It is an error; ``errors`` have the reasons.
     """
     if isinstance(message, str):
-        said = json.loads(message)
-        if said["type"] == "dropped":
-            return Dropped(tuple(said["sequences"]))
-        raise refusal(said)
+        document = json.loads(message)
+        if document["type"] == "dropped":
+            return Dropped(tuple(document["sequences"]))
+        raise refusal(document)
     _kind, flags, count, sequence = HEADER.unpack_from(message)
     points3d = np.frombuffer(message, "<f4", 3 * keypoints, HEADER.size).reshape(-1, 3)
     views = np.frombuffer(message, VIEW, count, HEADER.size + points3d.nbytes)
@@ -163,21 +163,21 @@ def read_ready(message: str | bytes) -> Ready:
     ConnectionFailed
         What answers is no Fewview.
     """
-    said = json.loads(message) if isinstance(message, str) else {}
-    if said.get("type") == "error":
-        raise refusal(said)
-    if said.get("type") != "ready":
+    document = json.loads(message) if isinstance(message, str) else {}
+    if document.get("type") == "error":
+        raise refusal(document)
+    if document.get("type") != "ready":
         raise ConnectionFailed("expected a stream of Fewview, got something else: look at the URL")
-    views = said["views"]
+    views = document["views"]
     return Ready(
-        said["model"],
-        said["keypoints"],
+        document["model"],
+        document["keypoints"],
         None if views is None else tuple(views),
-        said["refine"],
-        said,
+        document["refine"],
+        document,
     )
 
 
-def refusal(said: dict[str, Any]) -> ApiError:
-    """Return the error that a message tells."""
-    return api_error(STATUSES.get(said["code"], 500), {"title": said["code"], **said})
+def refusal(document: dict[str, Any]) -> ApiError:
+    """Return the error in a message."""
+    return api_error(STATUSES.get(document["code"], 500), {"title": document["code"], **document})

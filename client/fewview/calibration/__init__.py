@@ -1,9 +1,9 @@
-"""Cameras with their places, as calibration files say them and as a fit found them."""
+"""Cameras with their poses, in calibration files and as estimated by a fit."""
 
 from fewview.calibration.camera import Camera, from_model, rotation_matrix, rotation_vector
 from fewview.calibration.comparing import CameraError, compare_cameras
 from fewview.calibration.files import FORMATS, read_cameras, write_cameras
-from fewview.calibration.told import as_config, for_views, read_for_views, sizes_in
+from fewview.calibration.given import as_config, for_views, read_for_views, sizes_in
 
 __all__ = [
     "FORMATS",

@@ -24,12 +24,12 @@ from fewview.errors import FormatError
 
 def read(path: Path) -> list[Camera]:
     """Return the cameras of a file."""
-    said = tomllib.loads(path.read_text(encoding="utf-8"))
-    sections = {**said, **said.get("cameras", {})}
+    fields = tomllib.loads(path.read_text(encoding="utf-8"))
+    sections = {**fields, **fields.get("cameras", {})}
     found = {
         name: section
         for name, section in sections.items()
-        if isinstance(section, dict) and _told(section.get("matrix")) is not None
+        if isinstance(section, dict) and _or_none(section.get("matrix")) is not None
     }
     numbers = [re.search(r"\d+$", name) for name in found]
     order = list(found)
@@ -38,26 +38,26 @@ def read(path: Path) -> list[Camera]:
     return [_camera(name, found[name]) for name in order]
 
 
-def _camera(section: str, said: dict[str, Any]) -> Camera:
-    named = (said.get(key) for key in ("name", "cam_id", "port"))
+def _camera(section: str, fields: dict[str, Any]) -> Camera:
+    named = (fields.get(key) for key in ("name", "cam_id", "port"))
     name = next((str(value) for value in named if value is not None), section)
-    rotation, translation = _told(said.get("rotation")), _told(said.get("translation"))
+    rotation, translation = _or_none(fields.get("rotation")), _or_none(fields.get("translation"))
     if rotation is not None and np.size(rotation) == 3:
         rotation = rotation_matrix(rotation)
-    size = _told(said.get("size"))
+    size = _or_none(fields.get("size"))
     return Camera(
         name,
-        said["matrix"],
-        np.ravel(_told(said.get("distortions")) or []),
+        fields["matrix"],
+        np.ravel(_or_none(fields.get("distortions")) or []),
         rotation,
         translation,
         None if size is None else (round(size[0]), round(size[1])),
-        bool(said.get("fisheye", False)),
+        bool(fields.get("fisheye", False)),
     )
 
 
-def _told(value: Any) -> Any:
-    """Return a value, or None for what stands for none in TOML."""
+def _or_none(value: Any) -> Any:
+    """Return a value, or None for those that mean none in TOML."""
     return None if isinstance(value, str) else value
 
 
@@ -77,7 +77,7 @@ def write(path: Path, cameras: Sequence[Camera]) -> None:
         if camera.size is None:
             raise FormatError(
                 f"camera {camera.name!r} has no image size, which this format needs: "
-                "tell it with the capture (image_sizes, --image-size)"
+                "give it with the capture (image_sizes, --image-size)"
             )
         values = {
             "name": camera.name,

@@ -18,10 +18,10 @@ STRAIGHT = 1e-7  # error of a direction that is found
 
 @dataclass(frozen=True)
 class Camera:
-    """A perspective camera in OpenCV's words: x right, y down, z forward.
+    """A perspective camera in OpenCV's terms: x right, y down, z forward.
 
-    `x_cam = R X + t` leads from the room to the camera, `pixel = K bend(x_cam / z)` to the image,
-    whose top-left pixel has its centre at (0, 0).
+    `x_cam = R X + t` transforms from the room to the camera, `pixel = K bend(x_cam / z)` to the
+    image, whose top-left pixel has its centre at (0, 0).
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Camera:
     Raises
     ------
     ValueError
-        If the shapes are others, or more coefficients are given than the lens has.
+        If shapes are wrong, or more coefficients are given than the lens has.
     """
 
     name: str
@@ -193,7 +193,7 @@ def from_model(
     names: Sequence[str] | None = None,
     sizes: Sequence[tuple[int, int] | None] | None = None,
 ) -> list[Camera]:
-    """Return what `GET /models/{id}/cameras` says as K cameras, without a pose where they move.
+    """Return the answer of `GET /models/{id}/cameras` as K cameras; moving ones have no pose.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def from_model(
     for place, view in enumerate(found["views"]):
         name = names[place] if names else f"view{view['index']}"
         if view["focal"] is None or view["camera"] == "weak_perspective":
-            raise ValueError(f"{name} is weak perspective: no calibration can say its camera")
+            raise ValueError(f"{name} is weak perspective: no calibration can describe it")
         (fx, fy), (cx, cy) = view["focal"], view["principal_point"]
         cameras.append(
             Camera(

@@ -42,8 +42,8 @@ def read(path: Path) -> list[Camera]:
     lenses = {}
     for line in _lines(folder / "cameras.txt"):
         if line:
-            number, *said = line.split()
-            lenses[number] = _lens(f"camera{number}", said)
+            number, *fields = line.split()
+            lenses[number] = _lens(f"camera{number}", fields)
     cameras, used = [], set()
     lines = iter(_lines(folder / "images.txt"))
     for line in lines:
@@ -69,9 +69,9 @@ def _lines(path: Path) -> list[str]:
     return [line for line in lines if not line.startswith("#")]
 
 
-def _lens(name: str, said: list[str]) -> Camera:
+def _lens(name: str, fields: list[str]) -> Camera:
     """Return a camera without a pose, from MODEL, WIDTH, HEIGHT, PARAMS."""
-    model, width, height, *numbers = said
+    model, width, height, *numbers = fields
     if model not in MODELS:
         raise FormatError(f"{name} is of COLMAP's model {model}; known are {', '.join(MODELS)}")
     if len(numbers) != len(MODELS[model]):
@@ -127,10 +127,10 @@ def write(path: Path, cameras: Sequence[Camera]) -> None:
 
 
 def _model(camera: Camera) -> str:
-    """Return MODEL, WIDTH, HEIGHT and PARAMS, of the least model that says all."""
+    """Return MODEL, WIDTH, HEIGHT and PARAMS, of the smallest model that has all coefficients."""
     if camera.size is None:
         raise FormatError(
-            f"camera {camera.name!r} has no image size, which COLMAP needs: tell it with "
+            f"camera {camera.name!r} has no image size, which COLMAP needs: give it with "
             "the capture (image_sizes, --image-size)"
         )
     if camera.matrix[0, 1]:

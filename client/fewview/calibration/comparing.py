@@ -76,7 +76,7 @@ def _pose_errors(pairs: Sequence[tuple[Camera, Camera]]) -> list[tuple[float, fl
     mine, true = (np.stack([_rotation(pair[i]) for pair in pairs]) for i in (0, 1))
     at, place = (np.stack([_centre(pair[i]) for pair in pairs]) for i in (0, 1))
     u, _, vt = np.linalg.svd((true.mT @ mine).sum(0))
-    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt  # from the room found to the true one
+    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt  # estimated room to true one
     ways, expected = (at - at.mean(0)) @ turn.T, place - place.mean(0)
     power = float(np.square(ways).sum())
     scale = max(0.0, float((ways * expected).sum()) / power) if power > 0 else 0.0

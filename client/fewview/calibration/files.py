@@ -34,7 +34,7 @@ def read_cameras(path: str | PathLike[str], format: str | None = None) -> list[C
     Raises
     ------
     FormatError
-        If there is no such format, or the file is not what the format says.
+        If there is no such format, or the file is not of this format.
     OSError
         If it cannot be read.
     """
@@ -44,8 +44,8 @@ def read_cameras(path: str | PathLike[str], format: str | None = None) -> list[C
     except FormatError:
         raise
     except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        said = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-        raise FormatError(f"{path}: {said}") from error
+        reason = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise FormatError(f"{path}: {reason}") from error
     if not found:
         raise FormatError(f"{path} has no cameras")
     return found
@@ -59,7 +59,7 @@ def write_cameras(
     Raises
     ------
     FormatError
-        If there is no such format, or it cannot say these cameras.
+        If there is no such format, or it cannot describe these cameras.
     """
     path = Path(path)
     if not cameras:

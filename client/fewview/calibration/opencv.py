@@ -48,14 +48,14 @@ FISHEYES = ("fisheye", "equidistant")  # OpenCV's and ROS's name of the same
 
 def read(path: Path) -> list[Camera]:
     """Return the cameras of a file."""
-    said = _parsed(path)
-    if isinstance(said, list) and said and all(isinstance(camera, dict) for camera in said):
-        said = {"cameras": said}
-    if not isinstance(said, dict):
+    fields = _parsed(path)
+    if isinstance(fields, list) and fields and all(isinstance(camera, dict) for camera in fields):
+        fields = {"cameras": fields}
+    if not isinstance(fields, dict):
         raise FormatError(f"{path}: expected a map, as cv::FileStorage writes it")
-    if _get(said, "matrix") is not None:
-        return [_camera(str(said.get("name", path.stem)), said)]
-    cameras = said.get("cameras", said)
+    if _get(fields, "matrix") is not None:
+        return [_camera(str(fields.get("name", path.stem)), fields)]
+    cameras = fields.get("cameras", fields)
     if isinstance(cameras, list):
         return [
             _camera(str(camera.get("name", place)), camera) for place, camera in enumerate(cameras)
@@ -68,7 +68,7 @@ def read(path: Path) -> list[Camera]:
 
 
 def _parsed(path: Path) -> Any:
-    """Return what a file says as maps, lists and matrices."""
+    """Parse a file into maps, lists and matrices."""
     text = path.read_text(encoding="utf-8-sig")
     if text.lstrip().startswith(("{", "[")):
         return json.loads(text)
@@ -89,9 +89,9 @@ def _parsed(path: Path) -> Any:
         raise FormatError(f"{path}: {error}") from error
 
 
-def _get(said: dict[str, Any], part: str) -> Float64 | None:
+def _get(fields: dict[str, Any], part: str) -> Float64 | None:
     """Return an array under any of its names, None if it has none of them."""
-    known = {_plain(key): value for key, value in reversed(said.items())}
+    known = {_plain(key): value for key, value in reversed(fields.items())}
     for name in NAMES[part]:
         value = known.get(name)
         if isinstance(value, dict):
@@ -106,12 +106,12 @@ def _plain(name: object) -> str:
     return str(name).replace("_", "").lower()
 
 
-def _camera(name: str, said: dict[str, Any]) -> Camera:
-    matrix, distortion = _get(said, "matrix"), _get(said, "distortion")
-    rotation, translation = _get(said, "rotation"), _get(said, "translation")
+def _camera(name: str, fields: dict[str, Any]) -> Camera:
+    matrix, distortion = _get(fields, "matrix"), _get(fields, "distortion")
+    rotation, translation = _get(fields, "rotation"), _get(fields, "translation")
     if matrix is None:
         raise FormatError(f"camera {name!r} has no camera_matrix")
-    other = [key for key, value in said.items() if "dist" in key.lower() and not _is_word(value)]
+    other = [key for key, value in fields.items() if "dist" in key.lower() and not _is_word(value)]
     if distortion is None and other:
         raise FormatError(
             f"camera {name!r} has {other[0]!r}, which is not understood: OpenCV's coefficients are "
@@ -119,8 +119,8 @@ def _camera(name: str, said: dict[str, Any]) -> Camera:
         )
     if rotation is not None and rotation.size == 3:
         rotation = rotation_matrix(rotation)
-    width, height = said.get("image_width"), said.get("image_height")
-    size = _get(said, "size")
+    width, height = fields.get("image_width"), fields.get("image_height")
+    size = _get(fields, "size")
     if size is not None and not (width and height):
         width, height = size.ravel()
     return Camera(
@@ -130,7 +130,7 @@ def _camera(name: str, said: dict[str, Any]) -> Camera:
         rotation,
         translation,
         (int(width), int(height)) if width and height else None,
-        _is_fisheye(name, said),
+        _is_fisheye(name, fields),
     )
 
 
@@ -138,16 +138,16 @@ def _is_word(value: Any) -> bool:
     return value is None or isinstance(value, str | bool)
 
 
-def _is_fisheye(name: str, said: dict[str, Any]) -> bool:
-    model = str(said.get("distortion_model") or "")
+def _is_fisheye(name: str, fields: dict[str, Any]) -> bool:
+    model = str(fields.get("distortion_model") or "")
     if _plain(model) not in PINHOLES + FISHEYES:
         raise FormatError(f"camera {name!r} has the distortion model {model!r}, not OpenCV's")
-    return bool(said.get("fisheye", False)) or _plain(model) in FISHEYES
+    return bool(fields.get("fisheye", False)) or _plain(model) in FISHEYES
 
 
 def write(path: Path, cameras: Sequence[Camera]) -> None:
     """Write cameras as JSON where the name ends so, otherwise as YAML."""
-    listed = [_said(camera) for camera in cameras]
+    listed = [_as_document(camera) for camera in cameras]
     if path.suffix.lower() == ".json":
         text = json.dumps({"cameras": listed}, indent=4, ensure_ascii=False)
     else:
@@ -155,17 +155,17 @@ def write(path: Path, cameras: Sequence[Camera]) -> None:
     path.write_text(text.rstrip("\n") + "\n", encoding="utf-8", newline="\n")
 
 
-def _said(camera: Camera) -> dict[str, Any]:
-    """Return a camera as JSON of cv::FileStorage says it."""
-    said: dict[str, Any] = {"name": camera.name}
+def _as_document(camera: Camera) -> dict[str, Any]:
+    """Return a camera in the JSON form of cv::FileStorage."""
+    fields: dict[str, Any] = {"name": camera.name}
     if camera.size is not None:
-        said |= {"image_width": camera.size[0], "image_height": camera.size[1]}
-    said["camera_matrix"] = _matrix(camera.matrix)
-    said["distortion_coefficients"] = _matrix(camera.distortion[:, None])
+        fields |= {"image_width": camera.size[0], "image_height": camera.size[1]}
+    fields["camera_matrix"] = _matrix(camera.matrix)
+    fields["distortion_coefficients"] = _matrix(camera.distortion[:, None])
     if camera.rotation is not None and camera.translation is not None:
-        said["rotation"] = _matrix(camera.rotation)
-        said["translation"] = _matrix(camera.translation[:, None])
-    return said | {"fisheye": int(camera.fisheye)}
+        fields["rotation"] = _matrix(camera.rotation)
+        fields["translation"] = _matrix(camera.translation[:, None])
+    return fields | {"fisheye": int(camera.fisheye)}
 
 
 def _matrix(values: Float64) -> dict[str, Any]:
@@ -174,10 +174,10 @@ def _matrix(values: Float64) -> dict[str, Any]:
     return {"type_id": "opencv-matrix", "rows": rows, "cols": columns, "dt": "d", "data": data}
 
 
-def _yaml(said: dict[str, Any]) -> str:
+def _yaml(fields: dict[str, Any]) -> str:
     """Return a camera as an entry of a list in YAML."""
     lines = ["   -"]
-    for name, value in said.items():
+    for name, value in fields.items():
         if isinstance(value, dict):
             lines.append(f"      {name}: !!opencv-matrix")
             lines += [f"         {part}: {value[part]}" for part in ("rows", "cols", "dt", "data")]

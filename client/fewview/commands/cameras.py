@@ -37,7 +37,7 @@ def cameras(
     url: Url = None,
     as_json: AsJson = False,
 ) -> None:
-    """Tell which cameras a fit found, and how sure that is."""
+    """Print the cameras that a fit estimated, with their standard deviations."""
     with talking(url) as client:
         if output is not None:
             content = client.models.calibration(model, form or _form_of(output))
@@ -68,7 +68,7 @@ def _row(view: "FoundCamera") -> tuple[str, ...]:
     return (
         str(view.index),
         view.camera,
-        "rests" if view.resting else "moves",
+        "static" if view.resting else "moving",
         _numbers(view.focal, 1),
         _numbers(view.principal_point, 1),
         _numbers(None if view.distortion is None else view.distortion[:2], 3),

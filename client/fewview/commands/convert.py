@@ -24,7 +24,7 @@ def convert(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Read 2D keypoints of any known format, say what was understood, and write one npz."""
+    """Read 2D keypoints of any known format, print how they were read, and write one npz."""
     from fewview.errors import FormatError  # noqa: PLC0415 (commands load what they need)
     from fewview.readers import read_with  # noqa: PLC0415
 

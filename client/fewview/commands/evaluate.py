@@ -40,15 +40,15 @@ def evaluate(
 
     try:
         if cameras is not None:
-            told, words = _cameras(found, cameras)
+            figures, words = _cameras(found, cameras)
         elif truth is not None:
-            told, words = _structures(found, truth, reach, mirrored_too=mirrored_too)
+            figures, words = _structures(found, truth, reach, mirrored_too=mirrored_too)
         else:
             raise ValueError("name the truth: a second npz, or --cameras and a calibration")
     except (OSError, ValueError, FewviewError) as error:
         typer.echo(f"fewview evaluate: {in_short(error)}", err=True)
         raise typer.Exit(WRONGLY_ASKED) from None
-    say(told, words, as_json=as_json)
+    say(figures, words, as_json=as_json)
 
 
 def _structures(
@@ -68,9 +68,9 @@ def _cameras(found: Path, expected: Path) -> tuple[dict[str, Any], str]:
 
     cameras = read_cameras(found)
     calibration, _ = for_views(read_cameras(expected), [camera.name for camera in cameras])
-    told = [error.plain() for error in compare_cameras(cameras, calibration)]
+    figures = [error.plain() for error in compare_cameras(cameras, calibration)]
     rows = [("camera", "rotation", "direction", "centre", "focal x, y", "principal point")]
-    for one in told:
+    for one in figures:
         known = one["rotation"] is not None
         rows.append(
             (
@@ -82,7 +82,7 @@ def _cameras(found: Path, expected: Path) -> tuple[dict[str, Any], str]:
                 f"{one['principal_point']:.1f} px",
             )
         )
-    return {"cameras": told}, table(rows)
+    return {"cameras": figures}, table(rows)
 
 
 def in_words(figures: "Evaluation", names: list[str]) -> str:
@@ -135,7 +135,7 @@ def _arrays(path: Path) -> tuple[dict[str, Any], list[str] | None]:
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"{path}: no safetensors file ({error})") from error
     if not zipfile.is_zipfile(path):
-        path.stat()  # a file that is not there says so
+        path.stat()  # raises the error for a missing file
         raise ValueError(f"{path}: expected an .npz or .safetensors file")
     with np.load(path, allow_pickle=False) as file:
         arrays = dict(file)

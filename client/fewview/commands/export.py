@@ -12,7 +12,7 @@ from fewview.commands.talking import AsJson, Url, say, talking
 USUAL = "trc,csv,glb,npz"
 LengthUnit = Annotated[
     Literal["m", "mm"] | None,
-    typer.Option("--unit", help="Of the lengths, or of the calibration, that the fit was told."),
+    typer.Option("--unit", help="Of the lengths, or of the calibration, given to the fit."),
 ]
 Height = Annotated[
     float | None,
@@ -42,7 +42,7 @@ def export(
         capture = described_by(client, done)
         capture = replace(capture, fps=fps or capture.fps)
         check_height(height, capture.keypoint_names, done.config or {})
-        told = export(
+        result = export(
             client,
             done,
             capture,
@@ -51,23 +51,23 @@ def export(
             unit=unit,
             height=height,
         )
-        say(told, in_words(told), as_json=as_json)
+        say(result, in_words(result), as_json=as_json)
 
 
 def check_height(
     height: float | None, names: Sequence[str] | None, config: Mapping[str, Any]
 ) -> None:
-    """Raise ``ValueError`` if a height cannot be used, or a fit is told of a better unit."""
+    """Raise ``ValueError`` if a height cannot be used, or the fit has a better unit."""
     if height is not None:
         from fewview.height import joints_of  # noqa: PLC0415 (commands load what they need)
 
         joints_of(names)
         poses = [camera for camera in config.get("calibration") or () if camera]
         if config.get("known_length") or any(camera.get("translation") for camera in poses):
-            raise ValueError("--height: the fit is told a length or poses, which say it better")
+            raise ValueError("--height: the fit has a known length or poses, which are better")
 
 
-def formats_in(said: str) -> list[str]:
+def formats_in(text: str) -> list[str]:
     """Return the names of formats in a text.
 
     Raises
@@ -78,7 +78,7 @@ def formats_in(said: str) -> list[str]:
     from fewview.writers.registry import FORMATS  # noqa: PLC0415 (commands load what they need)
 
     known = [known.name for known in FORMATS]
-    chosen = [name.strip() for name in said.split(",") if name.strip()]
+    chosen = [name.strip() for name in text.split(",") if name.strip()]
     wrong = [name for name in chosen if name not in known]
     if wrong:
         listed = ", ".join(known)
@@ -86,21 +86,21 @@ def formats_in(said: str) -> list[str]:
     return chosen
 
 
-def in_words(told: dict[str, Any]) -> str:
+def in_words(result: dict[str, Any]) -> str:
     """Return what was written, and what was noticed, as lines for people."""
     lines = [
-        f"model      {told['model']}",
-        f"cameras    {told['arrangement']}",
-        f"frames     {told['frames']}, {told['in_room']} of them in one room",
-        f"error      {told['reprojection_error']:.2f} px from the keypoints, mean",
+        f"model      {result['model']}",
+        f"cameras    {result['arrangement']}",
+        f"frames     {result['frames']}, {result['in_room']} of them in one room",
+        f"error      {result['reprojection_error']:.2f} px from the keypoints, mean",
     ]
-    for finding in told["findings"]:
+    for finding in result["findings"]:
         lines.append(
             f"{finding['severity']:<10} {finding['code']}{_where(finding)}: {finding['effect']}"
         )
         lines.append(f"           {finding['remedy']}")
-    lines += [f"- {note}" for note in told["notes"]]
-    return "\n".join([*lines, *(f"wrote      {file}" for file in told["files"])])
+    lines += [f"- {note}" for note in result["notes"]]
+    return "\n".join([*lines, *(f"wrote      {file}" for file in result["files"])])
 
 
 def _where(finding: Mapping[str, Any]) -> str:

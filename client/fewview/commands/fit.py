@@ -26,7 +26,9 @@ CalibrationFile = Annotated[
 def fit(
     dataset: Annotated[str, typer.Argument(help="Its id: ds_...")],
     *,
-    follow: Annotated[bool, typer.Option("--follow", "-f", help="Wait; says the model.")] = False,
+    follow: Annotated[
+        bool, typer.Option("--follow", "-f", help="Wait, and print the model's id.")
+    ] = False,
     config: Annotated[
         list[str] | None,
         typer.Option(
@@ -41,7 +43,7 @@ def fit(
     url: Url = None,
     as_json: AsJson = False,
 ) -> None:
-    """Queue a fit of a dataset; says its id, or with --follow that of its model."""
+    """Queue a fit of a dataset; prints its id, or with --follow that of its model."""
     from fewview.calibration import read_for_views  # noqa: PLC0415 (commands load what they need)
 
     with talking(url) as client:

@@ -24,7 +24,7 @@ def lift(
     ] = None,
     frame: Annotated[
         str | None,
-        typer.Option(help="`room`: of the cameras at rest; else `canonical`, of each frame."),
+        typer.Option(help="`room`: of the static cameras; else `canonical`, of each frame."),
     ] = None,
     up: Annotated[
         str | None, typer.Option(help="Up in the room: `auto`, or a vector such as `0,-1,0`.")
@@ -54,13 +54,13 @@ def lift(
         for finding in found.findings:
             line = f"{finding.severity}: {finding.code}. {finding.effect} {finding.remedy}"
             typer.echo(line, err=True)
-        told = {
+        result = {
             "file": str(output),
             "frames": frames,
             "frames_lifted": lifted,
             "findings": [finding.code for finding in found.findings],
         }
-        say(told, f"{lifted} of {frames} frames lifted: {output}", as_json=as_json)
+        say(result, f"{lifted} of {frames} frames lifted: {output}", as_json=as_json)
 
 
 def _indices(text: str) -> list[int]:

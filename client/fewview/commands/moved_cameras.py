@@ -11,7 +11,7 @@ from fewview.capture import Capture
 
 
 class Parted(NamedTuple):
-    """A capture in which each camera rests, and the configuration of its fit."""
+    """A capture in which each camera is static, and the configuration of its fit."""
 
     capture: Capture
     config: dict[str, Any]
@@ -19,9 +19,9 @@ class Parted(NamedTuple):
 
 
 def parted(capture: Capture, fit: Fit, config: Mapping[str, Any]) -> Parted | None:
-    """Return a capture with a camera that was moved as two; None if none surely was.
+    """Return a capture with a moved camera divided into two views; None if none was moved.
 
-    Of a calibration, the lens is that of both, and the pose that of the first.
+    The lens of a calibration is used for both views, its pose for the first.
     """
     moved = [each for each in fit.findings if each.code == "camera_moved" and len(each.views) == 1]
     if len(moved) != 1 or config.get("cameras") == "moving":

@@ -74,8 +74,8 @@ def reading_files(
 ) -> Callable[P, None]:
     """Give a command the options of reading.
 
-    It gets them as its first argument, a function that returns them, or raises ``FormatError``
-    where the command can say so.
+    Its first argument is a function that returns them, or raises ``FormatError`` where the command
+    can report it.
     """
     defaults = {each.name: each.default for each in fields(ReadingOptions)}
     own = inspect.signature(command)
@@ -90,8 +90,8 @@ def reading_files(
 
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
-        told: dict[str, Any] = {name: kwargs.pop(name) for name in OPTIONS}
-        command(lambda: ReadingOptions(**told), *args, **kwargs)
+        options: dict[str, Any] = {name: kwargs.pop(name) for name in OPTIONS}
+        command(lambda: ReadingOptions(**options), *args, **kwargs)
 
     run.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {each.name: each.annotation for each in parameters}

@@ -20,7 +20,7 @@ from fewview.commands.export import (
     check_height,
     formats_in,
 )
-from fewview.commands.export import in_words as told_in_words
+from fewview.commands.export import in_words as result_in_words
 from fewview.commands.fit import CalibrationFile
 from fewview.commands.reading import Files, Options, reading_files
 from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, fields_in, in_short
@@ -36,7 +36,7 @@ def run(
     options: Options,
     files: Files,
     *,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for what comes of it.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")],
     url: Annotated[
         str | None,
         typer.Option(
@@ -57,7 +57,7 @@ def run(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Read, upload, fit, and write animation, cameras and model; again, it goes on where it was."""
+    """Read, upload, fit, and write animation, cameras and model; if run again, it continues."""
     from fewview.calibration import as_config, read_for_views, sizes_in  # noqa: PLC0415
     from fewview.commands.convert import in_words, summary  # noqa: PLC0415 (what it needs)
     from fewview.errors import FewviewError, InvalidRequest  # noqa: PLC0415
@@ -68,19 +68,19 @@ def run(
         if calibration is not None and asked.image_size is None:
             asked = replace(asked, image_size=sizes_in(calibration))
         capture = read_with(files, asked)
-        told = _config(config or [], known_length)
+        fields = _config(config or [], known_length)
         if known_length is not None:
-            _check_keypoints(told["known_length"]["keypoints"], capture)
+            _check_keypoints(fields["known_length"]["keypoints"], capture)
         if calibration is not None:
             cameras, note = read_for_views(calibration, capture.view_names, capture.views)
-            told["calibration"] = [as_config(camera) for camera in cameras]
+            fields["calibration"] = [as_config(camera) for camera in cameras]
             sizes = capture.image_sizes or tuple(camera.size for camera in cameras)
             capture = replace(
                 capture,
                 image_sizes=sizes if any(sizes) else None,
                 notes=(*capture.notes, note),
             )
-        check_height(height, capture.keypoint_names, told)
+        check_height(height, capture.keypoint_names, fields)
         chosen = formats_in(formats)
         output.mkdir(parents=True, exist_ok=True)
     except (FewviewError, ValueError, OSError) as error:
@@ -90,13 +90,13 @@ def run(
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the service is stopped then, too
     try:
         unit = unit or (None if known_length is None else "m")
-        done = _run(capture, output, url, told, chosen, unit, height, quiet=as_json)
+        done = _run(capture, output, url, fields, chosen, unit, height, quiet=as_json)
     except (FewviewError, OSError, ValueError) as error:
         _end(in_short(error), WRONGLY_ASKED if isinstance(error, InvalidRequest) else FAILED)
     except KeyboardInterrupt:
         _end("stopped; the same command goes on where it was", INTERRUPTED)
     understood = {"understood": summary(capture)}
-    typer.echo(json.dumps(done | understood) if as_json else told_in_words(done))
+    typer.echo(json.dumps(done | understood) if as_json else result_in_words(done))
 
 
 def _run(
@@ -128,7 +128,7 @@ def _run(
     service = running_service(data=data) if url is None else nullcontext(url)
     with ExitStack() as stack:
         address = stack.enter_context(service)
-        # FEWVIEW_KEY is of another service; that of this run has a token of its own.
+        # FEWVIEW_KEY is of another service; that of this run has its own token.
         key = None if url is not None else token_in(data) or ""
         client = stack.enter_context(Client(address, key))
 
@@ -140,13 +140,13 @@ def _run(
                     client, capture, notes, name=name, config=config, on_progress=bar.show
                 )
 
-        fit, said = fit_of(capture, config, NOTES), []
+        fit, added = fit_of(capture, config, NOTES), []
         again = parted(capture, fit, config)
         if again is not None:
-            capture, said = again.capture, [again.note]
+            capture, added = again.capture, [again.note]
             fit = fit_of(capture, again.config, NOTES_AGAIN)
         done = export(client, fit, capture, folder, formats=formats, unit=unit, height=height)
-        return done | {"notes": [*said, *done["notes"]]}
+        return done | {"notes": [*added, *done["notes"]]}
 
 
 def _config(texts: list[str], known_length: str | None) -> dict[str, Any]:
@@ -155,7 +155,7 @@ def _config(texts: list[str], known_length: str | None) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        If one of them cannot be read; the message says which and how.
+        If one of them cannot be read; the message names it and the expected form.
     """
     config = fields_in(texts, "--config")
     if known_length is not None:
@@ -176,15 +176,15 @@ def _config(texts: list[str], known_length: str | None) -> dict[str, Any]:
 
 
 def _check_keypoints(pair: Sequence[int | str], capture: "Capture") -> None:
-    """Raise ``ValueError`` if a known length is told of keypoints that are not in the capture."""
+    """Raise ``ValueError`` if the capture does not have the keypoints of a known length."""
     names, count = capture.keypoint_names or (), capture.keypoints.shape[2]
     for keypoint in pair:
         if isinstance(keypoint, int) and keypoint >= count:
             raise ValueError(f"--known-length: expected keypoints 0 to {count - 1}, got {keypoint}")
         if isinstance(keypoint, str) and not names:
             raise ValueError(
-                f"--known-length: the keypoints have no names, so there is no {keypoint!r}: say "
-                "which skeleton they are with --skeleton, or count from 0"
+                f"--known-length: the keypoints have no names, so there is no {keypoint!r}: give "
+                "their skeleton with --skeleton, or use indices from 0"
             )
         if isinstance(keypoint, str) and keypoint not in names:
             near = get_close_matches(keypoint, names, n=1)

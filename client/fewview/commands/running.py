@@ -34,31 +34,31 @@ class Notes:
     """What of a run is done, by the identifiers of the service."""
 
     file: Path
-    digest: str  # of the keypoints and of what the fit was told
+    digest: str  # of the keypoints and of the fit's settings
     dataset_id: str | None = None
     fit_id: str | None = None
 
     @classmethod
     def of(cls, file: Path, digest: str) -> Self:
-        """Read the notes of an earlier run of the very same; else begin new ones."""
+        """Read the notes of an earlier run with the same digest; else begin new ones."""
         try:
-            said = json.loads(file.read_text())
-            notes = cls(file, str(said["digest"]), said["dataset_id"], said["fit_id"])
+            recorded = json.loads(file.read_text())
+            notes = cls(file, str(recorded["digest"]), recorded["dataset_id"], recorded["fit_id"])
         except (OSError, ValueError, KeyError, TypeError):
             return cls(file, digest)
         return notes if notes.digest == digest else cls(file, digest)
 
     def keep(self) -> None:
-        """Write the notes; the file is whole or the one before."""
-        said = {"digest": self.digest, "dataset_id": self.dataset_id, "fit_id": self.fit_id}
+        """Write the notes; the file is replaced at once or not at all."""
+        recorded = {"digest": self.digest, "dataset_id": self.dataset_id, "fit_id": self.fit_id}
         part = self.file.with_name(f".{self.file.name}.part")
-        part.write_text(json.dumps(said))
+        part.write_text(json.dumps(recorded))
         part.replace(self.file)
 
 
-def digest_of(capture: Capture, *told: object) -> str:
-    """Return a digest of all arrays of a capture and of what else decides the result."""
-    digest = hashlib.sha256(json.dumps(told, default=str, sort_keys=True).encode())
+def digest_of(capture: Capture, *settings: object) -> str:
+    """Return a digest of all arrays of a capture and of all settings that decide the result."""
+    digest = hashlib.sha256(json.dumps(settings, default=str, sort_keys=True).encode())
     for name, array in sorted(capture.arrays().items()):
         digest.update(f"{name}{array.dtype}{array.shape}".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -100,24 +100,24 @@ def fitted(
 
 
 def described_by(client: Client, fit: Fit) -> Capture:
-    """Return a capture without frames that says what the service knows of a fit's."""
+    """Return a capture without frames that describes the capture of a fit."""
     model = client.models.get(str(fit.model_id))
     skeleton, views = model.skeleton or {}, model.views or 0
-    names, said = skeleton.get("keypoint_names"), _dataset(client, fit)
-    cameras, sizes = said.get("view_names"), said.get("image_sizes")
+    names, dataset = skeleton.get("keypoint_names"), _dataset(client, fit)
+    cameras, sizes = dataset.get("view_names"), dataset.get("image_sizes")
     return Capture(
         keypoints=np.empty((0, views, model.keypoints, 2), np.float32),
         keypoint_names=names and tuple(names),
         edges=tuple((first, second) for first, second in skeleton.get("edges") or ()),
         view_names=tuple(cameras or (f"view{view}" for view in range(views))),
         image_sizes=sizes and tuple(size and (size[0], size[1]) for size in sizes),
-        times=_times(client, fit) if said.get("has_times") else None,
-        fps=said.get("fps"),
+        times=_times(client, fit) if dataset.get("has_times") else None,
+        fps=dataset.get("fps"),
     )
 
 
 def _dataset(client: Client, fit: Fit) -> dict[str, Any]:
-    """Return what is said of a fit's dataset, nothing if it is gone."""
+    """Return the JSON object of a fit's dataset, an empty one if it was deleted."""
     try:
         return client.datasets.get(fit.dataset_id).raw
     except NotFound:
@@ -142,25 +142,25 @@ def export(
     unit: Unit | None,
     height: float | None = None,
 ) -> dict[str, Any]:
-    """Write all that came of a fit into a folder, scaled to the body's height if that is told.
+    """Write all results of a fit into a folder, scaled to the body's height if it is given.
 
     Returns
     -------
     dict
-        What goes into JSON: ``model``, ``files``, ``arrangement``, ``frames``, ``in_room``,
+        The JSON output: ``model``, ``files``, ``arrangement``, ``frames``, ``in_room``,
         ``reprojection_error`` (pixels, mean), ``findings`` and ``notes``.
     """
     assert fit.model_id is not None  # noqa: S101 (it has succeeded)
     lift = client.fits.reconstruction(fit)
     found = client.models.cameras(fit.model_id)
-    room, said = room_of(lift, found, capture)
+    room, notes = room_of(lift, found, capture)
     unit, doubted = _unit_used(fit, unit, height)
-    said += doubted
+    notes += doubted
     if height is not None:
         if room is None:
-            raise ValueError(f"--height: {'; '.join(said)}")
+            raise ValueError(f"--height: {'; '.join(notes)}")
         room = scaled_to(room, height, capture.keypoint_names)
-        said, unit = [*said, room.notes[-1]], unit or "m"
+        notes, unit = [*notes, room.notes[-1]], unit or "m"
     animation = animation_of(lift, room, capture, unit=unit)
     files = []
     for known in FORMATS:
@@ -168,9 +168,9 @@ def export(
             try:
                 files.append(write(folder / f"animation{known.suffix}", animation, known.name))
             except FewviewError as error:
-                said.append(f"no {known.name}: {error}")
+                notes.append(f"no {known.name}: {error}")
     if room is not None:
-        files += _calibrations(room, lift, capture, folder, said)
+        files += _calibrations(room, lift, capture, folder, notes)
     files.append(client.models.download(fit.model_id, folder / WEIGHTS))
     return {
         "model": fit.model_id,
@@ -183,7 +183,7 @@ def export(
             asdict(finding) | {"cameras": _called(finding.views, capture)}
             for finding in fit.findings
         ],
-        "notes": said,
+        "notes": notes,
     }
 
 
@@ -193,7 +193,7 @@ def _called(views: Sequence[int], capture: Capture) -> list[str]:
 
 
 def _unit_used(fit: Fit, unit: Unit | None, height: float | None) -> tuple[Unit | None, list[str]]:
-    """Return the unit if something that was used gives it, and what is to be said of it."""
+    """Return the unit if a given quantity that was used has it, and notes about it."""
     config = fit.config or {}
     if unit is None or height is not None or config.get("known_length"):
         return unit, []
@@ -211,27 +211,28 @@ def _unit_used(fit: Fit, unit: Unit | None, height: float | None) -> tuple[Unit 
 
 
 def _refuses_poses(finding: Finding) -> bool:
-    """Whether told poses were not used, and not lenses alone."""
-    told = finding.evidence
-    of_lens_alone = "focal_ratio" in told and "degrees" not in told
-    return finding.code == "calibration_disagrees" and bool(told["refused"]) and not of_lens_alone
+    """Whether given poses were not used, and not only lenses."""
+    evidence = finding.evidence
+    of_lens_alone = "focal_ratio" in evidence and "degrees" not in evidence
+    refused = finding.code == "calibration_disagrees" and bool(evidence["refused"])
+    return refused and not of_lens_alone
 
 
 def _calibrations(
-    room: Room, lift: Lift, capture: Capture, folder: Path, said: list[str]
+    room: Room, lift: Lift, capture: Capture, folder: Path, notes: list[str]
 ) -> list[Path]:
-    """Write the cameras in every format that can say them; add to `said` which cannot, and why."""
+    """Write the cameras in every format that can; add to `notes` why others cannot."""
     files = []
     try:
         cameras = room.cameras(lift, capture.view_names, capture.image_sizes)
     except ValueError as error:
-        said.append(f"no {' and no '.join(CALIBRATIONS)}: {error}")
+        notes.append(f"no {' and no '.join(CALIBRATIONS)}: {error}")
         return []
     for name in CALIBRATIONS:
         try:
             files.append(write_cameras(folder / name, cameras))
         except ValueError as error:
-            said.append(f"no {name}: {error}")
+            notes.append(f"no {name}: {error}")
     return files
 
 

@@ -1,4 +1,4 @@
-"""``fewview datasets``, ``fits``, ``models``, ``lifts``: listed, told, changed, deleted."""
+"""``fewview datasets``, ``fits``, ``models``, ``lifts``: list, show, change and delete them."""
 
 import json
 import sys
@@ -26,7 +26,7 @@ from fewview.moments import moment_in
 if TYPE_CHECKING:
     from fewview.client import Client
 
-# What a line of a list says besides id, name and when it was made.
+# The columns of a list besides id, name and time of creation.
 COLUMNS = {
     "datasets": ("frames", "views", "keypoints", "tags"),
     "fits": ("status", "frames", "model_id", "tags"),
@@ -50,7 +50,7 @@ WithTags = Annotated[
 ]
 WithMetadata = Annotated[
     list[str] | None,
-    typer.Option("--metadata", help="Those that say so, such as `subject=M7`; may repeat."),
+    typer.Option("--metadata", help="Those with this value, such as `subject=M7`; may repeat."),
 ]
 Before = Annotated[str | None, typer.Option(help=f"Those made before {MOMENT}")]
 After = Annotated[str | None, typer.Option(help=f"Those made after {MOMENT}")]
@@ -76,17 +76,17 @@ def upload(
     url: Url = None,
     as_json: AsJson = False,
 ) -> None:
-    """Store a model from a file; says its id."""
+    """Store a model from a file; prints its id."""
     with talking(url) as client:
-        said = fields_in(metadata, "--metadata")
-        made = client.models.upload(file, name=name, tags=tag or (), metadata=said)
+        fields = fields_in(metadata, "--metadata")
+        made = client.models.upload(file, name=name, tags=tag or (), metadata=fields)
         say(made.raw, made.id, as_json=as_json)
 
 
 def _status_of(kind: str) -> Any:
     """Return the option that chooses by status; what is no job has none, and no such filter."""
-    told = "`queued`, `running`, `succeeded`, `failed` or `cancelled`."
-    return Annotated[str | None, typer.Option(help=told, hidden=kind not in JOBS)]
+    listed = "`queued`, `running`, `succeeded`, `failed` or `cancelled`."
+    return Annotated[str | None, typer.Option(help=listed, hidden=kind not in JOBS)]
 
 
 def _add_list(app: typer.Typer, kind: str) -> None:
@@ -106,8 +106,8 @@ def _add_list(app: typer.Typer, kind: str) -> None:
         with talking(url) as client:
             filters = _filters(name, tag, metadata, status, before, after)
             items = islice(_part(client, kind).list(**filters, limit=min(most, 200)), most)
-            told = [item.raw for item in items]
-            typer.echo(json.dumps(told) if as_json else _lines(kind, told))
+            listed = [item.raw for item in items]
+            typer.echo(json.dumps(listed) if as_json else _lines(kind, listed))
 
 
 def _add_commands_on_one(app: typer.Typer, kind: str) -> None:
@@ -116,10 +116,10 @@ def _add_commands_on_one(app: typer.Typer, kind: str) -> None:
     @app.command(help=f"Describe a {one}.")
     def get(identifier: Identifier, *, url: Url = None, as_json: AsJson = False) -> None:
         with talking(url) as client:
-            told = _part(client, kind).get(identifier).raw
-            say(told, json.dumps(told, indent=2), as_json=as_json)
+            listed = _part(client, kind).get(identifier).raw
+            say(listed, json.dumps(listed, indent=2), as_json=as_json)
 
-    @app.command(help=f"Change what is said of a {one}; what is not named stays as it is.")
+    @app.command(help=f"Change the labels of a {one}; those that are not named stay as they are.")
     def change(
         identifier: Identifier,
         *,
@@ -130,10 +130,10 @@ def _add_commands_on_one(app: typer.Typer, kind: str) -> None:
         as_json: AsJson = False,
     ) -> None:
         with talking(url) as client:
-            said = fields_in(metadata, "--metadata") if metadata else None
-            changes = {"name": name, "tags": tag or None, "metadata": said}
-            told = _part(client, kind).update(identifier, **changes).raw
-            say(told, f"changed {identifier}", as_json=as_json)
+            fields = fields_in(metadata, "--metadata") if metadata else None
+            changes = {"name": name, "tags": tag or None, "metadata": fields}
+            listed = _part(client, kind).update(identifier, **changes).raw
+            say(listed, f"changed {identifier}", as_json=as_json)
 
     if kind in FILES:
 
@@ -150,8 +150,8 @@ def _add_commands_on_one(app: typer.Typer, kind: str) -> None:
         @app.command(help=f"Cancel a {one} that is queued or running.")
         def cancel(identifier: Identifier, *, url: Url = None, as_json: AsJson = False) -> None:
             with talking(url) as client:
-                told = _part(client, kind).cancel(identifier).raw
-                say(told, f"cancelled {identifier}", as_json=as_json)
+                listed = _part(client, kind).cancel(identifier).raw
+                say(listed, f"cancelled {identifier}", as_json=as_json)
 
 
 def _add_delete(app: typer.Typer, kind: str) -> None:
@@ -206,24 +206,24 @@ def _moment(option: str, text: str | None) -> datetime | None:
 
 
 def _chosen(client: "Client", kind: str, filters: dict[str, Any], *, ask: bool) -> list[str]:
-    """Return the identifiers of what is to be deleted, once somebody has seen and confirmed it.
+    """Return the identifiers to delete, after the user has seen and confirmed them.
 
     Raises
     ------
     ValueError
-        Nobody can be asked.
+        There is no terminal to ask on.
     """
-    told = [item.raw for item in _part(client, kind).list(**filters, limit=AT_ONCE)]
-    if ask and told:
+    listed = [item.raw for item in _part(client, kind).list(**filters, limit=AT_ONCE)]
+    if ask and listed:
         if not sys.stdin.isatty():
-            raise ValueError(f"this would delete {len(told)} {kind}: say --yes if it shall")
-        typer.echo(_lines(kind, told[:SHOWN]), err=True)
-        typer.confirm(f"Delete these {len(told)} {kind}?", abort=True, err=True)
-    return [item["id"] for item in told]
+            raise ValueError(f"this would delete {len(listed)} {kind}: give --yes to confirm")
+        typer.echo(_lines(kind, listed[:SHOWN]), err=True)
+        typer.confirm(f"Delete these {len(listed)} {kind}?", abort=True, err=True)
+    return [item["id"] for item in listed]
 
 
 def _delete(client: "Client", kind: str, identifiers: Sequence[str], *, as_json: bool) -> None:
-    """Delete these, and say what could not be; exit status 1 if there is any."""
+    """Delete these, and print which could not be deleted; exit status 1 if there are any."""
     deleted: list[str] = []
     refused: list[dict[str, str]] = []
     for start in range(0, len(identifiers), AT_ONCE):
@@ -244,14 +244,14 @@ def _part(client: "Client", kind: str) -> Any:
     return getattr(client, kind)
 
 
-def _lines(kind: str, told: list[dict[str, Any]]) -> str:
-    if not told:
+def _lines(kind: str, listed: list[dict[str, Any]]) -> str:
+    if not listed:
         return f"no {kind}"
     rows = [["id", "name", "made", *COLUMNS[kind]]]
-    for item in told:
-        said = [item[column] for column in COLUMNS[kind]]
+    for item in listed:
+        fields = [item[column] for column in COLUMNS[kind]]
         made = str(item["created_at"])[:16].replace("T", " ")
-        rows.append([item["id"], item["name"], made, *map(_short, said)])
+        rows.append([item["id"], item["name"], made, *map(_short, fields)])
     return table(rows)
 
 

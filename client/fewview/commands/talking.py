@@ -25,7 +25,7 @@ Url = Annotated[
         "--url", envvar="FEWVIEW_URL", help="Where the service is; usually http://127.0.0.1:8000."
     ),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Say it for machines.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Tags = Annotated[list[str] | None, typer.Option(help="A word to find it by; may repeat.")]
 Metadata = Annotated[
     list[str] | None, typer.Option(help="`key=value` or JSON to find it by; may repeat.")
@@ -57,7 +57,7 @@ def in_short(error: Exception) -> str:
 
 
 def capture_in(files: Sequence[Path], reading: "ReadingOptions") -> "Capture":
-    """Read files of keypoints, and say on stderr what was changed.
+    """Read files of keypoints, and print on stderr what was changed.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def table(rows: Sequence[Sequence[str]]) -> str:
     )
 
 
-def findings_in(told: Mapping[str, Any]) -> Iterator[str]:
+def findings_in(result: Mapping[str, Any]) -> Iterator[str]:
     """Give a line for each thing that was noticed."""
-    for finding in told.get("findings", ()):
+    for finding in result.get("findings", ()):
         yield f"{finding['severity']}: {finding['code']}. {finding['effect']} {finding['remedy']}"

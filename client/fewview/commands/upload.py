@@ -29,7 +29,7 @@ def upload(
     url: Url = None,
     as_json: AsJson = False,
 ) -> None:
-    """Store the keypoints of all cameras as a dataset; says its id."""
+    """Store the keypoints of all cameras as a dataset; prints its id."""
     with talking(url) as client:
         capture = capture_in(files, options())
         dataset = client.datasets.create(

@@ -19,8 +19,8 @@ def seconds_in(words: Words, column: str) -> Float64 | None:
     Parameters
     ----------
     column
-        What it is called: a name that ends in ``ms``, ``us`` or ``ns`` gives its unit. Clocks of
-        the day (12:00:01.5) and dates (ISO 8601) are understood.
+        Its name, whose end ``ms``, ``us`` or ``ns`` gives the unit. Times of day (12:00:01.5) and
+        dates (ISO 8601) are read too.
     """
     name = plain(column)
     unit = next((size for part, size in PARTS.items() if name.endswith(plain(part))), 1.0)

@@ -102,14 +102,14 @@ def view_of_labels(
 def without_depth(
     view: View, depths: NDArray[np.float64], what: str, *, visible: bool = False
 ) -> View:
-    """Return a view whose points came with a depth that says nothing, or is MediaPipe's guess.
+    """Return a view whose points have a depth that is constant, or is MediaPipe's guess.
 
     Parameters
     ----------
     depths
         Of all points, in any shape.
     visible
-        Whether there is a visibility, as MediaPipe alone calls it.
+        Whether there is a visibility, a name that only MediaPipe uses.
 
     Raises
     ------

@@ -23,9 +23,11 @@ def cleaned(view: View, min_confidence: float) -> tuple[View, list[str]]:
     if not view.pixels_from_zero:
         nowhere = (keypoints == 0).all(-1) | (keypoints == -1).all(-1)
         sure = 1.0 if confidence is None else np.nan_to_num(confidence)
-        told = nowhere & (np.asarray(sure) > 0)
-        if told.any():
-            notes.append(f"{view.name}: {int(told.sum())} keypoints at (0, 0) or (-1, -1) are gaps")
+        placeholders = nowhere & (np.asarray(sure) > 0)
+        if placeholders.any():
+            notes.append(
+                f"{view.name}: {int(placeholders.sum())} keypoints at (0, 0) or (-1, -1) are gaps"
+            )
         keypoints[nowhere] = np.nan
     gaps = ~np.isfinite(keypoints).all(-1)
     if confidence is not None:
@@ -63,7 +65,7 @@ def combined(views: Sequence[View], *, align: Align, one_file: bool = False) -> 
     Parameters
     ----------
     one_file
-        Whether all views are of one file, whose rows say what belongs together.
+        Whether all views are of one file, whose rows belong together.
 
     Raises
     ------
@@ -118,17 +120,17 @@ def _named(view: View, skeleton: str | None, notes: list[str]) -> View:
         return replace(view, edges=edges)
     known, candidates = skeleton_of(count, skeleton, view.skeletons)
     if known is not None:
-        said = f"the {count} keypoints were taken for {known.title}"
-        if skeleton is None and said not in notes:
-            notes.append(said)
+        note = f"the {count} keypoints were taken for {known.title}"
+        if skeleton is None and note not in notes:
+            notes.append(note)
         return replace(view, keypoint_names=known.names, edges=known.edges)
     if candidates:
-        said = (
-            f"{count} keypoints without names, which may be {' or '.join(candidates)}: say which, "
+        note = (
+            f"{count} keypoints without names, which may be {' or '.join(candidates)}: give it, "
             f"as in skeleton={candidates[0]!r} (--skeleton {candidates[0]})"
         )
-        if said not in notes:
-            notes.append(said)
+        if note not in notes:
+            notes.append(note)
     return view
 
 
@@ -141,7 +143,7 @@ def _common_keypoints(views: list[View], notes: list[str]) -> list[View]:
             raise FormatError(
                 "the cameras have "
                 + ", ".join(f"{view.name} {view.keypoints.shape[2]}" for view in views)
-                + " keypoints, and not all have names to match them by; say skeleton= (--skeleton)"
+                + " keypoints, and not all have names to match them by; give skeleton= (--skeleton)"
             )
         known = next((each for each in names if each is not None), None)
         return [replace(view, keypoint_names=known) for view in views]

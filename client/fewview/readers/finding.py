@@ -132,7 +132,7 @@ def _newest(found: list[Found], folder: Path, notes: list[str]) -> list[Found]:
 
 
 def _quietly(source: Source) -> Format | None:
-    """Return the format of a file that nobody named; None also where it is broken."""
+    """Return the format of a file from its content; None also if the file is broken."""
     try:
         return detect(source)
     except FormatError:

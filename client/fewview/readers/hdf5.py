@@ -1,8 +1,8 @@
 """HDF5 files that hold all of their data themselves.
 
 HDF5 lets a file take data from other files: by links, by external storage, by virtual datasets. A
-reader that follows these hands out any file that its user may read, so whoever sends a file could
-have that file's reader send back others. Files as detectors write them have none of these.
+reader that follows these gives access to any file that its user may read, so a crafted file could
+make the reader send back others. Files as detectors write them have none of these.
 """
 
 import math
@@ -119,7 +119,7 @@ def _check_dataset(dataset: Any, what: str) -> None:
 
 
 def _check_attributes(item: Any, what: str) -> None:
-    """Refuse references, but for those of dimension scales, which nobody here reads."""
+    """Refuse references, except those of dimension scales, which are not read here."""
     for name in item.attrs:
         kind = item.attrs.get_id(name).get_type()
         if name not in ("DIMENSION_LIST", "REFERENCE_LIST") and _refers(kind):

@@ -8,41 +8,41 @@ from typing import NamedTuple
 from fewview.errors import FormatError
 
 
-def _said(words: str) -> tuple[str, ...]:
+def _names(words: str) -> tuple[str, ...]:
     return tuple(words.split())
 
 
 AXES = {
-    "x": _said("x u xpx imgx imagex imglocx xcoord"),
-    "y": _said("y ypx imgy imagey imglocy ycoord"),
-    "z": _said("z objz"),
-    "confidence": _said(
+    "x": _names("x u xpx imgx imagex imglocx xcoord"),
+    "y": _names("y ypx imgy imagey imglocy ycoord"),
+    "z": _names("z objz"),
+    "confidence": _names(
         "likelihood confidence conf score scores probability prob p c certainty keypointscore"
     ),
     # What MediaPipe calls so, which gives a depth beside pixels, too.
-    "visibility": _said("visibility vis visible v"),
+    "visibility": _names("visibility vis visible v"),
 }
 ROLES = {
     "frame": (
-        *_said(
+        *_names(
             "frame syncindex frameidx frameid framenumber framenum frameno frameindex fnum index "
             "image imagename imageid filename file img imagepath unnamed0"
         ),
         "",
     ),
-    "time": _said(
+    "time": _names(
         "time times timestamp timestamps timesec timeseconds seconds sec t frametime timems ms "
         "timestampms milliseconds msec timens timestampns timeus timestampus"
     ),
-    "camera": _said(
+    "camera": _names(
         "camera cam view video videopath videoname port camid cameraid camname cameraname viewid "
         "viewname"
     ),
-    "person": _said(
+    "person": _names(
         "person track individual animal id personid personidx trackid trackname instance subject "
         "objectid individuals animalid"
     ),
-    "keypoint": _said(
+    "keypoint": _names(
         "keypoint bodypart joint landmark marker node landmarkid landmarkname landmarkindex "
         "landmarkidx pointid keypointid keypointname keypointindex kp kpt jointname jointid part "
         "bodyparts markername label name feature point nodename"
@@ -136,7 +136,7 @@ def stacked_columns(header: Sequence[Sequence[str]]) -> Columns:
 
 
 def _filled(row: Sequence[str]) -> list[str]:
-    """Return a row in which a name stands for the empty cells after it, too, as merged cells do."""
+    """Return a row in which empty cells have the name before them, as in merged cells."""
     filled = list(row)
     for place in range(2, len(row)):
         filled[place] = row[place] or filled[place - 1]
@@ -206,16 +206,16 @@ def parted(labels: dict[int, Label]) -> dict[int, Label]:
 
 
 def mapped_columns(header: Sequence[str], mapping: str) -> Columns:
-    """Return what the columns hold by a mapping such as ``x={}_x,y={}_y,frame=No``.
+    """Return the contents of the columns by a mapping such as ``x={}_x,y={}_y,frame=No``.
 
-    In what stands for x, y, confidence or visibility, ``{}`` is the keypoint's name, and
+    In the patterns of x, y, confidence or visibility, ``{}`` is the keypoint's name, and
     ``{camera}`` and ``{person}`` are theirs. Without ``{}``, a row is of one keypoint, and
-    ``keypoint=`` says where its name is.
+    ``keypoint=`` gives the column of its name.
 
     Raises
     ------
     FormatError
-        If the mapping cannot be read, or no column is as it says; the message names both.
+        If the mapping cannot be read, or a pattern matches no column; the message names both.
     """
     roles: dict[str, int] = {}
     labels: dict[int, Label] = {}
@@ -242,11 +242,11 @@ def mapped_columns(header: Sequence[str], mapping: str) -> Columns:
         if not found:
             raise FormatError(_missing(part, header))
         for place, each in found.items():
-            said = {"camera": "", "person": "", "keypoint": ""} | each.groupdict()
-            labels[place] = Label(**said, axis=role)
+            label = {"camera": "", "person": "", "keypoint": ""} | each.groupdict()
+            labels[place] = Label(**label, axis=role)
     return Columns(roles, labels)
 
 
 def _missing(part: str, header: Sequence[str]) -> str:
     shown = ", ".join(map(repr, header[:8])) + (", ..." if len(header) > 8 else "")
-    return f"columns: no column is as {part.strip()!r} says; there are {shown}"
+    return f"columns: no column matches {part.strip()!r}; there are {shown}"

@@ -37,9 +37,9 @@ def looks_like(source: Source, known: Mapping[str, str]) -> str:
     known
         Titles of the formats that are text, and words that are in their files.
     """
-    begins = (said for magic, said in _BEGINNINGS.items() if source.begins(magic))
-    if (said := next(begins, None)) is not None:
-        return said
+    begins = (hint for magic, hint in _BEGINNINGS.items() if source.begins(magic))
+    if (hint := next(begins, None)) is not None:
+        return hint
     if source.begins(HDF5):
         return _of_hdf5(set(source.hdf5))
     if source.json is not None:
@@ -61,13 +61,13 @@ def _of_text(source: Source, known: Mapping[str, str]) -> str:
         )
     table = table_of(source)
     if table is None or table.width < FEWEST_COLUMNS:
-        said = f"text that begins with {source.lines[0][:60]!r}, no table of keypoints. {_DO}"
-        return said + _nearest(re.findall(r"\w+", source.lines[0]), known)
+        hint = f"text that begins with {source.lines[0][:60]!r}, no table of keypoints. {_DO}"
+        return hint + _nearest(re.findall(r"\w+", source.lines[0]), known)
     header = cells(source.lines[0], table.separator)
     shown = ", ".join(map(repr, header[:6])) + (", ..." if len(header) > 6 else "")
     x, y = _templates(header) or ("{}_x", "{}_y")
     return (
-        f"a table whose columns {shown} name no x and y. {_DO}, or say which columns hold what, "
+        f"a table whose columns {shown} name no x and y. {_DO}, or name the columns' contents, "
         f"{{}} for the keypoint: fewview convert {source.path.name} --columns 'x={x},y={y}'"
         + _nearest([word for cell in header for word in re.findall(r"\w+", cell)], known)
     )
@@ -95,8 +95,8 @@ def _templates(header: Sequence[str]) -> tuple[str, str] | None:
 
 def _nearest(words: Iterable[str], known: Mapping[str, str]) -> str:
     """Return a sentence on the format whose files have most of these words; "" if none has any."""
-    said = {plain(word) for word in words}
-    shared = {title: len(said & set(there.split())) for title, there in known.items()}
+    present = {plain(word) for word in words}
+    shared = {title: len(present & set(there.split())) for title, there in known.items()}
     title = max(shared, key=lambda each: shared[each])
     return f". Of what is read, {title} is nearest" if shared[title] else ""
 

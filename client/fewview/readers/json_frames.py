@@ -26,7 +26,7 @@ NUMBERS = (
 BARE = "bodyparts"  # of SuperAnimal: a list of people, each a list of points
 LOOKED_INTO = 1000  # frames
 MOST_SURE = 2.0  # of a confidence; flags of visibility go up to 2
-Frame = tuple[int | None, list[Any]]  # its number, if it says one, and its people
+Frame = tuple[int | None, list[Any]]  # its number, if it has one, and its people
 
 
 def frames_of(content: Any) -> list[Frame]:
@@ -93,7 +93,7 @@ def _by_names(content: dict[str, Any]) -> list[tuple[int | None, list[Any] | Non
 
 
 def is_one_frame(content: Any) -> bool:
-    """Whether this is what a detector says of one image, and not of a whole video."""
+    """Whether this is a detector's output for one image, and not for a whole video."""
     if isinstance(content, dict):
         key = next((key for key in (*PEOPLE, BARE) if isinstance(content.get(key), list)), None)
         many = key in FRAMES and _holds_frames(content[key]) and len(content[key]) > 1
@@ -115,7 +115,7 @@ def has_points(people: Sequence[Any] | None) -> bool:
 
 
 def points_of(person: Any, what: str, *, y_first: bool = False) -> Float32 | None:
-    """Return (P, 3) of x, y, confidence (NaN where there is none); None of nobody.
+    """Return (P, 3) of x, y, confidence (NaN where there is none); None if no person is there.
 
     Raises
     ------
@@ -146,9 +146,9 @@ def points_of(person: Any, what: str, *, y_first: bool = False) -> Float32 | Non
 
 def names_of(content: Any, people: Sequence[Any], count: int) -> tuple[str, ...] | None:
     """Return the names that a file gives its keypoints."""
-    said = content if isinstance(content, dict) else {}
-    meta = said.get("meta_info")
-    by_number = meta.get("keypoint_id2name") if isinstance(meta, dict) else said.get("skeleton")
+    fields = content if isinstance(content, dict) else {}
+    meta = fields.get("meta_info")
+    by_number = meta.get("keypoint_id2name") if isinstance(meta, dict) else fields.get("skeleton")
     if isinstance(by_number, dict) and set(by_number) == {str(index) for index in range(count)}:
         return tuple(str(by_number[str(index)]) for index in range(count))
     one = next((p for p in people if isinstance(p, dict)), {})
@@ -165,7 +165,7 @@ def names_of(content: Any, people: Sequence[Any], count: int) -> tuple[str, ...]
 
 
 def size_of(frame: Any) -> tuple[int, int] | None:
-    """Return the (width, height) that a frame or a file says."""
+    """Return the (width, height) in a frame or a file."""
     if not isinstance(frame, dict):
         return None
     pair = frame.get("image_size")
@@ -236,16 +236,16 @@ def _point(point: dict[str, Any]) -> list[float]:
 
 
 def _number(frame: Any) -> int | None:
-    """Return the number that a frame says, or that is in the name of its image."""
-    said = (
+    """Return the number of a frame, from its field or from the name of its image."""
+    fields = (
         next((frame[key] for key in NUMBERS if key in frame), None)
         if isinstance(frame, dict)
         else None
     )
-    if isinstance(said, str):
-        found = frame_number(said if "." in said else f"{said}.")
+    if isinstance(fields, str):
+        found = frame_number(fields if "." in fields else f"{fields}.")
         return found and found[1]
-    return said if isinstance(said, int) else None
+    return fields if isinstance(fields, int) else None
 
 
 def _by_number(frames: list[Frame]) -> list[Frame]:

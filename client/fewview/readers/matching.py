@@ -1,9 +1,9 @@
-"""Who is the same in several cameras: people are matched by the epipolar geometry of a capture.
+"""Matching people between cameras by the epipolar geometry of a capture.
 
-Cameras that rest have one fundamental matrix for all frames and everybody: it is estimated from
-somebody in one camera and somebody in another, and if they are the same, the others fit it, too.
-Where no such matrix fits, cameras move, and frames are looked at one by one: seen from far, what
-two cameras see of one body has rank three (Tomasi and Kanade, 1992).
+Static cameras have one fundamental matrix for all frames and all people. It is estimated from a
+person in one camera and a person in another; if they are the same, the other people fit it, too. If
+no such matrix fits, cameras move, and frames are matched one by one: from far away, the keypoints
+of one body in two cameras have rank three (Tomasi and Kanade, 1992).
 """
 
 import warnings
@@ -21,7 +21,7 @@ FEWEST = 40  # points that two tracks share, to compare them
 LONGEST = 24  # tracks of a camera that are compared
 HYPOTHESES = 12  # pairs of tracks that a fundamental matrix is tried from
 FAR = 0.1  # of a body's size: what is further off than this is just wrong
-RESTING = 0.5  # of all that could fit does, if cameras rest
+STATIC = 0.5  # share of all possible pairs that fit, if cameras are static
 SURE = 0.2  # by how much the best matching is better than any other
 ROUNDS = 8  # of reweighting
 Float = NDArray[np.float64]
@@ -107,7 +107,7 @@ def epipolar_misfit(one: Float, other: Float) -> float | None:
 
 
 def _joined(tracks: Sequence[Track], links: list[tuple[float, int, int]]) -> list[list[int]]:
-    """Join tracks by their links, the strongest first; nobody is in a camera twice at a time."""
+    """Join tracks by their links, the strongest first; no one is in a camera twice at a time."""
     who = {i: [i] for i in range(len(tracks))}
     for _, i, j in sorted(links, reverse=True):
         one, other = who[i], who[j]
@@ -144,14 +144,14 @@ class _Comparison:
         """Return the best matching, and how sure each pair is: not at all if the cues disagree."""
         moving = self._by_frame()
         started = sorted(self.pairs, key=lambda pair: -self.together[pair])[:HYPOTHESES]
-        tried = [self._resting([pair]) for pair in started]
-        tried += [self._resting(list(found)) for _, found in [moving, *tried] if found]
-        resting = max(tried, key=_value)
-        if _value(resting) < RESTING * sum(self.together[pair] for pair in resting[1]):
+        tried = [self._static([pair]) for pair in started]
+        tried += [self._static(list(found)) for _, found in [moving, *tried] if found]
+        static = max(tried, key=_value)
+        if _value(static) < STATIC * sum(self.together[pair] for pair in static[1]):
             return moving[1], self._sureness(moving, [])
-        sure = self._sureness(resting, tried)
+        sure = self._sureness(static, tried)
         disputed = [pair for pair in sure if self._contradict({pair: 0.0}, moving[1])]
-        return resting[1], sure | dict.fromkeys(disputed, 0.0)
+        return static[1], sure | dict.fromkeys(disputed, 0.0)
 
     def _sureness(self, best: Tried, tried: list[Tried]) -> Matching:
         """Return for each pair how much worse all is that contradicts it: from 0 to 1."""
@@ -163,8 +163,8 @@ class _Comparison:
             sure[pair] = 1 - max(others, default=0.0) / _value(best)
         return sure
 
-    def _resting(self, known: list[Pair]) -> Tried:
-        """Return how well all pairs fit what those that are known say of cameras at rest."""
+    def _static(self, known: list[Pair]) -> Tried:
+        """Return how well all pairs fit static cameras estimated from the known pairs."""
         x, y = (np.concatenate([self.pairs[pair][k] for pair in known]) for k in (0, 1))
         matrix = _fundamental(x, y)
         costs = {
@@ -249,7 +249,7 @@ def _fundamental(x: Float, y: Float) -> Float:
 
 
 def _slopes(matrix: Float, a: Float, b: Float) -> Float:
-    """Return the squared gradients (n,) of what the matrix says of points."""
+    """Return the squared gradients (n,) of the epipolar constraint at points."""
     lines, back = a @ matrix.T, b @ matrix
     found: Float = (lines[:, :2] ** 2).sum(1) + (back[:, :2] ** 2).sum(1)
     return found

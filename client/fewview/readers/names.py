@@ -1,4 +1,4 @@
-"""Names of files: their natural order, the frame numbers in them, what tells cameras apart."""
+"""Names of files: their natural order, frame numbers, and the parts that distinguish cameras."""
 
 import re
 from collections.abc import Sequence
@@ -54,7 +54,7 @@ def split_frames(names: Sequence[str]) -> dict[str, list[tuple[int, int]]]:
     return {name: sorted(cameras[name]) for name in sorted(cameras, key=natural)}
 
 
-def told_apart(names: Sequence[str]) -> tuple[str, ...]:
+def distinct_parts(names: Sequence[str]) -> tuple[str, ...]:
     """Cut what the names of all views begin and end with, word by word; equal ones are numbered."""
     words = [_SEPARATORS.split(name) for name in names]
     if len(names) > 1:

@@ -37,7 +37,7 @@ class Followed:
 
 
 def pick(views: Sequence[View], person: Person | Sequence[Person]) -> tuple[list[View], list[str]]:
-    """Return each view with one person, M = 1, and what is to be said of the choice.
+    """Return each view with one person, M = 1, and notes about the choice.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def _matched(views: Sequence[View], person: Person) -> tuple[list[View], list[st
     chosen, notes = [], []
     for v, view in enumerate(views):
         mine = [tracks[i] for i in who if tracks[i].view == v]
-        if not mine:  # nothing tells who it is there
+        if not mine:  # the person there is unknown
             others = [t for t in tracks if t.view == v]
             mine = sorted(others, key=lambda track: -track.amount)[number : number + 1]
         places = np.full(len(view.keypoints), -1)
@@ -173,7 +173,7 @@ def _matched(views: Sequence[View], person: Person) -> tuple[list[View], list[st
             places[track.rows] = track.places
         chosen.append(_with(view, places, "0"))
         if view.keypoints.shape[1] > 1:
-            notes.append(_said_of(view, places))
+            notes.append(_note_of(view, places))
     return chosen, [*notes, *_certainty(views, tracks, who, sureness)]
 
 
@@ -220,7 +220,7 @@ def _sureness(
     return 0.0
 
 
-def _said_of(view: View, places: Int64) -> str:
+def _note_of(view: View, places: Int64) -> str:
     shown = int((places >= 0).sum())
     named = view.people is not None and len(set(places[places >= 0].tolist())) == 1
     if named and view.people is not None and view.people[places.max()]:
@@ -256,7 +256,7 @@ def _certainty(
             f"{1 - least:.0%} as well; {remedy}"
         ]
     return [
-        "all cameras show the same person, as their epipolar geometry says: the next best choice "
+        "all cameras show the same person, by their epipolar geometry: the next best choice "
         f"fits {1 - least:.0%} as well"
     ]
 

@@ -38,7 +38,7 @@ def load(data: bytes, what: str) -> Any:
 
 
 class _Kind:
-    """Stands for ``numpy.dtype``: the text of a plain one."""
+    """Replaces ``numpy.dtype``: the text of a plain one."""
 
     def __init__(self, text: Any, *_: Any) -> None:
         text = text.decode("ascii") if isinstance(text, bytes) else str(text)
@@ -55,7 +55,7 @@ class _Kind:
 
 
 class _Array:
-    """Stands for an array that is being read."""
+    """Replaces an array that is being read."""
 
     value: Any = None
 

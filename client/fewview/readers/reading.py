@@ -12,7 +12,7 @@ from fewview.errors import FormatError
 from fewview.readers.archives import workplace
 from fewview.readers.combining import cleaned, combined, named
 from fewview.readers.finding import AnyPath, sources_at
-from fewview.readers.names import told_apart
+from fewview.readers.names import distinct_parts
 from fewview.readers.people import pick
 from fewview.readers.registry import views_of
 from fewview.readers.sides import doubts_of_sides, put_right
@@ -47,51 +47,51 @@ def read(
     Parameters
     ----------
     paths
-        A file, a folder, or a file or folder for each camera; a zip file stands for a folder.
+        A file, a folder, or a file or folder for each camera; a zip file is read as a folder.
     format
-        Name of the format (`fewview.readers.registry.NAMES`); None to find out from the content.
+        Name of the format (`fewview.readers.registry.NAMES`); None to find it from the content.
     person
         Of several people or animals: "auto" for the one that is seen most; a number for a place
-        among those with names, else for a rank, 0 for who is seen most; a name for a track or
-        individual; a list or "0,1,0" for each camera on its own.
+        among those with names, else for a rank, 0 for the one that is seen most; a name for a track
+        or individual; a list or "0,1,0" for each camera separately.
     min_confidence
-        Detections that are less sure are gaps.
+        Detections with less confidence are gaps.
     skeleton
-        Name of a skeleton (`fewview.readers.skeletons.SKELETONS`) that gives the keypoints their
-        names and edges; None for what the file says, or its count of keypoints.
+        Name of a skeleton (`fewview.readers.skeletons.SKELETONS`) with the names and edges of the
+        keypoints; None: from the file, or from the number of keypoints.
     align
         "index": frames of the same number belong together. "time": frames of the nearest time.
-        "auto": by time where the cameras' rates or times differ.
+        "auto": by time if the cameras' rates or times differ.
     fps
-        Frames per second, where a file has no times: of all, or "cam1=60,cam2=30".
+        Frames per second, if a file has no times: of all, or "cam1=60,cam2=30".
     image_size
         (width, height) in pixels of all views, of each, or a mapping by their names; "1920x1080"
         for all, "1920x1080,cam2=1080x1920" where some differ.
     untrusted
-        Whether the files come from somebody else: formats whose readers have to trust their files
-        (C3D, pickles) are then refused. Files may still ask for much memory and time.
+        Whether the files are untrusted: formats whose readers have to trust their files (C3D,
+        pickles) are then refused. Files may still need much memory and time.
     columns
-        What the columns of a table hold, where their names do not say it: "x={}_x,y={}_y,frame=No",
+        The contents of a table's columns, if their names are unusual: "x={}_x,y={}_y,frame=No",
         with {} for the keypoint's name, {camera} and {person} for theirs.
     cameras
         Names of the views that are wanted, in their order.
     trial
-        Name of the trial, or of the detector, whose files are meant, where they are of several.
+        Name of the trial, or of the detector, to read, if there are files of several.
     y
-        "up" where y counts from the lower edge of the image.
+        "up" if y counts from the lower edge of the image.
     mirror
         Names of the views whose images are mirrored, left and right.
 
     Returns
     -------
     Capture
-        Its `notes` say what was understood, left out and changed.
+        Its `notes` report how the files were read, and what was left out and changed.
 
     Raises
     ------
     FormatError
-        If a file is of no known format, or the files do not fit together; the message says what
-        it looks like and what to do.
+        If a file is of no known format, or the files do not fit together; the message has what
+        it looks like and a remedy.
     """
     options = ReadingOptions(
         format=format,
@@ -127,7 +127,7 @@ def read_with(paths: AnyPath | Iterable[AnyPath], options: ReadingOptions) -> Ca
             kinds[kind.title] += len(found)
     titles = ", ".join(f"{title} ({count} cameras)" for title, count in kinds.items())
     notes.insert(0, f"read as {titles}" if len(kinds) > 1 else f"read as {next(iter(kinds))}")
-    names = told_apart([view.name for view in views])
+    names = distinct_parts([view.name for view in views])
     views = [replace(view, name=name) for view, name in zip(views, names, strict=True)]
     wanted = options.named("cameras", names)
     views = views if wanted is None else [views[index] for index in wanted]
@@ -135,14 +135,14 @@ def read_with(paths: AnyPath | Iterable[AnyPath], options: ReadingOptions) -> Ca
     views = _sized(with_rates(views, options.rates(names)), options.sizes(names))
     clean: list[View] = []
     for view in views:
-        one, said = cleaned(view, options.min_confidence)
+        one, more = cleaned(view, options.min_confidence)
         clean.append(one)
-        notes += said
-    picked, said = pick(clean, options.person)
-    picked = named(picked, options.skeleton, said)
-    picked = put_right(picked, options.y, options.named("mirror", names) or [], said)
+        notes += more
+    picked, more = pick(clean, options.person)
+    picked = named(picked, options.skeleton, more)
+    picked = put_right(picked, options.y, options.named("mirror", names) or [], more)
     capture = combined(picked, align=options.align, one_file=len(sources) == 1)
-    return replace(capture, notes=(*notes, *said, *capture.notes, *doubts_of_sides(capture)))
+    return replace(capture, notes=(*notes, *more, *capture.notes, *doubts_of_sides(capture)))
 
 
 def _sized(views: list[View], given: list[Size | None]) -> list[View]:
@@ -164,7 +164,7 @@ def _sized(views: list[View], given: list[Size | None]) -> list[View]:
         each = ",".join(f"{name}=WIDTHxHEIGHT" for name in unknown)
         raise FormatError(
             f"{', '.join(unknown)}: coordinates are shares of the image's width and height, and "
-            "its size is not in the file; say image_size='WIDTHxHEIGHT' for all cameras, or "
+            "its size is not in the file; give image_size='WIDTHxHEIGHT' for all cameras, or "
             f"'{each}' (--image-size, image_sizes)"
         )
     out = []

@@ -31,10 +31,10 @@ from fewview.readers.views import View
 
 @dataclass(frozen=True)
 class Format:
-    """A format: its name, for people its title, whether a source is of it, and its reader.
+    """A format: its name, its title for people, a test of a source, and its reader.
 
-    A reader may have to trust its files: `trusting` says why. `words` are some that are in its
-    files, in lower case, letters and digits alone: by them a file of no format is compared.
+    If a reader has to trust its files, `trusting` is the reason. `words` are some that its files
+    have, in lower case, letters and digits alone; files of unknown formats are compared with them.
     """
 
     name: str
@@ -146,13 +146,13 @@ def views_of(
 
 
 def _instead(source: Source, known: Format) -> str:
-    """Return what a source looks like that was said to be of another format."""
+    """Return what a source looks like that is not of the given format."""
     found = detect(source)
     return f"; it looks like {found.title}" if found not in (None, known) else ""
 
 
 @contextmanager
-def _broken(source: Source, said: Callable[[], str]) -> Iterator[None]:
+def _broken(source: Source, description: Callable[[], str]) -> Iterator[None]:
     """Turn whatever a broken file makes its reader raise into a `FormatError`."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is no keypoint
@@ -162,25 +162,25 @@ def _broken(source: Source, said: Callable[[], str]) -> Iterator[None]:
     except MemoryError as error:
         raise FormatError(f"{source}: needs more memory than there is; part it") from error
     except Exception as error:
-        raise FormatError(f"{source}: {said()} ({type(error).__name__}: {error})") from error
+        raise FormatError(f"{source}: {description()} ({type(error).__name__}: {error})") from error
 
 
 def find(source: Source, name: str | None) -> Format:
-    """Return the format that was asked for, or that the source is of.
+    """Return the given format, or that of the source.
 
     Raises
     ------
     FormatError
-        If there is no such format, or the source is of none; the message says what it looks like.
+        If there is no such format, or the source has none; the message has what it looks like.
     """
     if name is None:
         found = detect(source)
         if found is None:
             with _broken(source, lambda: "a broken file"):
-                said = looks_like(
+                description = looks_like(
                     source, {each.title: each.words for each in FORMATS if each.words}
                 )
-                raise FormatError(f"{source}: {said}")
+                raise FormatError(f"{source}: {description}")
         return found
     for each in FORMATS:
         if each.name == name:

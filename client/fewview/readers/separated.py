@@ -121,14 +121,14 @@ def _is_note(line: str, separator: str) -> bool:
 
 
 def _names_units(row: Sequence[str]) -> bool:
-    said = {cell.lower().strip("()[]") for cell in row if cell}
-    return bool(said & {"px", "pixel", "pixels"}) and said <= UNITS
+    cells = {cell.lower().strip("()[]") for cell in row if cell}
+    return bool(cells & {"px", "pixel", "pixels"}) and cells <= UNITS
 
 
 def _names_coordinates(row: Sequence[str]) -> bool:
-    said = [cell.lower() for cell in row if cell]
-    named = [cell for cell in said if COORDINATE_ROW.fullmatch(cell)]
-    return len(named) * 2 > len(said) and named.count("x") == named.count("y") > 0
+    cells = [cell.lower() for cell in row if cell]
+    named = [cell for cell in cells if COORDINATE_ROW.fullmatch(cell)]
+    return len(named) * 2 > len(cells) and named.count("x") == named.count("y") > 0
 
 
 def _names_index(row: Sequence[str]) -> bool:
@@ -159,9 +159,9 @@ def read_columns(
     Returns
     -------
     tuple
-        The columns of text, and the numbers (N, C). Cells that are empty, or say so, are NaN;
-        numbers may have a comma for a point. Rows without a single entry are left out where
-        columns of text tell which row is which, and else at the end.
+        The columns of text, and the numbers (N, C). Cells that are empty or marked as such are NaN;
+        numbers may have a decimal comma. Empty rows are left out if columns of text identify the
+        rows, and otherwise only at the end.
 
     Raises
     ------

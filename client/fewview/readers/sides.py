@@ -1,8 +1,8 @@
-"""Up, down, left and right of images: put right where it was asked, doubted where names say so.
+"""Up, down, left and right of images: corrected if asked for, reported if names contradict them.
 
-Left and right are named, and so are toes and heels. A camera above the feet sees the toes of
-somebody who faces it below the heels, and their left on the right; both are the other way round
-from behind. In a mirrored image, or with y upwards, one of the two is wrong.
+Keypoints are named left and right, and toes and heels. A camera above the feet sees the toes of a
+person who faces it below the heels, and their left on the right; both are the other way round from
+behind. In a mirrored image, or with y upwards, one of the two is wrong.
 """
 
 import re
@@ -23,7 +23,7 @@ _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")  # of left_ear, leftEar, LEa
 SIDES = {"left": "right", "l": "r", "right": "left", "r": "l"}
 UPSIDE_DOWN = 0.9  # of the frames: so often a head is below the feet only where y counts upwards
 CONTRADICTED = -0.2  # correlation; unmirrored it is hardly ever below 0
-TURNING = 0.06  # of the height that is seen: somebody who never turns says nothing of sides
+TURNING = 0.06  # of the visible height: a person who never turns does not determine sides
 FEWEST = 20  # frames that must show what an image is judged by
 
 
@@ -32,8 +32,8 @@ def put_right(
 ) -> list[View]:
     """Return the views with y downwards, and images as the cameras saw them.
 
-    A detector calls the left hand of a mirrored image right, if it was run on that. Whether it was,
-    the other views say: in a mirrored view, names change places if they fit better then.
+    A detector that was run on the mirrored image calls the left hand right. The other views decide
+    whether it was: in a mirrored view, names are exchanged if they then fit better.
     """
     out = []
     for index, view in enumerate(views):
@@ -99,13 +99,13 @@ def _mirrored(capture: Capture) -> list[str]:
     which = ",".join(views[v] for v in against)
     if len(against) == sum(held is not None for held in evidence) > 1:
         return [
-            "in all cameras, toes point the other way than the names left and right say: the "
-            "images are mirrored, or names changed places, and the result is a mirror image: say "
+            "in all cameras, toes point the other way than the names left and right imply: the "
+            "images are mirrored, or names were exchanged, and the result is a mirror image: give "
             f"mirror='{which}' (--mirror {which}) if the images are mirrored"
         ]
     return [
-        f"{which}: toes point the other way than the names left and right say, and not in the "
-        f"other cameras, as in a mirrored image: say mirror='{which}' (--mirror {which})"
+        f"{which}: toes point the other way than the names left and right imply, and not in the "
+        f"other cameras, as in a mirrored image: give mirror='{which}' (--mirror {which})"
     ]
 
 
@@ -121,10 +121,10 @@ def _names_hold(capture: Capture, view: int) -> float | None:
     if opposite is None:
         return None
     shown = np.where(capture.observed()[:, view, :, None], capture.keypoints[:, view], np.nan)
-    left = [k for k, said in enumerate(words) if said & {"left", "l"} and opposite[k] != k]
-    toes_there = [k for k, said in enumerate(words) if "toe" in said or {"foot", "index"} <= said]
+    left = [k for k, parts in enumerate(words) if parts & {"left", "l"} and opposite[k] != k]
+    toes_there = [k for k, word in enumerate(words) if "toe" in word or {"foot", "index"} <= word]
     heels_there = {
-        frozenset(said & SIDES.keys()): k for k, said in enumerate(words) if "heel" in said
+        frozenset(parts & SIDES.keys()): k for k, parts in enumerate(words) if "heel" in parts
     }
     feet = [(toe, heels_there.get(frozenset(words[toe] & SIDES.keys()))) for toe in toes_there]
     pairs = [(toe, heel) for toe, heel in feet if heel is not None]
@@ -169,7 +169,7 @@ def _upside_down(capture: Capture) -> list[str]:
     if all(below):
         return [
             "heads are below the feet in all cameras, as where y counts upwards from the lower "
-            "edge, and then the result is a mirror image: say y='up' (--y up), unless the subject "
+            "edge, and then the result is a mirror image: give y='up' (--y up), unless the subject "
             "is upside down"
         ]
     where = [name for name, one in zip(names, below, strict=False) if one]

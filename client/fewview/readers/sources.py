@@ -21,7 +21,7 @@ MAX_FRAMES = 2**20
 FIRST_LINES = 12
 MAX_LINE = 2**16  # bytes of a person
 FEWEST_NUMBERS = 9  # of a person: class, box, two keypoints
-LOOKED_INTO = 1000  # files of a folder, whose first may show nobody
+LOOKED_INTO = 1000  # files of a folder, of which the first may show no person
 HDF5, NUMPY, ZIP = b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"PK\x03\x04"
 
 
@@ -66,7 +66,7 @@ class Source:
 
     @cached_property
     def json(self) -> Any:
-        """The JSON of the file, or of its first frame that says something; None if it is none.
+        """The JSON of the file, or of its first frame with content; None if it is no JSON.
 
         Raises
         ------
@@ -79,8 +79,8 @@ class Source:
         if not self.encoding or start not in ("{", "[") or self.is_toml:
             return None
         if self.frames:
-            said = (load_json(path, MAX_FRAME) for path in self.frames[:LOOKED_INTO])
-            return next(filter(None, said), None)
+            parsed = (load_json(path, MAX_FRAME) for path in self.frames[:LOOKED_INTO])
+            return next(filter(None, parsed), None)
         return load_json(self.path, MAX_JSON)
 
     def frames_json(self) -> Iterator[Any]:
@@ -169,13 +169,13 @@ def frames_in(folder: Path) -> list[Source]:
 
     They are JSON, or lines of YOLO's labels.
     """
-    for suffix, says in ((".json", _is_json_frame), (".txt", _is_yolo_frame)):
+    for suffix, is_one in ((".json", _is_json_frame), (".txt", _is_yolo_frame)):
         files = [path for path in folder.iterdir() if path.suffix.lower() == suffix]
         if len(files) > MAX_FRAMES:
             raise FormatError(f"{folder}: {len(files):,} files are too many")
         files.sort(key=lambda path: natural(path.name))
         first = files[:LOOKED_INTO]
-        if not files or any(path.stat().st_size > MAX_FRAME for path in first) or not says(first):
+        if not files or any(path.stat().st_size > MAX_FRAME for path in first) or not is_one(first):
             continue
         cameras: dict[str, list[Path]] = {}
         for path in files:
@@ -191,10 +191,10 @@ def frames_in(folder: Path) -> list[Source]:
 
 
 def _is_json_frame(files: Sequence[Path]) -> bool:
-    """Whether the first file that says something is what a detector says of one image."""
+    """Whether the first file with content is a detector's output for one image."""
     contents = (load_json(path, MAX_FRAME) for path in files)
-    said = (content for content in contents if content and not _shows_nobody(content))
-    content = next(said, None)
+    parsed = (content for content in contents if content and not _shows_nobody(content))
+    content = next(parsed, None)
     return (isinstance(content, dict) and "landmarks" in content) or is_one_frame(content)
 
 

@@ -1,4 +1,4 @@
-"""Text in any hand: which encoding its bytes are in, and its lines."""
+"""Text in any encoding: finding the encoding of its bytes, and its lines."""
 
 import codecs
 import re
@@ -64,14 +64,14 @@ def lines_of(path: Path, encoding: str) -> Iterator[str]:
                     )
                 if line.strip():
                     line = line.rstrip("\n")
-                    if not (first and separator_said(line)):
+                    if not (first and given_separator(line)):
                         yield line
                     first = False
     except (OSError, UnicodeError) as error:
         raise FormatError(f"{path}: cannot be read as text ({error})") from error
 
 
-def separator_said(line: str) -> str | None:
+def given_separator(line: str) -> str | None:
     """Return the separator that a line such as ``sep=;`` names; None if it is another line."""
     found = SEPARATOR_LINE.match(line)
     # What follows are separators alone: spreadsheets fill the line up.

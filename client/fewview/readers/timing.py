@@ -48,7 +48,7 @@ def together(
     Parameters
     ----------
     one_file
-        Whether all are of one file, whose rows say what belongs together.
+        Whether all are of one file, whose rows belong together.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def _rate(view: View) -> float | None:
 
 
 def _times_differ(views: Sequence[View]) -> bool:
-    """Whether the cameras' own times say that frames of one number are not of one moment."""
+    """Whether by the cameras' own times, frames of one number are not of one moment."""
     clocks = [view.times for view in views]
     if any(clock is None or len(clock) < 2 or np.any(np.diff(clock) <= 0) for clock in clocks):
         return False
@@ -113,10 +113,10 @@ def _by_number(views: list[View], notes: list[str]) -> Together:
     missing = int(every[-1] - every[0]) + 1 - len(every)
     if times is None and 0 < missing <= MOST_MISSING * len(every):  # else these are no film
         times = (every - every[0]) / (fps or USUAL_RATE)
-        said = f"{missing} frame numbers between {every[0]} and {every[-1]} are in no file"
+        note = f"{missing} frame numbers between {every[0]} and {every[-1]} are in no file"
         if fps is None:
-            said += f": times are for {USUAL_RATE:g} frames per second, as no rate is known (fps=)"
-        notes.append(said)
+            note += f": times are for {USUAL_RATE:g} frames per second, as no rate is known (fps=)"
+        notes.append(note)
     return Together(rows, every, times, fps)
 
 
@@ -149,7 +149,7 @@ def _unlike_lengths(views: list[View], numbers: list[Int64], notes: list[str]) -
     if whole and any(_rate(view) is None for view in views):
         most, least = (views[lengths.index(f(lengths))].name for f in (max, min))
         notes.append(
-            f"{most} has {round(ratio)} times the frames of {least}: if it films faster, say the "
+            f"{most} has {round(ratio)} times the frames of {least}: if it films faster, give the "
             f"frames per second of each, as in fps='{most}=60,{least}={60 / round(ratio):g}' "
             f"(--fps {most}=60,{least}={60 / round(ratio):g}); else {least} ends early"
         )
@@ -196,7 +196,7 @@ def _by_time(views: list[View], rates: list[float | None], notes: list[str]) -> 
             clocks.append((view.numbers - begin) / rate)
         else:
             raise FormatError(
-                f"{view.name}: has no times to align by; say fps (--fps), or align='index'"
+                f"{view.name}: has no times to align by; give fps (--fps), or align='index'"
             )
     if any(np.any(np.diff(clock) <= 0) for clock in clocks):
         raise FormatError("times must rise from frame to frame to align by them")
@@ -214,7 +214,7 @@ def _by_time(views: list[View], rates: list[float | None], notes: list[str]) -> 
         if not near.all():
             notes.append(f"{view.name}: {int((~near).sum())} moments without a frame are gaps")
     if not (rows >= 0).any(0).all():
-        raise FormatError("the cameras' times do not overlap; say align='index' (--align index)")
+        raise FormatError("the cameras' times do not overlap; give align='index' (--align index)")
     return Together(rows, np.arange(len(reference)), reference - reference[0], None)
 
 

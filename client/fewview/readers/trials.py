@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fewview.errors import FormatError
-from fewview.readers.names import natural, told_apart
+from fewview.readers.names import distinct_parts, natural
 
 CAMERAS = (  # the surest words first
     re.compile(
@@ -20,7 +20,7 @@ CAMERAS = (  # the surest words first
     re.compile(r"left|right|front|back|rear|top|bottom|side\d?", re.IGNORECASE),
     re.compile(r"[cv]\d+", re.IGNORECASE),
 )
-ALONE = ("cam", "camera", "kamera", "view", "port", "gopro")  # before a number of its own
+ALONE = ("cam", "camera", "kamera", "view", "port", "gopro")  # before the number of a camera
 NETWORK = re.compile(r"(?<=[^_\W])(?=DLC_)")  # where DeepLabCut's name of the network begins
 _WORDS = re.compile(r"[^_.\- /\\]+")
 
@@ -66,13 +66,15 @@ def of_one_trial(names: Sequence[str], trial: str | None) -> tuple[list[int], li
             )
         return list(range(len(names))), list(names), ""
     cameras, trials = parted
-    short = dict(zip(dict.fromkeys(trials), told_apart(list(dict.fromkeys(trials))), strict=True))
+    short = dict(
+        zip(dict.fromkeys(trials), distinct_parts(list(dict.fromkeys(trials))), strict=True)
+    )
     called = [short[each] for each in trials]
     known = sorted(set(called), key=natural)
     if trial is None:
         raise FormatError(
             f"the files are of {len(known)} trials or detectors ({_shown(known)}) of the same "
-            f"cameras ({_shown(sorted(set(cameras), key=natural))}): say which, as in "
+            f"cameras ({_shown(sorted(set(cameras), key=natural))}): name one, as in "
             f"trial={known[0]!r} (--trial {known[0]}), or give its files alone"
         )
     wanted = {called[i] for i, full in enumerate(trials) if trial in (called[i], full)}
@@ -150,6 +152,6 @@ def _by_grid(names: Sequence[str]) -> tuple[list[str], list[str]] | None:
         return None
     raise FormatError(
         f"the files are {sizes[0]} x {sizes[1]}: {_shown(list(dict.fromkeys(one)))} and "
-        f"{_shown(list(dict.fromkeys(other)))}, and nothing says which of these are cameras and "
+        f"{_shown(list(dict.fromkeys(other)))}, and it is unknown which of these are cameras and "
         "which trials: give the files of one trial, or call cameras cam1, cam2, ..."
     )

@@ -21,7 +21,7 @@ class View:
     Attributes
     ----------
     name
-        Of the camera, as far as file names tell.
+        Of the camera, from the file names.
     keypoints
         (N, M, P, 2) pixels, NaN where not detected.
     numbers
@@ -29,16 +29,16 @@ class View:
     confidence
         (N, M, P), NaN where not known.
     people
-        M names of those who keep their place in all frames; None where a frame lists its people
-        in any order.
+        M names of people who keep their place in all frames; None if a frame lists its people in
+        any order.
     keypoint_names, edges, image_size, times, fps, points3d
         As in `Capture`, of this view; `points3d` (N, P, 3).
     skeletons
-        Names of skeletons that this format means by their counts of keypoints.
+        Names of skeletons of this format, which it identifies by their numbers of keypoints.
     pixels_from_zero
-        Whether (0, 0) may be a detection; elsewhere it stands for none.
+        Whether (0, 0) may be a detection; otherwise it means none.
     notes
-        What was understood or left out, in sentences.
+        Sentences on how the file was read and what was left out.
     """
 
     name: str
@@ -66,19 +66,19 @@ def packed(frames: Detections, what: str) -> tuple[Float32, Float32]:
     Parameters
     ----------
     frames
-        Of each frame its people, each (P, 3) of x, y, confidence; None holds a place.
+        The people of each frame, each (P, 3) of x, y, confidence; None keeps a place free.
     what
         Names the file in errors.
 
     Returns
     -------
     tuple
-        Keypoints (N, M, P, 2) and confidence (N, M, P), NaN where there is nobody.
+        Keypoints (N, M, P, 2) and confidence (N, M, P), NaN where there is no person.
 
     Raises
     ------
     FormatError
-        If there is nobody at all, people have unlike numbers of keypoints, or there is too much.
+        If there is no person at all, numbers of keypoints differ, or there is too much data.
     """
     counts = {len(person) for people in frames for person in people if person is not None}
     if not counts:

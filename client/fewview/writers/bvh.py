@@ -7,8 +7,8 @@ for animation expect. Bones are rigid: a bone's OFFSET has its median length ove
 joint with several bones keeps the angles between them that suit all frames best. So a point is off
 by as much as the bones between it and the root differ from that.
 
-Rotations are relative to the parent and, about a single bone, have no twist: the shortest turn from
-the bone at rest. Written are degrees about Z, X and Y: R = Rz Rx Ry.
+Rotations are relative to the parent and, about a single bone, have no twist: the shortest rotation
+from the reference bone. They are written in degrees about Z, X and Y: R = Rz Rx Ry.
 
 BVH has no missing points: gaps are bridged in a straight line and held at both ends, and a keypoint
 that is never seen lies on its parent. The unit is that of the points; the rate is constant.

@@ -33,5 +33,5 @@ def write(path: Path, animation: Animation) -> None:
                 point if there else None
                 for point, there in zip(points.tolist(), seen.tolist(), strict=True)
             ]
-            said = {"frame": frame, "time": time if timed else None, "points": listed}
-            file.write(json.dumps(said) + "\n")
+            record = {"frame": frame, "time": time if timed else None, "points": listed}
+            file.write(json.dumps(record) + "\n")

@@ -36,6 +36,6 @@ def write(path: Path, animation: Animation) -> None:
     for axis, name in enumerate("xyz"):
         values = animation.points[..., axis].ravel()
         columns[name] = pyarrow.array(values, mask=~animation.seen.ravel())
-    said = json.dumps({"unit": animation.unit, "fps": animation.fps, "edges": animation.edges})
-    table = pyarrow.table(columns).replace_schema_metadata({"fewview": said})
+    metadata = json.dumps({"unit": animation.unit, "fps": animation.fps, "edges": animation.edges})
+    table = pyarrow.table(columns).replace_schema_metadata({"fewview": metadata})
     parquet.write_table(table, path)

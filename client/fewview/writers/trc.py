@@ -25,8 +25,8 @@ def write(path: Path, animation: Animation) -> None:
     """
     if animation.unit is None:
         raise FormatError(
-            "TRC names the unit of its points, and of this animation it is not known: tell a fit a "
-            "length (--known-length) or a calibration; or say unit='m' or 'mm' (--unit)"
+            "TRC names the unit of its points, and that of this animation is unknown: give the fit "
+            "a length (--known-length) or a calibration, or give unit='m' or 'mm' (--unit)"
         )
     if any(character in name for name in animation.names for character in "\t\r\n"):
         raise FormatError("names in TRC stand between tabs: they can have no tab or line break")
@@ -36,12 +36,12 @@ def write(path: Path, animation: Animation) -> None:
     numbers = animation.frames
     first = 1 if animation.numbers is None else 0  # added to what counts from 0
     start = first + (numbers[0] if numbers else 0)
-    said = (rate, rate, frames, count, animation.unit, rate, start, frames)
+    values = (rate, rate, frames, count, animation.unit, rate, start, frames)
     axes = [f"{axis}{place + 1}" for place in range(count) for axis in "XYZ"]
     lines = [
         ["PathFileType", "4", "(X/Y/Z)", path.name],
         [*header, "OrigDataStartFrame", "OrigNumFrames"],
-        [str(value) for value in said],
+        [str(value) for value in values],
         ["Frame#", "Time", *(part for name in animation.names for part in (name, "", ""))],
         ["", "", *axes],
         [],

@@ -1,6 +1,5 @@
-"""The shape priors that a fit can train, a file each, and the socket that they fit in.
+"""The shape priors that a fit can train, one file each, and their interface.
 
-Offers `registry.make_prior` and `registry.lay_out`, which choose by the configuration;
-`prior.Prior`, what each of them gives; `dispatch`, by which compiled functions call the one that
-they are for.
+Offers `registry.make_prior` and `registry.lay_out`, which choose a prior by the configuration;
+`prior.Prior`, the interface; and `dispatch`, through which compiled functions call their prior.
 """

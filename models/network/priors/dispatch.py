@@ -1,7 +1,7 @@
-"""How the compiled network calls a prior: chosen by the type of its weights, when it is compiled.
+"""How the compiled network calls a prior: by the type of its weights, at compile time.
 
-Every prior thus gets a compiled network of its own, from one source, and no call is decided at run
-time. Numba keeps each on disk like any other compiled function.
+So every prior gets its own compiled network from one source, and no call is decided at run time.
+Numba keeps each on disk like any other compiled function.
 """
 
 from typing import Any

@@ -38,7 +38,7 @@ class DictionaryWeights(NamedTuple):
 def _encode_into(
     weights: DictionaryWeights, views: Float32, codes: Float32, matrices: NDArray[np.float64]
 ) -> None:
-    """Do what `HierarchicalPrior.encode` does, for the K views of a frame."""
+    """Compute `HierarchicalPrior.encode` for the K views of a frame."""
     count, keypoints, _ = views.shape
     sizes = weights.sizes
     rows = np.empty((2 * count, keypoints), np.float32)
@@ -71,7 +71,7 @@ def _encode_into(
 
 @inner
 def _decode_into(weights: DictionaryWeights, code: Float32, points: NDArray[np.float64]) -> None:
-    """Do what `HierarchicalPrior.decode` does, for one code."""
+    """Compute `HierarchicalPrior.decode` for one code."""
     sizes = weights.sizes
     threshold, start = len(weights.decoder_thresholds), len(weights.dictionaries)
     for layer in range(len(sizes) - 1, 0, -1):
@@ -90,7 +90,7 @@ def _decode_into(weights: DictionaryWeights, code: Float32, points: NDArray[np.f
 
 @inner
 def _rectify(block: Float32) -> None:
-    """Set what is negative to zero: thresholds were subtracted before."""
+    """Set negative numbers to zero; thresholds were subtracted before."""
     for i in range(block.shape[0]):
         for j in range(block.shape[1]):
             block[i, j] = max(block[i, j], np.float32(0))

@@ -1,8 +1,8 @@
 """The prior `mlp`: a plain encoder of residual blocks, and a plain decoder.
 
-What the hierarchical prior is to be compared with. A view is one row of 2 P numbers; a block is
-h + W_2 GELU(W_1 LayerNorm(h)). LayerNorm has no weights of its own: the layer that follows would
-take them up.
+It is there to compare the hierarchical prior with. A view is one row of 2 P numbers; a block is
+h + W_2 GELU(W_1 LayerNorm(h)). LayerNorm has no weights of its own: the next layer would absorb
+them.
 """
 
 import math
@@ -44,7 +44,7 @@ class MlpWeights(NamedTuple):
 def _encode_into(
     weights: MlpWeights, views: Float32, codes: Float32, matrices: NDArray[np.float64]
 ) -> None:
-    """Do what `MlpPrior.encode` does, for the K views of a frame."""
+    """Compute `MlpPrior.encode` for the K views of a frame."""
     count, keypoints, _ = views.shape
     width = len(weights.entry_bias)
     rows = np.empty((count, 2 * keypoints), np.float32)
@@ -75,7 +75,7 @@ def _encode_into(
 
 @inner
 def _decode_into(weights: MlpWeights, code: Float32, points: NDArray[np.float64]) -> None:
-    """Do what `MlpPrior.decode` does, for one code."""
+    """Compute `MlpPrior.decode` for one code."""
     row = code.reshape(1, len(code))
     if len(weights.hidden_bias):
         wide = np.empty((1, len(weights.hidden_bias)), np.float32)

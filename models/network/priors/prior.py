@@ -1,10 +1,10 @@
-"""The socket: what every shape prior gives, and what all of them have in common.
+"""The interface of shape priors, and what all of them have in common.
 
-A prior encodes each view of a frame by itself, into a code that does not depend on where the camera
-stood and a matrix near the camera's rotation, and decodes the mean code of the views into a
-structure. It does so twice: in torch, differentiable and in batches, for training; compiled, frame
-by frame, for lifts. All else is here (torch) and in `models.network.feed_forward` (compiled): the
-mean over the views, hidden keypoints, cameras.
+A prior encodes each view of a frame separately, into a code that does not depend on where the
+camera was and a matrix near the camera's rotation. It decodes the mean code of the views into a
+structure. It has two versions: in torch, differentiable and in batches, for training; and compiled,
+frame by frame, for lifts. The mean over the views, hidden keypoints and cameras are the same for
+all priors: they are here (torch) and in `models.network.feed_forward` (compiled).
 
 A new prior is a file beside this one with a subclass of `Prior` and a tuple of weights, a line in
 `models.network.priors.registry`, and its sizes in `models.settings.priors`.
@@ -22,7 +22,7 @@ from models.numerics.tensor_files import Arrays
 
 
 class Weights(Protocol):
-    """What every laid-out tuple of weights has, beside what its own compiled functions read."""
+    """The fields that every laid-out tuple of weights has besides those of its own functions."""
 
     @property
     def keypoints(self) -> int:
@@ -59,7 +59,7 @@ class Prior(nn.Module, ABC):
 
     @abstractmethod
     def width(self) -> int:
-        """Numbers in the widest layer for one view; memory goes with it."""
+        """Numbers in the widest layer for one view; memory is proportional to it."""
 
     @abstractmethod
     def multiplications(self) -> int:
@@ -77,7 +77,7 @@ class Prior(nn.Module, ABC):
             if parameter.ndim == 1:
                 nn.init.zeros_(parameter)
             else:
-                # Rows are what a layer reads, save for nn.Linear, which stores its transpose.
+                # Rows are the inputs of a layer, except in nn.Linear, which stores its transpose.
                 fan_in = parameter.shape[1 if name.endswith("weight") else 0]
                 nn.init.normal_(parameter, std=fan_in**-0.5, generator=generator)
 
@@ -103,7 +103,7 @@ class Prior(nn.Module, ABC):
         points, projected = self._geometry(votes, codes, matrices, keypoints, weights)
         hidden = (weights < 1).any(-1) & there
         if hidden.any():
-            # What is hidden is filled with its reprojection and the views are read once more.
+            # Hidden keypoints are filled with their reprojections, and the views are encoded again.
             filled = fill(projected, keypoints, weights)
             codes, matrices = self._read(filled, hidden, codes, matrices)
             points, projected = self._geometry(votes, codes, matrices, keypoints, weights)

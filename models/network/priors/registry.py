@@ -21,7 +21,7 @@ def make_prior(config: FitConfig, keypoints: int) -> Prior:
 
 
 def outline(config: FitConfig, keypoints: int) -> Prior:
-    """Make such a prior without memory for its weights, to ask what it would take."""
+    """Make such a prior without memory for its weights, to know its sizes."""
     with torch.device("meta"):
         return make_prior(config, keypoints)
 

@@ -1,4 +1,4 @@
-"""What every camera model tells: where a lens sends a direction, and how that changes.
+"""The interface of camera models: how a lens bends a direction, with derivatives.
 
 A direction is (a, b) = (x / z, y / z) of a point (x, y, z) in the camera's frame; a lens bends it
 to (x', y'), and the pixel is (fx x' + cx, fy y' + cy).
@@ -15,7 +15,7 @@ Float64 = NDArray[np.float64]
 
 
 class Bending(NamedTuple):
-    """A direction behind the lens, and its derivatives; unitless."""
+    """A bent direction and its derivatives; unitless."""
 
     x: float
     y: float
@@ -30,14 +30,13 @@ class Bending(NamedTuple):
 
 
 class LensModel(Protocol):
-    """What the file of a camera model offers beside its compiled `bend` and `differentiate`."""
+    """The attributes of a camera model's file besides its compiled `bend` and `differentiate`."""
 
     NAME: LensName  # in a calibration, and in files
     LIFTED_AS: LiftedLensName  # in what lifts say of their cameras
 
     def start_from_pinhole(self, distortion: Float64) -> Float64 | None:
-        """Say whether a pinhole solution looks as if its lenses were of this model.
+        """Return coefficients (n, 8) with which to try this model, or None if it is unlikely.
 
-        `distortion` (n, 8) are the pinhole's coefficients of the lenses that nobody told. Returns
-        the coefficients (n, 8) to try this model with, or None if it is not worth a try.
+        `distortion` (n, 8) are the pinhole coefficients estimated for lenses that were not given.
         """

@@ -74,7 +74,7 @@ def differentiate(a: float, b: float, k: Float64) -> Bending:
 
 @inner
 def _angle_behind(angle: float, k: Float64) -> float:
-    """Return the angle, in radians, at which a ray leaves the lens that came in at `angle`."""
+    """Return the angle, in radians, at which a ray leaves the lens after entering at `angle`."""
     t = angle * angle
     behind: float = angle * (1 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3]))))
     return behind

@@ -1,4 +1,4 @@
-"""The one door to all camera models: pixels of points in a camera's frame, with derivatives."""
+"""The interface to all camera models: pixels of points in a camera's frame, with derivatives."""
 
 from typing import NamedTuple
 
@@ -81,8 +81,8 @@ def differentiate_into(
 ) -> None:
     """Write the pixel (2,) and its derivatives.
 
-    By the point, (2, 3), and by the log focal length, the principal point (x, y) and the first two
-    radial coefficients, (2, 5).
+    Derivatives are by the point, (2, 3), and by the log focal length, the principal point (x, y)
+    and the first two radial coefficients, (2, 5).
     """
     depth = point[2] if abs(point[2]) >= NEAREST_DEPTH else NEAREST_DEPTH
     a, b = point[0] / depth, point[1] / depth

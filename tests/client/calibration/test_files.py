@@ -201,8 +201,8 @@ def test_colmap_counts_pixels_from_the_corner(tmp_path: Path, cameras: list[Came
     ]
     assert [line.split()[1] for line in lines[2:]] == ["FULL_OPENCV", "OPENCV_FISHEYE"]
     images = (tmp_path / "rig/images.txt").read_text().splitlines()
-    said = images[1].split()
-    turn = Rotation.from_quat(np.array(said[1:5], float), scalar_first=True).as_matrix()
+    message = images[1].split()
+    turn = Rotation.from_quat(np.array(message[1:5], float), scalar_first=True).as_matrix()
     assert cameras[0].rotation is not None
     np.testing.assert_allclose(turn, cameras[0].rotation, atol=1e-12)
     assert images[2] == ""

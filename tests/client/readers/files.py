@@ -63,9 +63,9 @@ def dlc_h5_fixed(
         for axis in ("axis0", "block0_items"):
             group.attrs[f"{axis}_nlevels"] = len(names)
             for level, name in enumerate(names):
-                said = [label[level] for label in labels]
-                known = sorted(set(said))
-                codes = np.array([known.index(one) for one in said], np.int8)
+                message = [label[level] for label in labels]
+                known = sorted(set(message))
+                codes = np.array([known.index(one) for one in message], np.int8)
                 group[f"{axis}_label{level}"] = codes
                 if pickled:  # as PyTables stores an array of objects
                     data = np.frombuffer(pickle.dumps(np.array(known, object), 2), np.uint8)
@@ -105,12 +105,12 @@ def openpose(folder: Path, frames: Sequence[Sequence[Array | None]], first: int 
     """Write a folder of OpenPose: of each frame its people, None for ``{}``."""
     folder.mkdir(parents=True)
     for number, people in enumerate(frames, first):
-        said: list[dict[str, Any]] = [
+        fields: list[dict[str, Any]] = [
             {} if one is None else {"person_id": [-1], "pose_keypoints_2d": one.ravel().tolist()}
             for one in people
         ]
         name = f"{folder.name}_{number:012d}_keypoints.json"
-        (folder / name).write_text(json.dumps({"version": 1.3, "people": said}))
+        (folder / name).write_text(json.dumps({"version": 1.3, "people": fields}))
     return folder
 
 

@@ -86,12 +86,12 @@ def test_all_commands_that_read_take_the_same_options(command: str, tmp_path: Pa
     )
     out = [] if command == "upload" else ["-o", str(tmp_path / "out.npz")]
     options = ["--format=deeplabcut-csv", "--person=auto", "--min-confidence=0.1", "--align=index"]
-    for wrong, said in (
+    for wrong, message in (
         (["--image-size=big"], "expected WIDTHxHEIGHT"),
         (["--fps=-1"], "fps is -1"),
         (["--skeleton=cat", "--format=deeplabcut-csv"], "no skeleton"),
     ):
         shown = CliRunner().invoke(app, [command, *words, str(path), *out, *options, *wrong])
         assert shown.exit_code == 2, shown.stderr
-        assert said in shown.stderr
+        assert message in shown.stderr
         assert len(shown.stderr.splitlines()) == 1

@@ -53,16 +53,16 @@ def test_npz(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"keypoints": np.zeros((3, 2, 5))}, "keypoints"),
         ({"keypoints": np.zeros((3, 2, 5, 2)), "confidence": np.zeros((3, 2, 4))}, "confidence"),
         ({"keypoints": np.array([{}], object)}, "cannot be read"),
     ],
 )
-def test_npz_that_does_not_fit_together(tmp_path: Path, wrong: Any, said: str) -> None:
+def test_npz_that_does_not_fit_together(tmp_path: Path, wrong: Any, message: str) -> None:
     np.savez(tmp_path / "a.npz", **wrong)
-    with pytest.raises(FormatError, match=said):
+    with pytest.raises(FormatError, match=message):
         fewview.read(tmp_path / "a.npz")
 
 

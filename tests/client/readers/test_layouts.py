@@ -156,19 +156,19 @@ def assert_read(path: Path, title: str) -> None:
 @pytest.mark.parametrize("lines", [False, True])
 def test_a_file_of_a_video(tmp_path: Path, layout: str, lines: bool) -> None:
     title, content = FILES[layout]
-    said = content()
+    message = content()
     path = tmp_path / "cam1.json"
-    if lines and isinstance(said, list):
-        path.write_text("".join(json.dumps(one) + "\n" for one in said), encoding="utf-16")
+    if lines and isinstance(message, list):
+        path.write_text("".join(json.dumps(one) + "\n" for one in message), encoding="utf-16")
     else:
-        path.write_text(json.dumps(said))
+        path.write_text(json.dumps(message))
     assert_read(path, title)
 
 
 def test_a_file_of_several_cameras(tmp_path: Path) -> None:
-    said = [{"frame": n, "keypoints": points(n)} for n in FRAMES]
+    message = [{"frame": n, "keypoints": points(n)} for n in FRAMES]
     path = tmp_path / "all.json"
-    path.write_text(json.dumps({"left": said, "right": said[3:]}))
+    path.write_text(json.dumps({"left": message, "right": message[3:]}))
     capture = fewview.read(path)
     assert capture.view_names == ("left", "right")
     np.testing.assert_allclose(capture.keypoints[3:, 1], BODY[3:, :, :2], rtol=1e-5)
@@ -177,8 +177,8 @@ def test_a_file_of_several_cameras(tmp_path: Path) -> None:
 
 def test_flat_pairs_have_no_confidence(tmp_path: Path) -> None:
     for count in (17, 12):
-        said = [{"keypoints": [v for p in points(n)[:count] for v in p[:2]]} for n in FRAMES]
-        (tmp_path / "a.json").write_text(json.dumps(said))
+        message = [{"keypoints": [v for p in points(n)[:count] for v in p[:2]]} for n in FRAMES]
+        (tmp_path / "a.json").write_text(json.dumps(message))
         capture = fewview.read(tmp_path / "a.json")
         np.testing.assert_allclose(capture.keypoints[:, 0], BODY[:, :count, :2], rtol=1e-5)
         assert capture.confidence is None
@@ -186,8 +186,8 @@ def test_flat_pairs_have_no_confidence(tmp_path: Path) -> None:
 
 def easymocap(path: Path, n: int) -> None:
     who = [{"personID": 0, "bbox": [1, 2, 3, 4, 0.9], "keypoints": points(n)}]
-    said = {"filename": f"{n:06d}.jpg", "height": 1080, "width": 1920, "annots": who}
-    (path / f"{n:06d}.json").write_text(json.dumps(said))
+    fields = {"filename": f"{n:06d}.jpg", "height": 1080, "width": 1920, "annots": who}
+    (path / f"{n:06d}.json").write_text(json.dumps(fields))
 
 
 def inferencer(path: Path, n: int) -> None:

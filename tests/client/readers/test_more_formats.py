@@ -74,10 +74,10 @@ def test_mediapipe(tmp_path: Path) -> None:
     assert capture.keypoint_names is not None
     assert capture.keypoint_names[11] == "left_shoulder"
     path.write_text(json.dumps({"width": 640, "height": 480, "fps": 10, "frames": frames}))
-    told = fewview.read(path)
-    np.testing.assert_array_equal(told.keypoints, capture.keypoints)
-    assert (told.fps, told.times) == (10, None)
-    assert told.image_sizes == ((640, 480),)
+    given = fewview.read(path)
+    np.testing.assert_array_equal(given.keypoints, capture.keypoints)
+    assert (given.fps, given.times) == (10, None)
+    assert given.image_sizes == ((640, 480),)
 
 
 def test_lightning_pose_parts_the_views_of_one_image(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from . import files
 XYZ = files.walk(6)
 
 
-def said(capture: fewview.Capture) -> str:
+def notes_of(capture: fewview.Capture) -> str:
     return "\n".join(capture.notes)
 
 
@@ -38,7 +38,7 @@ def test_somebody_is_followed_through_lists_in_any_order(tmp_path: Path) -> None
     expected = one[..., :2].copy()
     expected[7] = np.nan
     np.testing.assert_allclose(capture.keypoints[:, 0], expected, rtol=1e-6)
-    assert "through 19 of the 20 frames" in said(capture)
+    assert "through 19 of the 20 frames" in notes_of(capture)
 
 
 def test_places_are_people_where_empty_entries_hold_them(tmp_path: Path) -> None:
@@ -62,14 +62,14 @@ def test_weak_detections_are_gaps_and_confidences_are_clipped(tmp_path: Path) ->
     capture = fewview.read(csv(tmp_path / "a.csv", values=values), min_confidence=0.3)
     assert capture.confidence is not None
     assert capture.confidence[0, 0, 0] == 1
-    assert "1.050 were clipped" in said(capture)
+    assert "1.050 were clipped" in notes_of(capture)
     assert np.isnan(capture.keypoints[1, 0, 1]).all()
     assert capture.confidence[1, 0, 1] == 0
-    assert "1 detections below 0.3" in said(capture)
+    assert "1 detections below 0.3" in notes_of(capture)
     assert capture.confidence[2, 0, 2] == 1
     values[0, 0, 2] = 50
     capture = fewview.read(csv(tmp_path / "a.csv", values=values))
-    assert "divided" in said(capture)
+    assert "divided" in notes_of(capture)
     assert capture.confidence is not None
     assert capture.confidence.max() == 1
 
@@ -81,8 +81,8 @@ def test_common_keypoints_are_matched_by_name(tmp_path: Path) -> None:
     capture = fewview.read([first, second])
     assert capture.keypoint_names == ("nose", "tail", "paw")
     np.testing.assert_array_equal(capture.keypoints[:, 0], capture.keypoints[:, 1])
-    assert "a: ear left out" in said(capture)
-    assert "b: whisker left out" in said(capture)
+    assert "a: ear left out" in notes_of(capture)
+    assert "b: whisker left out" in notes_of(capture)
     with pytest.raises(FormatError, match="same name"):
         fewview.read([first, csv(tmp_path / "c.csv", "qrst")])
 
@@ -91,7 +91,7 @@ def test_shorter_files_are_padded(tmp_path: Path) -> None:
     capture = fewview.read([csv(tmp_path / "a.csv"), csv(tmp_path / "b.csv", values=XYZ[:4])])
     assert capture.keypoints.shape == (6, 2, 4, 2)
     assert np.isnan(capture.keypoints[4:, 1]).all()
-    assert "b: has 4 of the 6 frames" in said(capture)
+    assert "b: has 4 of the 6 frames" in notes_of(capture)
 
 
 def test_frame_numbers_count_unless_they_do_not_overlap(tmp_path: Path) -> None:
@@ -105,7 +105,7 @@ def test_frame_numbers_count_unless_they_do_not_overlap(tmp_path: Path) -> None:
     far = files.openpose(tmp_path / "c", frames, 1000)
     capture = fewview.read([first, far])
     assert capture.frames == 6
-    assert "hardly overlap" in said(capture)
+    assert "hardly overlap" in notes_of(capture)
 
 
 def test_frames_are_aligned_by_time(tmp_path: Path) -> None:
@@ -177,7 +177,7 @@ def test_skeletons_have_names_in_any_spelling(tmp_path: Path) -> None:
     folder = files.openpose(tmp_path / "cam", [[body] for body in files.walk(4, 25)])
     for name in ("body-25b", "BODY_25B", "body25b"):
         assert "Head" in (fewview.read(folder, skeleton=name).keypoint_names or ())
-    assert "may be body-25 or body-25b" in said(fewview.read(folder))
+    assert "may be body-25 or body-25b" in notes_of(fewview.read(folder))
 
 
 def test_skeletons() -> None:
@@ -210,9 +210,9 @@ def test_convert(tmp_path: Path) -> None:
     assert "50.0% gaps" in shown.stdout
     assert f"wrote {out}" in shown.stdout
     assert fewview.read(out).keypoints.shape == (6, 2, 4, 2)
-    told = json.loads(CliRunner().invoke(app, [*command, "--json"]).stdout)
-    assert [camera["gaps"] for camera in told["cameras"]] == [0, 0.5]
-    assert told["keypoint_names"] == list(files.NAMES)
+    answer = json.loads(CliRunner().invoke(app, [*command, "--json"]).stdout)
+    assert [camera["gaps"] for camera in answer["cameras"]] == [0, 0.5]
+    assert answer["keypoint_names"] == list(files.NAMES)
     for wrong in ([*command[:-1], str(tmp_path / "x.csv")], ["convert", "nowhere.csv"]):
         refused = CliRunner().invoke(app, wrong)
         assert refused.exit_code == 2

@@ -52,15 +52,15 @@ def written(folder: Path, pixels: NDArray[np.float64]) -> Path:
     return folder
 
 
-def said(folder: Path) -> str:
+def notes_of(folder: Path) -> str:
     return "\n".join(fewview.read(folder).notes)
 
 
 def test_images_as_cameras_see_them_are_not_doubted(
     tmp_path: Path, seen: NDArray[np.float64]
 ) -> None:
-    assert "--y" not in said(written(tmp_path, seen))
-    assert "--mirror" not in said(tmp_path)
+    assert "--y" not in notes_of(written(tmp_path, seen))
+    assert "--mirror" not in notes_of(tmp_path)
 
 
 @pytest.mark.parametrize("exchanged", [False, True])
@@ -72,7 +72,7 @@ def test_a_mirrored_image_is_turned_and_its_names_as_the_others_say(
     if exchanged:  # a detector that saw the mirror image
         pixels[:, 1] = pixels[:, 1][:, SWAPPED]
     folder = written(tmp_path, pixels)
-    assert ("--mirror cam1" in said(folder)) != exchanged
+    assert ("--mirror cam1" in notes_of(folder)) != exchanged
     capture = fewview.read(folder, mirror="cam1", image_size=SIZE)
     np.testing.assert_allclose(capture.keypoints, seen, atol=1e-3)
 
@@ -80,17 +80,17 @@ def test_a_mirrored_image_is_turned_and_its_names_as_the_others_say(
 def test_all_images_mirrored(tmp_path: Path, seen: NDArray[np.float64]) -> None:
     pixels = seen.copy()
     pixels[..., 0] = SIZE[0] - 1 - pixels[..., 0]
-    assert "--mirror cam0,cam1,cam2" in said(written(tmp_path, pixels))
+    assert "--mirror cam0,cam1,cam2" in notes_of(written(tmp_path, pixels))
 
 
 def test_y_that_counts_upwards(tmp_path: Path, seen: NDArray[np.float64]) -> None:
     pixels = seen.copy()
     pixels[..., 1] = SIZE[1] - 1 - pixels[..., 1]
     folder = written(tmp_path / "up", pixels)
-    assert "--y up" in said(folder)
+    assert "--y up" in notes_of(folder)
     capture = fewview.read(folder, y="up", image_size=SIZE)
     np.testing.assert_allclose(capture.keypoints, seen, atol=1e-3)
     assert "--y up" not in "\n".join(capture.notes)
     one = seen.copy()
     one[:, 2, :, 1] = SIZE[1] - 1 - one[:, 2, :, 1]
-    assert "cam2: heads are below the feet" in said(written(tmp_path / "one", one))
+    assert "cam2: heads are below the feet" in notes_of(written(tmp_path / "one", one))

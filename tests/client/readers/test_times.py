@@ -98,9 +98,9 @@ def test_holes_in_frame_numbers_stay(tmp_path: Path) -> None:
     assert capture.times is not None
     np.testing.assert_allclose(capture.times, (numbers - 1001) / 30)
     assert "30 frames per second, as no rate is known" in said(capture)
-    told = fewview.read(pair, fps=60)
-    assert told.times is not None
-    np.testing.assert_allclose(told.times, (numbers - 1001) / 60)
+    given = fewview.read(pair, fps=60)
+    assert given.times is not None
+    np.testing.assert_allclose(given.times, (numbers - 1001) / 60)
     np.savez(tmp_path / "kept.npz", **capture.arrays())  # type: ignore[arg-type]
     again = fewview.read(tmp_path / "kept.npz")
     assert again.numbers is not None
@@ -132,8 +132,8 @@ def test_a_camera_that_counts_from_one_is_not_late(tmp_path: Path) -> None:
 def test_clocks_in_many_spellings(tmp_path: Path, column: str, cells: str) -> None:
     path = table(tmp_path / "a.csv", FAST)
     header, *rows = path.read_text().splitlines()
-    told = [cells.format(ms=1000 * n / 60, s=n / 60) for n in range(60)]
-    rows = [f"{time},{row}" for time, row in zip(told, rows, strict=True)]
+    given = [cells.format(ms=1000 * n / 60, s=n / 60) for n in range(60)]
+    rows = [f"{time},{row}" for time, row in zip(given, rows, strict=True)]
     path.write_text("\n".join([f"{column},{header}", *rows]))
     capture = fewview.read(path)
     assert capture.times is not None

@@ -189,9 +189,9 @@ def body(name: str, frames: int = 20) -> Animation:
     whole = with_body_tree(replace(shape, edges=skeleton.edges))
     names, parents = whole.names, {second: first for first, second in whole.edges}
     rest = rng.normal(size=(len(names), 3)) * 0.3
-    for place, said in enumerate(names):  # a centre is in the middle of its pair
-        left = re.sub("^right|^R(?=[A-Z])", lambda m: "left" if m[0] == "right" else "L", said)
-        if left != said and said.lower().endswith(("hip", "shoulder")):
+    for place, message in enumerate(names):  # a centre is in the middle of its pair
+        left = re.sub("^right|^R(?=[A-Z])", lambda m: "left" if m[0] == "right" else "L", message)
+        if left != message and message.lower().endswith(("hip", "shoulder")):
             rest[place] = -rest[names.index(left)]
     points = np.zeros((frames, len(names), 3))
     turns: dict[int, Rotation] = {}
@@ -213,8 +213,8 @@ def test_bodies_of_all_skeletons_move_as_they_did(tmp_path: Path, name: str) -> 
     moved = body(name)
     joints, motion, _ = read_bvh(write(tmp_path / "a.bvh", moved))
     places = forward(joints, motion)
-    for point, said in enumerate(moved.names):
-        np.testing.assert_allclose(places[said], moved.points[:, point], atol=1e-4)
+    for point, message in enumerate(moved.names):
+        np.testing.assert_allclose(places[message], moved.points[:, point], atol=1e-4)
     assert len([joint for joint in joints if joint.parent is None]) == 1
 
 

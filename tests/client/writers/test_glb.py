@@ -40,9 +40,9 @@ def motion(file: Any, node: int) -> dict[str, tuple[NDArray[np.float64], NDArray
             times = values(file, sampler.input)[:, 0]
             assert times[0] >= 0
             assert (np.diff(times) > 0).all()
-            said = values(file, sampler.output)
-            assert len(said) == len(times)
-            found[channel.target.path] = (times, said)
+            message = values(file, sampler.output)
+            assert len(message) == len(times)
+            found[channel.target.path] = (times, message)
     return found
 
 

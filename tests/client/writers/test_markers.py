@@ -81,17 +81,17 @@ def test_a_hole_in_the_frame_numbers_stays(tmp_path: Path, animation: Animation)
 
 def test_c3d(tmp_path: Path, animation: Animation) -> None:
     uneven = replace(animation, fps=None, times=np.arange(12) / 25 + 1e-3 * (np.arange(12) % 2))
-    for told in (animation, uneven):
-        file = ezc3d.c3d(str(write(tmp_path / "a.c3d", told)))
+    for given in (animation, uneven):
+        file = ezc3d.c3d(str(write(tmp_path / "a.c3d", given)))
         point = file["parameters"]["POINT"]
-        assert point["RATE"]["value"][0] == pytest.approx(told.rate, rel=1e-6)
+        assert point["RATE"]["value"][0] == pytest.approx(given.rate, rel=1e-6)
         assert point["UNITS"]["value"] == ["m"]
-        assert point["LABELS"]["value"] == list(told.names)
+        assert point["LABELS"]["value"] == list(given.names)
         np.testing.assert_allclose(
-            file["data"]["points"][:3].transpose(2, 1, 0), told.points, rtol=1e-6
+            file["data"]["points"][:3].transpose(2, 1, 0), given.points, rtol=1e-6
         )
         residuals = file["data"]["meta_points"]["residuals"][0].T
-        np.testing.assert_array_equal(residuals, np.where(told.seen, 0, -1))
+        np.testing.assert_array_equal(residuals, np.where(given.seen, 0, -1))
 
 
 def test_c3d_of_many_points_and_frames(tmp_path: Path) -> None:

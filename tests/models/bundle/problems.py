@@ -38,7 +38,7 @@ MISSING = ((0, 0, 2), (0, 3, 5), (1, 2), (2, 1))  # two keypoints, the moving vi
 
 
 @dataclass(frozen=True)
-class Problem:
+class CalibrationProblem:
     """A capture of known cameras, and a start some way off."""
 
     views: Views
@@ -62,7 +62,7 @@ def make(
     heavy: bool = False,
     scale: float = 1.0,
     seed: int = 0,
-) -> Problem:
+) -> CalibrationProblem:
     """Make a capture, and a start that is `off` by some degrees and tenths."""
     rng = np.random.default_rng(seed)
     basis = 0.15 * rng.standard_normal((POINTS, 3, COMPONENTS))
@@ -118,7 +118,7 @@ def make(
     free = np.ones((VIEWS, VIEW), bool)
     free[0, 5:] = free[2, 5:] = False  # the frames of reference of the groups
     free[2, 1:3] = False
-    return Problem(
+    return CalibrationProblem(
         Views(keypoints, weights),
         rig,
         make_shape_prior(np.stack([mean] * FRAMES), basis, SPREAD, scale=scale, heavy=heavy),
@@ -143,7 +143,7 @@ def pixels_of(scene: Scene, rig: Rig) -> Float64:
     return pixels
 
 
-def changed(problem: Problem, step: Float64) -> tuple[Scene, Rig]:
+def changed(problem: CalibrationProblem, step: Float64) -> tuple[Scene, Rig]:
     """Apply numbers of frames (N, 32), and of the rig (44,) if there are more."""
     frames, shared = step[: FRAMES * OWN].reshape(FRAMES, OWN), step[FRAMES * OWN :]
     old, rig = problem.scene, problem.rig
@@ -173,7 +173,7 @@ def changed(problem: Problem, step: Float64) -> tuple[Scene, Rig]:
     )
 
 
-def residuals(problem: Problem, step: Float64) -> Float64:
+def residuals(problem: CalibrationProblem, step: Float64) -> Float64:
     """Return what squared and summed is the cost of all frames, and of the rig if it may change."""
     scene, rig = changed(problem, step)
     root = np.sqrt(problem.views.weights)[..., None]
@@ -210,7 +210,7 @@ def whitened(prior: ShapePrior, scene: Scene) -> Float64:
     return independent
 
 
-def scales_of(problem: Problem) -> Float64:
+def scales_of(problem: CalibrationProblem) -> Float64:
     """Scales of the prior, (N,): with heavy tails those that a frame's structure asks for."""
     scales = np.full(FRAMES, problem.prior.scale)
     if not problem.prior.heavy:
@@ -226,12 +226,12 @@ def differences(function: Callable[[Float64], Float64], size: int, step: float =
     return np.stack([(function(e) - function(-e)) / (2 * step) for e in unit], -1)
 
 
-def jacobian(problem: Problem, *, shared: bool) -> Float64:
+def jacobian(problem: CalibrationProblem, *, shared: bool) -> Float64:
     size = FRAMES * OWN + (VIEW * VIEWS if shared else 0)
     return differences(lambda step: residuals(problem, step), size)
 
 
-def linearised(problem: Problem, *, shared: bool) -> NormalEquations:
+def linearised(problem: CalibrationProblem, *, shared: bool) -> NormalEquations:
     return normal_equations(problem.views, problem.rig, problem.prior, problem.scene, shared=shared)
 
 
@@ -261,5 +261,5 @@ def without_components(matrix: Float64, pull: Float64) -> tuple[Float64, Float64
     )
 
 
-def of(problem: Problem, scene: Scene, rig: Rig) -> Float64:
+def of(problem: CalibrationProblem, scene: Scene, rig: Rig) -> Float64:
     return costs_of(problem.views, rig, problem.prior, scene)

@@ -44,7 +44,7 @@ def test_the_tree_is_the_lightest(figure: Float64) -> None:
     rng = np.random.default_rng(1)
     points = figure + 0.02 * rng.standard_normal(figure.shape)
     bones = find_bone_lengths(points)
-    # Every frame's size is what its bones say, each as surely as it is steady.
+    # The size of a frame is the mean over its bones, weighted by their steadiness.
     every = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
     logarithms = np.log(np.where(every > 0, every, 1))
     a, b = bones.ends
@@ -58,26 +58,26 @@ def test_the_tree_is_the_lightest(figure: Float64) -> None:
 
 
 def test_what_views_do_not_tell_has_no_say(figure: Float64) -> None:
-    """A third of the keypoints are anywhere; those that are told find the bones of all."""
+    """A third of the keypoints are anywhere; the measured ones find the bones of all."""
     rng = np.random.default_rng(2)
-    told = rng.random(figure.shape[:2]) > 0.3
-    points = np.where(told[..., None], figure, rng.standard_normal(figure.shape))
-    whole, bones = find_bone_lengths(figure), find_bone_lengths(points, told)
+    measured = rng.random(figure.shape[:2]) > 0.3
+    points = np.where(measured[..., None], figure, rng.standard_normal(figure.shape))
+    whole, bones = find_bone_lengths(figure), find_bone_lengths(points, measured)
     assert bones.steady
     assert pairs_of(bones) & pairs_of(whole) >= {(1, 2), (2, 3), (4, 5), (5, 6)}
     assert bones.scatter == pytest.approx(whole.scatter, abs=0.01)
-    both = told[:, bones.ends[0]] & told[:, bones.ends[1]]
+    both = measured[:, bones.ends[0]] & measured[:, bones.ends[1]]
     offsets = bones.offsets(points)
     assert np.abs(offsets[both]).max() < 0.02
     assert (bones.precision(offsets)[~both] == 0).all()
-    elsewhere = np.where(told[..., None], figure, 2 * points)
+    elsewhere = np.where(measured[..., None], figure, 2 * points)
     np.testing.assert_allclose(bones.cost(elsewhere), bones.cost(points), atol=1e-9)
 
 
-def test_distances_that_are_hardly_told_are_no_bones(figure: Float64) -> None:
-    told = np.zeros(figure.shape[:2], np.bool_)
-    told[:4] = True
-    assert not find_bone_lengths(figure, told).steady
+def test_distances_that_are_hardly_measured_are_no_bones(figure: Float64) -> None:
+    measured = np.zeros(figure.shape[:2], np.bool_)
+    measured[:4] = True
+    assert not find_bone_lengths(figure, measured).steady
 
 
 def test_what_has_no_bones_is_not_steady() -> None:

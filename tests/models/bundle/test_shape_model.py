@@ -199,7 +199,7 @@ def test_network_errors_have_a_scale_for_each_number_of_views() -> None:
     assert total + learnt.spread**2 == pytest.approx(1 / 3, rel=0.15)
 
 
-def test_how_far_a_network_errs_is_told_by_some_frames_alone() -> None:
+def test_sizes_of_errors_are_learnt_from_some_frames_alone() -> None:
     rng = np.random.default_rng(13)
     mean = standard(rng.standard_normal((6, 3)))
     errors = 0.1 * rng.standard_normal((200, 6, 3))

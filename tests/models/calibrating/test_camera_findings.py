@@ -22,7 +22,7 @@ SIZE = 100.0  # pixels
 
 
 def calibration(azimuth: float = 90.0) -> SelfCalibration:
-    """Return two ordinary cameras at rest, `azimuth` degrees apart."""
+    """Return two ordinary static cameras, `azimuth` degrees apart."""
     lenses = Lenses(
         np.full((2, 2), 1100.0),
         IMAGES.middles.copy(),
@@ -72,7 +72,7 @@ def test_a_focal_length_that_cannot_be_seen() -> None:
     assert findings(unsure)["focal_not_observable"].views == (1,)
 
 
-def test_lenses_unlike_real_ones_unless_they_were_told() -> None:
+def test_lenses_unlike_real_ones_unless_they_were_given() -> None:
     long, bent, off = calibration(), calibration(), calibration()
     long.rig.lenses.focals[0] = 10_000
     bent.rig.lenses.distortion[1, 0] = 2.5

@@ -88,10 +88,10 @@ def test_two_views_and_a_skeleton_tell_the_focal_length_under_noise(
     pair: RigCapture, wrong: float
 ) -> None:
     start = rig_of(pair, focal=wrong * TRUE_FOCAL, turned=5.0)
-    rig, surely = adjusted(pair, start, frames_of(pair))
+    rig, sds = adjusted(pair, start, frames_of(pair))
     off = np.log(rig.lenses.focals[:, 0] / TRUE_FOCAL)
     assert np.abs(off).max() < 0.05
-    assert (np.abs(off) < 3 * surely[:, FOCAL]).all()
+    assert (np.abs(off) < 3 * sds[:, FOCAL]).all()
     assert turned_by(rig, pair) < 1.5
 
 
@@ -140,7 +140,7 @@ def test_more_edges_than_can_be_asked_are_thinned_out(pair: RigCapture) -> None:
     np.testing.assert_allclose(rig.lenses.focals, TRUE_FOCAL, rtol=0.06)
 
 
-def test_what_nothing_determines_is_said(pair: RigCapture) -> None:
+def test_undetermined_numbers_are_reported(pair: RigCapture) -> None:
     frames, start = frames_of(pair), rig_of(pair)
     nothing = frames._replace(weights=np.zeros_like(frames.weights))
     with pytest.raises(np.linalg.LinAlgError):

@@ -54,7 +54,7 @@ def test_three_static_cameras_are_settled_with_their_deviations() -> None:
     capture = make_rig_capture([0.0, 80.0, -120.0], frames=60, noise=2.0)
     found = found_in(capture)
     assert found is not None
-    assert found.resting.all()
+    assert found.static.all()
     assert found.handedness_certainty > 0.99
     focals = np.array([lens.focal for lens in capture.lenses])
     scores = np.log(found.rig.lenses.focals.mean(1) / focals) / found.deviations[:, 0]
@@ -101,7 +101,7 @@ def test_two_static_cameras_have_the_lenses_under_which_shapes_are_alike(
     capture = make_rig_capture(azimuths, frames=80, noise=1.0, lenses=lenses)
     found = found_in(capture)
     assert found is not None
-    assert found.resting.all()
+    assert found.static.all()
     errors = np.log(found.rig.lenses.focals.mean(1) / focals)
     assert np.abs(errors).max() < 0.1
     assert np.abs(errors / found.deviations[:, 0]).max() < 4

@@ -1,4 +1,4 @@
-"""How sure the hand is: from log odds of frames, and of cameras too far away to tell."""
+"""Certainty of the handedness: from log odds of frames, and for cameras too far away."""
 
 import numpy as np
 import pytest
@@ -34,8 +34,8 @@ def test_evidence_of_both_kinds_counts() -> None:
     assert certainty([strong, -strong]) == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize("told", [False, True])
-def test_cameras_that_are_too_far_away_do_not_tell_the_hand(*, told: bool) -> None:
+@pytest.mark.parametrize("options", [False, True])
+def test_cameras_that_are_too_far_away_do_not_tell_the_hand(*, options: bool) -> None:
     lens = Lens(focal=900_000)
     far = make_rig_capture([0.0, 80.0], frames=20, distance=3600, lenses=(lens,), noise=3)
     given = {"fx": lens.focal, "fy": lens.focal, "cx": 640, "cy": 512}
@@ -43,13 +43,13 @@ def test_cameras_that_are_too_far_away_do_not_tell_the_hand(*, told: bool) -> No
         {
             "calibration": [{"intrinsics": given}] * 2,
             "cameras": "moving",
-            **({"handedness": CORNERS} if told else {}),
+            **({"handedness": CORNERS} if options else {}),
         }
     )
     sizes = [IMAGE_SIZE] * 2
     found, _ = finished(self_calibrate(far.pixels, far.weights, far.answers(), config, sizes))
     codes = [finding.code for finding in found.findings]
-    if told:
+    if options:
         assert found.handedness_certainty == 1
         assert "handedness_not_observable" not in codes
     else:

@@ -8,12 +8,12 @@ from models.calibrating.image_sizes import images_of
 FRAMES, POINTS = 200, 10
 
 
-def test_a_told_size_is_taken_and_a_guess_holds_all_keypoints() -> None:
+def test_a_given_size_is_used_and_a_guess_holds_all_keypoints() -> None:
     rng = np.random.default_rng(0)
     keypoints = rng.uniform((300, 200), (900, 850), (FRAMES, 2, POINTS, 2))
     keypoints[0, 1, 0] = 40_000  # astray
     images = images_of(keypoints, np.ones(keypoints.shape[:3]), [(1280, 1024), None])
-    assert images.told.tolist() == [True, False]
+    assert images.known.tolist() == [True, False]
     assert images.sizes[0].tolist() == [1280, 1024]
     assert images.middles[0].tolist() == [640, 512]
     # As far from the right as from the left.
@@ -22,7 +22,7 @@ def test_a_told_size_is_taken_and_a_guess_holds_all_keypoints() -> None:
     assert images.side == images.sizes.max()
 
 
-def test_all_untold_images_are_taken_as_of_one_size() -> None:
+def test_all_images_of_unknown_size_have_one_size() -> None:
     rng = np.random.default_rng(0)
     keypoints = rng.uniform((100, 100), (500, 400), (FRAMES, 2, POINTS, 2))
     keypoints[:, 1] += 200

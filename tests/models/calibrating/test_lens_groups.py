@@ -1,4 +1,4 @@
-"""Kinds of lenses, told from what keypoints say of focal lengths."""
+"""Kinds of lenses, from the keypoints' likelihood of focal lengths."""
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ def groups_of(focals: list[float], sd: float) -> list[int]:
     """Find the kinds of lenses whose focal lengths were measured with this relative error."""
     views = len(focals)
     information = np.eye(views) / sd**2
-    said = FocalLikelihood(information, information @ np.log(focals))
-    found = find_lens_groups(said, np.full(views, EXPECTED), TOGETHER, ALONE)
+    message = FocalLikelihood(information, information @ np.log(focals))
+    found = find_lens_groups(message, np.full(views, EXPECTED), TOGETHER, ALONE)
     return [int(kind) for kind in found]
 
 

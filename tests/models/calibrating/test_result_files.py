@@ -67,11 +67,11 @@ def test_what_is_written_is_read(written: tuple[Arrays, str]) -> None:
 
 def test_older_files_name_no_camera_models_but_flag_fisheyes(written: tuple[Arrays, str]) -> None:
     arrays, words = written
-    said = json.loads(words)
-    del said["lenses"]
+    answer = json.loads(words)
+    del answer["lenses"]
     older = arrays | {"fisheye": torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)}
-    assert array_shapes(json.dumps(said), KEYPOINTS, None).keys() == older.keys()
-    read = camera_report(from_arrays(older, json.dumps(said)))
+    assert array_shapes(json.dumps(answer), KEYPOINTS, None).keys() == older.keys()
+    read = camera_report(from_arrays(older, json.dumps(answer)))
     assert read.camera_models == ("perspective", "fisheye", "perspective")
 
 
@@ -89,10 +89,10 @@ def test_older_files_know_one_radial_coefficient(written: tuple[Arrays, str]) ->
 
 def test_warnings_of_older_files_become_findings(written: tuple[Arrays, str]) -> None:
     arrays, words = written
-    said = json.loads(words)
-    del said["findings"]
-    said["warnings"] = ["the given poses do not fit the keypoints: noise 9 px", "something else"]
-    (finding,) = from_arrays(arrays, json.dumps(said)).findings
+    answer = json.loads(words)
+    del answer["findings"]
+    answer["warnings"] = ["the given poses do not fit the keypoints: noise 9 px", "something else"]
+    (finding,) = from_arrays(arrays, json.dumps(answer)).findings
     assert finding.code == "calibration_disagrees"
 
 

@@ -96,7 +96,7 @@ def trunk(capture: RigCapture) -> float:
 
 
 def in_unit(found: SelfCalibration, scene: Scene) -> float:
-    """Return how long trunks are in the user's unit, for cameras at rest."""
+    """Return the lengths of trunks in the user's unit, for static cameras."""
     sizes = found.unit * np.exp(scene.sizes[:, 0])
     return float(np.median(sizes * length(scene.points, TRUNK)))
 
@@ -163,11 +163,11 @@ def test_moving_cameras_are_found_to_move(moving: RigCapture) -> None:
     assert np.median(off) < 2
 
 
-def test_a_resting_pair_is_told_from_a_moving_camera(mixed: RigCapture) -> None:
+def test_a_static_pair_is_distinguished_from_a_moving_camera(mixed: RigCapture) -> None:
     found, scene = found_by(mixed)
     cameras = camera_report(found)
     assert cameras.arrangement == "mixed"
-    assert cameras.resting.tolist() == [True, True, False]
+    assert cameras.static.tolist() == [True, True, False]
     assert np.isfinite(cameras.rotations[:2]).all()
     assert np.isnan(cameras.rotations[2]).all()
     assert np.isnan(cameras.translation_sds[2]).all()
@@ -176,7 +176,7 @@ def test_a_resting_pair_is_told_from_a_moving_camera(mixed: RigCapture) -> None:
     turns = mixed.rotations[0]
     ours = cameras.rotations[1] @ cameras.rotations[0].T
     assert degrees_apart(ours, turns[1] @ turns[0].T) < 1.5
-    # The moving one is right in every frame, beside the two at rest.
+    # The moving one is right in every frame, beside the two static ones.
     lone = int(found.rig.groups[2])
     pair = int(found.rig.groups[0])
     for n in (0, 15, 30):
@@ -277,7 +277,7 @@ def test_a_bumped_camera_is_named_and_its_calibration_not_used(static: RigCaptur
     assert error(static, scene) < 0.012
 
 
-def test_a_known_length_that_contradicts_the_calibration_is_said_and_used(
+def test_a_known_length_that_contradicts_the_calibration_is_reported_and_used(
     static: RigCapture,
 ) -> None:
     known = KnownLength(keypoints=SHIN, length=2 * float(length(static.points3d, SHIN).mean()))
@@ -299,7 +299,7 @@ def test_a_focal_length_that_is_unsure_is_improved(static: RigCapture) -> None:
     cameras = camera_report(found)
     assert abs(cameras.focals[0, 0] - FOCAL) < 0.04 * FOCAL
     assert cameras.focal_sds[0] > 0
-    np.testing.assert_allclose(cameras.focals[1], 1.1 * FOCAL)  # which was said to be sure
+    np.testing.assert_allclose(cameras.focals[1], 1.1 * FOCAL)  # given, with a deviation of 0
     np.testing.assert_allclose(cameras.focals[2], FOCAL)
     assert (cameras.focal_sds[1:] == 0).all()
 
@@ -333,7 +333,7 @@ def test_noisy_cameras_that_face_each_other_have_lenses_near_the_usual() -> None
             noisy=NoisyFrames(clear, detected, facing.weights, 12.0),
         )
     )
-    assert found.resting.all()
+    assert found.static.all()
     np.testing.assert_allclose(found.rig.lenses.focals, FOCAL, rtol=0.06)
 
 
@@ -378,7 +378,7 @@ def test_keypoints_that_say_nothing_are_named_as_such(static: RigCapture) -> Non
         finished(behind)
 
 
-def test_unlike_lenses_are_told_apart_unless_they_are_said_to_be_alike() -> None:
+def test_unlike_lenses_are_distinguished_unless_declared_alike() -> None:
     lenses = (Lens(focal=700), Lens(focal=1400), Lens(focal=1000))
     capture = make_rig_capture([0.0, 80.0, -120.0], frames=60, lenses=lenses, noise=1.0)
     found, _ = found_by(capture)

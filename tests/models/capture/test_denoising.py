@@ -50,14 +50,14 @@ def pixels(keypoints: Float64, model: Denoiser, views: list[int]) -> Float64:
     )
 
 
-def test_noise_and_modes_are_told_apart(model: Denoiser) -> None:
+def test_noise_and_modes_are_distinguished(model: Denoiser) -> None:
     assert root_mean_square(model.noise) == pytest.approx(NOISE, rel=0.03)
     assert model.noise == pytest.approx(NOISE, rel=0.1)
     assert model.basis.shape == (VIEWS, KEYPOINTS, 2, MODES)
     assert model.tails == 0
 
 
-def test_what_is_left_is_what_was_said(clean: Float64, noisy: Float64, model: Denoiser) -> None:
+def test_the_noise_left_is_as_predicted(clean: Float64, noisy: Float64, model: Denoiser) -> None:
     left = np.sqrt(np.mean((pixels(noisy, model, [0, 1]) - clean) ** 2))
     # Five modes of 48 coordinates keep a third of the noise's standard deviation.
     assert left < 0.4 * NOISE

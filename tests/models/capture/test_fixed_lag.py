@@ -36,15 +36,15 @@ def motion(removal: NoiseRemoval) -> MotionModel:
 def followed(
     removal: NoiseRemoval, keypoints: Float64, times: Float64, lag: int, views: list[int] = VIEWS
 ) -> Float64:
-    """Return the pixels of all frames, as they were told one after the other."""
-    smoother, told = FixedLag(removal, views, lag), []
+    """Return the pixels of all frames, as they were returned one after the other."""
+    smoother, given = FixedLag(removal, views, lag), []
     for n in range(len(keypoints)):
         answer = smoother.push(as_observations(keypoints[n : n + 1]), float(times[n]))
         assert (answer is None) == (n < lag)
-        told += [] if answer is None else [answer]
+        given += [] if answer is None else [answer]
     rest = smoother.flush()
-    assert len(told) == max(len(keypoints) - lag, 0)
-    return pixels_of(join_frames([*told, *([] if rest is None else [rest])]))[0]
+    assert len(given) == max(len(keypoints) - lag, 0)
+    return pixels_of(join_frames([*given, *([] if rest is None else [rest])]))[0]
 
 
 def left(pixels: Float64, truth: Float64) -> float:
@@ -164,12 +164,12 @@ def test_after_a_flush_another_film_begins(removal: NoiseRemoval) -> None:
     parts = []
     for first in (100, 0):  # the second film is of earlier times
         frames = slice(first, first + 40)
-        told = [
+        given = [
             smoother.push(as_observations(NOISY[n : n + 1]), float(TIMES[n]))
             for n in range(frames.start, frames.stop)
         ]
-        told.append(smoother.flush())
-        parts.append(pixels_of(join_frames([t for t in told if t is not None]))[0])
+        given.append(smoother.flush())
+        parts.append(pixels_of(join_frames([t for t in given if t is not None]))[0])
         expected = followed(removal, NOISY[frames], TIMES[frames], 3)
         np.testing.assert_array_equal(parts[-1], expected)
     assert smoother.flush() is None
@@ -184,7 +184,7 @@ def test_times_that_do_not_rise_are_refused(removal: NoiseRemoval, times: list[f
 
 
 def test_what_cannot_be_smoothed_is_refused(removal: NoiseRemoval) -> None:
-    with pytest.raises(ValueError, match="fit a dataset that tells fps or times"):
+    with pytest.raises(ValueError, match="fit a dataset with fps or times"):
         FixedLag(NoiseRemoval(removal.denoiser, None), VIEWS, 5)
     for lag in (-1, MAX_LAG + 1):
         with pytest.raises(ValueError, match="lag must be 0 to 50"):

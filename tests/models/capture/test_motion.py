@@ -41,7 +41,7 @@ def left(model: MotionModel, keypoints: Float64, truth: Float64, times: Float64)
     return float(np.sqrt(np.mean(np.square(pixels - truth)[observed])))
 
 
-def test_noise_is_told_and_most_of_it_goes(model: MotionModel) -> None:
+def test_noise_is_estimated_and_most_of_it_removed(model: MotionModel) -> None:
     assert np.sqrt(np.mean(model.noise**2)) == pytest.approx(NOISE, rel=0.03)
     remaining = left(model, NOISY, CLEAN, TIMES)
     assert remaining < 0.25 * NOISE

@@ -46,11 +46,11 @@ def test_views_that_are_in_step_are_read_as_they_are(keypoints: Float32, fps: fl
     times = np.arange(len(keypoints)) / fps
     views = keypoints.shape[1]
     none_late = Clocks(times[:1], np.zeros((1, views)))
-    for told in (times, np.repeat(times[:, None], views, axis=1)):
-        read, confidence = in_step(keypoints, None, told, none_late)
+    for options in (times, np.repeat(times[:, None], views, axis=1)):
+        read, confidence = in_step(keypoints, None, options, none_late)
         np.testing.assert_array_equal(read, keypoints)
         assert confidence is None
-        assert frames_apart(told, none_late) == 0
+        assert frames_apart(options, none_late) == 0
 
 
 @bounded

@@ -190,7 +190,9 @@ def test_probabilities_are_those_of_the_model(
     np.testing.assert_allclose(judged, truth, rtol=1e-7, atol=1e-12)
 
 
-def test_nothing_is_said_of_what_is_not_observed(model: OutlierModel, clean: Float64) -> None:
+def test_keypoints_that_are_not_observed_have_no_probability(
+    model: OutlierModel, clean: Float64
+) -> None:
     keypoints = clean[:3].copy()
     keypoints[0] = np.nan
     keypoints[1, 2, 4] = np.nan

@@ -38,7 +38,7 @@ class Swapped(NamedTuple):
 
 
 def capture_at_rest() -> Float64:
-    """Return keypoints (N, K, P, 2) with some noise, before cameras that rest."""
+    """Return keypoints (N, K, P, 2) with some noise, before static cameras."""
     made = synthetic_capture(frames=FRAMES, views=VIEWS, seed=1)
     points = np.concatenate((made.points3d, np.ones((*made.points3d.shape[:2], 1))), -1)
     image = points[:, None] @ made.projections[0].mT

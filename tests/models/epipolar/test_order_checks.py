@@ -15,7 +15,7 @@ FRAMES = 100
 
 
 def capture(*, views: int = 3, noise: float = 1.0, seed: int = 0) -> Float64:
-    """Return keypoints of a figure before cameras at rest."""
+    """Return keypoints of a figure before static cameras."""
     azimuths = [0.0, 70.0, 150.0, 250.0][:views]
     return make_rig_capture(azimuths, frames=FRAMES, noise=noise, seed=seed).keypoints
 
@@ -41,13 +41,13 @@ def frames_of(finding: Finding) -> NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize("noise", [0.0, 5.0, 15.0])
-def test_nothing_is_said_of_what_is_in_order(noise: float) -> None:
+def test_captures_in_order_have_no_findings(noise: float) -> None:
     assert not found_in(capture(noise=noise))
     assert not found_in(capture(views=2, noise=noise))
 
 
 @pytest.mark.parametrize("views", [2, 3])
-def test_nothing_is_said_of_cameras_that_move(views: int) -> None:
+def test_moving_cameras_have_no_findings(views: int) -> None:
     moving = synthetic_capture(frames=FRAMES, views=views, noise=1, seed=1)
     assert not order_findings(moving.keypoints, moving.confidence)
     one = make_rig_capture([0.0, 70.0, 150.0][:views], frames=FRAMES, moving=(1,), seed=2)

@@ -1,4 +1,4 @@
-"""What keypoints say of cameras at rest: against the scatter of what is found, and known errors."""
+"""Certainty of static cameras: against the scatter of estimates, and known errors."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from models.epipolar.pairs import Beliefs
 from models.epipolar.rig_adjustment import adjust_rig
 from models.epipolar.rig_certainty import certainty_of
-from models.epipolar.static_cameras import Seen, StaticCameras
+from models.epipolar.static_cameras import SeenPoints, StaticCameras
 from tests.models.rigs import around
 
 Float64 = NDArray[np.float64]
@@ -49,7 +49,7 @@ def test_deviations_are_the_scatter_of_what_is_found() -> None:
         rig = make_rig(0.02 * rng.standard_normal((3, 2)))  # as believed
         points = points_of(rng)
         clean = images_of(rig, points)
-        seen = Seen(clean + NOISE * rng.standard_normal(clean.shape), np.ones((3, POINTS)))
+        seen = SeenPoints(clean + NOISE * rng.standard_normal(clean.shape), np.ones((3, POINTS)))
         start = rig._replace(centres=np.zeros((3, 2)))
         found = adjust_rig(start, points, seen, BELIEFS, iterations=25)
         relative = found.rig.rotations @ rig.rotations.mT
@@ -67,16 +67,16 @@ def test_what_keypoints_say_of_focal_lengths_does_not_depend_on_beliefs() -> Non
     rig, rng = make_rig(), np.random.default_rng(1)
     points = points_of(rng)
     clean = images_of(rig, points)
-    seen = Seen(clean + NOISE * rng.standard_normal(clean.shape), np.ones((3, POINTS)))
+    seen = SeenPoints(clean + NOISE * rng.standard_normal(clean.shape), np.ones((3, POINTS)))
     wrong = replace(BELIEFS, focals=1.1 * FOCALS, focal_covariance=0.01**2 * np.eye(3))
-    said, sds = [], []
+    message, sds = [], []
     for beliefs in (BELIEFS, wrong):
         found = adjust_rig(rig, points, seen, beliefs, iterations=25)
         information, vector = certainty_of(found, seen, beliefs, APART).focals
-        said.append(np.linalg.solve(information, vector))
+        message.append(np.linalg.solve(information, vector))
         sds.append(np.sqrt(np.linalg.inv(information).diagonal()))
-    assert (np.abs(said[0] - np.log(FOCALS)) < 2.5 * sds[0]).all()
-    assert (np.abs(said[1] - said[0]) < 0.7 * sds[0]).all()
+    assert (np.abs(message[0] - np.log(FOCALS)) < 2.5 * sds[0]).all()
+    assert (np.abs(message[1] - message[0]) < 0.7 * sds[0]).all()
     np.testing.assert_allclose(sds[1], sds[0], rtol=0.2)
 
 
@@ -91,7 +91,7 @@ def test_errors_that_repeat_make_cameras_less_certain(alike: int) -> None:
         places = rng.uniform(-1, 1, (3, POINTS // alike))
         points = places[:, clusters] + 0.05 * rng.standard_normal((3, POINTS))
         errors = NOISE * rng.standard_normal((3, 2, POINTS // alike))[..., clusters]
-        seen = Seen(images_of(rig, points) + errors, np.ones((3, POINTS)))
+        seen = SeenPoints(images_of(rig, points) + errors, np.ones((3, POINTS)))
         found = adjust_rig(rig, points, seen, BELIEFS, iterations=25, lenses=False)
         focals.append(found.rig.log_focals - np.log(FOCALS))
         certainty = certainty_of(found, seen, BELIEFS, (clusters, np.arange(POINTS)))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from models.epipolar.robust_points import robust_points
-from models.epipolar.static_cameras import Seen, StaticCameras
+from models.epipolar.static_cameras import SeenPoints, StaticCameras
 from tests.models.rigs import around
 
 
@@ -21,9 +21,9 @@ def test_a_wrong_ray_of_four_does_not_move_a_point() -> None:
     wrong = rng.integers(4, size=500)
     images[wrong, :, np.arange(500)] += rng.uniform(0.1, 0.4, (500, 2))
     weights = np.ones((4, 500))
-    found = robust_points(rig, Seen(images, weights), np.full(4, 1e-3))
+    found = robust_points(rig, SeenPoints(images, weights), np.full(4, 1e-3))
     assert np.linalg.norm(found - points, axis=0).max() < 1e-3
     # Without the wrong rays they are where the others meet, to the last digit.
     weights[wrong, np.arange(500)] = 0
-    found = robust_points(rig, Seen(images, weights), np.full(4, 1e-3))
+    found = robust_points(rig, SeenPoints(images, weights), np.full(4, 1e-3))
     assert np.linalg.norm(found - points, axis=0).max() < 1e-7

@@ -1,4 +1,4 @@
-"""Rigs at rest from keypoints alone, against cameras that are known exactly."""
+"""Static rigs from keypoints alone, against cameras that are known exactly."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,7 @@ def test_unlike_lenses_and_the_right_hand_are_found() -> None:
     capture = make_rig_capture([0.0, 80.0, -120.0], frames=80, lenses=UNLIKE, noise=1.0)
     found = found_in(capture)
     assert found is not None
-    assert found.resting.all()
+    assert found.static.all()
     focals = SIDE * np.exp(found.best.rig.log_focals)
     np.testing.assert_allclose(focals, [lens.focal for lens in UNLIKE], rtol=0.04)
     assert rotation_errors(capture, found, [0, 1, 2]).max() < 2
@@ -58,7 +58,7 @@ def test_outliers_and_gaps_do_no_harm() -> None:
     capture.keypoints[stray] += 120 * rng.standard_normal((int(stray.sum()), 2))
     found = found_in(capture)
     assert found is not None
-    assert found.resting.all()
+    assert found.static.all()
     assert rotation_errors(capture, found, [0, 1, 2, 3]).max() < 2
     several = np.isfinite(capture.keypoints).all(-1).sum(1) >= 2
     assert np.isfinite(found.best.points[several]).all()
@@ -69,7 +69,7 @@ def test_a_view_that_moves_does_not_spoil_the_others() -> None:
     capture = make_rig_capture([0.0, 80.0, -120.0, 170.0], frames=60, moving=(1,))
     found = found_in(capture)
     assert found is not None
-    assert found.resting.tolist() == [True, False, True, True]
+    assert found.static.tolist() == [True, False, True, True]
     assert rotation_errors(capture, found, [0, 2, 3]).max() < 2
     assert np.isnan(found.best.rig.rotations[1]).all()
 
@@ -78,7 +78,7 @@ def test_nothing_rests_where_all_move() -> None:
     capture = make_rig_capture([0.0, 80.0, -120.0], frames=60, moving=(0, 1, 2))
     found = found_in(capture)
     # A pair can always be made to agree halfway; three views cannot.
-    assert found is None or (found.resting.sum() == 2 and found.noise * SIDE > 5)
+    assert found is None or (found.static.sum() == 2 and found.noise * SIDE > 5)
 
 
 def test_clear_keypoints_give_exact_cameras() -> None:
@@ -91,7 +91,7 @@ def test_clear_keypoints_give_exact_cameras() -> None:
 
 
 def test_motion_beyond_noise_is_seen() -> None:
-    """Cameras that shake are told from static ones whose keypoints are noisy."""
+    """Cameras that shake are distinguished from static ones with noisy keypoints."""
     static = found_in(make_rig_capture([0.0, 80.0, -120.0], frames=60, noise=6.0))
     assert static is not None
     squares, errors = static.motion
@@ -100,7 +100,7 @@ def test_motion_beyond_noise_is_seen() -> None:
     rng = np.random.default_rng(3)
     shaken.keypoints[...] += 15 * rng.standard_normal((60, 3, 1, 2))  # each image as a whole
     moving = found_in(shaken)
-    assert moving is None or moving.resting.sum() == 2
+    assert moving is None or moving.static.sum() == 2
 
 
 def test_equal_keypoints_give_equal_rigs() -> None:

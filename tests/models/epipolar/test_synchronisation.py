@@ -101,7 +101,7 @@ def test_a_cut_does_not_hurt() -> None:
     np.testing.assert_allclose(found.offsets, [[0, 0, 3]], atol=0.05)
 
 
-def test_a_second_is_searched_where_the_rate_is_told() -> None:
+def test_a_second_is_searched_where_the_rate_is_given() -> None:
     assert reach_at(None) == reach_at(5) == 12
     assert reach_at(29.97) == 30
     assert reach_at(240) == 60
@@ -110,7 +110,7 @@ def test_a_second_is_searched_where_the_rate_is_told() -> None:
     np.testing.assert_allclose(found.offsets, [[0, 27.5]], atol=0.05)
 
 
-def test_nothing_is_said_of_cameras_that_move_or_of_too_few_frames() -> None:
+def test_moving_cameras_and_few_frames_have_no_timing() -> None:
     moving = make_rig_capture(RING, frames=FRAMES, moving=(0, 1, 2), hidden=0)
     found = timing_of(moving.keypoints)
     assert found is None or not found.late.any()
@@ -120,7 +120,7 @@ def test_nothing_is_said_of_cameras_that_move_or_of_too_few_frames() -> None:
     assert timing_of(np.full((FRAMES, 2, 5, 2), np.nan)) is None
 
 
-def test_films_are_told_from_shuffled_frames() -> None:
+def test_films_are_distinguished_from_shuffled_frames() -> None:
     keypoints = film(RING, late_by(0, 5, 0), noise=5.0)
     assert is_film(keypoints)
     assert not is_film(np.random.default_rng(0).permutation(keypoints))

@@ -69,7 +69,7 @@ def test_a_fit_goes_on_without_a_check_that_fails(
     assert "failed and is left out" in caplog.text
 
 
-def test_cameras_are_found_without_the_checks_of_what_was_told(
+def test_cameras_are_found_without_the_checks_of_given_values(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(doubts, "_worst_doubts", failing(ZeroDivisionError))

@@ -4,11 +4,11 @@ import numpy as np
 from safetensors.torch import load
 
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.numerics.tensor_files import pack, read_about
 
 
-def same(a: Lift, b: Lift, tolerance: float = 0) -> None:
+def same(a: LiftedFrames, b: LiftedFrames, tolerance: float = 0) -> None:
     """Compare all that two lifts say."""
     assert a.status == b.status
     others = b._asdict()

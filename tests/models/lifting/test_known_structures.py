@@ -146,7 +146,7 @@ def test_a_file_that_contradicts_itself_is_refused(wrong: str) -> None:
         KnownStructures.from_arrays(KnownStructures(points, weights, believed).to_arrays())
 
 
-def test_a_stray_keypoint_is_left_out_and_said_to_be(
+def test_a_stray_keypoint_is_left_out_and_marked(
     capture: RigCapture, unseen: NDArray[np.int64], prior: FittedPrior
 ) -> None:
     """It lies where a keypoint may be, at the place of another one."""
@@ -182,12 +182,12 @@ def test_of_two_views_of_a_keypoint_the_rest_of_the_frame_says_which_strays(
     assert errors[0] < errors[1] + 0.01  # metres
 
 
-def test_stray_keypoints_are_used_where_a_fit_was_told_to_reject_none(
+def test_stray_keypoints_are_used_without_outlier_rejection(
     capture: RigCapture,
 ) -> None:
-    told = QUICK.model_copy(update={"outlier_rejection": False})
+    given = QUICK.model_copy(update={"outlier_rejection": False})
     frames = capture.keypoints[:60]
-    prior = fit(frames, told)
+    prior = fit(frames, given)
     frames[:, 1, keypoint("left_wrist")] += 150
     lift = prior.lift(frames)
     assert (lift.keypoints_used == frames.shape[2]).all()

@@ -1,4 +1,4 @@
-"""What a lift notices of its frames, with the weights of cameras at rest (see tests/fixtures)."""
+"""Findings of a lift, with the weights of static cameras (see tests/fixtures)."""
 
 from pathlib import Path
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from models.capture.metrics import pa_mpjpe
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import CAMERA_MODELS, Lift
+from models.lifting.lift import CAMERA_MODELS, LiftedFrames
 from models.settings.config import FitConfig
 from models.training.trainer import Trainer, fit
 from tests.models.lifting.comparison import same
@@ -51,9 +51,9 @@ def prior(capture: RigCapture) -> FittedPrior:
     )
 
 
-def some(lift: Lift, frames: Any, views: Any = slice(None)) -> Lift:
+def some(lift: LiftedFrames, frames: Any, views: Any = slice(None)) -> LiftedFrames:
     """Return some of the frames, and of their views."""
-    chosen = Lift._make(value[frames] for value in lift)
+    chosen = LiftedFrames._make(value[frames] for value in lift)
     parts = {n: getattr(chosen, n)[:, views] for n in OF_VIEWS}
     return chosen._replace(**parts)
 
@@ -103,7 +103,7 @@ def test_refinement_can_be_left_out(capture: RigCapture, prior: FittedPrior) -> 
     assert np.isnan(lift.focals).all()
     assert np.isnan(lift.translations[..., 2]).all()
     assert np.isfinite(lift.translations[..., :2]).all()
-    # What a fit was told is what its lifts do.
+    # The settings of a fit are the defaults of its lifts.
     same(prior.lift(capture.keypoints[:8]), prior.lift(capture.keypoints[:8], refine="auto"))
     never = fit(capture.keypoints[:8], FitConfig(**QUICK, refine="off"))
     assert never.cameras is None
@@ -249,15 +249,15 @@ def test_results_have_the_users_unit_and_the_users_rig() -> None:
         }
         for k in range(3)
     ]
-    for told in (
+    for given in (
         {"known_length": {"keypoints": SHIN, "length": 100 * shin}},
         {"calibration": rig},
     ):
-        prior = fit(capture.keypoints, FitConfig.model_validate(QUICK | told))
+        prior = fit(capture.keypoints, FitConfig.model_validate(QUICK | given))
         lift = prior.lift(capture.keypoints, refine="full")
         lengths = np.linalg.norm(lift.points3d[:, SHIN[0]] - lift.points3d[:, SHIN[1]], axis=-1)
         assert np.median(lengths) == pytest.approx(100 * shin, rel=0.03)
-    # The calibration was last: cameras see what they see from where they were said to be.
+    # The calibration was last: cameras have the given poses.
     assert prior.cameras is not None
     np.testing.assert_allclose(prior.cameras.rotations, capture.rotations[0], atol=1e-6)
     world = prior.cameras.rotations.mT @ (lift.translations - prior.cameras.translations)[..., None]

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.settings.config import FitConfig
 from models.training.trainer import fit
 from tests.models.lifting.comparison import same
@@ -84,8 +84,8 @@ def test_no_capture_is_too_odd_for_a_finite_answer(case: str) -> None:
 @pytest.mark.parametrize("case", ["one view", "identical views", "views that share no frame"])
 def test_cameras_that_are_declared_static_may_tell_nothing_of_each_other(case: str) -> None:
     keypoints = keypoints_of(case)
-    told = {"cameras": "static", "refine": "full"}
-    prior = fit(keypoints, FitConfig.model_validate(QUICK | told))
+    given = {"cameras": "static", "refine": "full"}
+    prior = fit(keypoints, FitConfig.model_validate(QUICK | given))
     check(prior.lift(keypoints), keypoints)
     check_found(prior)
 
@@ -97,7 +97,7 @@ def check_found(prior: FittedPrior) -> None:
         assert prior.cameras.noise > 0
 
 
-def check(lift: Lift, keypoints: Float64) -> None:
+def check(lift: LiftedFrames, keypoints: Float64) -> None:
     """Answers are finite where there are some, and there are some wherever 4 keypoints show."""
     usable = np.isfinite(keypoints).all(-1).sum(-1) >= 4
     assert [status == "ok" for status in lift.status] == usable.any(1).tolist()

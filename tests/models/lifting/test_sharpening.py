@@ -94,7 +94,7 @@ def test_the_most_likely_points_are_those_of_dense_algebra() -> None:
     mean, origin, pull = random.standard_normal((3, count, 3))
     basis = random.standard_normal((3 * count, size))
     factors = random.standard_normal((count, 3, 2))
-    factors[0] = 0  # of one point nothing is told
+    factors[0] = 0  # one point is not observed
     information = factors @ factors.mT
     inner = basis.T @ basis + spread**2 * np.eye(size)
     shape = ShapePrior(
@@ -104,10 +104,10 @@ def test_the_most_likely_points_are_those_of_dense_algebra() -> None:
     misfit = solve(shape, origin, information, pull, points)
 
     covariance = basis @ basis.T + spread**2 * np.eye(3 * count)
-    told = np.zeros((3 * count, 3 * count))
+    given = np.zeros((3 * count, 3 * count))
     for p in range(count):
-        told[3 * p : 3 * p + 3, 3 * p : 3 * p + 3] = information[p]
-    said = told @ (origin - mean).ravel() + pull.ravel()
-    offset: NDArray[np.float64] = np.linalg.solve(np.linalg.inv(covariance) + told, said)
+        given[3 * p : 3 * p + 3, 3 * p : 3 * p + 3] = information[p]
+    fields = given @ (origin - mean).ravel() + pull.ravel()
+    offset: NDArray[np.float64] = np.linalg.solve(np.linalg.inv(covariance) + given, fields)
     np.testing.assert_allclose(points.ravel(), mean.ravel() + offset, atol=1e-9)
     assert misfit == pytest.approx(offset @ np.linalg.solve(covariance, offset))

@@ -10,7 +10,7 @@ from models.bundle.problem import Rig, Views, make_rig
 from models.capture.metrics import pa_mpjpe
 from models.capture.synthetic import EDGES
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from models.lifting.skeleton_lengths import SkeletonLengths, learn_skeleton_lengths
 from models.network.answers import RIG_NOT_USED, make_answers
 from models.numerics.tensor_files import WeightsError
@@ -64,7 +64,7 @@ def learn(points: Float64, capture: RigCapture, noise: float) -> SkeletonLengths
     pixels = seen_by_cameras(points, capture, noise)
     return learn_skeleton_lengths(
         JOINED,
-        Lift(*answers),
+        LiftedFrames(*answers),
         Views(pixels, np.ones(pixels.shape[:3])),
         rig_of(capture),
         unit=1.0,
@@ -168,13 +168,13 @@ def test_what_the_lengths_say_nothing_of_is_as_without(
     both, one = noisy.keypoints[:40], noisy.keypoints[:40, :1]
     alone = both.copy()
     alone[:, 1] = np.nan
-    for frames, said in (
+    for frames, fields in (
         (both, {"refine": "off"}),
         (one, {"views": [0]}),
         (one, {}),
         (alone, {}),
     ):
-        with_lengths, without = (p.lift(frames, **said) for p in (prior, plain))
+        with_lengths, without = (p.lift(frames, **fields) for p in (prior, plain))
         for name, array in with_lengths.arrays.items():
             np.testing.assert_array_equal(array, getattr(without, name), err_msg=name)
 

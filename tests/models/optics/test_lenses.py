@@ -99,7 +99,7 @@ def test_every_lens_projects_as_opencvs(lenses: list[Lens]) -> None:
         np.testing.assert_allclose(pixels[n, k, p], expected, rtol=0, atol=1e-7, err_msg=KINDS[k])
 
 
-def test_every_camera_model_is_put_to_the_test_and_can_be_told() -> None:
+def test_every_camera_model_is_tested_and_can_be_given() -> None:
     names = [lens.NAME for lens in LENSES]
     assert set(names) == {name for name, _ in KINDS} == NUMBERS_OF_COEFFICIENTS.keys()
     assert len(set(names)) == len({lens.LIFTED_AS for lens in LENSES}) == len(names)

@@ -12,7 +12,7 @@ from models.settings.config import FitConfig
 POSE = {"rotation": np.eye(3).tolist(), "translation": [0, 0, 4]}
 
 
-def told(rotation: Any) -> Camera:
+def camera_with(rotation: Any) -> Camera:
     return Camera.model_validate({"rotation": rotation, "translation": [0, 0, 4]})
 
 
@@ -54,14 +54,14 @@ def test_what_goes_out_is_what_came_in(camera: dict[str, Any]) -> None:
 )
 def test_a_rotation_that_is_none_is_refused_with_the_fix(rotation: Any, says: str) -> None:
     with pytest.raises(ValidationError, match=says) as refused:
-        told(rotation)
+        camera_with(rotation)
     (error,) = refused.value.errors()
     assert error["loc"] == ("rotation",)
 
 
 def test_rounding_is_forgiven() -> None:
     turned = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]]) @ np.eye(3)
-    assert told((turned + 1e-4).round(4).tolist()).rotation is not None
+    assert camera_with((turned + 1e-4).round(4).tolist()).rotation is not None
 
 
 @pytest.mark.parametrize(
@@ -88,5 +88,5 @@ def test_a_name_is_no_index_before_a_dataset_says_which() -> None:
         _ = length.ends
     assert length.model_copy(update={"keypoints": (3, 4)}).ends == (3, 4)
     with pytest.raises(ValueError, match="got the name 'neck'"):
-        _ = FitConfig.model_validate({"handedness": [0, 1, 2, "neck"]}).hand
-    assert FitConfig(handedness=(0, 1, 2, 3)).hand == (0, 1, 2, 3)
+        _ = FitConfig.model_validate({"handedness": [0, 1, 2, "neck"]}).corners
+    assert FitConfig(handedness=(0, 1, 2, 3)).corners == (0, 1, 2, 3)

@@ -51,7 +51,7 @@ def test_nonsense_is_refused(wrong: dict[str, object]) -> None:
         FitConfig.model_validate(wrong)
 
 
-def test_the_learning_rate_suits_the_prior_unless_it_is_told() -> None:
+def test_the_learning_rate_suits_the_prior_unless_it_is_given() -> None:
     assert FitConfig().learning_rate == 1e-2
     assert FitConfig(prior="mlp").learning_rate == 2e-3
     assert FitConfig(prior="mlp", learning_rate=None).learning_rate == 2e-3

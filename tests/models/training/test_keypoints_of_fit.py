@@ -27,10 +27,10 @@ def capture() -> RigCapture:
 def without(capture: RigCapture) -> FittedPrior:
     """Return the fit of a capture that never had the keypoint."""
     others = np.delete(capture.keypoints, GONE, axis=2)
-    return fitted_once("without", lambda: fit(others, told(lambda p: p - (p > GONE))))
+    return fitted_once("without", lambda: fit(others, config_with(lambda p: p - (p > GONE))))
 
 
-def told(place: Any) -> FitConfig:
+def config_with(place: Any) -> FitConfig:
     """Return a configuration that names keypoints, counted by `place`."""
     length = {"keypoints": [place(2), place(9)], "length": 0.7}
     hand = [place(p) for p in (1, 4, 8, 10)]
@@ -45,7 +45,7 @@ def hidden(capture: RigCapture) -> Float64:
 
 @pytest.fixture(scope="module")
 def prior(capture: RigCapture) -> FittedPrior:
-    return fitted_once("hidden", lambda: fit(hidden(capture), told(int)))
+    return fitted_once("hidden", lambda: fit(hidden(capture), config_with(int)))
 
 
 def test_a_keypoint_that_no_view_shows_is_not_invented(

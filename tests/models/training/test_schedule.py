@@ -209,16 +209,16 @@ def test_a_model_of_another_kind_is_no_start(
         Trainer(capture.keypoints[:, :, :9], config, start=source)
 
 
-def test_what_a_start_from_a_model_was_not_told_suits_it() -> None:
+def test_fields_that_are_not_given_suit_a_start_from_a_model() -> None:
     source = FitConfig(dictionary_sizes=(64, 16), seed=3)
     config = warm(FitConfig(seed=1), source)
     assert (config.dictionary_sizes, config.steps, config.seed) == ((64, 16), WARM_STEPS, 1)
-    told = FitConfig(steps=7, dictionary_sizes=(32, 8))
-    assert warm(told, source) == told
+    given = FitConfig(steps=7, dictionary_sizes=(32, 8))
+    assert warm(given, source) == given
     assert FitConfig().steps > 2 * WARM_STEPS
 
 
-def test_the_processor_is_where_fits_run_unless_told_otherwise(capture: SyntheticCapture) -> None:
+def test_fits_run_on_the_cpu_by_default(capture: SyntheticCapture) -> None:
     config = QUICK.model_copy(update={"refine": "off"})
-    plain, told = fit(capture.keypoints, config), fit(capture.keypoints, config, device="cpu")
-    assert plain.to_bytes() == told.to_bytes()
+    plain, given = fit(capture.keypoints, config), fit(capture.keypoints, config, device="cpu")
+    assert plain.to_bytes() == given.to_bytes()

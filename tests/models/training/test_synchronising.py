@@ -33,7 +33,7 @@ def distances(keypoints: Float32, *, within: slice = slice(15, -15)) -> Float64:
     return np.asarray(apart[within], np.float64)
 
 
-def test_a_late_view_is_shifted_where_times_are_told() -> None:
+def test_a_late_view_is_shifted_where_times_are_given() -> None:
     for late in (4.0, -6.5):
         read = put_in_step(filmed(0, late, 0), None, TIMES, "auto")
         assert distances(read.keypoints).max() < 0.15
@@ -44,14 +44,14 @@ def test_a_late_view_is_shifted_where_times_are_told() -> None:
             (1,),
             "info",
         )
-        said = finding.evidence
-        assert said["offset_frames"] == pytest.approx(late, abs=0.05)
-        assert said["offset_seconds"] == pytest.approx(late / 50, abs=0.001)
-        assert (said["sure"], said["applied"]) == (1, 1)
+        answer = finding.evidence
+        assert answer["offset_frames"] == pytest.approx(late, abs=0.05)
+        assert answer["offset_seconds"] == pytest.approx(late / 50, abs=0.001)
+        assert (answer["sure"], answer["applied"]) == (1, 1)
         assert read.clocks is not None
 
 
-def test_it_is_only_told_without_times() -> None:
+def test_it_is_only_reported_without_times() -> None:
     keypoints = filmed(0, 4, 0)
     read = put_in_step(keypoints, None, None, "auto")
     assert read.keypoints is keypoints
@@ -105,7 +105,7 @@ def test_frames_that_are_missing_do_not_count_as_time() -> None:
     assert np.nanmax(apart[15:-15]) < 2
 
 
-def test_dropped_frames_are_told_with_the_frame() -> None:
+def test_dropped_frames_are_reported_with_the_frame() -> None:
     moments = MOMENTS + np.zeros(3)
     moments[110:, 2] += 3
     keypoints = film(RING, moments).astype(np.float32)

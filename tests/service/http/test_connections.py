@@ -20,12 +20,12 @@ PATIENCE = 1.0  # seconds
 @pytest.fixture(scope="module")
 def hasty(settings: Settings) -> Iterator[httpx2.Client]:
     """Serve clients of whom none may dawdle; there is room for two large bodies."""
-    told = {
+    given = {
         "request_seconds": PATIENCE,
         "max_body_bytes": 3 * 128 * KIB,
         "max_pending_bytes": 4 * 128 * KIB,
     }
-    with served(settings.model_copy(update=told)) as http:
+    with served(settings.model_copy(update=given)) as http:
         yield http
 
 
@@ -35,7 +35,7 @@ def connect(http: httpx2.Client) -> socket.socket:
     return connection
 
 
-def said(connection: socket.socket) -> tuple[int | None, bytes]:
+def read_answer(connection: socket.socket) -> tuple[int | None, bytes]:
     """Read until the server hangs up; return the status of the first answer, and all of it."""
     pieces = []
     try:
@@ -80,7 +80,7 @@ CHUNKED = POST + b"Transfer-Encoding: chunked\r\n\r\n"
 def test_what_is_no_body_is_bounded(hasty: httpx2.Client, start: bytes, piece: bytes) -> None:
     with connect(hasty) as connection:
         sent = flood(connection, start, piece)
-        status, whole = said(connection)
+        status, whole = read_answer(connection)
     assert sent < 7 * MIB  # most of which waits in the buffers of the two sockets
     if start.startswith(b"GET") and status is not None:
         assert status == 431
@@ -91,7 +91,7 @@ def test_what_is_no_body_is_bounded(hasty: httpx2.Client, start: bytes, piece: b
 def test_a_head_that_comes_at_once_is_bounded(hasty: httpx2.Client) -> None:
     with connect(hasty) as connection:
         connection.sendall(GET + b"X-Long: %s\r\n\r\n" % (b"x" * 70 * KIB))
-        status, whole = said(connection)
+        status, whole = read_answer(connection)
     assert status == 431
     assert b"application/problem+json" in whole
     assert orjson.loads(whole.partition(b"\r\n\r\n")[2])["code"] == "head_too_large"
@@ -102,7 +102,7 @@ def test_a_head_that_comes_at_once_is_bounded(hasty: httpx2.Client) -> None:
 def test_what_is_no_http_is_a_problem_too(hasty: httpx2.Client) -> None:
     with connect(hasty) as connection:
         connection.sendall(b"What is this?\r\n\r\n")
-        status, whole = said(connection)
+        status, whole = read_answer(connection)
     assert status == 400
     assert orjson.loads(whole.partition(b"\r\n\r\n")[2])["code"] == "malformed_request"
 
@@ -112,7 +112,7 @@ def test_a_head_has_its_time(hasty: httpx2.Client, begun: bytes) -> None:
     with connect(hasty) as connection:
         started = time.monotonic()
         connection.sendall(begun)
-        status, _ = said(connection)
+        status, _ = read_answer(connection)
         took = time.monotonic() - started
     assert PATIENCE / 2 < took < 10
     assert status == (408 if b"GET" in begun else None)
@@ -154,7 +154,7 @@ def test_a_body_that_stops_gives_its_room_up(hasty: httpx2.Client) -> None:
     for connection in wait_for(held, "the room to be full"):
         with connection:
             connection.settimeout(20)
-            status, whole = said(connection)
+            status, whole = read_answer(connection)
         assert status == 408
         assert b'"idle"' in whole
     assert not is_overloaded()

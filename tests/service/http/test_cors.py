@@ -1,4 +1,4 @@
-"""Scripts of web pages: none may call the API, unless their origin is told."""
+"""Scripts of web pages: none may call the API, unless their origin is allowed."""
 
 import pytest
 from pydantic import ValidationError
@@ -37,10 +37,10 @@ def test_a_foreign_page_can_post_nothing(api: TestClient, model: str, unchanged:
 
 
 @pytest.mark.parametrize(
-    ("told", "open_to_all"), [(f"http://localhost:3000, {PAGE}", False), ("*", True)]
+    ("given", "open_to_all"), [(f"http://localhost:3000, {PAGE}", False), ("*", True)]
 )
-def test_origins_that_are_told_may_call(settings: Settings, told: str, open_to_all: bool) -> None:
-    with OwnersClient(create_app(settings.model_copy(update={"cors_origins": told}))) as client:
+def test_allowed_origins_may_call(settings: Settings, given: str, open_to_all: bool) -> None:
+    with OwnersClient(create_app(settings.model_copy(update={"cors_origins": given}))) as client:
         asked = client.options("/datasets", headers=ASKING)
         assert asked.status_code == 200
         assert "PATCH" in asked.headers["access-control-allow-methods"]

@@ -58,7 +58,7 @@ def test_a_stream_is_opened_under_no_foreign_name(live: Live) -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "own", "foreign"),
+    ("given", "own", "foreign"),
     [
         ({"allowed_hosts": "lab.example, API"}, ("lab.example", "api:80"), (*FOREIGN, "1.2.3.4")),
         ({"allowed_hosts": "*"}, (*FOREIGN, "1.2.3.4"), ()),
@@ -69,10 +69,10 @@ def test_a_stream_is_opened_under_no_foreign_name(live: Live) -> None:
         ({"host": "::"}, ("192.168.1.5:8000", "[fe80::1]"), FOREIGN),
     ],
 )
-def test_further_names_are_told(
-    settings: Settings, told: dict[str, str], own: tuple[str, ...], foreign: tuple[str, ...]
+def test_further_names_can_be_allowed(
+    settings: Settings, given: dict[str, str], own: tuple[str, ...], foreign: tuple[str, ...]
 ) -> None:
-    other = settings.model_copy(update={"allowed_hosts": "", **told})
+    other = settings.model_copy(update={"allowed_hosts": "", **given})
     client = OwnersClient(create_app(other))  # whose store nobody opens: none of this needs one
     for host in (*own, "localhost:8000"):
         assert asked(client, host).status_code == 200, host

@@ -1,4 +1,4 @@
-"""SIGTERM: what is said, closed, refused and finished before a process of the service ends."""
+"""SIGTERM: what is reported, closed, refused and finished before a process of the service ends."""
 
 import socket
 import time
@@ -31,8 +31,8 @@ def test_what_is_in_hand_is_finished_and_nothing_begun(settings: Settings, model
                 stream.recv(timeout=60)
             assert closed.value.rcvd is not None
             assert closed.value.rcvd.code == 1012
-            said = list(lines)  # until it ends, as it should
-            assert not any("end" in line for line in said if line.startswith("event"))
+            message = list(lines)  # until it ends, as it should
+            assert not any("end" in line for line in message if line.startswith("event"))
             ready = http.get("/health/ready")
             problem(ready, 503, "draining")
             assert int(ready.headers["retry-after"]) > 0

@@ -1,4 +1,4 @@
-"""What is in hand is bounded: beyond that clients are told to come back, and places are freed."""
+"""What is in hand is bounded: beyond that clients get 503, and places are freed."""
 
 import os
 import select

@@ -54,7 +54,7 @@ for word in map(str.strip, sys.stdin):
         word = b"True" in answer
     print(word, flush=True)
 """
-# Listens as a user, and tells for every connection whether its other end is trusted.
+# Listens as a user, and prints for every connection whether its other end is trusted.
 SERVER = f"""{BECOME}
 import resource
 from service.http.peers import Peer
@@ -356,7 +356,7 @@ def test_a_websocket_has_the_peer_of_its_connection(port: int) -> None:
         assert str(stream.recv(20)).startswith("True ")
 
 
-def test_another_user_is_told_apart_over_http(port: int) -> None:
+def test_another_user_is_recognised_over_http(port: int) -> None:
     upgrade = (
         *("Connection: Upgrade", "Upgrade: websocket", "Sec-WebSocket-Version: 13"),
         f"Sec-WebSocket-Key: {'A' * 22}==",

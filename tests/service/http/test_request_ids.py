@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 from service.app import create_app
 from service.settings import Settings
 from store import lookup
-from store.records import FitJob
+from store.records import FitRecord
 from tests.service.conftest import JSON, make_dataset, problem, served
 from tests.service.owner import OwnersClient
 from worker.contract import KnownJob, PlainDataSerializer
@@ -155,6 +155,6 @@ def test_a_job_carries_the_request_that_asked_for_it(api: TestClient) -> None:
         return KnownJob.fetch(fit["job_id"], state.redis, PlainDataSerializer).meta["request_id"]
 
     assert noted() == "of-the-fit"
-    enqueue_again(state.redis, state.store, lookup.get(state.store, FitJob, fit["id"]))
+    enqueue_again(state.redis, state.store, lookup.get(state.store, FitRecord, fit["id"]))
     assert noted() == "of-the-fit"
     api.post(f"/fits/{fit['id']}/cancel")

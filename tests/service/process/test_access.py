@@ -29,7 +29,7 @@ def test_keys_are_made_listed_and_revoked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "said"),
+    ("words", "status", "message"),
     [
         ((), 2, "usage: fewview key create NAME"),
         (("make",), 2, "usage: fewview key create NAME"),
@@ -40,10 +40,10 @@ def test_keys_are_made_listed_and_revoked(tmp_path: Path) -> None:
     ],
 )
 def test_keys_that_cannot_be_made_or_revoked(
-    tmp_path: Path, words: tuple[str, ...], status: int, said: str
+    tmp_path: Path, words: tuple[str, ...], status: int, message: str
 ) -> None:
     folder = {"FEWVIEW_DATA_DIR": str(tmp_path)}
     assert run("key", "create", "first", **folder).status == 0
     ended = run("key", *words, **folder)
     assert ended.status == status
-    assert said in ended.stderr
+    assert message in ended.stderr

@@ -1,4 +1,4 @@
-"""``fewview serve`` and the other users of its machine, and what it tells those who look on."""
+"""``fewview serve`` and the other users of its machine, and what it shows them."""
 
 import stat
 import subprocess
@@ -88,7 +88,7 @@ def test_the_embedded_queue_is_a_socket_of_its_user(live: Live, deep: Live) -> N
 
 
 def test_a_script_queues_a_fit_on_the_embedded_queue(deep: Live) -> None:
-    """With the URL that the service says; the dataset is too short, which the fit tells."""
+    """With the URL that the service prints; the dataset is too short, which the fit reports."""
     dataset = make_dataset(deep.http)
     with Redis.from_url(deep.queue_url) as connection:
         queue = Queue("fits", connection=connection)
@@ -103,7 +103,7 @@ def test_a_script_queues_a_fit_on_the_embedded_queue(deep: Live) -> None:
 
 
 def test_it_listens_to_the_network_with_a_key_alone(tmp_path: Path) -> None:
-    """And its start tells no password."""
+    """And its start prints no password."""
     with ValkeyServer(port=free_port()) as server:
         with Redis.from_url(server.connection_url) as client:
             client.config_set("requirepass", "secret")
@@ -123,8 +123,8 @@ def test_it_listens_to_the_network_with_a_key_alone(tmp_path: Path) -> None:
                 base_url=live.url, headers={"Authorization": f"Bearer {token}"}
             ) as key:
                 assert key.get("/version").status_code == 200
-            assert "secret" not in live.said
-            assert f"redis://***@127.0.0.1:{server.port}/0" in live.said
+            assert "secret" not in live.printed
+            assert f"redis://***@127.0.0.1:{server.port}/0" in live.printed
             assert live.get("/health/ready")["queue"]["status"] == "ok"
             with httpx2.Client(base_url=live.url, headers={"Host": "evil.example"}) as page:
                 problem(page.get("/version"), 421, "host_not_allowed")

@@ -38,7 +38,7 @@ SECRETS = {
 }
 
 
-def told(name: str) -> dict[str, str]:
+def environment_of(name: str) -> dict[str, str]:
     """Return the environment that a container is given, with the secrets that must be set."""
 
     def with_secrets(value: str) -> str:
@@ -56,7 +56,7 @@ class Containers:
 
     def environment(self, name: str) -> dict[str, str]:
         of_image = {"FEWVIEW_DATA_DIR": str(self._folder / name)}
-        return os.environ | of_image | told(name) | self._here
+        return os.environ | of_image | environment_of(name) | self._here
 
     def run(self, name: str, *command: str, **more: str) -> int:
         environment = self.environment(name) | more
@@ -120,8 +120,8 @@ def test_containers_do_the_whole_job_together(containers: Containers) -> None:
 
 
 @pytest.mark.parametrize("name", list(OURS))
-def test_a_container_is_told_what_there_is(name: str) -> None:
-    ours = {key for key in told(name) if key.startswith("FEWVIEW_")}
+def test_a_container_gets_settings_that_exist(name: str) -> None:
+    ours = {key for key in environment_of(name) if key.startswith("FEWVIEW_")}
     assert ours <= {f"FEWVIEW_{field.upper()}" for field in Settings.model_fields}
     assert OURS[name]["read_only"]  # what it writes is in memory, or elsewhere
 
@@ -137,9 +137,11 @@ def test_secrets_have_no_defaults() -> None:
     assert redis["command"][-2] == "--requirepass"
     assert redis["command"][-1].startswith("${REDIS_PASSWORD:?")
     for name in OURS:
-        assert "redis://:b2@redis:6379" in told(name)["FEWVIEW_REDIS_URL"]
-        assert "postgresql://fewview:a1@postgres:5432" in told(name)["FEWVIEW_DATABASE_URL"]
-        assert told(name)["AWS_SECRET_ACCESS_KEY"] == SECRETS["S3_SECRET_KEY"]
+        assert "redis://:b2@redis:6379" in environment_of(name)["FEWVIEW_REDIS_URL"]
+        assert (
+            "postgresql://fewview:a1@postgres:5432" in environment_of(name)["FEWVIEW_DATABASE_URL"]
+        )
+        assert environment_of(name)["AWS_SECRET_ACCESS_KEY"] == SECRETS["S3_SECRET_KEY"]
 
 
 def test_what_keeps_something_is_on_no_network_of_the_gateway() -> None:
@@ -201,9 +203,9 @@ def test_the_image_installs_what_is_locked() -> None:
 
 def wanted_of(file: Path, *extras: str) -> list[Requirement]:
     """Return what a project needs to be built and to run."""
-    said = tomllib.loads(file.read_text())
-    project = said["project"]
-    listed = [*said["build-system"]["requires"], *project["dependencies"]]
+    answer = tomllib.loads(file.read_text())
+    project = answer["project"]
+    listed = [*answer["build-system"]["requires"], *project["dependencies"]]
     listed += [each for extra in extras for each in project["optional-dependencies"][extra]]
     return [Requirement(each) for each in listed]
 

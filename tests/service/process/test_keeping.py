@@ -29,9 +29,9 @@ from service.settings import Settings
 from store import backup, datasets, fits, lookup
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.errors import NotFoundError
-from store.records import Dataset, FitJob
+from store.records import DatasetRecord, FitRecord
 from store.settings import StoreSettings
 from tests.damage import flip, spoil_records
 from tests.deployments import PostgreSQL
@@ -47,7 +47,7 @@ CAPTURE = Capture.checked(np.random.default_rng(0).uniform(0, 1000, (12, 2, 5, 2
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended, and what it said."""
+    """The exit status of a command, and its output."""
 
     status: int
     stdout: str
@@ -134,11 +134,11 @@ def test_a_running_service_is_backed_up_and_restored_where_it_lifts_the_same(
     working = threading.Thread(target=work)
     working.start()
     try:
-        said = done("backup", tmp_path / "backup", f"--data-dir={live.data_dir}")
+        message = done("backup", tmp_path / "backup", f"--data-dir={live.data_dir}")
     finally:
         ended.set()
         working.join()
-    assert "copied and checked" in said
+    assert "copied and checked" in message
     assert "Restored" in done("restore", tmp_path / "backup", **elsewhere)
     body = {"model": fitted["model_id"], "frames": frames_of(capture.keypoints[:5])}
     paths = (f"/fits/{fitted['id']}/reconstruction", f"/datasets/{fitted['dataset_id']}/capture")
@@ -193,7 +193,7 @@ def records_in(folder: Path) -> list[Any]:
 def store(tmp_path: Path) -> Any:
     store = Store(StoreSettings(data_dir=tmp_path / "data"))
     for number in range(8):
-        datasets.create(store, CAPTURE, Description(f"season {number}"))
+        datasets.create(store, CAPTURE, CaptureDescription(f"season {number}"))
     yield store
     store.close()
 
@@ -208,8 +208,8 @@ def test_the_next_backup_copies_what_is_new_and_mends_what_it_copied(
 ) -> None:
     assert "8 objects: 8 copied" in done("backup", *here)
     copies = sorted(tmp_path.glob("backup/objects/datasets/*/*"))
-    newest = datasets.create(store, CAPTURE, Description("new"))
-    oldest = lookup.page(store, Dataset, limit=9, after=None)[-1]
+    newest = datasets.create(store, CAPTURE, CaptureDescription("new"))
+    oldest = lookup.page(store, DatasetRecord, limit=9, after=None)[-1]
     datasets.delete(store, oldest.id)
     assert "8 objects: 1 copied" in done("backup", *here)
     now = sorted(tmp_path.glob("backup/objects/datasets/*/*"))
@@ -228,27 +228,27 @@ def test_what_is_damaged_is_named_and_the_rest_kept(
     harmed, lost = sorted(tmp_path.glob("data/objects/datasets/*/*"))[:2]
     flip(harmed)
     lost.unlink()
-    said = run("backup", *here)
-    assert said.status == 1
-    assert harmed.name in said.stderr
-    assert lost.name in said.stderr
-    said = run("doctor", "--deep", here[1])
-    assert said.status == 1
-    assert f"{harmed.name} is lost or damaged" in said.stdout
-    assert "2 of 8" in said.stdout
+    message = run("backup", *here)
+    assert message.status == 1
+    assert harmed.name in message.stderr
+    assert lost.name in message.stderr
+    message = run("doctor", "--deep", here[1])
+    assert message.status == 1
+    assert f"{harmed.name} is lost or damaged" in message.stdout
+    assert "2 of 8" in message.stdout
     other = tmp_path / "other"
-    said = run("restore", here[0], f"--data-dir={other}")
-    assert said.status == 1
-    assert harmed.name in said.stderr
+    message = run("restore", here[0], f"--data-dir={other}")
+    assert message.status == 1
+    assert harmed.name in message.stderr
     restored = Store(StoreSettings(data_dir=other))
-    assert len(lookup.page(restored, Dataset, limit=9, after=None)) == 8
+    assert len(lookup.page(restored, DatasetRecord, limit=9, after=None)) == 8
     assert len(list(restored.objects.list())) == 6
     assert restored.identity != store.identity
     restored.close()
 
 
 def test_what_is_deleted_meanwhile_is_not_in_the_backup(store: Store, tmp_path: Path) -> None:
-    going = lookup.page(store, Dataset, limit=1, after=None)[0].id
+    going = lookup.page(store, DatasetRecord, limit=1, after=None)[0].id
     (file,) = (tmp_path / "data" / "objects" / "datasets" / going).iterdir()
     file.unlink()  # by a request whose deletion of the record is seen only after the snapshot
 
@@ -261,7 +261,7 @@ def test_what_is_deleted_meanwhile_is_not_in_the_backup(store: Store, tmp_path: 
     assert (outcome.objects, outcome.damaged) == (7, [])
     other = Store(StoreSettings(data_dir=tmp_path / "other"))
     assert backup.restore(other, tmp_path / "backup", say).objects == 7
-    assert len(lookup.page(other, Dataset, limit=9, after=None)) == 7
+    assert len(lookup.page(other, DatasetRecord, limit=9, after=None)) == 7
     other.close()
 
 
@@ -277,7 +277,7 @@ def test_a_restoration_that_was_interrupted_can_be_repeated(
     assert "8 objects: 5 copied" in done("restore", *target)
 
 
-def test_what_cannot_be_done_is_said_in_a_line_and_harms_nothing(
+def test_errors_are_one_line_and_harm_nothing(
     store: Store, here: tuple[str, ...], tmp_path: Path
 ) -> None:
     folder, data = here
@@ -300,7 +300,7 @@ def test_what_cannot_be_done_is_said_in_a_line_and_harms_nothing(
 def test_what_ended_long_ago_is_pruned_if_that_is_asked_for(
     store: Store, here: tuple[str, ...]
 ) -> None:
-    dataset = lookup.page(store, Dataset, limit=1, after=None)[0].id
+    dataset = lookup.page(store, DatasetRecord, limit=1, after=None)[0].id
     old, recent, waiting = (
         fits.create(store, dataset_id=dataset, name=name, config={}).id
         for name in ("old", "recent", "waiting")
@@ -317,12 +317,12 @@ def test_what_ended_long_ago_is_pruned_if_that_is_asked_for(
     would = done("prune", here[1], "--keep-failed-days=9", "--dry-run")
     assert f"fit {old} 'old', cancelled" in would
     assert "1 fits and lifts would be deleted" in would
-    assert lookup.get(store, FitJob, old).name == "old"
+    assert lookup.get(store, FitRecord, old).name == "old"
     assert old in done("prune", here[1], FEWVIEW_KEEP_FAILED_DAYS="9")
     with pytest.raises(NotFoundError):
-        lookup.get(store, FitJob, old)
+        lookup.get(store, FitRecord, old)
     for fit in (recent, waiting):
-        lookup.get(store, FitJob, fit)
+        lookup.get(store, FitRecord, fit)
 
 
 def test_a_doctor_says_what_is_right_and_what_to_do(
@@ -355,7 +355,7 @@ def test_a_doctor_says_what_is_right_and_what_to_do(
 def test_a_doctor_finds_damaged_records(tmp_path: Path, table: str) -> None:
     settings = StoreSettings(data_dir=tmp_path)
     store = Store(settings)
-    datasets.create(store, CAPTURE, Description("walk"))
+    datasets.create(store, CAPTURE, CaptureDescription("walk"))
     store.close()
     where = f"--data-dir={tmp_path}"
     assert "not damaged" in run("doctor", where).stdout
@@ -374,21 +374,21 @@ def test_a_doctor_names_queues_without_a_worker(
     with Redis.from_url(url) as redis:
         worker = Worker(open_queues(redis, ["lifts", "fits"]), connection=redis)
         worker.register_birth()  # type: ignore[no-untyped-call]
-        dataset = lookup.page(store, Dataset, limit=1, after=None)[0].id
+        dataset = lookup.page(store, DatasetRecord, limit=1, after=None)[0].id
         fit = fits.create(store, dataset_id=dataset, name="large", config={})
         enqueue(open_queue(redis, "gpu-fits"), fit)
         ill = run("doctor", here[1], FEWVIEW_REDIS_URL=url)
         assert ill.status == 1
-        (said,) = [line for line in ill.stdout.splitlines() if "none takes" in line]
-        assert said.startswith("failed   workers: ")
-        assert "gpu-fits, where 1 jobs wait" in said
+        (message,) = [line for line in ill.stdout.splitlines() if "none takes" in line]
+        assert message.startswith("failed   workers: ")
+        assert "gpu-fits, where 1 jobs wait" in message
         worker.register_death()  # type: ignore[no-untyped-call]
 
 
 def test_a_doctor_sees_clocks_that_differ(
     store: Store, here: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = time.time
-    monkeypatch.setattr(time, "time", lambda: told() + 3600)
-    said = done("doctor", here[1])
-    assert "warning  clocks: that of the records is 3600 s behind that of this host" in said
+    given = time.time
+    monkeypatch.setattr(time, "time", lambda: given() + 3600)
+    message = done("doctor", here[1])
+    assert "warning  clocks: that of the records is 3600 s behind that of this host" in message

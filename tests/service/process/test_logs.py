@@ -106,9 +106,9 @@ def test_faults_are_one_line_with_their_exception(in_json: Logged) -> None:
     assert any(line["level"] in ("WARNING", "ERROR") for line in lines)
 
 
-def test_what_is_said_as_it_starts_is_an_object_too(in_json: Logged) -> None:
-    said = orjson.loads(in_json.live.said)
-    assert "Ctrl-C stops everything." in said["message"]
+def test_the_output_at_the_start_is_an_object_too(in_json: Logged) -> None:
+    answer = orjson.loads(in_json.live.printed)
+    assert "Ctrl-C stops everything." in answer["message"]
 
 
 def test_an_error_that_ends_a_process_is_an_object(tmp_path: Path) -> None:

@@ -30,15 +30,15 @@ def engine(url: str) -> Iterator[Engine]:
 
 
 def test_it_makes_tables_in_an_empty_database(url: str, engine: Engine) -> None:
-    told = f"--database-url={url}"
+    given = f"--database-url={url}"
     newest = schema.REVISIONS[-1]
-    checked = run("migrate", told, "--check")
+    checked = run("migrate", given, "--check")
     assert (checked.status, schema.look(engine).state) == (1, "empty")
-    made = run("migrate", told)
+    made = run("migrate", given)
     assert made.status == 0
     assert f"Made tables {newest}" in made.stdout
-    assert run("migrate", told, "--check").status == 0
-    assert f"of this version (tables {newest})" in run("migrate", told).stdout
+    assert run("migrate", given, "--check").status == 0
+    assert f"of this version (tables {newest})" in run("migrate", given).stdout
 
 
 def test_a_service_refuses_older_tables_until_it_was_run(
@@ -47,14 +47,14 @@ def test_a_service_refuses_older_tables_until_it_was_run(
     with engine.begin() as connection:
         for statement in (E3D0C35 / "postgresql.sql").read_text().split(";")[:-1]:
             connection.execute(text(statement))
-    told, folder = f"--database-url={url}", f"--data-dir={tmp_path}"
-    assert run("migrate", told, "--check").status == 1
-    serve = python("-m", "service.cli", "serve", told, folder, "--port=0")
+    given, folder = f"--database-url={url}", f"--data-dir={tmp_path}"
+    assert run("migrate", given, "--check").status == 1
+    serve = python("-m", "service.cli", "serve", given, folder, "--port=0")
     refused = fork_server.run(serve, timeout=60)
     assert refused.returncode == 2
     assert "run `fewview migrate`" in refused.stderr
     assert refused.stderr.count("\n") == 1
-    migrated = run("migrate", told)
+    migrated = run("migrate", given)
     assert migrated.status == 0
     assert f"from tables without a number to {schema.REVISIONS[-1]}" in migrated.stdout
     assert schema.look(engine).state == "current"

@@ -13,7 +13,7 @@ from safetensors.numpy import load, load_file
 
 from store.database import Store
 from store.lookup import get
-from store.records import FitJob
+from store.records import FitRecord
 from store.settings import StoreSettings
 from tests.service.conftest import Live, kill_service, problem, start_service
 
@@ -64,8 +64,8 @@ def test_what_it_held_takes_tags_and_metadata(served: Live) -> None:
     for kind, name in (("datasets", "figure"), ("fits", "done"), ("models", "done")):
         path = named(served, kind, name)
         assert served.get(path)["tags"] == []
-        said = {"tags": ["old"], "metadata": {"from": "before"}}
-        assert served.http.patch(path, json=said).status_code == 200
+        fields = {"tags": ["old"], "metadata": {"from": "before"}}
+        assert served.http.patch(path, json=fields).status_code == 200
         (found,) = served.get(f"/{kind}?tag=old&metadata.from=before")["items"]
         assert found["id"] in path
 
@@ -76,7 +76,7 @@ def test_its_model_lifts_and_its_reconstruction_is_refined_otherwise(
     fit, model = named(served, "fits", "done"), named(served, "models", "done")
     assert served.get(model)["fit_id"] == served.get(fit)["id"]
     assert served.get(f"{model}/cameras")["arrangement"] == "static"
-    # Refined as the fit was told, but today and from the stored keypoints: the same again.
+    # Refined as in the fit, but today and from the stored keypoints: the same again.
     dataset, name = served.get(fit)["dataset_id"], "again"
     body = {"model_id": model.rpartition("/")[2], "dataset_id": dataset, "name": name}
     made = served.http.post("/lifts", json=body)
@@ -114,7 +114,7 @@ def test_the_interrupted_fit_left_a_checkpoint(tmp_path: Path) -> None:
     store = Store(StoreSettings(data_dir=tmp_path))
     try:
         (key,) = [key for key, _ in store.objects.list() if "checkpoint" in key]
-        fit = get(store, FitJob, key.split("/")[1])
+        fit = get(store, FitRecord, key.split("/")[1])
         assert (fit.status, fit.checkpoint_key) == ("running", key)
     finally:
         store.close()

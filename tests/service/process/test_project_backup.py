@@ -6,8 +6,8 @@ from typing import Any
 from store import access_keys, aliases, audit, datasets, fits, lookup, models, webhooks
 from store.authors import Author
 from store.database import Store
-from store.datasets import Description
-from store.records import Dataset, FitJob, Model
+from store.datasets import CaptureDescription
+from store.records import DatasetRecord, FitRecord, ModelRecord
 from store.settings import StoreSettings
 from tests.service.process.test_keeping import CAPTURE, done, here, refused, store
 
@@ -22,7 +22,7 @@ def test_a_backup_of_one_project_has_nothing_of_the_others(
     store: Store, here: tuple[str, ...], weights: bytes, tmp_path: Path
 ) -> None:
     gait = store.on_behalf_of(Author("gait"))
-    dataset = datasets.create(gait, CAPTURE, Description("mine"))
+    dataset = datasets.create(gait, CAPTURE, CaptureDescription("mine"))
     model = models.create(
         gait, weights, name="mine", keypoints=5, config={}, training_curve=[], metrics={}
     )
@@ -40,7 +40,7 @@ def test_a_backup_of_one_project_has_nothing_of_the_others(
     assert "no project 'none'" in refused("backup", tmp_path / "none", here[1], "--project=none")
     done("restore", here[0], f"--data-dir={tmp_path / 'back'}")
     restored = Store(StoreSettings(data_dir=tmp_path / "back"))
-    kinds: list[Any] = [Dataset, Model, FitJob]
+    kinds: list[Any] = [DatasetRecord, ModelRecord, FitRecord]
     assert [names_of(restored, kind) for kind in kinds] == [["mine"]] * 3
     assert [found.id for found in access_keys.page(restored, limit=9)] == [key.id]
     assert list(aliases.targets(restored)) == [("gait", "walk@production")]
@@ -48,6 +48,6 @@ def test_a_backup_of_one_project_has_nothing_of_the_others(
     assert not webhooks.any_due(restored)  # which the other deployment sends
     assert {entry.project for entry in audit.page(restored, limit=99)} == {"gait"}
     assert datasets.load(restored, dataset.id).frames == len(CAPTURE.keypoints)
-    (copy,) = lookup.page(restored, Model, limit=9, after=None)
+    (copy,) = lookup.page(restored, ModelRecord, limit=9, after=None)
     assert models.load_weights(restored, copy) == weights
     restored.close()

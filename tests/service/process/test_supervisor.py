@@ -61,7 +61,7 @@ def part(live: Live, *words: str) -> int:
 
 
 def is_part(live: Live, pid: int) -> bool:
-    """Tell whether the service started a process, and would start it again."""
+    """Return whether the service started a process, and would start it again."""
     known = (b"service.cli\0worker", b"service.app", b"valkey-server")
     return (
         any(words in command_of(pid) for words in known)

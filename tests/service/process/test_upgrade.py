@@ -53,8 +53,8 @@ def test_nothing_is_lost_or_changed(folder: Path, served: Live) -> None:
     )
     capture = np.load(io.BytesIO(content(served, f"{seen}/capture")))
     assert_equal(dict(capture), dict(np.load(folder / "capture.npz")))
-    said = served.get(seen)
-    assert (said["tags"], said["metadata"]) == (["pilot"], {"subject": "M7"})
+    answer = served.get(seen)
+    assert (answer["tags"], answer["metadata"]) == (["pilot"], {"subject": "M7"})
     assert served.get(fit)["model_id"] in model
     for path, file in (
         (f"{fit}/reconstruction?format=safetensors", "reconstruction"),

@@ -12,13 +12,13 @@ import pytest
 
 from models.capture.synthetic import SyntheticCapture
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import Lift
+from models.lifting.lift import LiftedFrames
 from service.realtime.engine import REFINED_FRAMES, SLICE_FRAMES, Engine
 from service.settings import Settings
 from store import models
 from store.database import Store
 from store.errors import NotFoundError
-from store.records import Model
+from store.records import ModelRecord
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def prior(weights: bytes) -> FittedPrior:
     return FittedPrior.from_bytes(weights)
 
 
-def stored(store: Store, weights: bytes) -> Model:
+def stored(store: Store, weights: bytes) -> ModelRecord:
     about: dict[str, Any] = {"name": "figure", "views": 3, "keypoints": 16, "frames": 60}
     return models.create(store, weights, config={}, training_curve=[], metrics={}, **about)
 
@@ -64,7 +64,7 @@ def run(clients: Callable[[], Awaitable[Any]]) -> Any:
     return asyncio.run(main())
 
 
-def check(found: Lift, expected: Lift) -> None:
+def check(found: LiftedFrames, expected: LiftedFrames) -> None:
     assert found.status == expected.status
     for name, array in found.arrays.items():
         known = expected.arrays[name]
@@ -90,7 +90,7 @@ def test_everyone_gets_his_own_answer(
     def pixels(frames: slice, how: dict[str, Any]) -> Any:
         return capture.keypoints[frames][:, how["views"]]
 
-    async def clients() -> list[Lift]:
+    async def clients() -> list[LiftedFrames]:
         return await asyncio.gather(
             *(
                 engine.lift(
@@ -113,7 +113,7 @@ def test_slices_are_put_together_in_their_order(
     frames = 2 * SLICE_FRAMES + 5 if refine == "off" else 2 * REFINED_FRAMES + 5
     keypoints = np.resize(capture.keypoints, (frames, *capture.keypoints.shape[1:]))
 
-    async def client() -> Lift:
+    async def client() -> LiftedFrames:
         return await engine.lift(engine.models.get("default", model), keypoints, refine=refine)
 
     check(run(client), prior.lift(keypoints, refine=refine))
@@ -192,7 +192,7 @@ def test_other_weights_are_read_anew(
     assert engine.models.get("default", model) is first
     other = stored(replica, weights)
     with replica.writing() as session:
-        record = session.get(Model, model)
+        record = session.get(ModelRecord, model)
         assert record is not None
         record.weights_key = other.weights_key
     assert engine.models.get("default", model) is not first
@@ -215,7 +215,7 @@ def test_a_model_in_use_is_in_memory_once(store: Store, weights: bytes) -> None:
 class Ending(FittedPrior):
     """A prior whose lifts end the thread that they run in."""
 
-    def lift_observed(self, *_arguments: Any, **_more: Any) -> Lift:
+    def lift_observed(self, *_arguments: Any, **_more: Any) -> LiftedFrames:
         raise SystemExit
 
 
@@ -228,7 +228,7 @@ def test_whatever_happens_in_a_thread_it_answers_and_goes_on(
     broken = replace(sound, prior=ending)
     many = np.resize(capture.keypoints, (3 * SLICE_FRAMES, *capture.keypoints.shape[1:]))
 
-    async def clients() -> tuple[list[Any], Lift]:
+    async def clients() -> tuple[list[Any], LiftedFrames]:
         asked = [one_thread.lift(broken, keypoints) for keypoints in (capture.keypoints, many)]
         failed = await asyncio.gather(*asked, return_exceptions=True)
         return failed, await one_thread.lift(sound, capture.keypoints)

@@ -29,7 +29,7 @@ BENT = (-0.1, 0.02, 0.003, -0.002, -0.004, 0.01, 0.02, 0.005)  # of OpenCV's 8 c
 every_language = pytest.mark.parametrize("language", ["py", "cpp", "ts"])
 
 
-def said_by(name: str, language: str, folder: Path, data: bytes, *arguments: str) -> str:
+def printed_by(name: str, language: str, folder: Path, data: bytes, *arguments: str) -> str:
     """Run an example and return what it prints."""
     source = EXAMPLES / f"{name}.{language}"
     command = {"py": [sys.executable, str(source)], "ts": [NODE, str(source)]}.get(language)
@@ -65,7 +65,7 @@ def test_a_capture_loop_gets_what_lifts_say(
         arguments, data = [model], (tmp_path / "keypoints.npy").read_bytes()
     before = [f"ws://{host}:{port}/lift/stream"] if language == "ts" else [host, port]
     arguments = arguments if language == "py" else before + arguments
-    lines = said_by("stream", language, tmp_path, data, *arguments).splitlines()
+    lines = printed_by("stream", language, tmp_path, data, *arguments).splitlines()
     assert len((EXAMPLES / f"stream.{language}").read_text().splitlines()) < 60
     assert len(lines) == len(frames)
     for n, line in enumerate(lines):
@@ -117,7 +117,7 @@ def test_points_project_to_where_lifts_and_opencv_say(
             for n, frame in enumerate(keypoints):
                 socket.send(as_bytes(n, frame))
                 messages.append(socket.recv(timeout=300))
-        text = said_by(
+        text = printed_by(
             "projection",
             language,
             tmp_path,
@@ -126,10 +126,10 @@ def test_points_project_to_where_lifts_and_opencv_say(
         )
         found = np.array(text.split(), float).reshape(keypoints.shape)
     else:
-        said = json.loads(said_by("projection", language, tmp_path, answer.content))
+        message = json.loads(printed_by("projection", language, tmp_path, answer.content))
         found = np.full(keypoints.shape, np.nan)
-        for n, k in np.argwhere([[view is not None for view in frame] for frame in said]):
-            found[n, k] = said[n][k]
+        for n, k in np.argwhere([[view is not None for view in frame] for frame in message]):
+            found[n, k] = message[n][k]
     models, compared = set(), 0
     for n, frame in enumerate(frames):
         for k, view in enumerate(frame["views"]):

@@ -12,7 +12,7 @@ from starlette.testclient import TestClient
 from models.capture.synthetic import SyntheticCapture
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
-from models.lifting.lift import CAMERA_MODELS, Lift
+from models.lifting.lift import CAMERA_MODELS, LiftedFrames
 from models.settings.keypoints import OUTLIER
 from service.wire.schemas import LiftedFrame
 from tests.service.conftest import BYTES, JSON, frames_of, problem, to_npz, to_safetensors
@@ -42,8 +42,8 @@ def check_json(frames: list[Any], arrays: dict[str, Array]) -> None:
         if frame["outlier_probability"] is None:
             assert np.isnan(outlying).all()
         else:
-            said = np.array(frame["outlier_probability"], np.float32)  # None is NaN
-            np.testing.assert_array_equal(said, outlying)
+            message = np.array(frame["outlier_probability"], np.float32)  # None is NaN
+            np.testing.assert_array_equal(message, outlying)
         for k, view in enumerate(frame["views"]):
             for name, value in (
                 ("rotation", arrays["rotations"][n, k]),
@@ -274,7 +274,7 @@ def test_every_kind_of_camera_on_the_wire() -> None:
 
     translations = values(3)
     translations[0, 0, 2] = np.nan
-    arrays = Lift(
+    arrays = LiftedFrames(
         points3d=rng.uniform(-1, 1, (1, 5, 3)).astype(np.float32),
         rotations=values(3, 3),
         scales=values(),
@@ -300,11 +300,11 @@ def test_every_kind_of_camera_on_the_wire() -> None:
     assert frames[0]["views"][3] is None
 
 
-def test_which_views_and_how_to_refine_can_be_said_of_json_and_of_bytes(
+def test_views_and_refine_can_be_given_with_json_and_with_bytes(
     api: TestClient, model: str, capture: SyntheticCapture
 ) -> None:
     keypoints = capture.keypoints[:4, [2, 0]]
-    said = lift(api, model, frames_of(keypoints), refine="off", views=[2, 0])
+    message = lift(api, model, frames_of(keypoints), refine="off", views=[2, 0])
     url = f"/lift?model={model}"
     more = "refine=off&views=2&views=0"
     body = {"model": model, "frames": frames_of(keypoints)}
@@ -313,11 +313,11 @@ def test_which_views_and_how_to_refine_can_be_said_of_json_and_of_bytes(
         api.post(f"{url}&{more}", content=orjson.dumps(body), headers=JSON),
     ):
         assert response.status_code == 200, response.text
-        assert response.json()["frames"] == said
+        assert response.json()["frames"] == message
 
 
 @pytest.mark.parametrize(
-    ("more", "pointer", "said"),
+    ("more", "pointer", "message"),
     [
         ({"views": [0]}, "/views", "expected one index per view: 2, got 1"),
         ({"views": [1, 1]}, "/views", "expected different views"),
@@ -335,12 +335,12 @@ def test_what_is_wrong_with_views_and_refine_is_named(
     capture: SyntheticCapture,
     more: dict[str, Any],
     pointer: str,
-    said: str,
+    message: str,
 ) -> None:
     keypoints = capture.keypoints[:2, :2]
     body = orjson.dumps({"model": model, "frames": frames_of(keypoints), **more})
     response = api.post("/lift", content=body, headers=JSON)
-    assert said in problem(response, 422, "invalid_input", pointer)
+    assert message in problem(response, 422, "invalid_input", pointer)
     if more.get("views") != []:  # a query cannot say an empty list
         response = api.post(
             "/lift",
@@ -348,7 +348,7 @@ def test_what_is_wrong_with_views_and_refine_is_named(
             content=to_npz(frames=keypoints),
             headers=BYTES,
         )
-        assert said in problem(response, 422, "invalid_input", pointer)
+        assert message in problem(response, 422, "invalid_input", pointer)
 
 
 @pytest.mark.parametrize("views", [1, "0,1", {"0": 1}, [[0], [1]], [0, None], True])

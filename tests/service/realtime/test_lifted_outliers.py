@@ -7,7 +7,7 @@ from models.capture.synthetic import SyntheticCapture
 from tests.service.realtime.conftest import lifted
 
 
-def test_what_was_left_out_as_an_outlier_is_said(
+def test_outliers_that_were_left_out_are_marked(
     http: httpx2.Client, model: str, capture: SyntheticCapture
 ) -> None:
     keypoints = capture.keypoints[:4].copy()

@@ -1,6 +1,6 @@
-"""Answers in the room of a model's cameras at rest: from lifts, streams, reconstructions and jobs.
+"""Answers in the room of a model's static cameras: from lifts, streams, reconstructions and jobs.
 
-The model is one of three cameras at rest, of which `/models/{id}/cameras` tells the poses.
+The model has three static cameras, whose poses are in `/models/{id}/cameras`.
 """
 
 from pathlib import Path
@@ -125,7 +125,7 @@ def test_streams_and_json_say_the_same(http: httpx2.Client, resting: str) -> Non
 
 
 def test_up_turns_the_room(http: httpx2.Client, resting: str, rig: list[Camera]) -> None:
-    """An imported model knows no frames: up is told, and there is no floor."""
+    """An imported model has no frames: up is given, and there is no floor."""
     plain = lifted(http, resting, "frame=room")["points3d"]
     raised = lifted(http, resting, "frame=room&up=0,-2,0")
     np.testing.assert_allclose(raised["points3d"], plain * np.array([1, -1, -1]), atol=1e-5)
@@ -151,7 +151,7 @@ def test_frames_without_a_place_say_so(http: httpx2.Client, resting: str) -> Non
     answer = http.post(f"/lift?frame=room&refine=off&model={resting}", **in_bytes(keypoints)).json()
     statuses = {n: frame["status"] for n, frame in enumerate(answer["frames"])}
     assert statuses == {n: "too_few_keypoints" if n == 3 else "not_in_room" for n in range(10)}
-    assert "at rest" in answer["frames"][0]["reason"]
+    assert "no static camera" in answer["frames"][0]["reason"]
     assert answer["frames"][0]["points3d"] is None
     assert answer["frames"][0]["views"] == [None] * 3
     assert answer["frames"][0]["findings"] == ["not_in_room"]
@@ -175,7 +175,7 @@ def test_what_is_asked_of_no_room_is_refused(http: httpx2.Client, resting: str, 
     problem(asked(f"model={resting}&frame=world"), 422, "invalid_input", "/frame")
     refused = asked(f"model={resting}&frame=room", KEYPOINTS[:, :2])
     problem(refused, 422, "invalid_input", "/views")
-    assert "none of its cameras rest" in problem(
+    assert "none of its cameras is static" in problem(
         asked(f"model={model}&frame=room"), 409, "conflict"
     )
     weak = imported(http, "plain")  # fitted without refinement
@@ -228,7 +228,7 @@ def test_a_reconstruction_and_its_lifts_share_one_room(
         assert b'"frames":[' + b",".join(frames_to_json(found)) + b'],"findings":' in body
     problem(http.get(f"{url}&up=auto"), 422, "invalid_input", "/up")
 
-    fits.delete(store, fit.id)  # by another process: its frames told up and the floor
+    fits.delete(store, fit.id)  # by another process: its frames gave up and the floor
     store.close()
 
     def forgotten() -> bool:

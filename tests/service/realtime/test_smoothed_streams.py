@@ -81,7 +81,7 @@ def flush(socket: ClientConnection) -> None:
     socket.send('{"flush": true}')
 
 
-def told(socket: ClientConnection, count: int) -> list[tuple[int, Array]]:
+def received(socket: ClientConnection, count: int) -> list[tuple[int, Array]]:
     """Return sequence and structure of so many answers."""
     answers = []
     for _ in range(count):
@@ -114,10 +114,10 @@ def test_smoothed_frames_come_late_in_their_order_and_are_truer(
         for n in range(FRAMES):
             socket.send(timed(7 * n, LATER[n], float(TIMES[n]), form))
             if n >= lag:
-                answers += told(socket, 1)
+                answers += received(socket, 1)
                 assert answers[-1][0] == 7 * (n - lag)
         flush(socket)
-        answers += told(socket, lag)
+        answers += received(socket, lag)
     assert [sequence for sequence, _ in answers] == list(range(0, 7 * FRAMES, 7))
     alone = off(prior, prior.lift(LATER).points3d)
     assert off(prior, [points for _, points in answers]) < 0.9 * alone
@@ -141,7 +141,7 @@ def test_the_answers_are_those_of_the_library_and_a_flush_begins_anew(
             observed = following.flush()
             assert observed is not None
             expected += [*prior.lift_observed(observed).points3d]
-        answers = told(socket, len(expected))
+        answers = received(socket, len(expected))
     assert [sequence for sequence, _ in answers] == 2 * [*range(30)]
     np.testing.assert_allclose([points for _, points in answers], expected, atol=1e-4)
 
@@ -155,21 +155,21 @@ def test_with_a_lag_longer_than_the_film_it_is_the_lift_of_all_frames(
         for n in range(count):
             socket.send(as_bytes(n, NOISY[n]))
         flush(socket)
-        points = np.array([points for _, points in told(socket, count)])
+        points = np.array([points for _, points in received(socket, count)])
     whole = prior.lift(NOISY[:count], times=TIMES[:count]).points3d
     truth = prior.lift(CLEAN[:count]).points3d
     apart, wrong = (np.linalg.norm(other - truth, axis=-1).mean() for other in (points, whole))
     assert apart < 1.1 * wrong
 
 
-def test_nothing_is_told_of_frames_that_still_wait(http: httpx2.Client, smoothing: str) -> None:
+def test_frames_that_still_wait_are_not_answered(http: httpx2.Client, smoothing: str) -> None:
     with started(http, smoothing, lag=3, fps=FPS) as socket:
         for n in range(3):
             socket.send(as_bytes(n, NOISY[n]))
         with pytest.raises(TimeoutError):
             socket.recv(timeout=0.5)
         socket.send(as_bytes(3, NOISY[3]))
-        assert told(socket, 1)[0][0] == 0
+        assert received(socket, 1)[0][0] == 0
 
 
 def test_stale_frames_are_gaps_and_the_last_one_is_answered(
@@ -201,7 +201,7 @@ def test_continuity_and_a_lag_go_together(
         for n in range(20):
             socket.send(as_bytes(n, NOISY[n]))
         flush(socket)
-        assert [n for n, _ in told(socket, 20)] == [*range(20)]
+        assert [n for n, _ in received(socket, 20)] == [*range(20)]
 
 
 @pytest.mark.parametrize("form", ["json", "bytes"])
@@ -217,7 +217,7 @@ def test_continuity_and_a_lag_go_together(
         (FPS, 4, None, "/sequence"),
     ],
 )
-def test_a_frame_of_a_wrong_time_is_told_and_the_stream_goes_on(
+def test_a_frame_with_a_wrong_time_is_an_error_and_the_stream_goes_on(
     http: httpx2.Client,
     smoothing: str,
     form: str,
@@ -231,11 +231,11 @@ def test_a_frame_of_a_wrong_time_is_told_and_the_stream_goes_on(
         socket.send(timed(5, NOISY[0], None if fps else 0.1, form))
         socket.send(timed(sequence, NOISY[1], time, form))
         socket.send(timed(10, NOISY[2], None if fps else 0.2, form))
-        assert told(socket, 1)[0][0] == 5
+        assert received(socket, 1)[0][0] == 5
         error = StreamError.model_validate_json(socket.recv(timeout=300))
         assert (error.code, error.sequence) == ("invalid_input", sequence)
         assert [item.pointer for item in error.errors] == [pointer]
-        assert told(socket, 1)[0][0] == 10
+        assert received(socket, 1)[0][0] == 10
 
 
 @pytest.mark.parametrize(
@@ -295,7 +295,7 @@ def test_a_model_that_does_not_smooth_has_no_lag(http: httpx2.Client, model: str
         socket.send(orjson.dumps({"model": model, "lag": 2}).decode())
         error = StreamError.model_validate_json(socket.recv(timeout=300))
         assert [item.pointer for item in error.errors] == ["/lag"]
-        assert "tells `fps` or `times`" in error.detail
+        assert "with `fps` or `times`" in error.detail
 
 
 def test_the_client_streams_with_a_lag(
@@ -359,7 +359,7 @@ def test_times_of_a_model_that_does_not_smooth_change_nothing(
     "times",
     [[0.0], [0.0, 0.1, 0.1], [0.0, 0.2, 0.1], [0.0, 0.1, None], [0.0, 0.1, 1e13], "now", 3],
 )
-def test_wrong_times_are_told(http: httpx2.Client, smoothing: str, times: Any) -> None:
+def test_wrong_times_are_errors(http: httpx2.Client, smoothing: str, times: Any) -> None:
     body = {"model": smoothing, "frames": frames_of(NOISY[:3]), "times": times}
     response = http.post("/lift", content=orjson.dumps(body), headers=JSON)
     assert response.status_code == 422, response.text

@@ -171,7 +171,7 @@ def test_all_frames_are_answered_however_fast_they_come(
     assert answers == list(range(count))
 
 
-def test_stale_frames_are_dropped_and_told(
+def test_stale_frames_are_dropped_and_reported(
     http: httpx2.Client, model: str, capture: SyntheticCapture
 ) -> None:
     count = 1000
@@ -227,7 +227,7 @@ ZEROS = np.zeros((2, 16, 2))
         (as_bytes(7, ZEROS, ZEROS[..., 0] - 1), "invalid_input", "/confidence", 7),
     ],
 )  # fmt: skip
-def test_a_bad_frame_is_told_and_the_stream_goes_on(
+def test_a_bad_frame_is_an_error_and_the_stream_goes_on(
     http: httpx2.Client,
     model: str,
     capture: SyntheticCapture,

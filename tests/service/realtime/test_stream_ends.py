@@ -166,10 +166,10 @@ def test_streams_are_bounded_in_number_and_silence(settings: Settings, model: st
         wait_for(opens, "the place of the one that was silent")
 
 
-def test_web_pages_open_streams_only_from_origins_that_are_told(
+def test_web_pages_open_streams_only_from_allowed_origins(
     http: httpx2.Client, settings: Settings, model: str
 ) -> None:
-    told = settings.model_copy(update={"cors_origins": "https://lab.example"})
+    given = settings.model_copy(update={"cors_origins": "https://lab.example"})
     own = f"http://{http.base_url.host}:{http.base_url.port}"
     for origin in ("https://evil.example", "https://lab.example", f"{own}0", "null", ""):
         with pytest.raises(InvalidStatus) as refused, opened(http, origin=origin):
@@ -178,7 +178,7 @@ def test_web_pages_open_streams_only_from_origins_that_are_told(
         assert orjson.loads(refused.value.response.body)["code"] == "origin_not_allowed"
     with started(http, model, origin=own):
         pass
-    with served(told) as other:
+    with served(given) as other:
         with started(other, model, origin="https://lab.example"), started(other, model):
             pass
         with pytest.raises(InvalidStatus), opened(other, origin="https://evil.example"):
@@ -213,14 +213,14 @@ def test_the_client_in_the_documentation_works(
     assert done.returncode == 0, done.stderr
     assert not done.stderr
     found = [int(n) for n in re.findall(r"^frame (\d+): .* px", done.stdout, re.MULTILINE)]
-    told = [
+    given = [
         n for line in re.findall(r'"sequences":(\[.*\])', done.stdout) for n in orjson.loads(line)
     ]
-    assert sorted(found + told) == list(range(60))
+    assert sorted(found + given) == list(range(60))
     assert 59 in found
 
 
-def test_who_asks_without_a_websocket_is_told(api: TestClient) -> None:
+def test_a_request_without_a_websocket_is_refused(api: TestClient) -> None:
     response = api.get("/lift/stream")
     assert "ws://" in problem(response, 426, "upgrade_required")
     assert response.headers["upgrade"] == "websocket"

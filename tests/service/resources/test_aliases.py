@@ -16,7 +16,7 @@ from store import access_keys, datasets, fits, lifts
 from store.authors import Author
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.errors import NotFoundError
 from tests.service.conftest import (
     BYTES,
@@ -105,7 +105,7 @@ def test_jobs_from_the_queue_know_aliases_of_their_project_alone(
     with closing(Store(settings)) as store:  # on whose behalf nobody asks
         mine, theirs = (
             datasets.create(
-                store.on_behalf_of(author), Capture.checked(ONE_FRAME), Description("queued")
+                store.on_behalf_of(author), Capture.checked(ONE_FRAME), CaptureDescription("queued")
             )
             for author in (Author(), Author("theirs"))
         )

@@ -39,7 +39,7 @@ def model(live: Live, rig: RigCapture) -> str:
 def test_files_say_what_json_says(
     live: Live, model: str, tmp_path: Path, kind: str, media_type: str, name: str
 ) -> None:
-    said: list[dict[str, Any]] = live.get(f"/models/{model}/cameras")["views"]
+    fields: list[dict[str, Any]] = live.get(f"/models/{model}/cameras")["views"]
     answer = live.http.get(f"/models/{model}/cameras?format={kind}")
     assert answer.status_code == 200, answer.text
     assert answer.headers["content-type"] == media_type
@@ -54,7 +54,7 @@ def test_files_say_what_json_says(
     first = "left_1" if kind == "colmap" else "left 1"  # COLMAP knows no blanks
     assert [camera.name for camera in found] == [first, "right", "top"]
     points = np.random.default_rng(0).standard_normal((20, 3))
-    for camera, view in zip(found, said, strict=True):
+    for camera, view in zip(found, fields, strict=True):
         assert camera.size == IMAGE_SIZE
         np.testing.assert_allclose(camera.matrix[[0, 1], [0, 1]], view["focal"], rtol=1e-9)
         np.testing.assert_allclose(camera.matrix[:2, 2], view["principal_point"], rtol=1e-9)

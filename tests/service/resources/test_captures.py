@@ -33,7 +33,7 @@ def test_a_capture_comes_out_as_it_went_in(
     truth = capture.points3d.astype(np.float32)
     truth[3, 4] = np.nan
     seconds = 1e9 + np.cumsum(np.random.default_rng(0).uniform(0.01, 0.02, 60))
-    told: dict[str | None, Any] = {
+    given: dict[str | None, Any] = {
         None: {},
         "fps": {"fps": np.float64(59.94)},
         "frames": {"times": seconds},
@@ -47,7 +47,7 @@ def test_a_capture_comes_out_as_it_went_in(
         "edges": np.array([[0, 1], [1, 2]]),
         "view_names": np.array(["left", "right", "Süd"]),
         "image_sizes": np.array([[1280, 1024], [0, 0], [640, 480]]),
-        **told[clock],
+        **given[clock],
     }
     sent = api.post("/datasets?name=figure", content=to_npz(**arrays), headers=BYTES).json()
     assert sent["image_sizes"] == [[1280, 1024], None, [640, 480]]

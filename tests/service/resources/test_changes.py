@@ -62,9 +62,9 @@ def test_what_cannot_be_changed_is_refused(api: TestClient, urls: list[str]) -> 
 
 def test_tags_and_metadata_are_replaced(api: TestClient, urls: list[str]) -> None:
     for url in urls:
-        said = {"tags": ["pilot", "left hand"], "metadata": {"day": None, "b": {"c": [1]}}}
-        changed = api.patch(url, json=said | {"tags": ["pilot", "left hand", "pilot"]}).json()
-        assert {key: changed[key] for key in said} == said
+        fields = {"tags": ["pilot", "left hand"], "metadata": {"day": None, "b": {"c": [1]}}}
+        changed = api.patch(url, json=fields | {"tags": ["pilot", "left hand", "pilot"]}).json()
+        assert {key: changed[key] for key in fields} == fields
         assert api.patch(url, json={"name": "n"}).json() == changed | {"name": "n"}
         assert api.patch(url, json={"tags": ["ä"], "metadata": None}).json()["tags"] == ["ä"]
         emptied = api.patch(url, json={"tags": [], "metadata": {}}).json()
@@ -72,15 +72,15 @@ def test_tags_and_metadata_are_replaced(api: TestClient, urls: list[str]) -> Non
 
 
 def test_they_are_told_as_something_is_made(api: TestClient, model: str, weights: bytes) -> None:
-    said: dict[str, Any] = {"tags": ["pilot"], "metadata": {"subject": "M7"}}
-    dataset = make_dataset(api, frames=1, **said)
-    fit = api.post("/fits", json={"dataset_id": dataset["id"], **said})
-    lift = api.post("/lifts", json={"dataset_id": dataset["id"], "model_id": model, **said})
-    form = {key: json.dumps(value) for key, value in said.items()}
+    fields: dict[str, Any] = {"tags": ["pilot"], "metadata": {"subject": "M7"}}
+    dataset = make_dataset(api, frames=1, **fields)
+    fit = api.post("/fits", json={"dataset_id": dataset["id"], **fields})
+    lift = api.post("/lifts", json={"dataset_id": dataset["id"], "model_id": model, **fields})
+    form = {key: json.dumps(value) for key, value in fields.items()}
     copy = api.post("/models", data=form, files={"file": ("w", weights)})
     assert api.delete(copy.headers["Location"]).status_code == 204
     for made in (dataset, fit.json(), lift.json(), copy.json()):
-        assert {key: made[key] for key in said} == said
+        assert {key: made[key] for key in fields} == fields
     for job in (fit, lift):
         assert api.post(f"{job.headers['Location']}/cancel").json()["tags"] == ["pilot"]
     wrong = api.post("/fits", json={"dataset_id": dataset["id"], "tags": [""]})

@@ -271,7 +271,7 @@ def test_times_are_kept_whichever_way_they_come(
 
 
 @pytest.mark.parametrize(
-    ("said", "pointer"),
+    ("fields", "pointer"),
     [
         ({"fps": 0}, "/fps"),
         ({"fps": 2e5}, "/fps"),
@@ -283,14 +283,14 @@ def test_times_are_kept_whichever_way_they_come(
     ],
 )
 def test_times_that_cannot_be_are_refused(
-    api: TestClient, arrays: dict[str, np.ndarray[Any, Any]], said: dict[str, Any], pointer: str
+    api: TestClient, arrays: dict[str, np.ndarray[Any, Any]], fields: dict[str, Any], pointer: str
 ) -> None:
-    body = {"keypoints": frames_of(arrays["keypoints"]), **said}
+    body = {"keypoints": frames_of(arrays["keypoints"]), **fields}
     answer = api.post("/datasets", content=orjson.dumps(body), headers=JSON)
     problem(answer, 422, "invalid_input", pointer)
 
 
-def test_confidences_a_little_above_1_are_clipped_and_that_is_said(api: TestClient) -> None:
+def test_confidences_a_little_above_1_are_clipped_with_a_note(api: TestClient) -> None:
     keypoints = np.random.default_rng(1).uniform(0, 900, (6, 2, 5, 2))
     confidence = np.full((6, 2, 5), 0.9)
     confidence[0, 0, 0] = 1.0
@@ -324,7 +324,7 @@ def test_names_of_views_are_kept(api: TestClient) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arrays", "status", "said"),
+    ("arrays", "status", "message"),
     [
         ({"keypoints": np.zeros((2, 2, 3, 2))}, 422, "4 to 32 keypoints, got 3"),
         ({"keypoints": np.zeros((2, 2, 5, 3))}, 422, "keypoints[..., 2] as `confidence`"),
@@ -341,8 +341,8 @@ def test_names_of_views_are_kept(api: TestClient) -> None:
     ],
 )
 def test_what_is_refused_says_how_to_mend_it(
-    api: TestClient, arrays: dict[str, Any], status: int, said: str
+    api: TestClient, arrays: dict[str, Any], status: int, message: str
 ) -> None:
     answer = api.post("/datasets", content=to_npz(**arrays), headers=BYTES)
     assert answer.status_code == status
-    assert said in answer.json()["detail"]
+    assert message in answer.json()["detail"]

@@ -88,7 +88,7 @@ def test_tables_of_two_cameras(api: TestClient, tables: Parts) -> None:
     assert not made["has_times"]
 
 
-def test_how_they_are_read_is_said_in_the_form(api: TestClient, tables: Parts) -> None:
+def test_reading_options_are_in_the_form(api: TestClient, tables: Parts) -> None:
     seen = np.mean([LEFT[..., 2] >= 0.8, RIGHT[..., 2] >= 0.8], (1, 2))
     made = send(api, tables, min_confidence="0.8", format="deeplabcut-csv")
     np.testing.assert_allclose(made["missing_fraction"], 1 - seen, atol=1e-6)
@@ -115,8 +115,8 @@ def test_how_they_are_read_is_said_in_the_form(api: TestClient, tables: Parts) -
     answer = api.post("/datasets", files=tables, data={"skeleton": "cat"})
     assert "there is no skeleton 'cat'; there are coco-17" in refused(answer)
     answer = api.post("/datasets", files=tables, data={"min_confidense": "0.1"})
-    said = problem(answer, 422, "invalid_input", "/min_confidense")
-    assert "did you mean 'min_confidence'" in said
+    message = problem(answer, 422, "invalid_input", "/min_confidense")
+    assert "did you mean 'min_confidence'" in message
 
 
 def test_a_zip_file_is_a_folder_of_frames(api: TestClient) -> None:
@@ -128,7 +128,7 @@ def test_a_zip_file_is_a_folder_of_frames(api: TestClient) -> None:
     assert "Head" in made["skeleton"]["keypoint_names"]
 
 
-def test_landmarks_take_the_sizes_that_are_told(api: TestClient) -> None:
+def test_landmarks_use_the_given_sizes(api: TestClient) -> None:
     frames = [[{"x": 0.1 * k, "y": 0.05 * n} for k in range(1, 6)] for n in range(1, 5)]
     sent = parts(left_json=json.dumps(frames).encode(), right_json=json.dumps(frames).encode())
     assert "image's width" in refused(api.post("/datasets", files=sent))
@@ -193,11 +193,11 @@ def hostile(tmp_path: Path) -> dict[str, bytes]:
 def test_hostile_and_broken_files_are_named(api: TestClient, tables: Parts, tmp_path: Path) -> None:
     for name, data in hostile(tmp_path).items():
         answer = api.post("/datasets", files=[("files", (name, data)), tables[0]])
-        said = refused(answer)
-        assert name.partition(".")[0] in said, said
-        assert "fewview-" not in said, said  # the service's own folder
-        assert not re.search(r"(^|[\s'\"(=])/\w", said), said  # nor any other
-        assert ("more memory" in said) == (name == "promised.h5"), said
+        message = refused(answer)
+        assert name.partition(".")[0] in message, message
+        assert "fewview-" not in message, message  # the service's own folder
+        assert not re.search(r"(^|[\s'\"(=])/\w", message), message  # nor any other
+        assert ("more memory" in message) == (name == "promised.h5"), message
 
 
 def test_text_of_files_cannot_break_the_answer(api: TestClient) -> None:
@@ -239,9 +239,9 @@ def test_bodies_that_should_be_files_say_how_to_send_them(api: TestClient, table
     ):
         headers = {"Content-Type": "application/octet-stream"}
         answer = api.post("/datasets", content=data, headers=headers)
-        said = problem(answer, 400, "malformed_body")
-        assert what in said
-        assert "curl -F files=@cam1.csv" in said
+        message = problem(answer, 400, "malformed_body")
+        assert what in message
+        assert "curl -F files=@cam1.csv" in message
     of_detectors: list[Any] = [{"people": []}, [{"image_id": 1, "keypoints": [1, 2, 3]}]]
     for body in of_detectors:
         answer = api.post("/datasets", json=body)
@@ -314,9 +314,9 @@ def test_what_reads_files_of_strangers_knows_no_passwords(
     def look() -> bool:
         for child in descendants(os.getpid()):
             with suppress(OSError):
-                told = Path(f"/proc/{child}/environ").read_bytes()
-                if f"TMPDIR={tmp_path}".encode() in told:
-                    seen.append(told)
+                given = Path(f"/proc/{child}/environ").read_bytes()
+                if f"TMPDIR={tmp_path}".encode() in given:
+                    seen.append(given)
         return bool(seen)
 
     looking = threading.Thread(target=wait_for, args=(look, "the reader"))
@@ -325,7 +325,7 @@ def test_what_reads_files_of_strangers_knows_no_passwords(
         read_apart(tmp_path, ["a.csv"], ReadingOptions(), max_bytes=2**20)
     looking.join()
     assert seen
-    assert not any(b"secret-of-the-service" in told for told in seen)
+    assert not any(b"secret-of-the-service" in given for given in seen)
 
 
 def test_a_form_has_one_file_of_arrays_or_files_of_detectors(

@@ -32,22 +32,26 @@ def test_points_that_are_sent_are_measured(api: TestClient) -> None:
     truth = rng.standard_normal((20, 9, 3))
     points = truth + 0.1 * rng.standard_normal(truth.shape)
     points[rng.random(points.shape[:2]) < 0.1] = np.nan
-    told = figures(api, points=lists(points), truth=lists(truth), reach=0.5)
+    answer = figures(api, points=lists(points), truth=lists(truth), reach=0.5)
     expected = evaluate(points, truth, reach=0.5).plain()
-    assert told.keys() == expected.keys() | {"keypoint_names", "cameras", "triangulation"}
+    assert answer.keys() == expected.keys() | {"keypoint_names", "cameras", "triangulation"}
     for name, value in expected.items():
         if isinstance(value, list):
-            np.testing.assert_allclose(told[name], value, rtol=1e-4)
+            np.testing.assert_allclose(answer[name], value, rtol=1e-4)
         else:
-            assert told[name] == pytest.approx(value, rel=1e-4), name
-    assert (told["keypoint_names"], told["cameras"], told["triangulation"]) == (None, None, None)
+            assert answer[name] == pytest.approx(value, rel=1e-4), name
+    assert (answer["keypoint_names"], answer["cameras"], answer["triangulation"]) == (
+        None,
+        None,
+        None,
+    )
 
     mirrored = figures(api, points=lists(-points), truth=lists(truth))
     assert not mirrored["mirrored"]
-    assert mirrored["pa_mpjpe"] > 3 * told["pa_mpjpe"]
+    assert mirrored["pa_mpjpe"] > 3 * answer["pa_mpjpe"]
     forgiven = figures(api, points=lists(-points), truth=lists(truth), mirrored_too=True)
     assert forgiven["mirrored"]
-    assert forgiven["pa_mpjpe"] == pytest.approx(told["pa_mpjpe"])
+    assert forgiven["pa_mpjpe"] == pytest.approx(answer["pa_mpjpe"])
 
 
 def test_what_cannot_be_measured_is_refused(api: TestClient) -> None:
@@ -96,10 +100,10 @@ def test_known_cameras_triangulate_beside_it(api: TestClient, model: str) -> Non
         {"intrinsics": lens, "rotation": turn.tolist(), "translation": [0, 0, 5]} for turn in turns
     ]
     asked = {"points": (truth + 0.2).tolist(), "dataset_id": made, "calibration": cameras}
-    told = figures(api, **asked, triangulate="calibration")
-    assert told["triangulation"]["mpjpe"] < 1e-3
-    assert told["triangulation"]["auc"] > 0.98
-    assert told["mpjpe"] == pytest.approx(0, abs=1e-4)  # a shift is no error
+    answer = figures(api, **asked, triangulate="calibration")
+    assert answer["triangulation"]["mpjpe"] < 1e-3
+    assert answer["triangulation"]["auc"] > 0.98
+    assert answer["mpjpe"] == pytest.approx(0, abs=1e-4)  # a shift is no error
     for broken in (cameras[:1], [cameras[0], {"intrinsics": {"fx": 1000.0}}], [None, None]):
         refused = api.post(
             "/evaluations", json=asked | {"calibration": broken, "triangulate": "calibration"}
@@ -111,11 +115,11 @@ def test_a_fit_is_measured_against_its_dataset(
     live: Live, fitted: dict[str, Any], capture: SyntheticCapture, tmp_path: Path
 ) -> None:
     model = live.get(f"/models/{fitted['model_id']}")
-    told = figures(live.http, fit_id=fitted["id"], mirrored_too=True, reach=0.2)
-    assert told["pa_mpjpe"] == pytest.approx(model["pa_mpjpe"], rel=1e-4)
-    assert told["pck"][-1] == pytest.approx(model["pck"], abs=1e-3)
-    assert told["frames"] == len(capture.keypoints)
-    assert len(told["per_keypoint"]) == capture.keypoints.shape[2]
+    answer = figures(live.http, fit_id=fitted["id"], mirrored_too=True, reach=0.2)
+    assert answer["pa_mpjpe"] == pytest.approx(model["pa_mpjpe"], rel=1e-4)
+    assert answer["pck"][-1] == pytest.approx(model["pck"], abs=1e-3)
+    assert answer["frames"] == len(capture.keypoints)
+    assert len(answer["per_keypoint"]) == capture.keypoints.shape[2]
     lens = {"intrinsics": {"fx": 1000.0, "cx": 640.0, "cy": 512.0}}
     with Client(live.url) as client:
         compared = client.evaluations.create(fitted["id"], calibration=[lens] * 3)["cameras"]
@@ -135,7 +139,7 @@ def test_a_fit_is_measured_against_its_dataset(
         assert camera["focal"] == pytest.approx([focal / 10 - 100 for focal in view["focal"]])
         assert camera["rotation"] is None
     assert by_file == compared
-    assert sent["per_keypoint"] == pytest.approx(told["per_keypoint"], rel=0.2)
+    assert sent["per_keypoint"] == pytest.approx(answer["per_keypoint"], rel=0.2)
     other = synthetic_capture(frames=4, views=3, seed=8)
     wrong = {"fit_id": fitted["id"], "truth": other.points3d.tolist()}
     problem(live.http.post("/evaluations", json=wrong), 422, "invalid_input", "/truth")

@@ -17,8 +17,8 @@ from service.settings import Settings
 from store import datasets, fits
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
-from store.records import FitJob
+from store.datasets import CaptureDescription
+from store.records import FitRecord
 from tests.service.conftest import make_dataset, problem, served, wait_for
 
 MANY = 40
@@ -31,14 +31,14 @@ def store(tmp_path: Path) -> Iterator[Store]:
     opened.close()
 
 
-def queued(store: Store) -> FitJob:
+def queued(store: Store) -> FitRecord:
     keypoints = synthetic_capture(frames=4, views=2, seed=0).keypoints
-    dataset = datasets.create(store, Capture.checked(keypoints), Description("figure"))
+    dataset = datasets.create(store, Capture.checked(keypoints), CaptureDescription("figure"))
     config = FitConfig().model_dump(mode="json")
     return fits.create(store, dataset_id=dataset.id, name="f", config=config)
 
 
-async def followed(events: Events, fit: FitJob) -> list[tuple[int, str]]:
+async def followed(events: Events, fit: FitRecord) -> list[tuple[int, str]]:
     return [(job.revision, job.status) async for job in events.follow(fit, 0)]
 
 
@@ -88,8 +88,8 @@ def test_an_outage_of_the_records_ends_nothing(
             return await following
 
     assert [status for _, status in asyncio.run(follow())] == ["queued", "cancelled"]
-    said = [record for record in caplog.records if "cannot be read" in record.message]
-    assert len(said) == 1  # of several looks in vain
+    message = [record for record in caplog.records if "cannot be read" in record.message]
+    assert len(message) == 1  # of several looks in vain
 
 
 def test_no_more_may_follow_than_are_allowed(settings: Settings, api: TestClient) -> None:

@@ -139,14 +139,14 @@ def test_lifted_frames_say_what_is_odd(
     keypoints = capture.keypoints[:6].copy()
     keypoints[3] /= 1000
     asked = {"model": model, "frames": frames_of(keypoints), "refine": "off"}
-    said = api.post("/lift", json=asked).json()
-    assert codes(said) == ["coordinates_of_another_scale"]
-    assert said["findings"][0]["frames"] == [[3, 3]]
-    assert [frame["findings"] for frame in said["frames"]] == [
+    answer = api.post("/lift", json=asked).json()
+    assert codes(answer) == ["coordinates_of_another_scale"]
+    assert answer["findings"][0]["frames"] == [[3, 3]]
+    assert [frame["findings"] for frame in answer["frames"]] == [
         ["coordinates_of_another_scale"] * (n == 3) for n in range(6)
     ]
     seen = np.isfinite(keypoints).all(-1)
-    for frame, expected in zip(said["frames"], seen.sum(1).tolist(), strict=True):
+    for frame, expected in zip(answer["frames"], seen.sum(1).tolist(), strict=True):
         assert frame["keypoints_seen"] == expected
     arrays = api.post("/lift", json=asked, headers={"Accept": "application/octet-stream"})
     assert b'"findings"' in arrays.content[:4000]

@@ -145,38 +145,36 @@ def test_what_is_wrong_with_a_calibration_is_named(
         ({"handedness": [0, 1, 2, 16]}, "/config/handedness"),
     ],
 )
-def test_what_is_said_of_the_cameras_must_fit_the_dataset(
-    api: TestClient, config: Any, pointer: str
-) -> None:
+def test_given_cameras_must_fit_the_dataset(api: TestClient, config: Any, pointer: str) -> None:
     dataset = make_dataset(api)
     body = {"dataset_id": dataset["id"], "config": config}
     problem(api.post("/fits", json=body), 422, "invalid_input", pointer)
     assert api.get(f"/fits?dataset_id={dataset['id']}").json()["items"] == []
 
 
-def test_what_is_said_of_the_cameras_is_kept(api: TestClient) -> None:
-    said = {
+def test_given_cameras_are_kept(api: TestClient) -> None:
+    fields = {
         "refine": "full",
         "cameras": "static",
         "calibration": [CAMERA, None],
         "known_length": {"keypoints": [0, 1], "length": 0.4},
         "handedness": [0, 1, 2, 3],
     }
-    body = {"dataset_id": make_dataset(api)["id"], "config": said}
+    body = {"dataset_id": make_dataset(api)["id"], "config": fields}
     response = api.post("/fits", json=body)
     assert response.status_code == 202, response.text
-    assert response.json()["config"] == FitConfig.model_validate(said).model_dump(mode="json")
+    assert response.json()["config"] == FitConfig.model_validate(fields).model_dump(mode="json")
     api.post(f"/fits/{response.json()['id']}/cancel")
 
 
-def test_keypoints_are_told_by_the_names_of_the_dataset(api: TestClient) -> None:
+def test_keypoints_are_given_by_the_names_of_the_dataset(api: TestClient) -> None:
     names = [f"joint {p}" for p in range(16)]
     named = make_dataset(api, skeleton={"keypoint_names": names})["id"]
-    said = {
+    fields = {
         "known_length": {"keypoints": ["joint 4", 2], "length": 0.4},
         "handedness": ["joint 0", "joint 1", "joint 15", "joint 3"],
     }
-    fit = api.post("/fits", json={"dataset_id": named, "config": said}).json()
+    fit = api.post("/fits", json={"dataset_id": named, "config": fields}).json()
     assert fit["config"]["known_length"] == {"keypoints": [4, 2], "length": 0.4}
     assert fit["config"]["handedness"] == [0, 1, 15, 3]
     again = api.post("/fits", json={"dataset_id": named, "config": fit["config"]})
@@ -295,8 +293,8 @@ def test_a_fit_may_start_from_a_model(api: TestClient, model: str) -> None:
     cold = {name: value for name, value in body.items() if name != "from_model"}
     problem(api.post("/fits", json=cold, headers=key), 422, "idempotency_key_reused")
     assert api.post("/fits", json=cold).json()["from_model"] is None
-    told = body | {"config": {"steps": 11, "budget_s": 2.5, "early_stopping": True}}
-    config = api.post("/fits", json=told).json()["config"]
+    given = body | {"config": {"steps": 11, "budget_s": 2.5, "early_stopping": True}}
+    config = api.post("/fits", json=given).json()["config"]
     assert (config["steps"], config["budget_s"], config["early_stopping"]) == (11, 2.5, True)
 
 
@@ -314,8 +312,8 @@ def test_a_model_that_no_fit_of_the_dataset_can_start_from_is_named(
     frames = {"keypoints": np.ones((2, 2, 9, 2)).tolist()}
     other = api.post("/datasets", json=frames).json()["id"]
     response = api.post("/fits", json=body | {"dataset_id": other})
-    said = problem(response, 422, "invalid_input", "/from_model")
-    assert "expected 9 as in the dataset, got 16" in said
+    message = problem(response, 422, "invalid_input", "/from_model")
+    assert "expected 9 as in the dataset, got 16" in message
     narrow = body | {"config": {"dictionary_sizes": [7, 3]}}
     pointer = "/config/dictionary_sizes"
     problem(api.post("/fits", json=narrow), 422, "invalid_input", pointer)

@@ -142,11 +142,11 @@ def test_workers_that_do_no_work_are_noticed(
                 if code == FAILING:  # its job is done all the same
                     assert ready.status_code == 503 or ready.json()["workers"] == 0
                 else:
-                    assert "no worker does its work" in problem(ready, 503, "unavailable")
+                    assert "no worker is working" in problem(ready, 503, "unavailable")
             assert of_worker()[0] == 1
         with started("from worker import runner; runner.run(runner.WorkerSettings())", environment):
             wait_for(lambda: client.get("/health/ready").status_code == 200, "work")
-            wait_for(lambda: of_worker() == (0, "The worker does its work."), "its health")
+            wait_for(lambda: of_worker() == (0, "The worker is working."), "its health")
             assert client.get("/health/ready").json()["workers"] == 1
 
 
@@ -161,7 +161,7 @@ def started(code: str, environment: dict[str, str]) -> Iterator[None]:
 
 
 def test_damaged_records_are_noticed(tmp_path: Path, valkey: ValkeyServer) -> None:
-    """By readiness, though no request meets the damage; and said to those that do."""
+    """By readiness, though no request meets the damage; and reported to those that do."""
     url = RedisDsn(f"{valkey.connection_url}/0")
     settings = Settings(data_dir=tmp_path, redis_url=url, allowed_hosts="*")
     with OwnersClient(create_app(settings), raise_server_exceptions=False) as client:
@@ -169,8 +169,8 @@ def test_damaged_records_are_noticed(tmp_path: Path, valkey: ValkeyServer) -> No
         database = Path(str(settings.resolved_database_url.database))
         spoil_records(database, "chunks")
         down = wait_for(lambda: not_ready(client), "the damage")
-        said = problem(down, 503, "unavailable", "/records")
-        assert "damaged" in said
+        message = problem(down, 503, "unavailable", "/records")
+        assert "damaged" in message
         assert "doctor" in down.json()["errors"][0]["detail"]
         assert client.get("/health/live").status_code == 200
         assert client.get("/datasets").status_code == 200

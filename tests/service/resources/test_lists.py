@@ -96,9 +96,9 @@ def test_a_moment_is_iso_8601_alone(api: TestClient, kind: str) -> None:
         for name in ("created_after", "created_before"):
             for method in ("GET", "DELETE"):
                 answer = api.request(method, f"/{kind}", params={name: text})
-                said = problem(answer, 422, "invalid_input", f"/{name}")
-                assert "ISO 8601" in said, text
-                assert "2026-01-31T09:30:00Z" in said, text
+                message = problem(answer, 422, "invalid_input", f"/{name}")
+                assert "ISO 8601" in message, text
+                assert "2026-01-31T09:30:00Z" in message, text
 
 
 def test_names_are_not_empty(api: TestClient) -> None:
@@ -128,8 +128,8 @@ def test_tags_and_metadata_filter(
         {},
     ]
     made = [make(kind, "labelled")["id"] for _ in labels]
-    for identifier, said in zip(made, labels, strict=True):
-        assert api.patch(f"/{kind}/{identifier}", json=said).status_code == 200
+    for identifier, message in zip(made, labels, strict=True):
+        assert api.patch(f"/{kind}/{identifier}", json=message).status_code == 200
     first, second, third, _ = made
 
     for query, expected in (
@@ -229,8 +229,8 @@ def test_nothing_is_deleted_but_as_many_as_expected(
     assert asked(dry_run=True, name="nobody").json()["found"] == 0
     uncounted: list[dict[str, Any]] = [{}, {"limit": 1}, {"id": made}, {"dry_run": False}]
     for query in uncounted:
-        said = problem(asked(**query), 422, "invalid_input", "/expected_count")
-        assert "dry_run=true" in said
+        message = problem(asked(**query), 422, "invalid_input", "/expected_count")
+        assert "dry_run=true" in message
     for wrong in (-1, "some", "", 2.5):
         problem(asked(expected_count=wrong), 422, "invalid_input", "/expected_count")
     miscounted: list[dict[str, Any]] = [

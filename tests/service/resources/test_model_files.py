@@ -32,7 +32,7 @@ FIXTURES = Path(__file__).parents[2] / "fixtures"
 @pytest.mark.usefixtures("unchanged")
 def test_what_a_file_says_of_its_model_is_checked(api: TestClient, weights: bytes) -> None:
     arrays, metadata = load(weights), {"fewview": orjson.dumps(about_of(weights)).decode()}
-    for said, pointer in (
+    for message, pointer in (
         ("{", ""),
         ("[" * 100_000, ""),
         ("7", ""),
@@ -48,7 +48,7 @@ def test_what_a_file_says_of_its_model_is_checked(api: TestClient, weights: byte
         ('{"skeleton": {"edges": [[0, 99]]}}', "/skeleton/edges/0"),
         ('{"skeleton": {"keypoint_names": ["a"]}}', "/skeleton/keypoint_names"),
     ):
-        data = save(arrays, metadata | {"model": said})
+        data = save(arrays, metadata | {"model": message})
         response = api.post("/models", content=data, headers=BYTES)
         problem(response, 422, "invalid_input", pointer)
     huge = save(arrays, metadata | {"model": f'{{"name": "{"a" * 1_000_000}"}}'})
@@ -98,7 +98,7 @@ def test_a_file_agrees_with_itself(api: TestClient, weights: bytes) -> None:
     """Its parts are of as many views, its limits are numbers, its curve is one of a fit."""
     arrays, about = load(weights), about_of(weights)
     denoised = (FIXTURES / "denoised.safetensors").read_bytes()
-    others, said = load(denoised), about_of(denoised)
+    others, answer = load(denoised), about_of(denoised)
     refused: dict[str, bytes] = {}
     for usual in ("[[NaN], 1, 2]", "[[], 1, 2]", "[[-1], 1, 2]", "[[1], NaN, 2]", "[[1], 3, 2]",
                   "[[1], Infinity, Infinity]", "[[1], 1, NaN]", "[[1" + "0" * 400 + "], 1, 2]",
@@ -106,9 +106,9 @@ def test_a_file_agrees_with_itself(api: TestClient, weights: bytes) -> None:
         refused[f"usual {usual}"] = rewritten(arrays, about | {"usual": usual})
     for views in ("-1", "2", "65", "1" + "0" * 400):
         refused[f"views {views}"] = rewritten(arrays, about | {"views": views})
-    whole = {"known": "1" * int(said["keypoints"]), "places": "[]", "usual": "[[1], 1, 2]"}
+    whole = {"known": "1" * int(answer["keypoints"]), "places": "[]", "usual": "[[1], 1, 2]"}
     refused["noise of other views"] = rewritten(
-        others, said | whole | {"views": "9", "findings": "[]"}
+        others, answer | whole | {"views": "9", "findings": "[]"}
     )
     refused["places of no view"] = rewritten(arrays, about | {"places": "[[3, 0, 1.0, 1.0]]"})
     refused["places beyond all"] = rewritten(
@@ -168,8 +168,8 @@ def test_lists_read_no_curves(api: TestClient, settings: Settings, weights: byte
     made = api.post("/models", content=weights, headers=BYTES).json()
     for curve in ("no JSON", "[]"):
         with sqlite3.connect(settings.data_dir / "records.db") as records:
-            told = (curve, made["id"])
-            records.execute("UPDATE models SET training_curve = ? WHERE id = ?", told)
+            given = (curve, made["id"])
+            records.execute("UPDATE models SET training_curve = ? WHERE id = ?", given)
         assert made["id"] in [one["id"] for one in api.get("/models?limit=200").json()["items"]]
     assert api.delete(f"/models/{made['id']}").status_code == 204
 
@@ -184,7 +184,7 @@ def test_damaged_weights_are_refused(api: TestClient, weights: bytes) -> None:
 
 
 @pytest.mark.usefixtures("unchanged")
-def test_what_is_said_of_weights_is_checked(api: TestClient, weights: bytes) -> None:
+def test_the_description_of_weights_is_checked(api: TestClient, weights: bytes) -> None:
     file = {"file": ("w", io.BytesIO(weights))}
     skeleton = {"skeleton": '{"edges": [[0, 16]]}'}
     problem(

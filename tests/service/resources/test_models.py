@@ -80,7 +80,7 @@ def found_cameras() -> CameraReport:
         principal_point_sds=np.zeros((2, 2)),
         distortions=np.zeros((2, 8)),
         distortion_sds=np.zeros((2, 2)),
-        resting=np.array([True, False]),
+        static=np.array([True, False]),
         rotations=np.stack((np.eye(3), np.full((3, 3), nan))),
         rotation_sds=np.array([0.1, nan]),
         translations=np.array([[0.0, 1.0, 2.0], [nan] * 3]),
@@ -129,7 +129,7 @@ def test_without_refinement_no_cameras_are_found(live: Live, api: TestClient) ->
     problem(api.get("/models/mdl_no/cameras"), 404, "not_found")
 
 
-def test_one_view_tells_nothing_of_cameras(api: TestClient) -> None:
+def test_one_view_does_not_determine_cameras(api: TestClient) -> None:
     seen = synthetic_capture(frames=20, views=1)
     config = FitConfig.model_validate(CONFIG | {"steps": 5, "refine": "full"})
     weights = fit(seen.keypoints, config).to_bytes()

@@ -157,7 +157,7 @@ def stored_fit(
     )
     with store.writing() as session:
         for name, value in ({"config": CONFIG} | columns).items():
-            setattr(session.get(records.FitJob, fit.id), name, value)
+            setattr(session.get(records.FitRecord, fit.id), name, value)
     store.close()
     return fit.id
 
@@ -231,10 +231,10 @@ def test_as_json_it_is_that_of_its_arrays_however_long_it_is(
         fit = stored_fit(settings, make_dataset(http), save(arrays))
         url = f"/fits/{fit}/reconstruction"
         whole = http.get(url)
-        said = {name: whole.json()[name] for name in ("fit_id", "model_id", "dataset_id")}
+        fields = {name: whole.json()[name] for name in ("fit_id", "model_id", "dataset_id")}
         texts = [orjson.Fragment(text) for text in frames_to_json(arrays)]
         assert len(texts) == 100 * 60
-        assert whole.content == orjson.dumps({**said, "frames": texts, "findings": []})
+        assert whole.content == orjson.dumps({**fields, "frames": texts, "findings": []})
         assert http.get(url, headers={"If-None-Match": whole.headers["etag"]}).status_code == 304
         tracemalloc.start()
         try:
@@ -308,8 +308,8 @@ def test_a_damaged_reconstruction_is_not_served(
     (file,) = (settings.data_dir / "objects" / "fits" / fit).iterdir()
     harm(file)
     for query in ("", "?format=npz"):
-        said = problem(api.get(f"/fits/{fit}/reconstruction{query}"), 500, "object_damaged")
-        assert f"fits/{fit}/reconstruction" in said
+        message = problem(api.get(f"/fits/{fit}/reconstruction{query}"), 500, "object_damaged")
+        assert f"fits/{fit}/reconstruction" in message
 
 
 def test_a_long_fit_is_refined_otherwise_in_parts(api: TestClient, settings: Settings) -> None:

@@ -13,12 +13,12 @@ FRAMES = 96
 LATE = 4.5  # frames
 
 
-def upload(live: Live, keypoints: Any, **said: Any) -> str:
+def upload(live: Live, keypoints: Any, **fields: Any) -> str:
     """Store a capture in two parts, with times or fps or neither."""
-    times = said.pop("times", None)
+    times = fields.pop("times", None)
     dataset = ""
     for part in (slice(0, 50), slice(50, None)):
-        arrays = {"keypoints": keypoints[part], **(said if not dataset else {})}
+        arrays = {"keypoints": keypoints[part], **(fields if not dataset else {})}
         if times is not None:
             arrays["times"] = times[part]
         path = f"/datasets/{dataset}/frames" if dataset else "/datasets"
@@ -70,7 +70,7 @@ def test_frames_per_second_are_enough_and_off_is_off(live: Live, late_film: Any)
     assert out_of_step(off) == []
 
 
-def test_without_times_it_is_only_told(live: Live, late_film: Any) -> None:
+def test_without_times_it_is_only_reported(live: Live, late_film: Any) -> None:
     fit = live.finished(live.fit(upload(live, late_film), refine="off")["id"])
     [finding] = out_of_step(fit)
     assert (finding["severity"], finding["evidence"]["applied"]) == ("warning", 0)

@@ -222,7 +222,7 @@ def test_a_form_is_in_utf_8(api: TestClient, charset: str) -> None:
     file = b'--b\r\nContent-Disposition: form-data; name="file"; filename="f"\r\n\r\n'
     body = name + file + NPZ + b"\r\n--b--\r\n"
     for url in ("/datasets", "/models", "/datasets/ds_none/frames"):
-        for said in (charset, f'"{charset}"'):
-            headers = {"Content-Type": f"multipart/form-data; boundary=b; charset={said}"}
+        for spelling in (charset, f'"{charset}"'):
+            headers = {"Content-Type": f"multipart/form-data; boundary=b; charset={spelling}"}
             response = api.post(url, content=body, headers=headers)
             problem(response, 415, "unsupported_media_type")

@@ -85,7 +85,7 @@ BODIES: dict[str, tuple[str, Any]] = {
 }
 
 
-def said(response: Any) -> Any:
+def outcome(response: Any) -> Any:
     """Return an answer without what is new in each."""
     found = response.json()
     for name in ("id", "created_at", "request_id"):
@@ -108,14 +108,14 @@ def test_large_bodies_are_understood_as_small_ones_are(
         )
         for body in (text, text.ljust(MIB))
     )
-    assert said(small) == said(large)
+    assert outcome(small) == outcome(large)
 
 
 @pytest.mark.parametrize("name", KEYPOINTS)
 def test_bad_keypoints_are_refused_alike(api: TestClient, name: str) -> None:
     text = orjson.dumps({"keypoints": KEYPOINTS[name]})
     small, large = (api.post("/datasets", content=t, headers=JSON) for t in (text, text.ljust(MIB)))
-    assert said(small) == said(large)
+    assert outcome(small) == outcome(large)
 
 
 @pytest.mark.parametrize("text", [b"{", b'{"keypoints": [[1, NaN]]}', b"\xff", b"[" * 2000, b""])
@@ -145,7 +145,7 @@ ODD = {
 def test_odd_texts_are_understood_alike(api: TestClient, name: str) -> None:
     text = ODD[name] % orjson.dumps(FRAME)
     small, large = (api.post("/datasets", content=t, headers=JSON) for t in (text, text.ljust(MIB)))
-    assert said(small) == said(large)
+    assert outcome(small) == outcome(large)
 
 
 def test_arrays_are_the_same_to_the_last_bit(api: TestClient, capture: SyntheticCapture) -> None:

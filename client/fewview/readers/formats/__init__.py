@@ -1,1 +1,1 @@
-"""One module a format: `fits` says whether a source is of it, `read` gives its views."""
+"""One module for each format: `fits` tests whether a source is of it, `read` returns its views."""

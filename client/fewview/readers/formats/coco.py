@@ -1,6 +1,6 @@
 """COCO keypoints: annotation files, and files of results (also AlphaPose's).
 
-Images of several cameras in one file are told apart by their folders, or by the words before the
+Images of several cameras in one file are distinguished by their folders, or by the words before the
 frame number.
 """
 
@@ -79,10 +79,10 @@ def _images(content: Any, records: list[Record]) -> dict[Any, Record]:
 def _cameras(images: dict[Any, Record]) -> dict[str, list[tuple[int, Any]]]:
     """Return of each camera the (frame number, image identifier) in order."""
     identifiers = list(images)
-    said = [image.get("frame_id", image.get("frame_index")) for image in images.values()]
-    told = [number for number in said if isinstance(number, int)]
-    if len(set(told)) == len(identifiers):
-        return {"": sorted(zip(told, identifiers, strict=True))}
+    given = [image.get("frame_id", image.get("frame_index")) for image in images.values()]
+    numbers = [number for number in given if isinstance(number, int)]
+    if len(set(numbers)) == len(identifiers):
+        return {"": sorted(zip(numbers, identifiers, strict=True))}
     if not any("file_name" in image for image in images.values()) and all(
         isinstance(identifier, int) for identifier in identifiers
     ):
@@ -127,7 +127,7 @@ def _view(
 
 
 def _person(one: Record, parts: tuple[str, ...], flags: bool) -> Float32:
-    """Return (P, 3); a flag 0 of an annotation stands for a keypoint that is not labelled."""
+    """Return (P, 3); a flag 0 of an annotation means a keypoint that is not labelled."""
     values = np.concatenate([np.array(one[part], np.float32).reshape(-1, 3) for part in parts])
     if flags:
         values[values[:, 2] == 0] = np.nan

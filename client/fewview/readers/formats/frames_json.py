@@ -1,7 +1,7 @@
 """People frame by frame as JSON: of MMPose, AlphaPose, YOLO, EasyMocap, ViTPose and others.
 
-One file of a video, or a folder with a file for each image. One table says how the layouts
-differ; they are read alike (`json_frames.py`).
+One file for a video, or a folder with a file for each image. One table has the differences of the
+layouts; all are read by `json_frames.py`.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ class Layout:
 
     name: str
     title: str
-    says: Callable[[Any, Any], bool]  # the content, and somebody in it
+    matches: Callable[[Any, Any], bool]  # the content, and somebody in it
     words: str = ""
     y_first: bool = False
 
@@ -104,7 +104,7 @@ def _layout_of(source: Source) -> Layout | None:
     one = next((person for _, people in frames for person in people), None)
     if one is None:
         return None
-    return next(each for each in LAYOUTS if each.says(content, one))
+    return next(each for each in LAYOUTS if each.matches(content, one))
 
 
 def read(source: Source, layout: Layout) -> list[View]:

@@ -1,7 +1,7 @@
 """MediaPipe: landmarks of each frame as JSON, under the names that people give them.
 
-Landmarks are dictionaries of x, y and visibility. Where they are shares of the image, its size is
-in the file (`width`, `height`) or is told.
+Landmarks are dictionaries of x, y and visibility. If they are shares of the image, its size is in
+the file (`width`, `height`) or is given.
 """
 
 from typing import Any
@@ -46,9 +46,9 @@ def read(source: Source) -> list[View]:
             raise
         raise FormatError(f"{source}: landmarks without x and y ({error!r})") from error
     keypoints, confidence = packed(people, str(source))
-    told = content if isinstance(content, dict) else {}
-    width, height = (told.get(key, told.get(f"image_{key}")) for key in ("width", "height"))
-    fps = told.get("fps")
+    fields = content if isinstance(content, dict) else {}
+    width, height = (fields.get(key, fields.get(f"image_{key}")) for key in ("width", "height"))
+    fps = fields.get("fps")
     notes = []
     if np.isnan(confidence[np.isfinite(keypoints[..., 0])]).all():
         notes.append("landmarks without a visibility have the confidence 1")
@@ -77,7 +77,7 @@ def _frames(content: Any) -> list[Any]:
 
 def _numbers(frames: list[Any], source: Source) -> Int64:
     """Return the number of each frame, from the frames or from the names of their files."""
-    told: list[Any] = [
+    given: list[Any] = [
         next((frame[key] for key in NUMBERS if key in frame), None)
         if isinstance(frame, dict)
         else None
@@ -85,9 +85,9 @@ def _numbers(frames: list[Any], source: Source) -> Int64:
     ]
     if source.frames:
         named = [frame_number(path.name) for path in source.frames]
-        told = [number if number is None else number[1] for number in named]
-    if all(isinstance(number, int) for number in told) and np.all(np.diff(told) > 0):
-        return np.array(told, np.int64)
+        given = [number if number is None else number[1] for number in named]
+    if all(isinstance(number, int) for number in given) and np.all(np.diff(given) > 0):
+        return np.array(given, np.int64)
     return np.arange(len(frames))
 
 
@@ -107,8 +107,8 @@ def _ordered(frames: list[list[Person]], source: Source) -> tuple[str, ...] | No
         if len({tuple(point.get(key) for point in person) for person in everybody}) > 1:
             raise FormatError(f"{source}: people have landmarks of unlike {key}; write all of each")
     names = [point.get("name") for point in everybody[0]] if everybody else []
-    told = all(isinstance(name, str) for name in names) and len(set(names)) == len(names) > 0
-    return tuple(map(str, names)) if told else None
+    complete = all(isinstance(name, str) for name in names) and len(set(names)) == len(names) > 0
+    return tuple(map(str, names)) if complete else None
 
 
 def _people(frame: Any) -> list[Person]:

@@ -35,7 +35,7 @@ def read(source: Source) -> list[View]:
         if axes != 2:
             raise ValueError(f"`W_GT` has the shape {keypoints.shape[1:]}")
         for frame, one in zip(content, keypoints, strict=True):
-            # In a part of the files, False says that the frame does not show the subject.
+            # In some of the files, False means that the frame does not show the subject.
             shown = np.broadcast_to(np.asarray(frame.get("confidence", True), float) > 0, (points,))
             one[~shown] = np.nan
         truth = None

@@ -16,7 +16,7 @@ FACES = (468, 478)  # points of MediaPipe's face, after 33 of the body and 21 of
 
 
 def fits(source: Source) -> bool:
-    """Whether this is an array of 2D keypoints; 3D data of FreeMoCap say so in their names."""
+    """Whether this is an array of 2D keypoints; FreeMoCap has 3D in the names of 3D data."""
     if not source.begins(NUMPY) or "3d" in source.path.name.lower():
         return False
     try:

@@ -32,7 +32,7 @@ def read(source: Source) -> list[View]:
     Raises
     ------
     FormatError
-        If a file is no frame of OpenPose, or nobody was detected.
+        If a file is no frame of OpenPose, or no person was detected.
     """
     contents = list(source.frames_json()) if source.frames else [source.json]
     frames = [_people(content, source) for content in contents]
@@ -69,12 +69,12 @@ def _people(content: Any, source: Source) -> list[dict[str, Any]]:
 
 
 def _of(person: dict[str, Any], part: str) -> Any:
-    """Return the numbers of a part; before version 1.2 its name did not say 2D."""
+    """Return the numbers of a part; before version 1.2 its name had no 2D in it."""
     return person.get(part) or person.get(part.removesuffix("_2d"))
 
 
 def _keypoints(numbers: Any, source: Source) -> Float32 | None:
-    """Return (P, 3) of x, y, confidence; None where there is nobody."""
+    """Return (P, 3) of x, y, confidence; None if there is no person."""
     if not numbers:
         return None
     try:

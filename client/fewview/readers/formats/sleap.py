@@ -210,17 +210,17 @@ def _skeleton(content: Any, source: Source) -> tuple[tuple[str, ...], Edges]:
     return names, edges
 
 
-def _edge_type(said: dict[str, Any]) -> int:
-    """Return 1 for what joins, 2 for a symmetry, from what jsonpickle made of it."""
-    if "py/reduce" in said:
-        return int(said["py/reduce"][1]["py/tuple"][0])
-    return int(said.get("py/id", 1))
+def _edge_type(pickled: dict[str, Any]) -> int:
+    """Return 1 for an edge, 2 for a symmetry, from an object of jsonpickle."""
+    if "py/reduce" in pickled:
+        return int(pickled["py/reduce"][1]["py/tuple"][0])
+    return int(pickled.get("py/id", 1))
 
 
 def _video(text: str, number: int) -> str:
     """Return the name of a video: of its file, or of the folder of its images."""
-    said = json.loads(text)
-    backend = said.get("backend", said)
+    fields = json.loads(text)
+    backend = fields.get("backend", fields)
     name = backend.get("filename", "")
     if isinstance(name, list):
         name = str(name[0]).replace("\\", "/").rpartition("/")[0] if name else ""

@@ -3,7 +3,7 @@
 Wide: columns ``nose_x``, ``nose_y``, ``nose_confidence`` (or ``.``, or ``x_nose``, ``x1``), as
 SLEAP, MediaPipe's users, DLTdv and many scripts write them. Tidy: columns ``keypoint``, ``x``,
 ``y``, ``confidence``. Both may have columns of the frame, the time, the camera and the person. Rows
-of one frame that name nobody are people in a list without order, and so are columns
+of one frame without a person's name are people in a list without order, and so are columns
 ``inst0.nose.x`` of sleap-io.
 """
 
@@ -39,13 +39,13 @@ def read(source: Source, mapping: str | None = None) -> list[View]:
     Parameters
     ----------
     mapping
-        Which columns hold what, as `ReadingOptions.columns`; None for what their names say.
+        The contents of columns, as `ReadingOptions.columns`; None: from their names.
 
     Raises
     ------
     FormatError
-        If its rows are of unlike length or hold no numbers, a row has what another has, or
-        nothing says which rows are of one frame.
+        If its rows differ in length or have no numbers, two rows are the same keypoint, or it is
+        unknown which rows are of one frame.
     """
     table = table_of(source)
     if table is None:
@@ -109,7 +109,7 @@ def _views(
     if any(twice):
         who = next(filter(None, sorted(twice)))
         raise FormatError(f"{source}: has {who!r} twice in the same frame")
-    if twice:  # rows that name nobody
+    if twice:  # rows without a person's name
         places = _turns(cell)
         people = Words(tuple(map(str, range(int(places.max()) + 1))), places)
     shape = (len(numbers), len(people.words), len(points.words), len(columns))

@@ -16,8 +16,8 @@ from fewview.readers.views import View
 
 HEADER = 5  # lines that are not empty
 FRAME, TIME, FIRST = 0, 1, 2  # columns
-METRIC = ("m", "cm", "mm")  # which Sports2D says of pixels, too
-METRES = 20.0  # so far nobody goes before one camera; pixels go further
+METRIC = ("m", "cm", "mm")  # which Sports2D also writes for pixels
+METRES = 20.0  # no one goes so far in front of one camera; pixels go further
 
 
 def fits(source: Source) -> bool:

@@ -1,8 +1,8 @@
 """YOLO's pose labels: a text file for each image, a line for each person.
 
 ``class cx cy w h``, then x, y, confidence of each keypoint, all but the first as shares of the
-image, then what the detector was asked to add: its confidence, the number of the track. Images that
-show nobody have no file.
+image, then optional numbers of the detector: its confidence, the number of the track. Images
+without any person have no file.
 """
 
 from itertools import product

@@ -1,7 +1,7 @@
-"""How often a calibration that is off is found, in the view that it is off in.
+"""How often a wrong calibration is found, in the right view.
 
-Synthetic rigs whose calibration is told, with one view bumped, zoomed, off its principal point or
-exchanged for another camera: ``python -m benchmarks.told --cases 24``.
+Synthetic rigs with a given calibration, in which one view is bumped, zoomed, off its principal
+point or exchanged for another camera: ``python -m benchmarks.given --cases 24``.
 """
 
 import argparse
@@ -19,10 +19,10 @@ from tests.models.rigs import FOCAL, IMAGE_SIZE, RigCapture, make_rig_capture
 
 HARMS = ("bumped", "zoomed", "centre", "exchanged")
 NOISES = (1, 3, 5)  # pixels
-Told = list[dict[str, Any]]
+Calibration = list[dict[str, Any]]
 
 
-def true_calibration(capture: RigCapture) -> Told:
+def true_calibration(capture: RigCapture) -> Calibration:
     """Return lenses and poses of every view."""
     return [
         {
@@ -34,9 +34,9 @@ def true_calibration(capture: RigCapture) -> Told:
     ]
 
 
-def harmed(told: Told, view: int, harm: str, rng: np.random.Generator) -> Told:
-    """Return a calibration that is off in one view."""
-    camera = {**told[view], "intrinsics": dict(told[view]["intrinsics"])}
+def harmed(given: Calibration, view: int, harm: str, rng: np.random.Generator) -> Calibration:
+    """Return a calibration that is wrong in one view."""
+    camera = {**given[view], "intrinsics": dict(given[view]["intrinsics"])}
     sign = rng.choice([-1, 1])
     if harm == "bumped":
         axis = rng.standard_normal(3)
@@ -50,25 +50,25 @@ def harmed(told: Told, view: int, harm: str, rng: np.random.Generator) -> Told:
         camera["intrinsics"]["cx"] += sign * rng.uniform(40, 120)
     else:
         camera["intrinsics"] = {"fx": 1.3 * FOCAL, "cx": 500, "cy": 400, "distortion": [-0.2, 0.1]}
-    return [*told[:view], camera, *told[view + 1 :]]
+    return [*given[:view], camera, *given[view + 1 :]]
 
 
-def calibrated(capture: RigCapture, told: Told) -> SelfCalibration:
-    """Return what is found with this calibration."""
-    config = FitConfig.model_validate({"calibration": told})
-    sizes = [IMAGE_SIZE] * len(told)
+def calibrated(capture: RigCapture, given: Calibration) -> SelfCalibration:
+    """Calibrate with this given calibration."""
+    config = FitConfig.model_validate({"calibration": given})
+    sizes = [IMAGE_SIZE] * len(given)
     steps = self_calibrate(capture.pixels, capture.weights, capture.answers(), config, sizes)
     return finished(steps)[0]
 
 
 def named(found: SelfCalibration) -> list[int]:
-    """Return the views whose calibration is said to disagree."""
+    """Return the views with the finding `calibration_disagrees`."""
     disagreeing = [f for f in found.findings if f.code == "calibration_disagrees"]
     return sorted({view for finding in disagreeing for view in finding.views})
 
 
 def main() -> None:
-    """Plant harms, and say how many were found and how many right calibrations were doubted."""
+    """Plant faults, and print how many were found and how many right calibrations were doubted."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=24, help="default: %(default)s")
     cases: int = parser.parse_args().cases
@@ -79,11 +79,11 @@ def main() -> None:
         azimuths = np.linspace(0, 300, views, endpoint=False) + rng.uniform(-15, 15, views)
         noise = NOISES[seed % len(NOISES)]
         capture = make_rig_capture(azimuths.tolist(), frames=30, noise=noise, seed=seed)
-        told, view = true_calibration(capture), int(rng.integers(views))
-        found = named(calibrated(capture, harmed(told, view, harm, rng)))
+        given, view = true_calibration(capture), int(rng.integers(views))
+        found = named(calibrated(capture, harmed(given, view, harm, rng)))
         right += found == [view]
-        doubted += named(calibrated(capture, told)) != []
-        console.print(f"{views} views, {noise} px: {harm} {view}, said {found}", soft_wrap=True)
+        doubted += named(calibrated(capture, given)) != []
+        console.print(f"{views} views, {noise} px: {harm} {view}, found {found}", soft_wrap=True)
     console.print(f"{right} of {cases} named rightly; {doubted} right calibrations doubted")
 
 

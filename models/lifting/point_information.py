@@ -1,4 +1,4 @@
-"""What views tell of the points of a frame whose cameras are known."""
+"""The information of views on the points of a frame whose cameras are known."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,10 @@ def inform_points(
     information: Float64,
     pull: Float64,
 ) -> None:
-    """Write what views tell of each point of a frame: inverse covariances, times where it lies.
+    """Compute the information of the views on each point of a frame, linearised at `points`.
 
-    (P, 3, 3), and (P, 3) with the point where it is as the origin.
+    `information` (P, 3, 3) are inverse covariances. `pull` (P, 3) is the right-hand side of the
+    normal equations, with the present points as the origin.
     """
     camera, pixel, by_camera = np.empty(3), np.empty(2), np.empty((2, 3))
     by_lens, by_point = np.empty((2, LENS)), np.empty(3)

@@ -1,4 +1,4 @@
-"""What the user told of the cameras: given poses, a known length, and what came of all of it."""
+"""Given poses and a known length, and the findings about given values."""
 
 import math
 from typing import NamedTuple
@@ -11,13 +11,13 @@ from models.bundle.problem import EXTRINSICS, Scene, make_rig
 from models.calibrating.doubts import (
     GROSS,
     Checked,
-    check_told,
+    check_given,
 )
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.problem import (
-    REST_SLACK,
+    NOISE_SLACK,
+    CalibrationProblem,
     GivenPoses,
-    Problem,
     Solution,
     grouped,
 )
@@ -30,32 +30,32 @@ from models.settings.calibration import KnownLength
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-MISFIT = 0.05  # of the log of a length: two statements that differ by more contradict each other
+MISFIT = 0.05  # of the log of a length: two units that differ by more contradict each other
 WRONG_POSES = 2.5  # times the noise of moving cameras: given poses that leave more are wrong
 
 
 class Posed(NamedTuple):
-    """Cameras where they were said to be, as far as the keypoints bear that out."""
+    """Cameras at their given poses, unless the keypoints contradict these."""
 
-    told: Solution  # everything as it was told
+    as_given: Solution  # with all given values
     checked: Checked
-    unit: float  # of a unit of the structure in the user's
-    fits: bool  # whether two told poses or more do
+    unit: float  # a unit of the structure in the user's unit
+    fits: bool  # whether two given poses or more fit
 
 
-def arrange_posed(problem: Problem, moving: Solution) -> Steps[Posed]:
-    """Put views where they were said to be, and refine or refuse what is off of single views."""
+def arrange_posed(problem: CalibrationProblem, moving: Solution) -> Steps[Posed]:
+    """Set views to their given poses, and refine or refuse those of single views that are wrong."""
     start, unit = given_poses(problem, moving)
     posed = yield from learn(problem, start)
-    checked = yield from check_told(problem, posed)
+    checked = yield from check_given(problem, posed)
     given, solution = checked.solution.given_poses, checked.solution
-    bound = WRONG_POSES * moving.noise + REST_SLACK * problem.side
+    bound = WRONG_POSES * moving.noise + NOISE_SLACK * problem.side
     fits = given is not None and given.held.sum() > 1 and solution.noise <= bound
     return Posed(posed, checked, unit, bool(fits))
 
 
-def given_poses(problem: Problem, moving: Solution) -> tuple[Solution, float]:
-    """Put the moving solution into the poses that the user gave; also a unit in the user's."""
+def given_poses(problem: CalibrationProblem, moving: Solution) -> tuple[Solution, float]:
+    """Set the moving solution to the given poses; return also a unit of the structure."""
     rotations, translations = moving.rig.rotations.copy(), moving.rig.translations.copy()
     for k in problem.posed:
         pose = problem.poses[k]
@@ -80,27 +80,27 @@ def given_poses(problem: Problem, moving: Solution) -> tuple[Solution, float]:
     return start, unit
 
 
-def forget_lenses(problem: Problem, views: Bool) -> Problem:
-    """Return the problem as though nothing had been told of the lenses of some `views` (K,)."""
-    told, usual = problem.reference.lenses, problem.usual.lenses
+def forget_lenses(problem: CalibrationProblem, views: Bool) -> CalibrationProblem:
+    """Return the problem without the given lenses of some `views` (K,)."""
+    as_given, usual = problem.reference.lenses, problem.usual.lenses
     which = views[:, None]
     lenses = Lenses(
-        np.where(which, usual.focals, told.focals),
-        np.where(which, usual.centres, told.centres),
-        np.where(which, usual.distortion, told.distortion),
-        np.where(views, usual.models, told.models),
+        np.where(which, usual.focals, as_given.focals),
+        np.where(which, usual.centres, as_given.centres),
+        np.where(which, usual.distortion, as_given.distortion),
+        np.where(views, usual.models, as_given.models),
     )
     sds = np.where(which, np.inf, problem.lens_sds)
     return problem._replace(reference=problem.reference._replace(lenses=lenses), lens_sds=sds)
 
 
 def disagreements(
-    problem: Problem, told: Solution, checked: Checked, unit: float = 1.0
+    problem: CalibrationProblem, as_given: Solution, checked: Checked, unit: float = 1.0
 ) -> tuple[Finding, ...]:
-    """Return a finding for every view of which something told was refined or refused.
+    """Return a finding for every view with a given value that was refined or refused.
 
-    `told` solves the `problem` with everything as it was told. Shifts are in the user's unit, of
-    which a unit of the structure is `unit`.
+    `as_given` solves the `problem` with all given values. Shifts are in the user's unit; a unit of
+    the structure is `unit`.
     """
     found = checked.solution
     evidence: dict[int, dict[str, float]] = {}
@@ -108,28 +108,30 @@ def disagreements(
         for view in doubt.views:
             off = _lens_off if doubt.part == "lens" else _pose_off
             numbers = evidence.setdefault(view, {"refused": 0.0})
-            numbers |= off(problem, told, found, view, unit)
+            numbers |= off(problem, as_given, found, view, unit)
             numbers["refused"] = max(numbers["refused"], float(doubt.off > GROSS))
     return tuple(
-        _disagrees([view], told, found, numbers) for view, numbers in sorted(evidence.items())
+        _disagrees([view], as_given, found, numbers) for view, numbers in sorted(evidence.items())
     )
 
 
-def poses_disagree(problem: Problem, told: Solution, without: Solution) -> tuple[Finding, ...]:
-    """Return the finding that no two given poses fit each other: which are right is unknown."""
-    return (_disagrees(problem.posed, told, without, {"refused": 1.0}),)
+def poses_disagree(
+    problem: CalibrationProblem, as_given: Solution, without: Solution
+) -> tuple[Finding, ...]:
+    """Return the finding that no two given poses fit each other, so none can be confirmed."""
+    return (_disagrees(problem.posed, as_given, without, {"refused": 1.0}),)
 
 
 def _disagrees(
-    views: list[int], told: Solution, without: Solution, numbers: dict[str, float]
+    views: list[int], as_given: Solution, without: Solution, numbers: dict[str, float]
 ) -> Finding:
-    noises = {"noise_as_told": told.measured_noise, "noise": without.measured_noise}
+    noises = {"noise_as_told": as_given.measured_noise, "noise": without.measured_noise}
     finding = Finding.of("calibration_disagrees", views=views)
     return finding.with_evidence(noises | numbers)
 
 
 def in_words(findings: tuple[Finding, ...]) -> str:
-    """Say which views' calibrations were refined or refused, to go on a reason."""
+    """Return a text on refined and refused calibrations, to append to a reason."""
     words = ""
     for refused, verb in ((0.0, "refined"), (1.0, "refused")):
         views = [
@@ -144,7 +146,7 @@ def in_words(findings: tuple[Finding, ...]) -> str:
 
 
 def _lens_off(
-    problem: Problem, _told: Solution, found: Solution, view: int, _unit: float
+    problem: CalibrationProblem, _told: Solution, found: Solution, view: int, _unit: float
 ) -> dict[str, float]:
     given, ours = problem.reference.lenses, found.rig.lenses
     return {
@@ -154,10 +156,10 @@ def _lens_off(
 
 
 def _pose_off(
-    _problem: Problem, told: Solution, found: Solution, view: int, unit: float
+    _problem: CalibrationProblem, as_given: Solution, found: Solution, view: int, unit: float
 ) -> dict[str, float]:
-    turn = found.rig.rotations[view] @ told.rig.rotations[view].T
-    shift = found.rig.translations[view] - told.rig.translations[view]
+    turn = found.rig.rotations[view] @ as_given.rig.rotations[view].T
+    shift = found.rig.translations[view] - as_given.rig.translations[view]
     return {
         "degrees": math.degrees(turned_by(turn)),
         "shift": unit * float(np.linalg.norm(shift)),
@@ -165,16 +167,16 @@ def _pose_off(
 
 
 def turned_by(rotation: Float64) -> float:
-    """Angle of a rotation (3, 3), radians."""
+    """Return the angle of a rotation (3, 3), radians."""
     return math.acos(min(1.0, max(-1.0, (float(rotation.trace()) - 1) / 2)))
 
 
 def unit_by_length(
     scene: Scene, known: KnownLength, unit: float | None
 ) -> tuple[float, tuple[Finding, ...]]:
-    """Return the unit that a known length gives, and a finding if that of given poses is another.
+    """Return the unit from a known length, and a finding if given poses have another.
 
-    A unit is what a unit of the structure is in the user's.
+    It is a unit of the structure in the user's unit.
     """
     a, b = known.ends
     lengths = np.linalg.norm(scene.points[:, a] - scene.points[:, b], axis=-1)

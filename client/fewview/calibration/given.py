@@ -1,4 +1,4 @@
-"""What a fit is told of its cameras: those of a calibration file, given to the views."""
+"""Given cameras of a fit: those of a calibration file, assigned to the views."""
 
 import re
 from collections.abc import Sequence
@@ -88,8 +88,8 @@ def as_config(camera: Camera) -> dict[str, Any]:
     """
     (fx, skew, cx), (_, fy, cy) = camera.matrix[:2].tolist()
     if skew:
-        raise FormatError(f"camera {camera.name!r} has skewed pixels, which no fit can be told")
-    told: dict[str, Any] = {
+        raise FormatError(f"camera {camera.name!r} has skewed pixels, which no fit supports")
+    config: dict[str, Any] = {
         "intrinsics": {
             "model": "fisheye" if camera.fisheye else "pinhole",
             "fx": fx,
@@ -100,9 +100,9 @@ def as_config(camera: Camera) -> dict[str, Any]:
         }
     }
     if camera.rotation is not None and camera.translation is not None:
-        told["rotation"] = camera.rotation.tolist()
-        told["translation"] = camera.translation.tolist()
-    return told
+        config["rotation"] = camera.rotation.tolist()
+        config["translation"] = camera.translation.tolist()
+    return config
 
 
 def _plain(name: str) -> str:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.rooms_changed import ROOT, where_tested
+from tests.packages_changed import ROOT, where_tested
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,9 @@
-"""Whether told poses are meant otherwise than they are read: as the keypoints say.
+"""The convention of given poses: direction, axes and order of the cameras, found from keypoints.
 
-Calibrations come with poses from camera to room where those from room to camera are asked for, with
-the axes of graphics (y up, z backwards), or with cameras in another order than the views. Each of
-these readings predicts where the epipolar lines of every two views are, so keypoints decide among
-them without any structure, and before anything is learnt with wrong poses.
+Calibrations may have poses from camera to room instead of from room to camera, the axes of graphics
+(y up, z backwards), or cameras in another order than the views. Each of these conventions predicts
+the epipolar lines of every two views. So keypoints decide among them without any structure, before
+anything is learnt with wrong poses.
 """
 
 import math
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.problem import Rig
-from models.calibrating.problem import Pose, told_lenses, told_poses
+from models.calibrating.problem import Pose, poses_of, with_given_lenses
 from models.epipolar.fundamental import sampson_distances
 from models.epipolar.view_pairs import seen_keypoints
 from models.findings.finding import Finding
@@ -25,17 +25,17 @@ from models.settings.calibration import Camera
 Float64 = NDArray[np.float64]
 Calibration = Sequence[Camera | None]
 
-FITTING = 0.05  # of a view's radius: keypoints that are off epipolar lines by less bear poses out
-BETTER = 4.0  # times: so much less another reading must leave
-AMBIGUOUS = 1.5  # times what the best reading leaves: one that leaves less is as good
+FITTING = 0.05  # of a view's radius: if distances from epipolar lines are less, poses fit
+BETTER = 4.0  # times: the distances of another convention must be so much less
+AMBIGUOUS = 1.5  # times the distances of the best convention: one with less is as good
 MOST_ORDERED = 6  # cameras whose order is tried: 720 orders
 POINTS, LEAST_POINTS = 1500, 60  # of a pair of views
 STEPS, WIDEST = 25, 4.0  # of straightening pixels; tangent of the widest angle
 GRAPHICS = np.diag([1.0, -1.0, -1.0])
 
 
-class Reading(NamedTuple):
-    """How poses and their order are taken.
+class PoseConvention(NamedTuple):
+    """A convention of poses and their order.
 
     Attributes
     ----------
@@ -51,9 +51,9 @@ class Reading(NamedTuple):
     graphics: bool
     order: tuple[int, ...]
 
-    def pose(self, told: Pose) -> Pose:
+    def pose(self, given: Pose) -> Pose:
         """Return a pose from room to camera, in OpenCV's axes."""
-        rotation, translation = told
+        rotation, translation = given
         if self.inverted:
             rotation, translation = rotation.T, -rotation.T @ translation
         if self.graphics:
@@ -64,36 +64,38 @@ class Reading(NamedTuple):
 def as_meant(
     keypoints: Float64, weights: Float64, usual: Rig, calibration: Calibration
 ) -> tuple[Calibration, tuple[Finding, ...]]:
-    """Return a calibration as it must be read, and a finding if that is otherwise than told.
+    """Return a calibration in OpenCV's convention, and a finding if it was given in another.
 
     Parameters
     ----------
     keypoints, weights
         (N, K, P, 2) pixels and (N, K, P), 0 where not observed.
     usual
-        Cameras with the lenses of which nothing was told.
+        Cameras with usual lenses, for those that are not given.
     """
-    poses = told_poses(calibration)
+    poses = poses_of(calibration)
     posed = [view for view, pose in enumerate(poses) if pose is not None]
     if len(posed) < 2:
         return calibration, ()
-    table = _Table(keypoints, weights, told_lenses(usual, calibration)[0].lenses, poses)
-    told = Reading(inverted=False, graphics=False, order=tuple(range(len(poses))))
-    off = table.off(told)
+    table = _Table(keypoints, weights, with_given_lenses(usual, calibration)[0].lenses, poses)
+    given = PoseConvention(inverted=False, graphics=False, order=tuple(range(len(poses))))
+    off = table.off(given)
     if not off > FITTING * table.radius:
         return calibration, ()
-    orders = [told.order]
+    orders = [given.order]
     if len(posed) == len(poses) <= MOST_ORDERED:
-        orders = list(permutations(told.order))
+        orders = list(permutations(given.order))
     readings = [
-        Reading(inverted, graphics, order)
+        PoseConvention(inverted, graphics, order)
         for inverted in (False, True)
         for graphics in (False, True)
         for order in orders
     ]
-    found = sorted(((table.off(reading), reading) for reading in readings), key=lambda r: r[0])
+    found = sorted(
+        ((table.off(convention), convention) for convention in readings), key=lambda r: r[0]
+    )
     (least, best), rivals = found[0], found[1:]
-    as_good = [reading for left, reading in rivals if left < AMBIGUOUS * least]
+    as_good = [convention for left, convention in rivals if left < AMBIGUOUS * least]
     if least > min(off / BETTER, FITTING * table.radius) or as_good:
         return calibration, ()
     evidence = {
@@ -102,24 +104,24 @@ def as_meant(
         "off_as_told_px": off,
         "off_px": least,
     }
-    if best.order != told.order:
+    if best.order != given.order:
         evidence |= {f"camera_of_view_{v}": float(camera) for v, camera in enumerate(best.order)}
     finding = Finding.of("calibration_read_otherwise", views=posed).with_evidence(evidence)
     meant = [_read(calibration[camera], poses[camera], best) for camera in best.order]
     return tuple(meant), (finding,)
 
 
-def _read(camera: Camera | None, told: Pose | None, reading: Reading) -> Camera | None:
-    if camera is None or told is None:
+def _read(camera: Camera | None, given: Pose | None, convention: PoseConvention) -> Camera | None:
+    if camera is None or given is None:
         return camera
-    pose = reading.pose(told)
+    pose = convention.pose(given)
     rotation = tuple(tuple(row) for row in pose.rotation.tolist())
     translation = tuple(pose.translation.tolist())
     return camera.model_copy(update={"rotation": rotation, "translation": translation})
 
 
 class _Table:
-    """How far keypoints are from the epipolar lines of two views, whichever cameras these are."""
+    """Distances of keypoints from epipolar lines, for any choice of cameras for two views."""
 
     def __init__(
         self,
@@ -135,32 +137,32 @@ class _Table:
         self.known: dict[tuple[bool, bool, int, int, int, int], float] = {}
         self.straight: dict[tuple[int, int], Float64] = {}
 
-    def off(self, reading: Reading) -> float:
-        """Return the mean over pairs of views of the median distance, in pixels; inf without."""
+    def off(self, convention: PoseConvention) -> float:
+        """Return the mean over pairs of views of the median distance in pixels; inf without any."""
         pairs = [
-            self._pair(reading, *pair)
+            self._pair(convention, *pair)
             for pair in combinations(range(len(self.poses)), 2)
-            if all(self.poses[reading.order[view]] is not None for view in pair)
+            if all(self.poses[convention.order[view]] is not None for view in pair)
         ]
         known = [off for off in pairs if math.isfinite(off)]
         return float(np.mean(known)) if known else math.nan
 
-    def _pair(self, reading: Reading, v: int, w: int) -> float:
-        a, b = reading.order[v], reading.order[w]
-        key = (reading.inverted, reading.graphics, v, w, a, b)
+    def _pair(self, convention: PoseConvention, v: int, w: int) -> float:
+        a, b = convention.order[v], convention.order[w]
+        key = (convention.inverted, convention.graphics, v, w, a, b)
         if key not in self.known:
-            self.known[key] = self._measured(reading, v, w, a, b)
+            self.known[key] = self._measured(convention, v, w, a, b)
         return self.known[key]
 
-    def _measured(self, reading: Reading, v: int, w: int, a: int, b: int) -> float:
-        told = self.poses[a], self.poses[b]
-        if told[0] is None or told[1] is None:
+    def _measured(self, convention: PoseConvention, v: int, w: int, a: int, b: int) -> float:
+        given = self.poses[a], self.poses[b]
+        if given[0] is None or given[1] is None:
             return math.nan
         both = np.flatnonzero(self.seen.there[:, v] & self.seen.there[:, w])
         both = both[:: max(1, len(both) // POINTS)]
         if len(both) < LEAST_POINTS:
             return math.nan
-        one, other = reading.pose(told[0]), reading.pose(told[1])
+        one, other = convention.pose(given[0]), convention.pose(given[1])
         turn = other.rotation @ one.rotation.T
         essential = np.cross(np.eye(3), other.translation - turn @ one.translation) @ turn
         to_x, to_y = (np.diag([1 / self.focals[c], 1 / self.focals[c], 1.0]) for c in (a, b))
@@ -168,7 +170,7 @@ class _Table:
         return float(np.median(np.abs(sampson_distances(to_y @ essential @ to_x, x, y))))
 
     def _straightened(self, view: int, camera: int) -> Float64:
-        """Return a view's pixels (M, 2) from the middle, without the bending of a camera's lens."""
+        """Return a view's pixels (M, 2) from the middle, with a camera's distortion undone."""
         if (view, camera) not in self.straight:
             pixels = self.seen.pixels[:, view].reshape(1, 1, -1, 2)
             lens = self.lenses.of(np.array([camera]))

@@ -1,13 +1,13 @@
-"""Poses that are meant otherwise than told: against cameras that are known."""
+"""Poses given in another convention: against cameras that are known."""
 
 from itertools import permutations
 
 import numpy as np
 import pytest
 
+from models.calibrating.given_order import as_meant
 from models.calibrating.image_sizes import images_of
-from models.calibrating.problem import told_poses, usual_rig
-from models.calibrating.told_order import as_meant
+from models.calibrating.problem import poses_of, usual_rig
 from models.settings.calibration import Camera, Intrinsics
 from tests.models.rigs import IMAGE_SIZE, Lens, RigCapture, make_rig_capture
 
@@ -43,11 +43,11 @@ def camera(capture: RigCapture, view: int, *, inverted: bool, graphics: bool) ->
 def test_poses_are_used_as_they_are_meant(
     capture: RigCapture, inverted: bool, graphics: bool, order: tuple[int, ...]
 ) -> None:
-    told = [camera(capture, view, inverted=inverted, graphics=graphics) for view in order]
+    given = [camera(capture, view, inverted=inverted, graphics=graphics) for view in order]
     usual = usual_rig(images_of(capture.pixels, capture.weights, [IMAGE_SIZE] * 3))
-    meant, findings = as_meant(capture.pixels, capture.weights, usual, told)
+    meant, findings = as_meant(capture.pixels, capture.weights, usual, given)
     right = [camera(capture, view, inverted=False, graphics=False) for view in range(3)]
-    for one, other in zip(told_poses(meant), told_poses(right), strict=True):
+    for one, other in zip(poses_of(meant), poses_of(right), strict=True):
         assert one is not None
         assert other is not None
         np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-9)
@@ -59,10 +59,10 @@ def test_poses_are_used_as_they_are_meant(
 
 
 def test_wrong_poses_that_nothing_explains_stay_as_they_are(capture: RigCapture) -> None:
-    told = [camera(capture, view, inverted=False, graphics=False) for view in range(3)]
-    moved = told[1].model_copy(update={"rotation": told[0].rotation})
+    given = [camera(capture, view, inverted=False, graphics=False) for view in range(3)]
+    moved = given[1].model_copy(update={"rotation": given[0].rotation})
     usual = usual_rig(images_of(capture.pixels, capture.weights, [IMAGE_SIZE] * 3))
-    wrong = [told[0], moved, told[2]]
+    wrong = [given[0], moved, given[2]]
     meant, findings = as_meant(capture.pixels, capture.weights, usual, wrong)
     assert list(meant) == wrong
     assert not findings
@@ -73,6 +73,6 @@ def test_an_order_that_is_as_good_as_another_is_not_taken() -> None:
     capture = make_rig_capture(AZIMUTHS, frames=60, seed=2)
     ring = make_rig_capture([0.0, 120.0, -120.0], frames=60, seed=2)
     usual = usual_rig(images_of(capture.pixels, capture.weights, [IMAGE_SIZE] * 3))
-    told = [camera(ring, view, inverted=False, graphics=False) for view in (0, 2, 1)]
-    meant, _ = as_meant(capture.pixels, capture.weights, usual, told)
-    assert list(meant) == told
+    given = [camera(ring, view, inverted=False, graphics=False) for view in (0, 2, 1)]
+    meant, _ = as_meant(capture.pixels, capture.weights, usual, given)
+    assert list(meant) == given

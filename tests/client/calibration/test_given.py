@@ -46,12 +46,12 @@ def test_a_camera_is_told_as_the_service_takes_it() -> None:
     lens = np.array([[900, 0, 640], [0, 910, 512], [0, 0, 1]])
     bent, there = np.array([0.1, 0.2, 0.3, 0.4]), np.array([1, 2, 3])
     fisheye = Camera("f", lens, bent, np.eye(3), there, fisheye=True)
-    told = KnownCamera.model_validate(as_config(fisheye))
-    assert told.intrinsics is not None
-    assert told.intrinsics.model == "fisheye"
-    assert told.intrinsics.distortion == (0.1, 0.2, 0.3, 0.4)
-    assert (told.intrinsics.focals, told.intrinsics.centre) == ((900, 910), (640, 512))
-    assert told.translation == (1, 2, 3)
+    given = KnownCamera.model_validate(as_config(fisheye))
+    assert given.intrinsics is not None
+    assert given.intrinsics.model == "fisheye"
+    assert given.intrinsics.distortion == (0.1, 0.2, 0.3, 0.4)
+    assert (given.intrinsics.focals, given.intrinsics.centre) == ((900, 910), (640, 512))
+    assert given.translation == (1, 2, 3)
     assert KnownCamera.model_validate(as_config(called("a")[0])).rotation is None
     with pytest.raises(FormatError, match="skewed"):
         as_config(Camera("s", lens + np.diag([2, 0], 1)))

@@ -1,4 +1,4 @@
-"""What was told of cameras and is off: refined or refused, in the view that it is off in."""
+"""Wrong given cameras: refined or refused, in the right view."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ from tests.models.calibrating.test_self_calibration import camera
 from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, RigCapture, make_rig_capture
 
 Float64 = NDArray[np.float64]
-Told = list[dict[str, Any] | None]
+Calibration = list[dict[str, Any] | None]
 
 AZIMUTHS = [0.0, 80.0, -120.0, 160.0]
 VIEWS = len(AZIMUTHS)
@@ -27,34 +27,34 @@ def rig() -> RigCapture:
     return make_rig_capture(AZIMUTHS, frames=30)
 
 
-def calibration(rig: RigCapture, *, posed: bool = True) -> Told:
+def calibration(rig: RigCapture, *, posed: bool = True) -> Calibration:
     return [camera(rig, view, posed=posed) for view in range(len(rig.lenses))]
 
 
-def calibrated(rig: RigCapture, told: Told, **config: Any) -> SelfCalibration:
+def calibrated(rig: RigCapture, given: Calibration, **config: Any) -> SelfCalibration:
     found, _ = finished(
         self_calibrate(
             rig.pixels,
             rig.weights,
             rig.answers(),
-            FitConfig.model_validate({"calibration": told, **config}),
+            FitConfig.model_validate({"calibration": given, **config}),
             [IMAGE_SIZE] * len(rig.lenses),
         )
     )
     return found
 
 
-def bumped(told: Told, view: int, degrees: float, axis: str) -> Told:
+def bumped(given: Calibration, view: int, degrees: float, axis: str) -> Calibration:
     """Turn a camera about itself, as a bump does."""
     turn = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
-    harmed = [dict(camera or {}) for camera in told]
+    harmed = [dict(camera or {}) for camera in given]
     for part in ("rotation", "translation"):
         harmed[view][part] = (turn @ np.array(harmed[view][part])).tolist()
     return list(harmed)
 
 
-def with_lens(told: Told, view: int, **change: Any) -> Told:
-    harmed = [dict(camera or {}) for camera in told]
+def with_lens(given: Calibration, view: int, **change: Any) -> Calibration:
+    harmed = [dict(camera or {}) for camera in given]
     harmed[view]["intrinsics"] = {**harmed[view]["intrinsics"], **change}
     return list(harmed)
 
@@ -72,10 +72,10 @@ HARMS: list[tuple[str, int, dict[str, float]]] = [
 ]
 
 
-def harmed(told: Told, kind: str, view: int, change: dict[str, float]) -> Told:
+def harmed(given: Calibration, kind: str, view: int, change: dict[str, float]) -> Calibration:
     if kind.startswith("bump"):
-        return bumped(told, view, change["degrees"], kind[-1])
-    return with_lens(told, view, **change)
+        return bumped(given, view, change["degrees"], kind[-1])
+    return with_lens(given, view, **change)
 
 
 @pytest.mark.parametrize(("kind", "view", "change"), HARMS)
@@ -102,15 +102,15 @@ def test_the_view_whose_calibration_is_off_is_named(
 def test_poses_that_are_meant_otherwise_are_used_as_they_are_meant(
     rig: RigCapture, kind: str
 ) -> None:
-    told = calibration(rig)
+    given = calibration(rig)
     if kind == "reversed":
-        told = told[::-1]
+        given = given[::-1]
     else:
-        for view, each in enumerate(told):
+        for view, each in enumerate(given):
             assert each is not None
             turn, shift = rig.rotations[0, view], rig.translations[0, view]
             each["rotation"], each["translation"] = turn.T.tolist(), (-turn.T @ shift).tolist()
-    found = calibrated(rig, told)
+    found = calibrated(rig, given)
     assert [finding.code for finding in found.findings] == ["calibration_read_otherwise"]
     cameras = camera_report(found)
     np.testing.assert_allclose(cameras.rotations, rig.rotations[0], atol=1e-6)
@@ -129,10 +129,10 @@ def test_what_is_right_is_kept_without_a_word(rig: RigCapture) -> None:
 
 
 def test_poses_of_another_session_are_refused_together(rig: RigCapture) -> None:
-    told = calibration(rig)
+    given = calibration(rig)
     for view, degrees in enumerate((40, -30, 70, 20)):
-        told = bumped(told, view, degrees, "zyxz"[view])
-    found = calibrated(rig, told)
+        given = bumped(given, view, degrees, "zyxz"[view])
+    found = calibrated(rig, given)
     assert codes(found) == {"calibration_disagrees"}
     assert {view for finding in found.findings for view in finding.views} == set(range(VIEWS))
     cameras = camera_report(found)
@@ -141,10 +141,10 @@ def test_poses_of_another_session_are_refused_together(rig: RigCapture) -> None:
 
 
 def test_two_poses_that_contradict_each_other_are_both_named(rig: RigCapture) -> None:
-    told = bumped(calibration(rig), 1, 20, "y")
+    given = bumped(calibration(rig), 1, 20, "y")
     for view in (2, 3):
-        told[view] = None
-    found = calibrated(rig, told)
+        given[view] = None
+    found = calibrated(rig, given)
     assert codes(found) == {"calibration_disagrees"}
     assert {view for finding in found.findings for view in finding.views} == {0, 1}
 
@@ -153,10 +153,10 @@ def test_an_identity_freezes_nothing(rig: RigCapture) -> None:
     # Of view 0 alone, and of all views: the latter cannot be, and is rejected.
     identity = {"rotation": np.eye(3).tolist(), "translation": [0.0, 0.0, 4.0]}
     lenses = calibration(rig, posed=False)
-    alone: Told = [{**(lenses[0] or {}), **identity}, *lenses[1:]]
-    rejected: Told = [{**(lens or {}), **identity} for lens in lenses]
-    for told, disagreeing in ((alone, set()), (rejected, {"calibration_disagrees"})):
-        found = calibrated(rig, told)
+    alone: Calibration = [{**(lenses[0] or {}), **identity}, *lenses[1:]]
+    rejected: Calibration = [{**(lens or {}), **identity} for lens in lenses]
+    for given, disagreeing in ((alone, set()), (rejected, {"calibration_disagrees"})):
+        found = calibrated(rig, given)
         cameras = camera_report(found)
         assert codes(found) == disagreeing
         assert cameras.arrangement == "static"
@@ -180,23 +180,23 @@ def test_a_focal_length_alone_leaves_the_rest_to_be_found(rig: RigCapture) -> No
 
 
 def test_rodrigues_vectors_say_what_matrices_say(rig: RigCapture) -> None:
-    told = calibration(rig)
-    for entry in told:
+    given = calibration(rig)
+    for entry in given:
         assert entry is not None
         entry["rotation"] = Rotation.from_matrix(entry["rotation"]).as_rotvec().tolist()
-    cameras = camera_report(calibrated(rig, told))
+    cameras = camera_report(calibrated(rig, given))
     np.testing.assert_allclose(cameras.rotations, rig.rotations[0], atol=1e-9)
 
 
-def test_a_fisheye_told_as_a_pinhole_is_refused() -> None:
+def test_a_fisheye_given_as_a_pinhole_is_refused() -> None:
     fisheye = Lens(focal=500, model="fisheye")
     capture = make_rig_capture(AZIMUTHS, frames=30, lenses=(fisheye,), distance=1.5, noise=0.5)
-    told = with_lens(calibration(capture), 2, model="pinhole", distortion=[])
-    (finding,) = calibrated(capture, told).findings
+    given = with_lens(calibration(capture), 2, model="pinhole", distortion=[])
+    (finding,) = calibrated(capture, given).findings
     assert (finding.code, finding.views) == ("calibration_disagrees", (2,))
 
 
-def test_cameras_declared_static_that_move_are_obeyed_and_said(rig: RigCapture) -> None:
+def test_cameras_declared_static_that_move_are_obeyed_and_reported(rig: RigCapture) -> None:
     moving = make_rig_capture(AZIMUTHS, frames=30, moving=(2,))
     found = calibrated(moving, [None] * VIEWS, cameras="static")
     assert camera_report(found).arrangement == "static"

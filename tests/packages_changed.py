@@ -1,7 +1,7 @@
-"""Print the tests of the rooms that were changed since the main branch, for `make check`.
+"""Print the tests of the packages that were changed since the main branch, for `make check`.
 
 A change in `models/bundle/` is tested by `tests/models/bundle/`, one in `store/` by `tests/store/`;
-a changed test by itself.
+a changed test alone.
 """
 
 import subprocess
@@ -13,7 +13,7 @@ MAIN = ("origin/main", "main")  # the first that there is; without any, the last
 
 
 def git(*words: str) -> list[str]:
-    """Return what git says, in lines; nothing if it fails."""
+    """Return the output of git in lines; nothing if it fails."""
     ran = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
     return ran.stdout.splitlines() if ran.returncode == 0 else []
 
