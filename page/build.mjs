@@ -32,8 +32,11 @@ const iconName = `icon-${createHash("sha256").update(icon).digest("hex").slice(0
 await writeFile(join(files, iconName), icon);
 
 const [script, entry] = Object.entries(metafile.outputs).find(([, each]) => each.entryPoint === "src/main.tsx");
+const shared = entry.imports.filter(({ kind }) => kind === "import-statement");
+const preloads = shared.map(({ path }) => `<link rel="modulepreload" href="page/${basename(path)}" />`);
 const index = (await readFile("index.html", "utf8"))
   .replace("SCRIPT", basename(script))
+  .replace("PRELOADS", preloads.join("\n    "))
   .replace("STYLE", basename(entry.cssBundle))
   .replace("ICON", iconName);
 await writeFile(join(fresh, "index.html"), index);

@@ -60,6 +60,7 @@ from service.resources import (
     previews,
     queues,
     reconstructions,
+    storage,
     webhooks,
 )
 from service.resources.events import Events
@@ -87,6 +88,7 @@ RESOURCES = (
     lifts,
     evaluations,
     queues,
+    storage,
     webhooks,
     keys,
     audit,

@@ -52,28 +52,37 @@ def reconstruction_file(
     )
 
 
-def reconstruction_parts(store: Store, fit: FitRecord) -> Iterator[dict[str, NDArray[Any]]]:
+def reconstruction_parts(
+    store: Store, fit: FitRecord, wanted: range | None = None
+) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield the arrays of a fit's reconstruction for some of its frames after others.
 
     Raises as ``fits.load_reconstruction`` does.
+
+    Parameters
+    ----------
+    wanted
+        Which of its frames; None for all.
     """
     found = _stored(store, fit)
     frames = found[0].shape[0]
+    wanted = range(frames) if wanted is None else wanted
     sizes = [len(array.span) // frames for array in found]  # bytes of a frame
     step = max(1, PART_BYTES // sum(sizes))
-    for first in range(0, frames, step):
-        count = min(step, frames - first)
+    for some in (wanted[start : start + step] for start in range(0, len(wanted), step)):
+        runs = [(some[0], some[-1] + 1)] if some.step == 1 else [(n, n + 1) for n in some]
         ranges = [
-            (array.span.start + first * size, array.span.start + (first + count) * size)
+            (array.span.start + first * size, array.span.start + last * size)
             for array, size in zip(found, sizes, strict=True)
+            for first, last in runs
         ]
         try:
             read = store.objects.get_ranges(reconstruction_key(fit), ranges)
         except FileNotFoundError as error:
             raise lost(store, FitRecord, fit.id, error) from error
         yield {
-            name: np.frombuffer(data, DTYPES[kind]).reshape(count, *shape[1:])
-            for (name, kind, shape, _), data in zip(found, read, strict=True)
+            name: np.frombuffer(b"".join(pieces), DTYPES[kind]).reshape(-1, *shape[1:])
+            for (name, kind, shape, _), pieces in zip(found, _batches(read, len(runs)), strict=True)
         }
 
 
@@ -94,3 +103,7 @@ def _stored(store: Store, fit: FitRecord) -> list[_Stored]:
         _Stored(name, header[name]["dtype"], tuple(header[name]["shape"]), span)
         for name, span in sorted(spans.items(), key=lambda item: item[1].start)
     ]
+
+
+def _batches(items: list[bytes], size: int) -> Iterator[list[bytes]]:
+    return (items[start : start + size] for start in range(0, len(items), size))

@@ -1,12 +1,25 @@
 /** The page: which screen is shown, and the key that the service may ask for. */
 
+import { lazy, Suspense } from "preact/compat";
 import { useEffect, useState } from "preact/hooks";
 import { keepKey, onKeyNeeded } from "./api/key.ts";
+import { DatasetsScreen } from "./datasets/datasets_screen.tsx";
 import { DatasetScreen } from "./datasets/dataset_screen.tsx";
 import { NewScreen } from "./datasets/new_screen.tsx";
 import { FitScreen } from "./fits/fit_screen.tsx";
 import { FitsScreen } from "./fits/fits_screen.tsx";
+import { ModelScreen } from "./models/model_screen.tsx";
+import { ModelsScreen } from "./models/models_screen.tsx";
 import { currentRoute, linkTo } from "./route.ts";
+import { StorageScreen } from "./storage/storage_screen.tsx";
+
+const LiveScreen = lazy(() => import("./live/live_screen.tsx"));
+const SCREENS = [
+  ["datasets", "Datasets"],
+  ["models", "Models"],
+  ["live", "Live"],
+  ["storage", "Storage"],
+];
 
 export function App() {
   const [path, setPath] = useState(() => currentRoute().path);
@@ -30,9 +43,11 @@ export function App() {
         <a href={linkTo()} aria-current={path.length === 0 || path[0] === "fits" ? "page" : undefined}>
           Fits
         </a>
-        <a href={linkTo("datasets", "new")} aria-current={path[0] === "datasets" ? "page" : undefined}>
-          New capture
-        </a>
+        {SCREENS.map(([name, title]) => (
+          <a key={name} href={linkTo(name)} aria-current={path[0] === name ? "page" : undefined}>
+            {title}
+          </a>
+        ))}
         <a class="docs" href="docs">
           API
         </a>
@@ -58,7 +73,18 @@ function Screen({ path }: { path: string[] }) {
   if (kind === "fits" && id !== undefined) return <FitScreen id={id} />;
   if (kind === "datasets" && id === "new") return <NewScreen />;
   if (kind === "datasets" && id !== undefined) return <DatasetScreen id={id} />;
+  if (kind === "datasets") return <DatasetsScreen />;
+  if (kind === "models" && id !== undefined) return <ModelScreen id={id} />;
+  if (kind === "models") return <ModelsScreen />;
+  if (kind === "storage") return <StorageScreen />;
   if (kind === undefined || kind === "fits") return <FitsScreen />;
+  if (kind === "live") {
+    return (
+      <Suspense fallback={<div class="waiting-page quiet">Loading …</div>}>
+        <LiveScreen />
+      </Suspense>
+    );
+  }
   return (
     <main>
       <div class="panel empty">

@@ -10,6 +10,11 @@ export function currentRoute(): Route {
   return { path: path.split("/").filter(Boolean).map(decodeURIComponent), query: new URLSearchParams(query) };
 }
 
+/** Returns the frame that a link names; 0 without one. */
+export function frameInAddress(): number {
+  return Number(currentRoute().query.get("frame") ?? 0) || 0;
+}
+
 export function linkTo(...path: string[]): string {
   return `#/${path.map(encodeURIComponent).join("/")}`;
 }

@@ -5,9 +5,11 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
-import { readNpz } from "../src/data/npz.ts";
+import { frameMessage, readAnswer } from "../src/live/messages.ts";
+import { partsOf } from "../src/datasets/parts.ts";
+import { openCapture } from "../src/data/capture.ts";
 import { readSafetensors } from "../src/data/safetensors.ts";
-import { captureOf, takeOf, type Frame } from "../src/data/take.ts";
+import { ALL, emptyTake, nearest, putDetected, putStructures, STRUCTURE, type Frame } from "../src/data/take.ts";
 import { frameErrors, keypointErrors, LEFT_OUT, UNSEEN } from "../src/science/errors.ts";
 import { project } from "../src/science/projection.ts";
 
@@ -15,14 +17,29 @@ const folder = process.env.FEWVIEW_CASES;
 const skip = folder === undefined ? "FEWVIEW_CASES names no folder" : false;
 const bytes = (name: string): ArrayBuffer => new Uint8Array(readFileSync(join(folder ?? "", name))).buffer;
 const json = (name: string) => JSON.parse(readFileSync(join(folder ?? "", name), "utf8"));
-const take = (frame: Frame) =>
-  takeOf(captureOf(readNpz(bytes("capture.npz"))), readSafetensors(bytes("reconstruction.safetensors")), frame);
+const opened = () => {
+  const file = bytes("capture.npz");
+  return openCapture(async (start, end) => file.slice(start, end), file.byteLength);
+};
+const reconstruction = () => readSafetensors(bytes("reconstruction.safetensors"));
+const take = async (frame: Frame) => {
+  const { capture, detected } = await opened();
+  const empty = emptyTake(capture, capture.frames, frame);
+  putStructures(empty, reconstruction(), 0, 1);
+  putDetected(empty, await detected(0, capture.frames), 0);
+  return empty;
+};
 
-test("a capture is read as NumPy wrote it", { skip }, () => {
-  const capture = captureOf(readNpz(bytes("capture.npz")));
+test("a capture is read as NumPy wrote it", { skip }, async () => {
+  const { capture, detected, truth } = await opened();
   const expected = json("capture.json");
   assert.deepEqual([capture.frames, capture.views, capture.keypoints], expected.shape);
-  assert.deepEqual(nulls(capture.detected), expected.keypoints);
+  const pixels = nulls(await detected(0, capture.frames));
+  assert.deepEqual(pixels, expected.keypoints);
+  const size = pixels.length / capture.frames;
+  assert.deepEqual(nulls(await detected(2, 5)), pixels.slice(2 * size, 5 * size));
+  assert.equal(capture.hasTruth, false);
+  await assert.rejects(truth(), /no ground truth/);
   assert.deepEqual(capture.names, expected.keypoint_names);
   assert.deepEqual(capture.viewNames, expected.view_names);
   assert.deepEqual(capture.edges, expected.edges);
@@ -32,8 +49,8 @@ test("a capture is read as NumPy wrote it", { skip }, () => {
 });
 
 for (const frame of ["level", "camera", "view"] as const) {
-  test(`however the frames are placed (${frame}), points keep their pixels`, { skip }, () => {
-    const { points, cameras, frames, views, keypoints } = take(frame);
+  test(`however the frames are placed (${frame}), points keep their pixels`, { skip }, async () => {
+    const { points, cameras, frames, views, keypoints } = await take(frame);
     const expected = json("pixels.json") as (number | null)[];
     const pixels = new Float32Array(2 * keypoints);
     for (let camera = 0; camera < frames * views; camera++) {
@@ -47,9 +64,11 @@ for (const frame of ["level", "camera", "view"] as const) {
   });
 }
 
-test("errors of keypoints are distances from those pixels, outliers left out", { skip }, () => {
-  const shown = take("level");
-  const { errors, next } = keypointErrors(shown);
+test("errors of keypoints are distances from those pixels, outliers left out", { skip }, async () => {
+  const shown = await take("level");
+  const { errors, add, next } = keypointErrors(shown);
+  add(2, shown.frames);
+  add(0, 2);
   while (!next());
   const expected = json("errors.json");
   errors.worst.forEach((value, at) => {
@@ -62,6 +81,74 @@ test("errors of keypoints are distances from those pixels, outliers left out", {
     assert.ok(value === wanted || Math.abs(value! - wanted) < 1e-4, `${frame}: ${value}, ${wanted}`);
   });
 });
+
+test("a take whose frames come in parts is that which came whole", { skip }, async () => {
+  const whole = await take("view");
+  const { capture, detected } = await opened();
+  const parts = emptyTake(capture, capture.frames, "view");
+  const some = (first: number, step: number) =>
+    new Map(
+      [...reconstruction()].map(([name, { shape, data }]) => {
+        const size = data.length / shape[0];
+        const kept = [...data].filter((_, at) => Math.floor(at / size) >= first && (Math.floor(at / size) - first) % step === 0);
+        return [name, { shape: [kept.length / size, ...shape.slice(1)], data: Float32Array.from(kept) }];
+      }),
+    );
+  putStructures(parts, some(0, 3), 0, 3);
+  assert.deepEqual([...parts.there], [STRUCTURE, 0, 0, STRUCTURE, 0, 0]);
+  assert.deepEqual([nearest(parts, 2), nearest(parts, 3), nearest(parts, 5)], [0, 3, 3]);
+  putStructures(parts, some(0, 1), 0, 1);
+  putDetected(parts, await detected(4, capture.frames), 4);
+  assert.deepEqual([...parts.there.slice(3)], [STRUCTURE, ALL, ALL]);
+  putDetected(parts, await detected(0, 4), 0);
+  assert.deepEqual(parts, whole);
+});
+
+test("messages of a stream are those of the service", { skip }, () => {
+  const expected = json("answer.json");
+  const { sequence, lifted } = readAnswer(bytes("answer.bin"), expected.points3d.length / 3);
+  assert.equal(sequence, 70_000);
+  assert.ok(lifted !== null);
+  const { points, cameras, outliers, errors, bits, views } = lifted;
+  assert.deepEqual([...(bits as number[])], [9]);
+  assert.deepEqual(nulls(points), expected.points3d);
+  assert.deepEqual(nulls(outliers as Float32Array), expected.outlier_probability);
+  assert.deepEqual(nulls(errors), expected.reprojection_errors);
+  assert.deepEqual([...cameras.models], expected.camera_models);
+  for (const name of ["rotations", "translations", "scales", "focals", "distortions"] as const) {
+    assert.deepEqual(nulls(cameras[name]), expected[name], name);
+  }
+  assert.deepEqual(nulls(cameras.principalPoints), expected.principal_points);
+  const pixels = Float32Array.from(expected.sent as (number | null)[], (value) => value ?? NaN);
+  assert.deepEqual(new Uint8Array(frameMessage(3, views, pixels)), new Uint8Array(bytes("frame.bin")));
+});
+
+for (const name of ["capture.npz", "reconstruction.safetensors"]) {
+  test(`${name} is cut into parts that are files of their own`, { skip }, async () => {
+    const file = new File([bytes(name)], name);
+    assert.equal(await partsOf(file), null); // it is short
+    const parts = await partsOf(file, 700);
+    if (name.startsWith("reconstruction")) return assert.equal(parts, null); // it has no keypoints
+    const expected = json("capture.json");
+    const [frames, views, keypoints] = expected.shape;
+    assert.ok(parts !== null && parts.frames === frames && parts.size < frames);
+    const found: (number | null)[] = [];
+    const times: number[] = [];
+    for (let first = 0; first < frames; first += parts.size) {
+      const part = readSafetensors(await parts.part(first, Math.min(frames, first + parts.size)).arrayBuffer());
+      assert.deepEqual(part.get("keypoints")?.shape.slice(1), [views, keypoints, 2]);
+      found.push(...nulls(part.get("keypoints")?.data as Float32Array));
+      times.push(...(part.get("times")?.data ?? []));
+    }
+    assert.deepEqual(found, expected.keypoints);
+    assert.deepEqual(times, expected.times);
+    const { skeleton, view_names, image_sizes, fps } = parts.description;
+    const { keypoint_names, edges } = JSON.parse(skeleton);
+    assert.deepEqual([keypoint_names, edges], [expected.keypoint_names, expected.edges]);
+    assert.deepEqual([JSON.parse(view_names), JSON.parse(image_sizes)], [expected.view_names, expected.image_sizes]);
+    assert.equal(Number(fps), expected.fps);
+  });
+}
 
 function nulls(values: Float32Array): (number | null)[] {
   return Array.from(values, (value) => (Number.isNaN(value) ? null : value));

@@ -32,6 +32,8 @@ class WarmModel:
     ----------
     fit_id
         The fit that made it, if that is still there.
+    ready
+        The compiled code that it needs to lift is loaded.
     gone
         It was deleted, by any process, and must not be used any more.
     rooms
@@ -44,6 +46,7 @@ class WarmModel:
     weights_key: str
     weights_bytes: int
     fit_id: str | None
+    ready: bool = False
     gone: bool = False
     rooms: dict[tuple[str | None, Up | None], Room] = field(default_factory=dict)
 
@@ -75,7 +78,7 @@ class WarmModels:
         self._watcher.join(LOOK_SECONDS)
 
     def warm(self, project: str, identifier: str) -> WarmModel | None:
-        """Return a model of a project that is in memory; it waits for nothing.
+        """Return a model of a project that is ready to lift; it waits for nothing.
 
         Parameters
         ----------
@@ -83,15 +86,21 @@ class WarmModels:
             The model's, or an alias of it.
         """
         model_id = self._aliases.get((project, identifier), identifier)
-        with self._lock:
-            model = self._used.get(model_id)
-            if model is None or model.project != project:
-                return None
-            self._keep(model)
-        return model
+        model = self._in_memory(project, model_id)
+        return model if model is not None and model.ready else None
 
     def get(self, project: str, identifier: str) -> WarmModel:
+        """Return a model that is ready to lift; see :meth:`read`."""
+        model = self.read(project, identifier)
+        if not model.ready:
+            _prepare(model.prior)
+            model.ready = True
+        return model
+
+    def read(self, project: str, identifier: str) -> WarmModel:
         """Return a model as it is in the records; only the first call reads its weights.
+
+        It may not be ready to lift: to load compiled code takes a second.
 
         Parameters
         ----------
@@ -107,7 +116,7 @@ class WarmModels:
         if lookup.is_alias(identifier):
             with self._store.reading() as session:
                 model_id = lookup.resolved(session, ModelRecord, identifier, project)
-        model = self.warm(project, model_id)
+        model = self._in_memory(project, model_id)
         if model is not None:
             self._compare([model])
             if not model.gone:
@@ -115,7 +124,7 @@ class WarmModels:
         with self._lock:
             loading = self._loading.setdefault(model_id, threading.Lock())
         with loading:
-            return self.warm(project, model_id) or self._load(project, model_id)
+            return self._in_memory(project, model_id) or self._load(project, model_id)
 
     def look(self) -> None:
         """Read now where aliases point to, after a change that this process has made."""
@@ -160,13 +169,20 @@ class WarmModels:
             if models_by_id.get(model.id) is model:
                 del models_by_id[model.id]
 
+    def _in_memory(self, project: str, model_id: str) -> WarmModel | None:
+        with self._lock:
+            model = self._used.get(model_id)
+            if model is None or model.project != project:
+                return None
+            self._keep(model)
+        return model
+
     def _load(self, project: str, model_id: str) -> WarmModel:
         try:
             record = lookup.get(self._store, ModelRecord, model_id)
             if record.project != project:
                 raise NotFoundError(ModelRecord.noun, model_id)
             prior = FittedPrior.from_bytes(models.load_weights(self._store, record))
-            _prepare(prior)
         finally:
             with self._lock:
                 self._loading.pop(model_id, None)

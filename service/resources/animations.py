@@ -81,7 +81,7 @@ def download_animation(
     found = stored_arrays(fit, store)
     direction = read_up(up)
     if is_room(frame, direction):
-        warm = engine.models.get(store.project, model.id)
+        warm = engine.models.read(store.project, model.id)
         found = rooms.find(warm, direction).place_arrays(found)
     skeleton = Skeleton.model_validate(model.skeleton or {})
     fps, times = _moments(fit, store)

@@ -74,8 +74,8 @@ def evaluate(
     else:
         found = stored_arrays(fit, store)
         if asked.frame == "room":
-            model_id = model_of(fit)
-            found = rooms.find(engine.models.get(store.project, model_id), None).place_arrays(found)
+            model = engine.models.read(store.project, model_of(fit))
+            found = rooms.find(model, None).place_arrays(found)
         points = found["points3d"]
     figures = _measure(asked, points, truth)
 
@@ -152,7 +152,7 @@ def _measure(asked: EvaluationCreate, points: Float32 | Float64, truth: Float32)
 def _found(model_id: str, engine: Engine, store: Store) -> Cameras:
     with _refused_as("/fit_id"):
         return found_cameras(
-            ModelCameras.of(model_id, engine.models.get(store.project, model_id).prior.cameras)
+            ModelCameras.of(model_id, engine.models.read(store.project, model_id).prior.cameras)
         )
 
 

@@ -206,7 +206,7 @@ def get_model_cameras(
 
     A model that was fitted without refinement has the arrangement `unknown`.
     """
-    model = engine.models.get(store.project, model_id)
+    model = engine.models.read(store.project, model_id)
     cameras = ModelCameras.of(model.id, model.prior.cameras)
     if format == "json":
         return cameras

@@ -3,9 +3,10 @@
 import hashlib
 from collections.abc import AsyncIterator, Iterator
 from functools import partial
+from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
@@ -41,6 +42,18 @@ from store.reconstruction_files import reconstruction_file, reconstruction_parts
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
+FEW_FRAMES = 1000  # that wait for no turn
+FramesQuery = Annotated[
+    str | None,
+    Query(
+        alias="frames",
+        pattern=r"^[0-9]{0,9}:[0-9]{0,9}(:[1-9][0-9]{0,8})?$",
+        description="Of what the fit stored, only some frames, as slices of Python name them: "
+        "`100:200` are a hundred, `::20` every twentieth. They are answered like a fit that has no "
+        "others.",
+    ),
+]
+
 
 class Reconstruction(BaseModel):
     """Every frame of the fitted dataset, lifted by the fit's own model."""
@@ -71,9 +84,12 @@ async def take_turn(
     frame: FrameQuery = None,
     up: UpQuery = None,
     format: FormatQuery = None,
+    frames: FramesQuery = None,
 ) -> AsyncIterator[None]:
     """Have a reconstruction that is made whole in memory wait its turn, as large uploads do."""
-    in_parts = frame != "room" or chosen_format(request, format) == "json"
+    few = frames is not None and len(frames_of(fit, frames)) <= FEW_FRAMES
+    whole = frame == "room" or (frames is not None and not few)
+    in_parts = not whole or few or chosen_format(request, format) == "json"
     if in_parts and up is None and _is_stored(fit, refine):  # `up` may read all frames
         yield
     else:
@@ -99,6 +115,7 @@ def get_reconstruction(
     frame: FrameQuery = None,
     up: UpQuery = None,
     format: FormatQuery = None,
+    frames: FramesQuery = None,
 ) -> Response:
     """Download every frame of the fitted dataset, lifted: structures, cameras, errors.
 
@@ -132,9 +149,11 @@ def get_reconstruction(
     in_room = is_room(frame, direction)
     chosen = chosen_format(request, format)
     room = (
-        rooms.find(engine.models.get(store.project, model_of(fit)), direction) if in_room else None
+        rooms.find(engine.models.read(store.project, model_of(fit)), direction) if in_room else None
     )
-    if _is_stored(fit, refine):
+    if frames is not None:
+        found = _frames(store, fit, refine, frames)
+    elif _is_stored(fit, refine):
         if chosen == "json":
             identity = (
                 request.app.version,
@@ -170,6 +189,28 @@ def get_reconstruction(
     if room is not None:
         found = room.place_arrays(found)
     return arrays_response(request, found, about, findings, format=chosen, filename=filename)
+
+
+def frames_of(fit: records.FitRecord, frames: str) -> range:
+    """Return the frames of a fit that a query asks for."""
+    return range(fit.frames)[slice(*(int(part) if part else None for part in frames.split(":")))]
+
+
+def _frames(store: StoreDep, fit: records.FitRecord, refine: Refine | None, frames: str) -> Arrays:
+    """Return some frames of what a fit stored.
+
+    Raises
+    ------
+    ApiError
+        422 if it has none of them, or they are wanted otherwise than they are stored.
+    """
+    wanted = frames_of(fit, frames)
+    if not wanted:
+        raise invalid("/frames", f"expected some of the fit's {fit.frames} frames, got {frames!r}")
+    if not _is_stored(fit, refine):
+        raise invalid("/refine", "expected none beside frames: they are of what the fit stored")
+    parts = [_completed(part) for part in reconstruction_parts(store, fit, wanted)]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _is_stored(fit: records.FitRecord, refine: Refine | None) -> bool:

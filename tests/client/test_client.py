@@ -304,6 +304,9 @@ def test_the_same_can_be_awaited(served: Served, tmp_path: Path) -> None:
             queues = {found.queue: found for found in (await client.health.queues()).items}
             assert queues["fits"].workers == 1
             dataset = await client.datasets.create(a_capture(20), name="awaited")
+            storage = await client.health.storage()
+            assert storage.stored_bytes == sum(kind.stored_bytes for kind in storage.items) > 0
+            assert dataset.id in {item.id for item in storage.largest}
             heard: list[Fit] = []
             fit = await client.fits.create(dataset, **CONFIG)
             fit = await client.fits.wait(fit, on_progress=heard.append)

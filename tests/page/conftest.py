@@ -10,16 +10,17 @@ import pytest
 
 from models.capture.synthetic import synthetic_capture
 from service.page.serving import BUILT
+from tests.page.stored import NAMES, Stored, store
 from tests.service.conftest import Live, kill_service, start_service
 
 pytest.importorskip("playwright", reason="playwright is not installed")
 
-from playwright.sync_api import Browser, BrowserContext, Page, Request, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, Request, expect, sync_playwright
 
+expect.set_options(timeout=30_000)  # other tests may keep the machine busy
 CHROMIUM = shutil.which("chromium")
 # Draws in three dimensions without a graphics card.
 SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
-JOINTS = [f"{side}_{joint}" for joint in ("shoulder", "hip", "knee", "ankle") for side in "lr"]
 
 
 @dataclass
@@ -38,7 +39,9 @@ class Watched:
         return self.page
 
 
-@pytest.fixture(scope="module")  # while it is there, no other test can run an event loop
+# One for all tests of the page that this process runs in a row. While there is a browser, no other
+# test could run an event loop.
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
     if CHROMIUM is None:
         pytest.skip("chromium is not installed: apt-get install chromium")
@@ -51,13 +54,18 @@ def browser() -> Iterator[Browser]:
         yield started
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def live(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
     service = start_service(tmp_path_factory.mktemp("page"))
     try:
         yield service
     finally:
         kill_service(service)
+
+
+@pytest.fixture(scope="package")
+def stored(live: Live) -> Stored:
+    return store(live)
 
 
 @pytest.fixture
@@ -98,7 +106,6 @@ def watch(page: Page, base: str) -> Watched:
 def deeplabcut_files(frames: int = 60) -> dict[str, bytes]:
     """Return what DeepLabCut would write of three cameras that see a figure move."""
     seen = synthetic_capture(frames=frames, views=3, noise=1.0, hidden_keypoints=0.05, seed=5)
-    names = [*JOINTS, *(f"k{index}" for index in range(8, seen.keypoints.shape[2]))]
     files = {}
     for view in range(3):
         rows = np.concatenate(
@@ -106,8 +113,8 @@ def deeplabcut_files(frames: int = 60) -> dict[str, bytes]:
         ).reshape(frames, -1)
         text = io.StringIO()
         text.write(f"scorer,{','.join(['net'] * rows.shape[1])}\n")
-        text.write(f"bodyparts,{','.join(name for name in names for _ in range(3))}\n")
-        text.write(f"coords,{','.join(['x', 'y', 'likelihood'] * len(names))}\n")
+        text.write(f"bodyparts,{','.join(name for name in NAMES for _ in range(3))}\n")
+        text.write(f"coords,{','.join(['x', 'y', 'likelihood'] * len(NAMES))}\n")
         for number, row in enumerate(rows):
             text.write(f"{number},{','.join('' if np.isnan(x) else f'{x:.3f}' for x in row)}\n")
         files[f"walk_cam{view + 1}.csv"] = text.getvalue().encode()

@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 from safetensors.numpy import save_file
 from scipy.spatial.transform import Rotation
 
+from service.realtime.stream_frames import Frame, write_answer
+from service.wire.stream_messages import FRAME, HEADER
 from tests.node import node
 from tests.page.project import checked_out
+from tests.page.stored import KEYPOINTS, walking
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "examples"))
 from projection import project  # noqa: E402
 
-FRAMES, VIEWS, KEYPOINTS = 6, 3, 7
+FRAMES, VIEWS, POINTS = 6, 3, 7
 CAMERAS = ("weak_perspective", "perspective", "fisheye")
 Floats = NDArray[np.float64]
 
@@ -37,6 +40,7 @@ def test_types_agree_with_the_openapi_document(page: Path) -> None:
 
 def test_files_pixels_and_errors_are_those_of_python(page: Path, tmp_path: Path) -> None:
     write_cases(tmp_path)
+    write_stream(tmp_path)
     printed = node(page, "--test", "test/*.test.ts", FEWVIEW_CASES=str(tmp_path))
     assert "# fail 0" in printed or "fail 0" in printed
     assert "skipped 0" in printed
@@ -45,7 +49,7 @@ def test_files_pixels_and_errors_are_those_of_python(page: Path, tmp_path: Path)
 def write_cases(folder: Path) -> None:
     """Write a capture, a reconstruction with all kinds of cameras, and what is true of them."""
     rng = np.random.default_rng(4)
-    points = rng.normal(size=(FRAMES, KEYPOINTS, 3)).astype(np.float32)
+    points = rng.normal(size=(FRAMES, POINTS, 3)).astype(np.float32)
     points[2, 3] = np.nan
     cameras = drawn_cameras(rng)
     pixels = np.array(
@@ -72,11 +76,27 @@ def write_cases(folder: Path) -> None:
     dump(folder / "pixels.json", listed(pixels))
     truth = {
         "worst": [
-            worst(off[n, :, p], outliers[n, :, p]) for n in range(FRAMES) for p in range(KEYPOINTS)
+            worst(off[n, :, p], outliers[n, :, p]) for n in range(FRAMES) for p in range(POINTS)
         ],
         "means": [None if np.isnan(row).all() else float(np.nanmean(row)) for row in view_errors],
     }
     dump(folder / "errors.json", truth)
+
+
+def write_stream(folder: Path) -> None:
+    """Write an answer of a stream, what it answers to, and what is in both."""
+    prior = walking()
+    keypoints = KEYPOINTS[3:4].astype(np.float32)
+    keypoints[0, 1, 2:5] = np.nan
+    lift = prior.lift(keypoints)
+    lift = lift._replace(findings=np.array([9], np.uint8))
+    answer = write_answer(Frame(binary=True, sequence=70_000), lift, prior)
+    assert isinstance(answer, bytes)
+    (folder / "answer.bin").write_bytes(answer)
+    frame = HEADER.pack(FRAME, 0, keypoints.shape[1], 3) + keypoints.tobytes()
+    (folder / "frame.bin").write_bytes(frame)
+    arrays = {name: listed(array[0]) for name, array in lift.arrays.items()}
+    dump(folder / "answer.json", arrays | {"sent": listed(keypoints)})
 
 
 def drawn_cameras(rng: np.random.Generator) -> dict[str, NDArray[Any]]:
@@ -132,7 +152,7 @@ def worst(off: Floats, outliers: NDArray[Any]) -> float | str:
 
 
 def write_capture(folder: Path, detected: NDArray[np.float32]) -> None:
-    names = [f"L_{n}" if n % 2 else "hüfte" + "x" * n for n in range(KEYPOINTS)]
+    names = [f"L_{n}" if n % 2 else "hüfte" + "x" * n for n in range(POINTS)]
     fields: dict[str, Any] = {
         "keypoint_names": names,
         "view_names": ["left", "überkopf", "c"],

@@ -37,6 +37,7 @@ from service.resources import (
     previews,
     queues,
     reconstructions,
+    storage,
     webhooks,
 )
 from tests.service.conftest import CONFIG, Live, frames_of, to_npz
@@ -53,6 +54,7 @@ MODULES = (
     lifts,
     lists,
     queues,
+    storage,
     keys,
     aliases,
     webhooks,
@@ -142,6 +144,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "get_model",
         "get_model_cameras",
         "get_reconstruction",
+        "get_storage",
         "get_version",
         "get_webhook",
         "import_model",

@@ -1,12 +1,12 @@
 """Health: is the service up, does it reach its parts, and which one is it."""
 
-from fewview.api.forms import Health, Queues, Version, form_in
+from fewview.api.forms import Health, Queues, Storage, Version, form_in
 from fewview.api.operations import Driver, Resource, operation
 from fewview.api.steps import Request, Steps
 
 
 class HealthChecks(Resource[Driver]):
-    """``GET /health``, ``GET /queues`` and ``GET /version``."""
+    """``GET /health``, ``GET /queues``, ``GET /storage`` and ``GET /version``."""
 
     @operation
     def ready(self) -> Steps[Health]:
@@ -23,6 +23,11 @@ class HealthChecks(Resource[Driver]):
     def queues(self) -> Steps[Queues]:
         """Return the jobs that wait for workers, and for how long they have."""
         return self._call(Request("GET", "/queues", form_in(Queues)))
+
+    @operation
+    def storage(self) -> Steps[Storage]:
+        """Tell what is stored and how much room it takes."""
+        return self._call(Request("GET", "/storage", form_in(Storage)))
 
     @operation
     def version(self) -> Steps[Version]:

@@ -65,6 +65,20 @@ export async function askBytes(path: string): Promise<ArrayBuffer> {
   return (await ask(path)).arrayBuffer();
 }
 
+/** Returns bytes of a file from a start up to an end, and the file's size; a negative start counts from
+ * the end. */
+export async function askRange(
+  path: string,
+  start: number,
+  end?: number,
+): Promise<{ bytes: ArrayBuffer; size: number }> {
+  const range = start < 0 ? `bytes=${start}` : `bytes=${start}-${(end ?? start + 1) - 1}`;
+  const answer = await ask(path, { headers: { Range: range } });
+  const bytes = await answer.arrayBuffer();
+  const size = Number(answer.headers.get("Content-Range")?.split("/")[1] ?? bytes.byteLength);
+  return { bytes, size };
+}
+
 export function sendJson<T>(path: string, body: unknown, method = "POST"): Promise<T> {
   return askJson<T>(path, {
     method,

@@ -8,8 +8,14 @@ export type Dataset = Schemas["Dataset"];
 export type DatasetPreview = Schemas["DatasetPreview"];
 export type Fit = Schemas["Fit"];
 export type Model = Schemas["Model"];
+export type ModelSummary = Schemas["ModelSummary"];
 export type ModelCameras = Schemas["ModelCameras"];
 export type Finding = Schemas["Finding"];
+export type Alias = Schemas["Alias"];
+export type Storage = Schemas["Storage"];
+export type WaitingJobs = Schemas["WaitingJobs"];
+/** What has a page of its own, and can be renamed and deleted. */
+export type Kind = "datasets" | "fits" | "models";
 
 interface Page<T> {
   items: T[];
@@ -17,25 +23,34 @@ interface Page<T> {
 }
 
 const MOST = 50; // of a list at a time
+const MOST_ALIASES = 200;
 
 export const listFits = (cursor?: string) => listed<Fit>("fits", cursor);
 export const listFitsOf = (dataset: string) =>
   askJson<Page<Fit>>(`fits?status=succeeded&limit=${MOST}&dataset_id=${encodeURIComponent(dataset)}`);
 export const listDatasets = (cursor?: string) => listed<Dataset>("datasets", cursor);
-export const listModels = () => listed<Schemas["ModelSummary"]>("models");
+export const listModels = (cursor?: string) => listed<ModelSummary>("models", cursor);
 export const getFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}`);
 export const getDataset = (id: string) => askJson<Dataset>(`datasets/${encodeURIComponent(id)}`);
 export const getModel = (id: string) => askJson<Model>(`models/${encodeURIComponent(id)}`);
 export const getCameras = (id: string) =>
   askJson<ModelCameras>(`models/${encodeURIComponent(id)}/cameras`);
-export const getCapture = (id: string) => askBytes(`datasets/${encodeURIComponent(id)}/capture`);
+export const capturePath = (id: string) => `datasets/${encodeURIComponent(id)}/capture`;
 export const getReconstruction = (fit: string, query: string) =>
   askBytes(`fits/${encodeURIComponent(fit)}/reconstruction?format=safetensors${query}`);
 export const createFit = (body: object) => sendJson<Fit>("fits", body);
 export const cancelFit = (id: string) =>
   askJson<Fit>(`fits/${encodeURIComponent(id)}/cancel`, { method: "POST" });
-export const deleteDataset = (id: string) =>
-  ask(`datasets/${encodeURIComponent(id)}`, { method: "DELETE" });
+export const listAliases = () => askJson<Page<Alias>>(`aliases?limit=${MOST_ALIASES}`);
+export const setAlias = (alias: string, model: string) =>
+  sendJson<Alias>(`models/${encodeURIComponent(alias)}`, { model_id: model }, "PUT");
+export const deleteAlias = (alias: string) => remove("models", alias);
+export const getStorage = () => askJson<Storage>("storage");
+export const getQueues = () => askJson<Page<WaitingJobs>>("queues");
+export const rename = (kind: Kind, id: string, name: string) =>
+  sendJson<{ name: string }>(`${kind}/${encodeURIComponent(id)}`, { name }, "PATCH");
+export const remove = (kind: Kind | "lifts", id: string) =>
+  ask(`${kind}/${encodeURIComponent(id)}`, { method: "DELETE" });
 
 function listed<T>(kind: string, cursor?: string): Promise<Page<T>> {
   const next = cursor === undefined ? "" : `&cursor=${encodeURIComponent(cursor)}`;

@@ -1,63 +1,83 @@
-/** Loads all that the result screen draws. */
+/** Loads what the result screen draws first; more comes as it is looked at. */
 
-import {
-  getCameras,
-  getCapture,
-  getModel,
-  getReconstruction,
-  type Fit,
-  type Model,
-  type ModelCameras,
-} from "../api/resources.ts";
+import { getCameras, getModel, getReconstruction, type Fit, type Model, type ModelCameras } from "../api/resources.ts";
 import { Refusal } from "../api/http.ts";
-import { readNpz } from "./npz.ts";
+import type { CaptureFile } from "./capture.ts";
+import { createLoader, partsOf, structures, type Loader } from "./loader.ts";
+import { remoteCapture } from "./remote.ts";
 import { readSafetensors } from "./safetensors.ts";
+import { emptyTake, putDetected, putStructures, type Frame, type Take } from "./take.ts";
 import { needed } from "./tensor.ts";
-import { captureOf, takeOf, type Frame, type Take } from "./take.ts";
 
 export interface Result {
   take: Take;
   model: Model;
   cameras: ModelCameras;
+  file: CaptureFile;
+  loader: Loader;
 }
 
-/** Returns the result of a fit that has succeeded. */
-export async function loadResult(fit: Fit): Promise<Result> {
+const QUERIES: Record<Frame, string> = { level: "&frame=room&up=auto", camera: "&frame=room", view: "" };
+
+/** Returns the result of a fit that has succeeded: all of a short one, else a few of all frames and
+ * those about the first that is shown.
+ *
+ * @param onAsked called as soon as the service was asked for frames */
+export async function loadResult(fit: Fit, firstFrame: number, onAsked: () => void): Promise<Result> {
   if (fit.model_id === null || fit.model_id === undefined) {
     throw new Error("The model of this fit was deleted, and with it the cameras.");
   }
-  const capture = getCapture(fit.dataset_id).then((bytes) => captureOf(readNpz(bytes)));
   const model = getModel(fit.model_id);
-  const cameras = await getCameras(fit.model_id);
-  const placed = await placedReconstruction(fit, cameras);
-  return {
-    take: takeOf(await capture, readSafetensors(placed.bytes), placed.frame),
-    model: await model,
-    cameras,
-  };
+  model.catch(() => {}); // it is waited for below
+  const [file, cameras] = await Promise.all([remoteCapture(fit.dataset_id), getCameras(fit.model_id)]);
+  const { size, step } = partsOf(fit.frames, file.capture);
+  const first = Math.floor(Math.min(Math.max(0, firstFrame), fit.frames - 1) / size) * size;
+  const end = Math.min(fit.frames, first + size);
+  const detected = file.detected(first, end);
+  const load = inBestFrame(cameras, (query) => {
+    const part = structures(fit.id, query, `${first}:${end}`);
+    const overview = step > 0 ? structures(fit.id, query, `::${step}`) : null;
+    return Promise.all([part, overview]);
+  });
+  onAsked();
+  const [{ frame, found }, seen] = await Promise.all([load, detected]);
+  const take = emptyTake(file.capture, fit.frames, frame);
+  const [part, overview] = found;
+  if (overview !== null) putStructures(take, overview, 0, step);
+  putStructures(take, part, first, 1);
+  putDetected(take, seen, first);
+  const loader = createLoader(take, file, fit.id, QUERIES[frame], first);
+  return { take, model: await model, cameras, file, loader };
 }
 
 /** Returns the structures (N, P, 3) of another fit, and whether all are in one frame of reference. */
 export async function loadPoints(fit: Fit): Promise<{ points: Float32Array; inOneFrame: boolean }> {
-  const { bytes, frame } = await placedReconstruction(fit, await getCameras(fit.model_id ?? ""));
-  return { points: needed(readSafetensors(bytes), "points3d"), inOneFrame: frame !== "view" };
+  const { frame, found } = await inBestFrame(await getCameras(fit.model_id ?? ""), (query) =>
+    getReconstruction(fit.id, query),
+  );
+  return { points: needed(readSafetensors(found), "points3d"), inOneFrame: frame !== "view" };
 }
 
-/** Returns the frames in the best frame of reference that there is. */
-async function placedReconstruction(
-  fit: Fit,
-  cameras: ModelCameras,
-): Promise<{ bytes: ArrayBuffer; frame: Frame }> {
-  const queries: [Frame, string][] = [["view", ""]];
-  if (cameras.views.some((view) => view.resting && view.rotation)) {
-    queries.unshift(["level", "&frame=room&up=auto"], ["camera", "&frame=room"]);
+/** Returns what is loaded in the best frame of reference that there is. */
+function inBestFrame<T>(cameras: ModelCameras, load: (query: string) => Promise<T>): Promise<Placed<T>> {
+  const resting = cameras.views.some((view) => view.resting && view.rotation);
+  return inFrame(resting ? "level" : "view", load);
+}
+
+interface Placed<T> {
+  frame: Frame;
+  found: T;
+}
+
+const WORSE: Partial<Record<Frame, Frame>> = { level: "camera", camera: "view" };
+
+/** Returns what is loaded in a frame of reference or, where there is none such, in the next best. */
+export async function inFrame<T>(frame: Frame, load: (query: string) => Promise<T>): Promise<Placed<T>> {
+  try {
+    return { frame, found: await load(QUERIES[frame]) };
+  } catch (error) {
+    const next = WORSE[frame];
+    if (next === undefined || !(error instanceof Refusal) || error.status !== 409) throw error;
+    return inFrame(next, load);
   }
-  for (const [frame, query] of queries) {
-    try {
-      return { bytes: await getReconstruction(fit.id, query), frame };
-    } catch (error) {
-      if (frame === "view" || !(error instanceof Refusal) || error.status !== 409) throw error;
-    }
-  }
-  throw new Error("There is no reconstruction.");
 }

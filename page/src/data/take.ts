@@ -1,73 +1,106 @@
 /** A fitted capture as the result screen draws it: what was detected, and what came of it. */
 
 import type { Cameras } from "../science/projection.ts";
-import { sidesOf, type Side } from "../science/sides.ts";
+import type { Capture } from "./capture.ts";
 import { axesOfFirstView, yPointsUp } from "./placing.ts";
-import type { Npz } from "./npz.ts";
 import { floats, needed, type Tensor } from "./tensor.ts";
 
 /** `level`: y up, on the floor where feet are named. `camera`: the axes of the first static camera,
  * turned so that y points up. `view`: each frame in the axes of the first view. */
 export type Frame = "level" | "camera" | "view";
 
-export interface Capture {
+/** What there is of a frame so far. */
+export const NOTHING = 0;
+export const STRUCTURE = 1;
+export const ALL = 2;
+
+/** Structures of some frames, and the cameras that see them. */
+export interface Structures {
   frames: number;
   views: number;
   keypoints: number;
-  detected: Float32Array; // (N, K, P, 2) pixels, NaN where not observed
-  truth?: Float32Array; // (N, P, 3)
-  names: string[];
-  sides: Side[];
-  edges: [number, number][];
-  viewNames: string[];
-  imageSizes: ([number, number] | null)[];
-  fps: number | null;
-  times: Float64Array | null; // (N,) seconds
-}
-
-export interface Take extends Capture {
   points: Float32Array; // (N, P, 3), y up; NaN where there is no answer
   cameras: Cameras;
-  outlierProbability?: Float32Array; // (N, K, P)
-  viewErrors: Float32Array; // (N, K) pixels
-  frameBits: ArrayLike<number>; // (N,) what was noticed of each frame, a bit a code
-  frame: Frame;
 }
 
-/** Returns the capture in an npz file of the API. */
-export function captureOf(file: Npz): Capture {
-  const shape = file.arrays.get("keypoints")?.shape;
-  if (shape === undefined) throw new Error("The capture has no keypoints.");
-  const [frames, views, keypoints] = shape;
-  const names = file.texts.get("keypoint_names") ?? numbered("keypoint", keypoints);
-  const sizes = floats(file.arrays, "image_sizes");
-  const edges = floats(file.arrays, "edges") ?? new Float32Array();
+export interface Take extends Capture, Structures {
+  detected: Float32Array; // (N, K, P, 2) pixels, NaN where not observed; of frames that are ALL there
+  outlierProbability: Float32Array; // (N, K, P), NaN where nothing was judged
+  viewErrors: Float32Array; // (N, K) pixels
+  frameBits: Uint8Array; // (N,) what was noticed of each frame, a bit a code
+  frame: Frame;
+  there: Uint8Array; // (N,) NOTHING, STRUCTURE or ALL
+}
+
+/** Returns a take that has no frames yet. What is large is not filled with NaN, which takes long: what
+ * was detected is of frames that are there, and a camera without a model is none.
+ *
+ * @param frames of the fit: it sees those that its dataset had then */
+export function emptyTake(capture: Capture, frames: number, frame: Frame): Take {
+  const { views, keypoints } = capture;
+  const unknown = (size: number) => new Float32Array(size).fill(NaN);
+  const numbers = (size: number) => new Float32Array(size);
+  const cameras = frames * views;
   return {
+    ...capture,
     frames,
-    views,
-    keypoints,
-    detected: needed(file.arrays, "keypoints"),
-    truth: floats(file.arrays, "points3d"),
-    names,
-    sides: sidesOf(names),
-    edges: Array.from({ length: edges.length / 2 }, (_, i) => [edges[2 * i], edges[2 * i + 1]]),
-    viewNames: file.texts.get("view_names") ?? numbered("view", views),
-    imageSizes: Array.from({ length: views }, (_, view) =>
-      sizes !== undefined && sizes[2 * view] > 0 ? [sizes[2 * view], sizes[2 * view + 1]] : null,
-    ),
-    fps: floats(file.arrays, "fps")?.[0] ?? null,
-    times: firstViewsTimes(file.arrays.get("times"), frames),
+    frame,
+    detected: numbers(2 * cameras * keypoints),
+    points: unknown(3 * frames * keypoints),
+    cameras: {
+      models: new Int8Array(cameras).fill(-1),
+      rotations: numbers(9 * cameras),
+      translations: numbers(3 * cameras),
+      scales: numbers(cameras),
+      focals: numbers(2 * cameras),
+      principalPoints: numbers(2 * cameras),
+      distortions: numbers(8 * cameras),
+    },
+    outlierProbability: numbers(cameras * keypoints),
+    viewErrors: unknown(cameras),
+    frameBits: new Uint8Array(frames),
+    there: new Uint8Array(frames),
   };
 }
 
-/** Returns the take of a capture and its reconstruction, placed so that y points up. */
-export function takeOf(capture: Capture, file: Map<string, Tensor>, frame: Frame): Take {
+/** Structures, and what is known of them besides. */
+export interface Lifted extends Structures {
+  outliers: ArrayLike<number> | undefined; // (N, K, P)
+  errors: Float32Array; // (N, K) pixels
+  bits: ArrayLike<number> | undefined; // (N,)
+}
+
+/** Puts frames of a reconstruction into a take: `first`, `first + step` and so on. */
+export function putStructures(take: Take, file: Map<string, Tensor>, first: number, step: number): void {
+  const outliers = floats(file, "outlier_probability");
+  const errors = needed(file, "reprojection_errors");
+  putLifted(take, { ...structuresOf(take, file), outliers, errors, bits: file.get("findings")?.data }, first, step);
+}
+
+/** Places frames as those of the take are, and puts them there. */
+export function putLifted(take: Take, part: Lifted, first: number, step: number): void {
+  if (take.frame === "camera") yPointsUp(part);
+  if (take.frame === "view") axesOfFirstView(part);
+  const { cameras } = take;
+  const put = (into: Float32Array | Int8Array | Uint8Array, from: ArrayLike<number> | undefined) => {
+    if (from !== undefined) putFrames(into, from, part.frames, first, step);
+  };
+  put(take.points, part.points);
+  for (const name of Object.keys(cameras) as (keyof Cameras)[]) put(cameras[name], part.cameras[name]);
+  put(take.outlierProbability, part.outliers);
+  put(take.viewErrors, part.errors);
+  put(take.frameBits, part.bits);
+  for (let frame = first, left = part.frames; left > 0; frame += step, left--) {
+    take.there[frame] = Math.max(take.there[frame], STRUCTURE);
+  }
+}
+
+function structuresOf({ views, keypoints }: Take, file: Map<string, Tensor>): Structures {
   const points = needed(file, "points3d");
-  const frames = points.length / (3 * capture.keypoints);
   const models = file.get("camera_models");
   if (models === undefined) throw new Error("The reconstruction has no cameras.");
-  const cameras: Cameras = {
-    models: models.data,
+  const cameras = {
+    models: models.data as Int8Array,
     rotations: needed(file, "rotations"),
     translations: needed(file, "translations"),
     scales: needed(file, "scales"),
@@ -75,38 +108,34 @@ export function takeOf(capture: Capture, file: Map<string, Tensor>, frame: Frame
     principalPoints: needed(file, "principal_points"),
     distortions: needed(file, "distortions"),
   };
-  const take: Take = {
-    ...capture,
-    frames, // a fit sees the frames that its dataset had then
-    points,
-    cameras,
-    outlierProbability: floats(file, "outlier_probability"),
-    viewErrors: needed(file, "reprojection_errors"),
-    frameBits: file.get("findings")?.data ?? [],
-    frame,
-  };
-  if (frame === "camera") yPointsUp(take);
-  if (frame === "view") axesOfFirstView(take);
-  return take;
+  return { frames: points.length / (3 * keypoints), views, keypoints, points, cameras };
 }
 
-/** Returns frames per second, and whether they are known or merely usual. */
-export function rateOf(capture: Capture): { rate: number; known: boolean } {
-  if (capture.fps !== null) return { rate: capture.fps, known: true };
-  const times = capture.times;
-  if (times !== null && times.length > 1) {
-    const span = times[times.length - 1] - times[0];
-    if (span > 0) return { rate: (times.length - 1) / span, known: true };
+/** Copies frames into an array that has `step` times as many. */
+function putFrames(
+  into: Float32Array | Int8Array | Uint8Array,
+  from: ArrayLike<number>,
+  frames: number,
+  first: number,
+  step: number,
+): void {
+  const size = from.length / frames;
+  if (step === 1) return into.set(from, first * size);
+  for (let frame = 0; frame < frames; frame++) {
+    const at = (first + frame * step) * size;
+    for (let i = 0; i < size; i++) into[at + i] = from[frame * size + i];
   }
-  return { rate: 30, known: false };
 }
 
-function numbered(word: string, count: number): string[] {
-  return Array.from({ length: count }, (_, index) => `${word} ${index}`);
+/** Puts what was detected into frames from `first` on, which then are all there. */
+export function putDetected(take: Take, detected: Float32Array, first: number): void {
+  const size = 2 * take.views * take.keypoints;
+  take.detected.set(detected, first * size);
+  take.there.fill(ALL, first, first + detected.length / size);
 }
 
-function firstViewsTimes(times: Tensor | undefined, frames: number): Float64Array | null {
-  if (times === undefined) return null;
-  const views = times.shape[1] ?? 1;
-  return Float64Array.from({ length: frames }, (_, frame) => times.data[frame * views]);
+/** Returns the frame to draw in the place of one: itself or, until it is there, one before it. */
+export function nearest({ there }: Take, frame: number): number {
+  for (let near = frame; near >= 0; near--) if (there[near] !== NOTHING) return near;
+  return frame;
 }

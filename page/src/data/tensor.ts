@@ -28,3 +28,8 @@ export function needed(file: Map<string, Tensor>, name: string): Float32Array {
   if (found === undefined) throw new Error(`The file has no array ${name}.`);
   return found;
 }
+
+/** Returns text of single bytes. */
+export function latin(view: DataView, start: number, length: number): string {
+  return new TextDecoder("latin1").decode(new Uint8Array(view.buffer, view.byteOffset + start, length));
+}

@@ -1,11 +1,11 @@
 /** What was understood of a capture, and the fit that can be made of it. */
 
 import { useEffect, useState } from "preact/hooks";
-import { createFit, deleteDataset, getCapture, getDataset, type Dataset } from "../api/resources.ts";
-import { readNpz } from "../data/npz.ts";
-import { captureOf } from "../data/take.ts";
+import { createFit, getDataset, listFitsOf, type Dataset, type Fit } from "../api/resources.ts";
+import { remoteCapture } from "../data/remote.ts";
 import { captured } from "../fits/fits_screen.tsx";
-import { goTo } from "../route.ts";
+import { DeleteButton, NamedHeading } from "../parts/named.tsx";
+import { goTo, linkTo } from "../route.ts";
 import { ConfigForm } from "./config_form.tsx";
 import { fullestFrame, type Drawn } from "./preview.ts";
 import { Understood } from "./understood.tsx";
@@ -16,7 +16,12 @@ export function DatasetScreen({ id }: { id: string }) {
   const [config, setConfig] = useState<Record<string, unknown>>({});
   const [busy, setBusy] = useState(false);
   const [frame, setFrame] = useState<Drawn | null>(null);
+  const [fits, setFits] = useState<Fit[]>([]);
   useEffect(() => {
+    listFitsOf(id).then(
+      (page) => setFits(page.items),
+      () => {}, // the words do without
+    );
     getDataset(id).then(
       (found) => {
         setDataset(found);
@@ -24,10 +29,9 @@ export function DatasetScreen({ id }: { id: string }) {
       },
       (error: Error) => setTrouble(error.message),
     );
-    getCapture(id).then(
-      (bytes) => setFrame(fullestFrame(captureOf(readNpz(bytes)))),
-      () => {}, // the words do without
-    );
+    remoteCapture(id)
+      .then(fullestFrame)
+      .then(setFrame, () => {}); // the words do without
   }, [id]);
   const attempt = async (work: () => Promise<void>) => {
     setBusy(true);
@@ -39,7 +43,7 @@ export function DatasetScreen({ id }: { id: string }) {
   return (
     <main>
       <header class="title">
-        <h1>{dataset.name}</h1>
+        <NamedHeading kind="datasets" id={id} name={dataset.name} onName={(name) => setDataset({ ...dataset, name })} />
         <span class="quiet">{captured(dataset)}</span>
       </header>
       <section class="panel">
@@ -70,20 +74,27 @@ export function DatasetScreen({ id }: { id: string }) {
           >
             Start the fit
           </button>
-          <button
-            disabled={busy}
-            onClick={() => {
-              if (!confirm(`Delete ${dataset.name}? Models that were fitted to it stay.`)) return;
-              void attempt(async () => {
-                await deleteDataset(dataset.id);
-                goTo();
-              });
-            }}
-          >
-            Delete this dataset
-          </button>
         </div>
       </section>
+      {fits.length > 0 && (
+        <section class="panel">
+          <h2>Fits of it</h2>
+          <p class="where">
+            {fits.map((fit) => (
+              <a key={fit.id} class="chip" href={linkTo("fits", fit.id)}>
+                {fit.name} ({fit.id.slice(-6)})
+              </a>
+            ))}
+          </p>
+        </section>
+      )}
+      <DeleteButton
+        kind="datasets"
+        id={id}
+        what="this dataset"
+        kept="Fits and models of it stay, without what the cameras saw."
+        onDeleted={() => goTo("datasets")}
+      />
     </main>
   );
 }

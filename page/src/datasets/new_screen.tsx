@@ -7,6 +7,7 @@ import { Icon } from "../parts/icons.tsx";
 import { goTo } from "../route.ts";
 import { filesOf, sorted } from "./dropping.ts";
 import { Understood } from "./understood.tsx";
+import { recall } from "./unfinished.ts";
 import { upload, type Description } from "./upload.ts";
 import { useLook, type Look } from "./use_look.ts";
 
@@ -16,6 +17,7 @@ export function NewScreen() {
   const [files, setFiles] = useState<File[]>([]);
   const [description, setDescription] = useState(NOTHING);
   const [sent, setSent] = useState<number | null>(null); // share of what is being stored
+  const [broken, setBroken] = useState<string | null>(null); // why nothing is sent just now
   const [trouble, setTrouble] = useState<string | null>(null);
   const stop = useRef<AbortController | null>(null);
   const look = useLook(files, description);
@@ -24,6 +26,7 @@ export function NewScreen() {
     return () => stop.current?.abort();
   }, []);
 
+  const unfinished = files.length === 1 && recall(files[0]) !== null;
   const take = (found: File[]) => {
     setTrouble(null);
     setFiles(sorted([...files.filter((file) => !found.some((other) => other.name === file.name)), ...found]));
@@ -35,11 +38,13 @@ export function NewScreen() {
     setSent(0);
     stop.current = new AbortController();
     try {
-      const dataset = await upload(files, description, setSent, stop.current.signal);
+      const watching = { onProgress: setSent, onBreak: setBroken, signal: stop.current.signal };
+      const dataset = await upload(files, description, watching);
       goTo("datasets", dataset.id);
     } catch (error) {
       setTrouble((error as Error).message);
       setSent(null);
+      setBroken(null);
     }
   };
   return (
@@ -59,10 +64,10 @@ export function NewScreen() {
         )}
         {sent === null ? (
           <button class="primary" disabled={look.state !== "seen"}>
-            Store this capture
+            {unfinished ? "Store what is missing of it" : "Store this capture"}
           </button>
         ) : (
-          <Sending share={sent} then="Storing …" onStop={() => stop.current?.abort()} />
+          <Sending share={sent} then="Storing …" broken={broken} onStop={() => stop.current?.abort()} />
         )}
       </form>
     </main>
@@ -90,11 +95,20 @@ function Looked({ look }: { look: Look }) {
   );
 }
 
-function Sending({ share, then, onStop }: { share: number; then: string; onStop?: () => void }) {
+interface SendingProps {
+  share: number;
+  then: string;
+  broken?: string | null;
+  onStop?: () => void;
+}
+
+function Sending({ share, then, broken = null, onStop }: SendingProps) {
   return (
     <div class="sending">
       <progress max={1} value={share} aria-label="Upload" />
-      <span class="quiet">{share < 1 ? `${percent(share)} sent` : then}</span>
+      <span class="quiet" role="status">
+        {broken !== null ? `${broken} Trying again.` : share < 1 ? `${percent(share)} sent` : then}
+      </span>
       {onStop && (
         <button type="button" onClick={onStop}>
           Stop

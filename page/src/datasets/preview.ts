@@ -1,11 +1,13 @@
 /** Draws the detected keypoints of one frame of a view. */
 
-import type { Capture } from "../data/take.ts";
+import type { CaptureFile } from "../data/capture.ts";
 import { pixelRatio } from "../parts/canvas_size.ts";
 import { colourOf, readTheme } from "../parts/theme.ts";
 import type { Side } from "../science/sides.ts";
 
 const MARGIN = 0.12;
+const PLACES = 8; // of a capture that are looked at
+const AT_A_PLACE = 12; // frames
 
 /** One frame of all views, and how it is drawn. */
 export interface Drawn {
@@ -49,20 +51,23 @@ export function drawKeypoints(canvas: HTMLCanvasElement, { views, edges, sides }
   }
 }
 
-/** Returns the first frame, of some hundred, in which most keypoints are observed. */
-export function fullestFrame(capture: Capture): Drawn {
-  const { frames, views, keypoints, detected, edges, sides } = capture;
-  const step = Math.max(1, Math.floor(frames / 300));
+/** Returns the frame, of a few from all of a capture, in which most keypoints are observed. */
+export async function fullestFrame({ capture, detected }: CaptureFile): Promise<Drawn> {
+  const { frames, views, keypoints, edges, sides } = capture;
+  const starts = Array.from({ length: PLACES }, (_, place) => Math.floor((place * frames) / PLACES));
+  const read = starts.map((start) => detected(start, Math.min(frames, start + AT_A_PLACE)));
   const size = 2 * keypoints;
-  let best = 0;
+  let best: Float32Array = new Float32Array();
   let most = -1;
-  for (let frame = 0; frame < frames; frame += step) {
-    const seen = detected.subarray(frame * views * size, (frame + 1) * views * size);
-    const known = seen.reduce((sum, value) => sum + (Number.isNaN(value) ? 0 : 1), 0);
-    if (known > most) [best, most] = [frame, known];
+  for (const pixels of await Promise.all(read)) {
+    for (let first = 0; first < pixels.length; first += views * size) {
+      const frame = pixels.subarray(first, first + views * size);
+      const known = frame.reduce((sum, value) => sum + (Number.isNaN(value) ? 0 : 1), 0);
+      if (known > most) [best, most] = [frame, known];
+    }
   }
-  const starts = Array.from({ length: views }, (_, view) => (best * views + view) * size);
-  return { views: starts.map((start) => detected.subarray(start, start + size)), edges, sides };
+  const seen = Array.from({ length: views }, (_, view) => best.subarray(view * size, (view + 1) * size));
+  return { views: seen, edges, sides };
 }
 
 function evens(pixels: Float32Array, offset: number): number[] {

@@ -1,7 +1,10 @@
-/** Sends files with a progress that can be seen, which `fetch` does not give. */
+/** Sends files with a progress that can be seen, which `fetch` does not give, and goes on after a
+ * break: nothing is stored twice, and of a long file of arrays nothing is sent twice. */
 
 import { addressOf, keyHeader, refusalOf, Refusal } from "../api/http.ts";
-import type { Dataset, DatasetPreview } from "../api/resources.ts";
+import { getDataset, type Dataset, type DatasetPreview } from "../api/resources.ts";
+import { partsOf, type Parts } from "./parts.ts";
+import { forget, recall, remember } from "./unfinished.ts";
 
 export interface Description {
   name: string;
@@ -10,21 +13,93 @@ export interface Description {
   height: string;
 }
 
+export interface Watching {
+  onProgress(share: number): void;
+  /** Called when the connection broke, and with null when it is there again. */
+  onBreak(reason: string | null): void;
+  signal: AbortSignal;
+}
+
 const ARRAYS = /\.(npz|safetensors)$/i;
+const AGAIN_MS = 1000; // after the connection broke
+const STOPPED = "The upload was stopped.";
 
 /** Returns the dataset that files became; throws `Refusal` with the service's words. */
-export function upload(...sent: Sent): Promise<Dataset> {
-  return send<Dataset>("datasets", ...sent);
+export async function upload(files: File[], description: Description, watching: Watching): Promise<Dataset> {
+  const parts = isArrays(files) ? await partsOf(files[0]) : null;
+  if (parts !== null) return uploadInParts(files[0], parts, description, watching);
+  const key = crypto.randomUUID();
+  return persisting(watching, () => send<Dataset>("datasets", formOf(files, description), watching, key));
 }
 
-/** Returns what is understood of files, of which nothing is stored. */
-export function lookAt(...sent: Sent): Promise<DatasetPreview> {
-  return send<DatasetPreview>("previews", ...sent);
+/** Returns what is understood of files, of which nothing is stored: of a long file its first part. */
+export async function lookAt(files: File[], description: Description, watching: Watching): Promise<DatasetPreview> {
+  const parts = isArrays(files) ? await partsOf(files[0]) : null;
+  if (parts === null) return send<DatasetPreview>("previews", formOf(files, description), watching);
+  const seen = await send<DatasetPreview>("previews", firstOf(parts, files[0], description), watching);
+  const notes = [...seen.notes, `looked at the first ${parts.size} of ${parts.frames} frames`];
+  return { ...seen, frames: parts.frames, notes };
 }
 
-type Sent = [files: File[], description: Description, onProgress: (share: number) => void, signal: AbortSignal];
+async function uploadInParts(
+  file: File,
+  parts: Parts,
+  description: Description,
+  watching: Watching,
+): Promise<Dataset> {
+  const share = (frames: number) => watching.onProgress(frames / parts.frames);
+  const key = crypto.randomUUID();
+  const found = await begunBefore(file, watching);
+  let dataset =
+    found ??
+    (await persisting(watching, () =>
+      send<Dataset>("datasets", firstOf(parts, file, description), { ...watching, onProgress: () => {} }, key),
+    ));
+  remember(file, dataset.id);
+  while (dataset.frames < parts.frames) {
+    const first = dataset.frames;
+    const end = Math.min(parts.frames, first + parts.size);
+    share(first);
+    const path = `datasets/${encodeURIComponent(dataset.id)}/frames`;
+    const onProgress = (sent: number) => share(first + sent * (end - first));
+    const body = parts.part(first, end);
+    dataset = await persisting(watching, () =>
+      send<Dataset>(path, body, { ...watching, onProgress }, `${dataset.id}-${first}`),
+    );
+  }
+  forget(file);
+  return dataset;
+}
 
-function send<T>(path: string, ...[files, description, onProgress, signal]: Sent): Promise<T> {
+/** Returns the dataset that a part of a file is in, from another time. */
+async function begunBefore(file: File, watching: Watching): Promise<Dataset | null> {
+  const id = recall(file);
+  if (id === null) return null;
+  try {
+    return await persisting(watching, () => getDataset(id));
+  } catch {
+    return null; // it was deleted
+  }
+}
+
+/** Does something again until the service answers. */
+async function persisting<T>({ signal, onBreak }: Watching, act: () => Promise<T>): Promise<T> {
+  for (;;) {
+    try {
+      const done = await act();
+      onBreak(null);
+      return done;
+    } catch (error) {
+      const broken = error instanceof Refusal && (error.status === 0 || error.status === 503);
+      if (!broken || signal.aborted) throw error;
+      onBreak(error.message);
+      await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+      if (signal.aborted) throw new Refusal(0, { detail: STOPPED });
+    }
+  }
+}
+
+function send<T>(path: string, body: FormData | Blob, { onProgress, signal }: Watching, key?: string): Promise<T> {
   const request = new XMLHttpRequest();
   return new Promise((resolve, reject) => {
     request.upload.onprogress = (event) => onProgress(event.lengthComputable ? event.loaded / event.total : 0);
@@ -32,18 +107,24 @@ function send<T>(path: string, ...[files, description, onProgress, signal]: Sent
       if (request.status < 300) resolve(JSON.parse(request.responseText) as T);
       else reject(refusalOf(request.status, request.responseText));
     };
-    request.onerror = () => reject(new Refusal(0, { detail: "The connection broke. Try again." }));
-    request.onabort = () => reject(new Refusal(0, { detail: "The upload was stopped." }));
+    request.onerror = () => reject(new Refusal(0, { detail: "The connection broke." }));
+    request.onabort = () => reject(new Refusal(0, { detail: STOPPED }));
     signal.addEventListener("abort", () => request.abort());
     request.open("POST", addressOf(path));
     for (const [name, value] of Object.entries(keyHeader())) request.setRequestHeader(name, value);
-    request.send(formOf(files, description));
+    if (key !== undefined) request.setRequestHeader("Idempotency-Key", key);
+    if (body instanceof Blob) request.setRequestHeader("Content-Type", "application/octet-stream");
+    request.send(body);
   });
+}
+
+function isArrays(files: File[]): boolean {
+  return files.length === 1 && ARRAYS.test(files[0].name);
 }
 
 function formOf(files: File[], { name, fps, width, height }: Description): FormData {
   const form = new FormData();
-  const arrays = files.length === 1 && ARRAYS.test(files[0].name);
+  const arrays = isArrays(files);
   for (const file of files) form.append(arrays ? "file" : "files", file, file.name);
   if (name !== "") form.append("name", name);
   if (fps !== "") form.append("fps", fps);
@@ -51,5 +132,15 @@ function formOf(files: File[], { name, fps, width, height }: Description): FormD
     const size = [Number(width), Number(height)];
     form.append("image_sizes", JSON.stringify(files.map(() => size)));
   }
+  return form;
+}
+
+/** Returns the form of the first part of a file, with what the file has of all its frames. */
+function firstOf(parts: Parts, file: File, { name, fps }: Description): FormData {
+  const form = new FormData();
+  const end = Math.min(parts.size, parts.frames);
+  form.append("file", parts.part(0, end), `${file.name}.safetensors`);
+  const fields = { ...parts.description, ...(name !== "" && { name }), ...(fps !== "" && { fps }) };
+  for (const [field, value] of Object.entries(fields)) form.append(field, value);
   return form;
 }

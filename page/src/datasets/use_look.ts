@@ -28,7 +28,8 @@ export function useLook(files: File[], description: Description): Look {
     };
     const begin = () => {
       put({ state: "sending", share: 0 });
-      lookAt(files, description, (share) => put({ state: "sending", share }), stop.signal).then(
+      const onProgress = (share: number) => put({ state: "sending", share });
+      lookAt(files, description, { onProgress, onBreak: () => {}, signal: stop.signal }).then(
         (preview) => put({ state: "seen", preview, drawn: drawnOf(preview) }),
         (error: Error) => put({ state: "refused", reason: error.message }),
       );

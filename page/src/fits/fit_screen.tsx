@@ -5,7 +5,8 @@ import { useEffect, useState } from "preact/hooks";
 import { followFit } from "../api/events.ts";
 import { Refusal } from "../api/http.ts";
 import { getFit, type Fit } from "../api/resources.ts";
-import { linkTo } from "../route.ts";
+import { DeleteButton, NamedHeading } from "../parts/named.tsx";
+import { goTo, linkTo } from "../route.ts";
 import { Failure } from "./failure.tsx";
 import { Progress } from "./progress.tsx";
 import { Status } from "./status.tsx";
@@ -64,10 +65,16 @@ export function FitScreen({ id }: { id: string }) {
   return (
     <main class={fit.status === "succeeded" ? "wide" : ""}>
       <header class="title">
-        <h1>{fit.name}</h1>
+        <NamedHeading kind="fits" id={fit.id} name={fit.name} onName={(name) => setFit({ ...fit, name })} />
         <Status fit={fit} />
         <span class="quiet id">
           {fit.id} · <a href={linkTo("datasets", fit.dataset_id)}>its dataset</a>
+          {fit.model_id && (
+            <>
+              {" "}
+              · <a href={linkTo("models", fit.model_id)}>its model</a>
+            </>
+          )}
         </span>
       </header>
       {trouble !== null && isGoingOn(fit) && (
@@ -81,6 +88,15 @@ export function FitScreen({ id }: { id: string }) {
         <Suspense fallback={<div class="waiting-page quiet">Loading …</div>}>
           <ResultScreen fit={fit} />
         </Suspense>
+      )}
+      {!isGoingOn(fit) && (
+        <DeleteButton
+          kind="fits"
+          id={fit.id}
+          what="this fit"
+          kept="Its dataset and its model stay."
+          onDeleted={() => goTo()}
+        />
       )}
     </main>
   );

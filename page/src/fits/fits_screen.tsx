@@ -2,7 +2,17 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { followFit } from "../api/events.ts";
-import { listDatasets, listFits, listModels, type Dataset, type DatasetPreview, type Fit } from "../api/resources.ts";
+import {
+  cancelFit,
+  getQueues,
+  listDatasets,
+  listFits,
+  listModels,
+  type Dataset,
+  type DatasetPreview,
+  type Fit,
+  type WaitingJobs,
+} from "../api/resources.ts";
 import { count, duration, moment, number, percent, pixels } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { linkTo } from "../route.ts";
@@ -29,8 +39,8 @@ export function FitsScreen() {
     );
   }, []);
   const going = (fits ?? []).filter(isGoingOn).map((fit) => fit.id);
+  const put = (fit: Fit) => setFits((all) => all?.map((each) => (each.id === fit.id ? fit : each)) ?? null);
   useEffect(() => {
-    const put = (fit: Fit) => setFits((all) => all?.map((each) => (each.id === fit.id ? fit : each)) ?? null);
     const stops = going.map((id) => followFit(id, put, (error) => setTrouble(error?.message ?? null)));
     return () => stops.forEach((stop) => stop());
   }, [going.join()]);
@@ -55,15 +65,17 @@ export function FitsScreen() {
           {trouble}
         </p>
       )}
+      {going.length > 0 && <Queue key={going.length} />}
       {fits?.length === 0 && unfitted.length === 0 && <Teach />}
       <ul class="list">
         {fits?.map((fit) => (
-          <li key={fit.id}>
+          <li key={fit.id} class={isGoingOn(fit) ? "going" : ""}>
             <FitRow
               fit={fit}
               dataset={datasets.find((dataset) => dataset.id === fit.dataset_id)}
               error={errors.get(fit.model_id ?? "")}
             />
+            {isGoingOn(fit) && <CancelButton fit={fit} onFit={put} />}
           </li>
         ))}
       </ul>
@@ -85,6 +97,41 @@ export function FitsScreen() {
         </>
       )}
     </main>
+  );
+}
+
+function CancelButton({ fit, onFit }: { fit: Fit; onFit: (fit: Fit) => void }) {
+  const [trouble, setTrouble] = useState<string | undefined>(undefined);
+  return (
+    <button
+      disabled={fit.cancel_requested}
+      title={trouble}
+      aria-label={`Cancel ${fit.name}`}
+      onClick={() => cancelFit(fit.id).then(onFit, (error: Error) => setTrouble(error.message))}
+    >
+      {trouble === undefined ? "Cancel" : "Cannot be cancelled"}
+    </button>
+  );
+}
+
+/** How many fits wait, and whether anybody takes them. */
+function Queue() {
+  const [queues, setQueues] = useState<WaitingJobs[]>([]);
+  useEffect(() => {
+    getQueues().then(
+      (page) => setQueues(page.items),
+      () => {}, // the fits say enough
+    );
+  }, []);
+  const fits = queues.find((each) => each.queue === "fits");
+  if (fits === undefined) return null;
+  const oldest = `the oldest for ${duration(fits.oldest_seconds)}`;
+  const waiting = fits.waiting > 0 ? `${count(fits.waiting, "fit")} in the queue, ${oldest}` : "No fit waits";
+  const none = "No worker is running: fewview worker starts one.";
+  return (
+    <p class="quiet">
+      {waiting}. {fits.workers === 0 ? none : `${count(fits.workers, "worker")} at work.`}
+    </p>
   );
 }
 

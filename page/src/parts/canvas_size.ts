@@ -4,14 +4,19 @@
 /** Calls a function after the canvas got another size; returns what ends that. */
 export function keepSize(canvas: HTMLCanvasElement, onSize: () => void): () => void {
   const watcher = new ResizeObserver(([entry]) => {
-    const ratio = pixelRatio();
-    const { width, height } = entry.contentRect;
-    canvas.width = Math.max(1, Math.round(width * ratio));
-    canvas.height = Math.max(1, Math.round(height * ratio));
-    onSize();
+    if (resize(canvas, entry.contentRect.width, entry.contentRect.height)) onSize();
   });
   watcher.observe(canvas);
   return () => watcher.disconnect();
+}
+
+/** Gives a canvas a size in pixels of the page; returns whether it had another. */
+export function resize(canvas: HTMLCanvasElement, width: number, height: number): boolean {
+  const [wide, high] = [width, height].map((side) => Math.max(1, Math.round(side * pixelRatio())));
+  if (canvas.width === wide && canvas.height === high) return false;
+  canvas.width = wide;
+  canvas.height = high;
+  return true;
 }
 
 /** Pixels of a canvas in one of the page: two at most, beyond which nobody sees more. */

@@ -1,6 +1,6 @@
 /** Which part of a view's image its panel shows. */
 
-import type { Take } from "../data/take.ts";
+import { ALL, type Take } from "../data/take.ts";
 import { quantile } from "../science/worst.ts";
 
 /** A part of an image, in its pixels. */
@@ -17,82 +17,95 @@ export type Crop = "subject" | "path" | "image";
 const SMOOTHING = 12; // frames on either side over which the window's way is averaged
 const MARGIN = 0.14; // of the subject's size, on either side
 const ASTRAY = 0.003; // share of coordinates at either end that does not count
+const SAMPLES = 600; // frames that are looked at for what holds of all
+const FARTHEST = 300; // frames on either side in which a subject is sought
 
 /** Returns the part that is shown in each frame. */
 export function partsOf(take: Take, view: number, crop: Crop): (frame: number) => Part {
-  if (crop === "image") return always(imagePart(take, view));
-  const boxes = boxesOf(take, view);
-  if (boxes.size === 0) return always(imagePart(take, view));
-  return crop === "path" ? always(pathPart(boxes)) : following(boxes);
+  const boxes = sampledBoxes(take, view);
+  if (crop === "image" || boxes.length === 0) return always(imagePart(take, view, boxes));
+  const size = quantile(boxes.map(sizeOf), 0.9);
+  return crop === "path" ? always(pathPart(boxes, size)) : following(take, view, size);
 }
 
 function always(part: Part): (frame: number) => Part {
   return () => part;
 }
 
-interface Boxes {
-  left: Float32Array; // (N,) pixels, as the others; NaN where the view shows nothing
-  right: Float32Array;
-  top: Float32Array;
-  bottom: Float32Array;
-  size: number; // of the subject in most frames, 0 if it is never seen
+/** The box around what a view shows in a frame. */
+interface Box {
+  left: number; // pixels, as the others
+  right: number;
+  top: number;
+  bottom: number;
 }
 
-function boxesOf({ frames, views, keypoints, detected }: Take, view: number): Boxes {
-  const [left, right, top, bottom] = [0, 0, 0, 0].map(() => new Float32Array(frames).fill(NaN));
-  const sizes = new Float32Array(frames).fill(NaN);
-  for (let frame = 0; frame < frames; frame++) {
-    const first = (frame * views + view) * keypoints;
-    let [low, high, above, below] = [Infinity, -Infinity, Infinity, -Infinity];
-    for (let seen = 2 * first; seen < 2 * (first + keypoints); seen += 2) {
-      const [x, y] = [detected[seen], detected[seen + 1]];
-      if (x < low) low = x; // false for NaN
-      if (x > high) high = x;
-      if (y < above) above = y;
-      if (y > below) below = y;
-    }
-    if (high < low) continue;
-    [left[frame], right[frame], top[frame], bottom[frame]] = [low, high, above, below];
-    sizes[frame] = Math.max(high - low, below - above);
+function sizeOf({ left, right, top, bottom }: Box): number {
+  return Math.max(right - left, bottom - top);
+}
+
+function boxOf({ views, keypoints, detected }: Take, view: number, frame: number): Box | null {
+  const first = (frame * views + view) * keypoints;
+  let [left, right, top, bottom] = [Infinity, -Infinity, Infinity, -Infinity];
+  for (let seen = 2 * first; seen < 2 * (first + keypoints); seen += 2) {
+    const [x, y] = [detected[seen], detected[seen + 1]];
+    if (x < left) left = x; // false for NaN
+    if (x > right) right = x;
+    if (y < top) top = y;
+    if (y > bottom) bottom = y;
   }
-  return { left, right, top, bottom, size: quantile(sizes, 0.9) };
+  return right < left ? null : { left, right, top, bottom };
 }
 
-function pathPart({ left, right, top, bottom, size }: Boxes): Part {
-  const x = quantile(left, ASTRAY) - MARGIN * size;
-  const y = quantile(top, ASTRAY) - MARGIN * size;
-  const width = quantile(right, 1 - ASTRAY) + MARGIN * size - x;
-  const height = quantile(bottom, 1 - ASTRAY) + MARGIN * size - y;
+/** Returns boxes of frames that are there, some hundred of many. */
+function sampledBoxes(take: Take, view: number): Box[] {
+  const known: number[] = [];
+  for (let frame = 0; frame < take.frames; frame++) if (take.there[frame] === ALL) known.push(frame);
+  const step = Math.max(1, Math.floor(known.length / SAMPLES));
+  return known.flatMap((frame, index) => (index % step === 0 ? (boxOf(take, view, frame) ?? []) : []));
+}
+
+function pathPart(boxes: Box[], size: number): Part {
+  const reach = (side: keyof Box, share: number) => quantile(boxes.map((box) => box[side]), share);
+  const x = reach("left", ASTRAY) - MARGIN * size;
+  const y = reach("top", ASTRAY) - MARGIN * size;
+  const width = reach("right", 1 - ASTRAY) + MARGIN * size - x;
+  const height = reach("bottom", 1 - ASTRAY) + MARGIN * size - y;
   return { x, y, width, height };
 }
 
-function following({ left, right, top, bottom, size }: Boxes): (frame: number) => Part {
+function following(take: Take, view: number, size: number): (frame: number) => Part {
   const side = (1 + 2 * MARGIN) * size;
-  const middle = (low: Float32Array, high: Float32Array, frame: number) => {
-    let [sum, count] = [0, 0];
-    for (let near = 0; near <= SMOOTHING || count === 0; near++) {
-      if (near > low.length) return 0;
+  const known = new Map<number, Box | null>();
+  const boxAt = (frame: number): Box | null => {
+    if (take.there[frame] !== ALL) return null; // also beyond the ends
+    let box = known.get(frame);
+    if (box === undefined) {
+      if (known.size > 4 * FARTHEST) known.clear();
+      known.set(frame, (box = boxOf(take, view, frame)));
+    }
+    return box;
+  };
+  return (frame) => {
+    let [x, y, count] = [0, 0, 0];
+    for (let near = 0; near <= SMOOTHING || (count === 0 && near < FARTHEST); near++) {
       for (const at of near === 0 ? [frame] : [frame - near, frame + near]) {
-        const centre = (low[at] + high[at]) / 2;
-        if (!(centre === centre)) continue; // nothing is seen there, or no such frame
-        sum += centre;
+        const box = boxAt(at);
+        if (box === null) continue;
+        x += (box.left + box.right) / 2;
+        y += (box.top + box.bottom) / 2;
         count++;
       }
     }
-    return sum / count;
+    const middle = count > 0 ? [x / count, y / count] : [0, 0];
+    return { x: middle[0] - side / 2, y: middle[1] - side / 2, width: side, height: side };
   };
-  return (frame) => ({
-    x: middle(left, right, frame) - side / 2,
-    y: middle(top, bottom, frame) - side / 2,
-    width: side,
-    height: side,
-  });
 }
 
 /** Returns the whole image; where its size is not known, as far as keypoints reach. */
-function imagePart(take: Take, view: number): Part {
+function imagePart(take: Take, view: number, boxes: Box[]): Part {
   const size = take.imageSizes[view];
   if (size !== null) return { x: 0, y: 0, width: size[0], height: size[1] };
-  const { right, bottom } = boxesOf(take, view);
-  return { x: 0, y: 0, width: quantile(right, 1) || 1, height: quantile(bottom, 1) || 1 };
+  const [width, height] = [boxes.map((box) => box.right), boxes.map((box) => box.bottom)];
+  return { x: 0, y: 0, width: quantile(width, 1) || 1, height: quantile(height, 1) || 1 };
 }

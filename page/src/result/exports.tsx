@@ -1,7 +1,9 @@
 /** Everything that can be taken away: what the API exports, and pictures of the screen. */
 
 import { useState } from "preact/hooks";
-import { download, saveBlob } from "../api/download.ts";
+import { saveBlob } from "../api/download.ts";
+import { downloadsOf } from "../models/downloads.ts";
+import { Downloads, type Entry } from "../parts/downloads.tsx";
 import { Icon } from "../parts/icons.tsx";
 import { record } from "./recording.ts";
 import type { Stage } from "./scene/scene.ts";
@@ -16,82 +18,31 @@ const ANIMATIONS = [
   ["CSV", "csv", ".csv"],
 ] as const;
 
-type Entry = [label: string, path: string, file: string];
-
 export function Exports({ stage }: { stage: Stage | null }) {
   const { fit, model, cameras, take } = useShow();
-  const [trouble, setTrouble] = useState<string | null>(null);
-  const [unit, setUnit] = useState(hasUnit(fit) ? "m" : "");
+  const [unit, setUnit] = useState(hasUnit(model.config) ? "m" : "");
   const room = { level: "&frame=room&up=auto", camera: "&frame=room", view: "" }[take.frame];
-  const structures = (format: string, suffix: string): Entry => [
-    suffix,
+  const structures = (format: string): Entry => [
+    format,
     `fits/${fit.id}/reconstruction?format=${format}${room}`,
-    `${fit.id}.${suffix}`,
+    `${fit.id}.${format}`,
   ];
-  const of = (kind: string) => `models/${model.id}/${kind}`;
-  const groups: [string, Entry[]][] = [
-    ["Structures and cameras of every frame", [structures("npz", "npz"), structures("safetensors", "safetensors"), structures("json", "json")]],
-    [
-      "Animation, for other tools",
-      ANIMATIONS.map(([label, format, suffix]) => [
-        label,
-        `fits/${fit.id}/animation?format=${format}${room}${unit === "" ? "" : `&unit=${unit}`}`,
-        `${fit.id}${suffix}`,
-      ]),
-    ],
-    [
-      "Cameras, as a calibration",
-      cameras.views.length === 0
-        ? []
-        : [
-            ["JSON", of("cameras"), `${model.id}-cameras.json`],
-            ["Anipose", of("cameras?format=anipose"), `${model.id}.toml`],
-            ["OpenCV", of("cameras?format=opencv"), `${model.id}.yaml`],
-            ["COLMAP", of("cameras?format=colmap"), `${model.id}-colmap.zip`],
-          ],
-    ],
-    [
-      "Model",
-      [
-        ["weights", of("weights"), `${model.id}.safetensors`],
-        ["ONNX", of("network"), `${model.id}.onnx`],
-      ],
-    ],
-    ["Capture, as it was uploaded", [["npz", `datasets/${fit.dataset_id}/capture`, `${fit.dataset_id}.npz`]]],
-  ];
+  const animations = ANIMATIONS.map(([label, format, suffix]): Entry => {
+    const query = `format=${format}${room}${unit === "" ? "" : `&unit=${unit}`}`;
+    return [label, `fits/${fit.id}/animation?${query}`, `${fit.id}${suffix}`];
+  });
   return (
     <>
-      {groups.map(([title, entries]) =>
-        entries.length === 0 ? null : (
-          <div class="exports" key={title}>
-            <span>
-              {title}
-              {title.startsWith("Animation") && <UnitChoice unit={unit} setUnit={setUnit} />}
-            </span>
-            <span class="buttons">
-              {entries.map(([label, path, file]) => (
-                <button
-                  key={label}
-                  disabled={label === "TRC" && unit === ""}
-                  title={label === "TRC" && unit === "" ? "TRC names the unit: choose it" : undefined}
-                  onClick={() => {
-                    setTrouble(null);
-                    download(path, file).catch((error: Error) => setTrouble(error.message));
-                  }}
-                >
-                  <Icon name="save" /> {label}
-                </button>
-              ))}
-            </span>
-          </div>
-        ),
-      )}
+      <Downloads
+        groups={[
+          ["Structures and cameras of every frame", ["npz", "safetensors", "json"].map(structures)],
+          ["Animation, for other tools", animations, <UnitChoice key="unit" unit={unit} setUnit={setUnit} />],
+          ...downloadsOf(model.id, cameras),
+          ["Capture, as it was uploaded", [["npz", `datasets/${fit.dataset_id}/capture`, `${fit.dataset_id}.npz`]]],
+        ]}
+        hindered={(label) => (label === "TRC" && unit === "" ? "TRC names the unit: choose it" : undefined)}
+      />
       {stage !== null && <Pictures stage={stage} />}
-      {trouble !== null && (
-        <p class="trouble" role="alert">
-          {trouble}
-        </p>
-      )}
     </>
   );
 }

@@ -7,12 +7,12 @@ import { useShow } from "./show.ts";
 import { unitOf } from "./unit.ts";
 
 export function Figures() {
-  const { fit, model, cameras, take, overlay } = useShow();
+  const { model, cameras, take, overlay } = useShow();
   const rows: [string, string, string?][] = [
     ["Reprojection error", pixels(model.reprojection_error), "mean over the views of all frames"],
     ["Frames lifted", `${number(model.frames_lifted)} of ${number(take.frames)}`],
     ["Captured", `${count(take.views, "view")}, ${count(take.keypoints, "keypoint")}`],
-    ["Lengths", unitOf(fit)],
+    ["Lengths", unitOf(model.config)],
   ];
   if (cameras.noise) rows.splice(1, 0, ["Noise of keypoints", pixels(cameras.noise), "standard deviation"]);
   if (overlay !== null) {
@@ -20,6 +20,9 @@ export function Figures() {
     const mean = off.reduce((sum, value) => sum + value, 0) / Math.max(1, off.length);
     const how = overlay.each ? "each frame on its own" : "all frames as one";
     rows.push([`Distance from ${overlay.name}`, number(mean), `mean, moved onto it ${how}`]);
+    if (overlay.model !== null) {
+      rows.splice(1, 0, [`of ${overlay.name}`, pixels(overlay.model.reprojection_error), "of another fit"]);
+    }
   }
   if (model.pa_mpjpe) {
     rows.push(["Error against the truth", number(model.pa_mpjpe), "PA-MPJPE, in the truth's unit"]);

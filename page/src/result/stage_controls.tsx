@@ -1,14 +1,14 @@
 /** What the 3D view shows besides the structure, how long a square is, and where one looks. */
 
+import type { ComponentChildren } from "preact";
 import { useEffect, useState } from "preact/hooks";
 import { number } from "../parts/format.ts";
-import { OverlayChoice } from "./overlay_choice.tsx";
 import type { Stage } from "./scene/scene.ts";
-import { useShow } from "./show.ts";
+import { useShown } from "./show.ts";
 import { unitOf } from "./unit.ts";
 
-export function StageControls({ stage }: { stage: Stage | null }) {
-  const { fit, take } = useShow();
+export function StageControls({ stage, children }: { stage: Stage | null; children?: ComponentChildren }) {
+  const { config, take } = useShown();
   const [trails, setTrails] = useState(true);
   const [following, setFollowing] = useState(false);
   useEffect(() => {
@@ -20,10 +20,10 @@ export function StageControls({ stage }: { stage: Stage | null }) {
   return (
     <div class="overlay bottom">
       <span class="scale quiet">
-        <i aria-hidden="true" /> square {stage === null ? "" : number(stage.square, 2)} · {unitOf(fit)}
+        <i aria-hidden="true" /> square {stage === null ? "" : number(stage.square, 2)} · {unitOf(config)}
       </span>
       <span class="buttons">
-        <OverlayChoice />
+        {children}
         <button aria-pressed={trails} onClick={() => setTrails(!trails)}>
           Trails
         </button>

@@ -1,9 +1,11 @@
 /** The structure in three dimensions, with the cameras' names on it. */
 
+import type { ComponentChildren } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import type { Stage } from "./scene/scene.ts";
-import { createStage } from "./scene/scene.ts";
-import { useShow } from "./show.ts";
+import type { Extent } from "./scene/parts.ts";
+import { nearest } from "../data/take.ts";
+import { createStage, type Stage } from "./scene/scene.ts";
+import { useShown } from "./show.ts";
 import { StageControls } from "./stage_controls.tsx";
 
 const FRAMES = {
@@ -12,23 +14,33 @@ const FRAMES = {
   view: "Each frame in the axes of its first view: no camera is known to be static.",
 } as const;
 
-export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void }) {
-  const show = useShow();
-  const canvas = useRef<HTMLCanvasElement>(null);
+interface Props {
+  onStage: (stage: Stage | null) => void;
+  extent?: Extent; // of the subject, if it does not follow from the frames that are there
+  overlay?: Float32Array | null; // other points (N, P, 3), laid over the structure
+  title?: string; // in the place of where one is
+  plain?: boolean; // without controls
+  children?: ComponentChildren; // further controls
+}
+
+export function StagePanel({ onStage, extent, overlay = null, title, plain = false, children }: Props) {
+  const show = useShown();
+  const holder = useRef<HTMLDivElement>(null);
   const labels = useRef<HTMLDivElement>(null);
   const [stage, setStage] = useState<Stage | null>(null);
   const [trouble, setTrouble] = useState<string | null>(null);
   const { take, player, loop, theme, selected, through, lookThrough } = show;
 
   useEffect(() => {
-    if (canvas.current === null) return undefined;
+    if (holder.current === null) return undefined;
     let made: Stage;
     try {
-      made = createStage(canvas.current, take, player.frame);
+      made = createStage(holder.current, take, player.frame, extent);
     } catch {
       setTrouble("This browser draws nothing in three dimensions: it has no WebGL.");
       return undefined;
     }
+    describe(made.canvas, take.keypoints);
     setStage(made);
     onStage(made);
     return () => {
@@ -41,8 +53,7 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
     if (stage === null) return undefined;
     stage.onLeaveCamera(() => lookThrough(null));
     return loop.addAlways(() => {
-      stage.draw(player.frame);
-      placeLabels(stage, labels.current);
+      if (stage.draw(nearest(take, player.frame))) placeLabels(stage, labels.current);
     });
   }, [stage, loop]);
 
@@ -51,7 +62,8 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
     stage?.paint(theme, selected);
   }, [stage, theme, selected, through]);
 
-  useEffect(() => stage?.overlay(show.overlay?.points ?? null), [stage, show.overlay]);
+  useEffect(() => stage?.spoil(), [stage, show.version]);
+  useEffect(() => stage?.overlay(overlay), [stage, overlay]);
 
   const turnByKey = (event: KeyboardEvent) => {
     const turn = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
@@ -62,14 +74,8 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
   };
 
   return (
-    <section class="panel stage" aria-label="Structure in 3D">
-      <canvas
-        ref={canvas}
-        tabIndex={0}
-        role="img"
-        aria-label={`3D structure, ${take.keypoints} keypoints. Drag or use the arrow keys to turn it.`}
-        onKeyDown={turnByKey}
-      />
+    <section class="panel stage" aria-label={title === undefined ? "Structure in 3D" : `Structure in 3D: ${title}`}>
+      <div ref={holder} onKeyDown={turnByKey} />
       <div class="labels" ref={labels}>
         {take.viewNames.map((name, view) => (
           <button key={view} hidden onClick={() => lookThrough(view)} title={`Look through ${name}`}>
@@ -80,16 +86,22 @@ export function StagePanel({ onStage }: { onStage: (stage: Stage | null) => void
       {trouble !== null && <p class="trouble">{trouble}</p>}
       <div class="overlay top">
         {through === null ? (
-          <span class="quiet">{FRAMES[take.frame]}</span>
+          title === undefined ? <span class="quiet">{FRAMES[take.frame]}</span> : <strong>{title}</strong>
         ) : (
           <button onClick={() => lookThrough(null)}>
             Through {take.viewNames[through]} · leave <kbd>Esc</kbd>
           </button>
         )}
       </div>
-      <StageControls stage={stage} />
+      {!plain && <StageControls stage={stage}>{children}</StageControls>}
     </section>
   );
+}
+
+function describe(canvas: HTMLCanvasElement, keypoints: number): void {
+  canvas.tabIndex = 0;
+  canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", `3D structure, ${keypoints} keypoints. Drag or use the arrow keys to turn it.`);
 }
 
 function placeLabels(stage: Stage, labels: HTMLDivElement | null): void {

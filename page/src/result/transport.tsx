@@ -1,16 +1,17 @@
 /** Play, step, speed, loop, and which frame it is. */
 
-import { useEffect, useRef, useState } from "preact/hooks";
-import { number } from "../parts/format.ts";
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { number, percent } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
-import { rateOf } from "../data/take.ts";
+import { rateOf } from "../data/capture.ts";
+import { ALL } from "../data/take.ts";
 import { useShow } from "./show.ts";
 import { nextWorst } from "./keys.ts";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 
 export function Transport() {
-  const { take, player, loop, means, worst } = useShow();
+  const { take, player, loop, means, worst, done, trouble, version } = useShow();
   const [, redraw] = useState(0);
   const frame = useRef<HTMLInputElement>(null);
   const facts = useRef<HTMLSpanElement>(null);
@@ -92,9 +93,21 @@ export function Transport() {
           at {player.rate} frames/s, a guess
         </span>
       )}
+      {!done && <Fetching version={version} trouble={trouble} />}
       <button class="worst" disabled={worst.length === 0} onClick={() => nextWorst(player, worst, 1)} title="W">
         Next of the worst frames
       </button>
     </div>
+  );
+}
+
+/** How many of the frames are there. */
+function Fetching({ version, trouble }: { version: number; trouble: boolean }) {
+  const { there } = useShow().take;
+  const share = useMemo(() => there.reduce((sum, has) => sum + (has === ALL ? 1 : 0), 0) / there.length, [version]);
+  return (
+    <span class="quiet rate" role="status">
+      {trouble ? "frames cannot be fetched, trying again" : `${percent(share)} of the frames fetched`}
+    </span>
   );
 }

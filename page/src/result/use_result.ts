@@ -2,47 +2,48 @@
 
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import type { Fit } from "../api/resources.ts";
+import { rateOf } from "../data/capture.ts";
 import type { Result } from "../data/loading.ts";
-import { rateOf } from "../data/take.ts";
+import { ALL } from "../data/take.ts";
 import { onThemeChange, readTheme } from "../parts/theme.ts";
-import { currentRoute } from "../route.ts";
+import { currentRoute, frameInAddress } from "../route.ts";
 import { frameErrors, keypointErrors } from "../science/errors.ts";
-import { frameFindings } from "../science/frame_findings.ts";
+import { frameFindings, rangesOf } from "../science/frame_findings.ts";
 import { WEAK } from "../science/projection.ts";
 import { worstFrames } from "../science/worst.ts";
 import { listenToKeys } from "./keys.ts";
 import { createLoop } from "./loop.ts";
 import type { Overlay } from "./overlay_choice.tsx";
-import { createPlayer } from "./player.ts";
+import { createPlayer, type Player } from "./player.ts";
 import type { Stage } from "./scene/scene.ts";
 import type { Show } from "./show.ts";
 
 const WORST = 10; // frames that are marked
+const PAUSE_MS = 250; // between two drawings of what has come
 
 export function useResult(fit: Fit, result: Result, stage: Stage | null): Show {
-  const { take, model, cameras } = result;
+  const { take, model, cameras, file, loader } = result;
   const [theme, setTheme] = useState(readTheme);
   const [selected, select] = useState<number | null>(null);
   const [through, setThrough] = useState<number | null>(null);
-  const player = useMemo(
-    () => createPlayer(take.frames, rateOf(take).rate, Number(currentRoute().query.get("frame") ?? 0) || 0),
-    [take],
-  );
+  const player = useMemo(() => createPlayer(take.frames, rateOf(take).rate, frameInAddress()), [take]);
   const loop = useMemo(() => createLoop(player), [player]);
-  const means = useMemo(() => frameErrors(take), [take]);
+  const { version, done, trouble } = useFrames(loader, player);
+  const means = useMemo(() => frameErrors(take), [take, version]);
   const worst = useMemo(() => worstFrames(means, WORST, Math.max(5, take.frames / 60)), [means]);
   const [overlay, setOverlay] = useState<Overlay | null>(null);
-  const posed = useMemo(() => posedViews(take), [take]);
+  const posed = useMemo(() => posedViews(take), [take, version]);
   const lookThrough = (view: number | null) => setThrough(view === null || posed[view] ? view : null);
   const findings = useMemo(() => {
     const known = new Set(fit.findings.map((finding) => finding.code));
     return [...fit.findings, ...frameFindings(take.frameBits).filter((finding) => !known.has(finding.code))];
-  }, [fit, take]);
-  const { errors, done } = useKeypointErrors(take);
+  }, [fit, take, version]);
+  const { errors, errorsDone } = useKeypointErrors(result, done);
   const stageNow = useRef<Stage | null>(null);
   stageNow.current = stage;
 
   useEffect(() => () => loop.close(), [loop]);
+  useEffect(() => loop.wake(), [loop, version]);
   useEffect(() => onThemeChange(() => setTheme(readTheme())), []);
   useEffect(
     () => listenToKeys({ player, worst, views: take.views, stage: () => stageNow.current, lookThrough, select }),
@@ -54,9 +55,34 @@ export function useResult(fit: Fit, result: Result, stage: Stage | null): Show {
   }, [stage]);
 
   return {
-    ...{ fit, model, cameras, take, player, loop, theme, means, worst, findings, errors, errorsDone: done },
-    ...{ selected, select, through, lookThrough, posed, overlay, setOverlay },
+    ...{ fit, model, config: model.config, cameras, take, file, player, loop, theme, means, worst, findings, errors, errorsDone },
+    ...{ selected, select, through, lookThrough, posed, overlay, setOverlay, version, done, trouble },
   };
+}
+
+/** Has all frames fetched, those first that are looked at. */
+function useFrames(loader: Result["loader"], player: Player) {
+  const [state, setState] = useState({ version: 0, done: loader.done, trouble: false });
+  useEffect(() => {
+    let timer: ReturnType<typeof setTimeout> | undefined;
+    const stopPart = loader.onPart(() => {
+      const tell = () => {
+        timer = undefined;
+        setState(({ version }) => ({ version: version + 1, done: loader.done, trouble: false }));
+      };
+      timer ??= setTimeout(tell, PAUSE_MS);
+    });
+    loader.onTrouble(() => setState((before) => ({ ...before, trouble: true })));
+    const stopPlayer = player.onChange(() => loader.want(player.frame));
+    loader.start();
+    return () => {
+      clearTimeout(timer);
+      stopPart();
+      stopPlayer();
+      loader.stop();
+    };
+  }, [loader, player]);
+  return state;
 }
 
 function posedViews({ views, frames, cameras }: Result["take"]): boolean[] {
@@ -66,22 +92,28 @@ function posedViews({ views, frames, cameras }: Result["take"]): boolean[] {
   });
 }
 
-/** Computes the errors of all keypoints in pieces, between which the browser may draw. */
-function useKeypointErrors(take: Result["take"]) {
+/** Computes the errors of all keypoints in pieces, as their frames come. */
+function useKeypointErrors({ take, loader }: Result, allThere: boolean) {
   const work = useMemo(() => keypointErrors(take), [take]);
-  const [done, setDone] = useState(false);
+  const [errorsDone, setDone] = useState(false);
   useEffect(() => {
-    let stopped = false;
+    let timer: ReturnType<typeof setTimeout> | undefined;
     const go = () => {
-      if (stopped) return;
-      if (work.next()) setDone(true);
-      else setTimeout(go);
+      timer = undefined;
+      if (!work.next()) timer = setTimeout(go);
+      else if (loader.done) setDone(true);
+    };
+    const add = (first: number, end: number) => {
+      work.add(first, end);
+      timer ??= setTimeout(go, 100);
     };
     setDone(false);
-    setTimeout(go, 100);
+    for (const [first, last] of rangesOf(take.frames, (frame) => take.there[frame] === ALL)) add(first, last + 1);
+    const stop = loader.onPart(add);
     return () => {
-      stopped = true;
+      stop();
+      clearTimeout(timer);
     };
   }, [work]);
-  return { errors: work.errors, done };
+  return { errors: work.errors, errorsDone: errorsDone && allThere };
 }

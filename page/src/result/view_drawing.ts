@@ -1,6 +1,7 @@
-/** Draws what one view shows in a frame: detected keypoints, the structure projected over them. */
+/** Draws what one view shows in a frame: detected keypoints, the structure projected over them. Strokes
+ * of a colour are drawn as one path, for each path costs as much as a hundred strokes. */
 
-import type { Take } from "../data/take.ts";
+import { ALL, type Take } from "../data/take.ts";
 import { pixelRatio } from "../parts/canvas_size.ts";
 import { colourOf, type Theme } from "../parts/theme.ts";
 import { OUTLIER } from "../science/errors.ts";
@@ -18,9 +19,16 @@ export interface ViewDrawing {
   ): void;
 }
 
+const DOT = 2.4; // radius, in pixels of the page, as the others
+const RING = 6;
+const ARM = 3.6;
+const SIDES = [-1, 0, 1];
+
 export function createViewDrawing(take: Take, view: number): ViewDrawing {
-  const { keypoints, views, edges, sides, detected, outlierProbability } = take;
-  const pixels = new Float32Array(2 * keypoints);
+  const { keypoints, views, edges } = take;
+  const projected = new Float32Array(2 * keypoints); // pixels of the canvas, as the next
+  const detected = new Float32Array(2 * keypoints);
+  const kinds = new Int8Array(keypoints);
 
   return {
     draw(context, frame, theme, part, selected, picture) {
@@ -30,57 +38,77 @@ export function createViewDrawing(take: Take, view: number): ViewDrawing {
       const left = (canvas.width - scale * part.width) / 2 - scale * part.x;
       const top = (canvas.height - scale * part.height) / 2 - scale * part.y;
       context.clearRect(0, 0, canvas.width, canvas.height);
-      const [width, height] = take.imageSizes[view] ?? [0, 0];
-      if (picture !== null) {
-        const size = sizeOf(picture);
-        const shown = width > 0 ? [width, height] : size;
-        context.drawImage(picture, left, top, scale * shown[0], scale * shown[1]);
-      } else if (width > 0) {
-        context.strokeStyle = theme.line;
-        context.lineWidth = ratio;
-        context.strokeRect(left, top, scale * width, scale * height);
-      }
+      drawImage(context, take.imageSizes[view], picture, theme, { left, top, scale, ratio });
       const camera = frame * views + view;
-      project(take.cameras, camera, take.points, frame * keypoints, keypoints, pixels);
-      context.lineCap = "round";
-      const on = { context, scale, left, top, ratio };
-      drawStructure(on, pixels, edges, theme);
-      for (let keypoint = 0; keypoint < keypoints; keypoint++) {
-        const seen = camera * keypoints + keypoint;
-        const x = left + scale * detected[2 * seen];
-        if (Number.isNaN(x)) continue;
-        const y = top + scale * detected[2 * seen + 1];
-        const outlier = outlierProbability !== undefined && outlierProbability[seen] > OUTLIER;
-        drawMiss(on, x, y, pixels, keypoint, outlier ? theme.outlier : theme.bad);
-        if (outlier) drawCross(on, x, y, theme.outlier);
-        else drawDot(on, x, y, colourOf(theme, sides[keypoint]), keypoint === selected ? theme.accent : null);
+      const known = take.there[frame] === ALL;
+      project(take.cameras, camera, take.points, frame * keypoints, keypoints, projected);
+      for (let at = 0; at < 2 * keypoints; at += 2) {
+        const seen = 2 * camera * keypoints + at;
+        projected[at] = left + scale * projected[at];
+        projected[at + 1] = top + scale * projected[at + 1];
+        detected[at] = known ? left + scale * take.detected[seen] : NaN;
+        detected[at + 1] = top + scale * take.detected[seen + 1];
+        kinds[at / 2] = kindOf(take, camera, at / 2);
       }
+      context.lineCap = "round";
+      drawStructure(context, projected, edges, theme, ratio);
+      drawMisses(context, detected, projected, kinds, theme, ratio);
+      drawDetected(context, detected, kinds, theme, ratio);
+      if (selected !== null) drawRing(context, detected, selected, theme, ratio);
     },
   };
 }
 
-interface On {
-  context: CanvasRenderingContext2D;
-  scale: number;
+const CROSSED = 2;
+
+/** Returns the side of an observed keypoint, CROSSED of an outlier. */
+function kindOf({ keypoints, outlierProbability, sides }: Take, camera: number, keypoint: number): number {
+  return outlierProbability[camera * keypoints + keypoint] > OUTLIER ? CROSSED : sides[keypoint];
+}
+
+interface Place {
   left: number;
   top: number;
+  scale: number;
   ratio: number;
 }
 
-function drawStructure(on: On, pixels: Float32Array, edges: Take["edges"], theme: Theme): void {
-  const { context, scale, left, top, ratio } = on;
+/** Draws the picture of a view or, without one, the edge of its image. */
+function drawImage(
+  context: CanvasRenderingContext2D,
+  imageSize: [number, number] | null,
+  picture: CanvasImageSource | null,
+  theme: Theme,
+  { left, top, scale, ratio }: Place,
+): void {
+  if (picture !== null) {
+    const [width, height] = imageSize ?? sizeOf(picture);
+    context.drawImage(picture, left, top, scale * width, scale * height);
+  } else if (imageSize !== null) {
+    context.strokeStyle = theme.line;
+    context.lineWidth = ratio;
+    context.strokeRect(left, top, scale * imageSize[0], scale * imageSize[1]);
+  }
+}
+
+function drawStructure(
+  context: CanvasRenderingContext2D,
+  pixels: Float32Array,
+  edges: Take["edges"],
+  theme: Theme,
+  ratio: number,
+): void {
   context.beginPath();
   for (const [a, b] of edges) {
     if (Number.isNaN(pixels[2 * a] + pixels[2 * b])) continue;
-    context.moveTo(left + scale * pixels[2 * a], top + scale * pixels[2 * a + 1]);
-    context.lineTo(left + scale * pixels[2 * b], top + scale * pixels[2 * b + 1]);
+    context.moveTo(pixels[2 * a], pixels[2 * a + 1]);
+    context.lineTo(pixels[2 * b], pixels[2 * b + 1]);
   }
   if (edges.length === 0) {
     for (let at = 0; at < pixels.length; at += 2) {
       if (Number.isNaN(pixels[at])) continue;
-      const [x, y] = [left + scale * pixels[at], top + scale * pixels[at + 1]];
-      context.moveTo(x + 4 * ratio, y);
-      context.arc(x, y, 4 * ratio, 0, 7);
+      context.moveTo(pixels[at] + 4 * ratio, pixels[at + 1]);
+      context.arc(pixels[at], pixels[at + 1], 4 * ratio, 0, 7);
     }
   }
   context.strokeStyle = theme.projected;
@@ -88,41 +116,72 @@ function drawStructure(on: On, pixels: Float32Array, edges: Take["edges"], theme
   context.stroke();
 }
 
-/** Draws how far a keypoint is from where the structure projects to. */
-function drawMiss(on: On, x: number, y: number, pixels: Float32Array, keypoint: number, colour: string): void {
-  const { context, scale, left, top, ratio } = on;
-  if (Number.isNaN(pixels[2 * keypoint])) return;
-  context.beginPath();
-  context.moveTo(x, y);
-  context.lineTo(left + scale * pixels[2 * keypoint], top + scale * pixels[2 * keypoint + 1]);
-  context.strokeStyle = colour;
+/** Draws how far keypoints are from where the structure projects to. */
+function drawMisses(
+  context: CanvasRenderingContext2D,
+  detected: Float32Array,
+  projected: Float32Array,
+  kinds: Int8Array,
+  theme: Theme,
+  ratio: number,
+): void {
   context.lineWidth = 1.2 * ratio;
-  context.stroke();
+  for (const crossed of [false, true]) {
+    context.beginPath();
+    for (let at = 0; at < detected.length; at += 2) {
+      if ((kinds[at / 2] === CROSSED) !== crossed || Number.isNaN(detected[at] + projected[at])) continue;
+      context.moveTo(detected[at], detected[at + 1]);
+      context.lineTo(projected[at], projected[at + 1]);
+    }
+    context.strokeStyle = crossed ? theme.outlier : theme.bad;
+    context.stroke();
+  }
 }
 
-function drawDot(on: On, x: number, y: number, colour: string, ring: string | null): void {
-  const { context, ratio } = on;
+function drawDetected(
+  context: CanvasRenderingContext2D,
+  detected: Float32Array,
+  kinds: Int8Array,
+  theme: Theme,
+  ratio: number,
+): void {
+  for (const side of SIDES) {
+    context.beginPath();
+    for (let at = 0; at < detected.length; at += 2) {
+      if (kinds[at / 2] !== side || Number.isNaN(detected[at])) continue;
+      context.moveTo(detected[at] + DOT * ratio, detected[at + 1]);
+      context.arc(detected[at], detected[at + 1], DOT * ratio, 0, 7);
+    }
+    context.fillStyle = colourOf(theme, side);
+    context.fill();
+  }
+  const arm = ARM * ratio;
   context.beginPath();
-  context.arc(x, y, 2.4 * ratio, 0, 7);
-  context.fillStyle = colour;
-  context.fill();
-  if (ring === null) return;
-  context.beginPath();
-  context.arc(x, y, 6 * ratio, 0, 7);
-  context.strokeStyle = ring;
+  for (let at = 0; at < detected.length; at += 2) {
+    const [x, y] = [detected[at], detected[at + 1]];
+    if (kinds[at / 2] !== CROSSED || Number.isNaN(x)) continue;
+    context.moveTo(x - arm, y - arm);
+    context.lineTo(x + arm, y + arm);
+    context.moveTo(x - arm, y + arm);
+    context.lineTo(x + arm, y - arm);
+  }
+  context.strokeStyle = theme.outlier;
   context.lineWidth = 2 * ratio;
   context.stroke();
 }
 
-function drawCross(on: On, x: number, y: number, colour: string): void {
-  const { context, ratio } = on;
-  const arm = 3.6 * ratio;
+function drawRing(
+  context: CanvasRenderingContext2D,
+  detected: Float32Array,
+  keypoint: number,
+  theme: Theme,
+  ratio: number,
+): void {
+  const [x, y] = [detected[2 * keypoint], detected[2 * keypoint + 1]];
+  if (Number.isNaN(x)) return;
   context.beginPath();
-  context.moveTo(x - arm, y - arm);
-  context.lineTo(x + arm, y + arm);
-  context.moveTo(x - arm, y + arm);
-  context.lineTo(x + arm, y - arm);
-  context.strokeStyle = colour;
+  context.arc(x, y, RING * ratio, 0, 7);
+  context.strokeStyle = theme.accent;
   context.lineWidth = 2 * ratio;
   context.stroke();
 }

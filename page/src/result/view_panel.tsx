@@ -1,16 +1,17 @@
 /** One view: its keypoints, the structure projected over them and, if one likes, the film below. */
 
 import { useEffect, useRef, useState } from "preact/hooks";
+import { nearest } from "../data/take.ts";
 import { keepSize } from "../parts/canvas_size.ts";
 import { number } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { partsOf, type Crop } from "./crop.ts";
 import { openFilm, type Film } from "./film.ts";
-import { useShow } from "./show.ts";
+import { useShown } from "./show.ts";
 import { createViewDrawing } from "./view_drawing.ts";
 
 export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
-  const { take, player, loop, theme, selected, through, lookThrough, posed } = useShow();
+  const { take, player, loop, theme, selected, through, lookThrough, posed, done } = useShown();
   const canvas = useRef<HTMLCanvasElement>(null);
   const error = useRef<HTMLSpanElement>(null);
   const [film, setFilm] = useState<Film | null>(null);
@@ -22,11 +23,12 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
     const partOf = partsOf(take, view, crop);
     return loop.add(() => {
       const picture = film?.at(player.frame, player.rate) ?? null;
-      drawing.draw(context, player.frame, theme, partOf(player.frame), selected, picture);
+      const frame = nearest(take, player.frame);
+      drawing.draw(context, frame, theme, partOf(frame), selected, picture);
       const pixels = take.viewErrors[player.frame * take.views + view];
       if (error.current !== null) error.current.textContent = `${number(pixels)} px`;
     });
-  }, [take, view, crop, theme, selected, loop, film]);
+  }, [take, view, crop, theme, selected, loop, film, done]);
 
   useEffect(() => {
     if (canvas.current === null) return undefined;

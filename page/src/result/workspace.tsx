@@ -1,5 +1,6 @@
 /** The result screen: the structure, the views, the errors in time, and what was noticed. */
 
+import type { ComponentChildren } from "preact";
 import { useState } from "preact/hooks";
 import type { Fit } from "../api/resources.ts";
 import type { Result } from "../data/loading.ts";
@@ -10,10 +11,10 @@ import { Exports } from "./exports.tsx";
 import { Figures } from "./figures.tsx";
 import { Legend } from "./legend.tsx";
 import type { Stage } from "./scene/scene.ts";
-import { ShowContext } from "./show.ts";
-import { StagePanel } from "./stage_panel.tsx";
+import { ShowContext, ShownContext, type Show } from "./show.ts";
 import { Timeline } from "./timeline.tsx";
 import { Transport } from "./transport.tsx";
+import { TwoStages } from "./two_stages.tsx";
 import { useResult } from "./use_result.ts";
 import { ViewPanel } from "./view_panel.tsx";
 
@@ -23,10 +24,10 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
   const show = useResult(fit, result, stage);
   const { take, player, findings } = show;
   return (
-    <ShowContext.Provider value={show}>
-      <div class="result">
+    <Both show={show}>
+      <div class="result" aria-busy={!show.done}>
         <div class="screens">
-          <StagePanel onStage={setStage} />
+          <TwoStages stage={stage} onStage={setStage} />
           <section class="views" aria-label="Views" data-count={take.views}>
             {take.viewNames.map((_, view) => (
               <ViewPanel key={view} view={view} crop={crop} />
@@ -62,6 +63,15 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
           </section>
         </div>
       </div>
-    </ShowContext.Provider>
+    </Both>
+  );
+}
+
+/** Lets what shows results, and what shows any structures, use them. */
+function Both({ show, children }: { show: Show; children: ComponentChildren }) {
+  return (
+    <ShownContext.Provider value={show}>
+      <ShowContext.Provider value={show}>{children}</ShowContext.Provider>
+    </ShownContext.Provider>
   );
 }

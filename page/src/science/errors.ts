@@ -13,9 +13,16 @@ export interface KeypointErrors {
   outliers: Uint8Array; // (N, P) views whose observation was left out
 }
 
-/** Returns a function that computes the errors of further frames, and their arrays. It gives way to
- * drawing: call it until it returns true. */
-export function keypointErrors(take: Take): { errors: KeypointErrors; next: () => boolean } {
+/** Errors that are computed in pieces, between which the browser may draw. */
+export interface ErrorWork {
+  errors: KeypointErrors;
+  /** Adds frames from `first` up to `end` to those that are to be done. */
+  add(first: number, end: number): void;
+  /** Does a piece; returns whether there is nothing left of what was added. */
+  next(): boolean;
+}
+
+export function keypointErrors(take: Take): ErrorWork {
   const { frames, keypoints } = take;
   const errors = {
     worst: new Float32Array(frames * keypoints).fill(UNSEEN),
@@ -23,13 +30,17 @@ export function keypointErrors(take: Take): { errors: KeypointErrors; next: () =
   };
   const pixels = new Float32Array(2 * keypoints);
   const step = Math.max(1, Math.floor(40_000 / (take.views * keypoints)));
-  let done = 0;
+  const waiting: [number, number][] = [];
   return {
     errors,
+    add: (first, end) => void waiting.push([first, end]),
     next: () => {
-      const end = Math.min(frames, done + step);
-      for (; done < end; done++) ofFrame(take, done, errors, pixels);
-      return done === frames;
+      const range = waiting[0];
+      if (range === undefined) return true;
+      const end = Math.min(range[1], range[0] + step);
+      for (; range[0] < end; range[0]++) ofFrame(take, range[0], errors, pixels);
+      if (range[0] === range[1]) waiting.shift();
+      return waiting.length === 0;
     },
   };
 }
@@ -44,7 +55,7 @@ function ofFrame(take: Take, frame: number, errors: KeypointErrors, pixels: Floa
       const x = detected[2 * seen];
       if (Number.isNaN(x)) continue;
       const at = frame * keypoints + keypoint;
-      if (outlierProbability !== undefined && outlierProbability[seen] > OUTLIER) {
+      if (outlierProbability[seen] > OUTLIER) {
         errors.outliers[at]++;
         if (errors.worst[at] === UNSEEN) errors.worst[at] = LEFT_OUT;
         continue;

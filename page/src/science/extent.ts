@@ -7,13 +7,16 @@ export interface Box {
   high: [number, number, number];
 }
 
-const SAMPLES = 400; // frames that are looked at
+const SAMPLES = 400; // frames that are looked at,
+const SAMPLED_POINTS = 6000; // but no more than have so many points
 const ASTRAY = 0.01; // share of coordinates at either end that does not count
 
-/** Returns the box of points (N, P, 3) over all frames, without those that lie far astray. */
-export function boxOf(points: Float32Array, keypoints: number): Box {
+/** Returns the box of points (N, P, 3) over all frames, without those that lie far astray.
+ *
+ * @param there which frames are known, if not all are */
+export function boxOf(points: Float32Array, keypoints: number, there?: Uint8Array): Box {
   const axes: number[][] = [[], [], []];
-  for (const frame of sampled(points.length / (3 * keypoints))) {
+  for (const frame of sampled(points.length / (3 * keypoints), keypoints, there)) {
     for (let at = 3 * keypoints * frame; at < 3 * keypoints * (frame + 1); at += 3) {
       if (Number.isNaN(points[at])) continue;
       for (let axis = 0; axis < 3; axis++) axes[axis].push(points[at + axis]);
@@ -25,9 +28,9 @@ export function boxOf(points: Float32Array, keypoints: number): Box {
 }
 
 /** Returns the size of the subject: the median diagonal of a frame's box. */
-export function subjectSize(points: Float32Array, keypoints: number): number {
+export function subjectSize(points: Float32Array, keypoints: number, there?: Uint8Array): number {
   const diagonals: number[] = [];
-  for (const frame of sampled(points.length / (3 * keypoints))) {
+  for (const frame of sampled(points.length / (3 * keypoints), keypoints, there)) {
     const low = [Infinity, Infinity, Infinity];
     const high = [-Infinity, -Infinity, -Infinity];
     for (let at = 3 * keypoints * frame; at < 3 * keypoints * (frame + 1); at += 3) {
@@ -44,9 +47,10 @@ export function subjectSize(points: Float32Array, keypoints: number): number {
 }
 
 /** Returns how far keypoints go from one frame to the next, in most frames. */
-export function usualStep(points: Float32Array, keypoints: number): number {
+export function usualStep(points: Float32Array, keypoints: number, there?: Uint8Array): number {
   const size = 3 * keypoints;
-  const steps = sampled(points.length / size - 1).map((frame) => {
+  const followed = there?.map((known, frame) => (there[frame + 1] ? known : 0));
+  const steps = sampled(points.length / size - 1, keypoints, followed).map((frame) => {
     let [sum, count] = [0, 0];
     for (let at = frame * size; at < (frame + 1) * size; at += 3) {
       const step = Math.hypot(
@@ -71,7 +75,9 @@ export function roundLength(length: number): number {
   return power * (digit < 1.5 ? 1 : digit < 3.5 ? 2 : digit < 7.5 ? 5 : 10);
 }
 
-function sampled(frames: number): number[] {
-  const step = Math.max(1, Math.floor(frames / SAMPLES));
-  return Array.from({ length: Math.ceil(frames / step) }, (_, index) => index * step);
+function sampled(frames: number, keypoints: number, there?: Uint8Array): number[] {
+  const known: number[] = [];
+  for (let frame = 0; frame < frames; frame++) if (there === undefined || there[frame] > 0) known.push(frame);
+  const step = Math.max(1, Math.floor(known.length / Math.min(SAMPLES, SAMPLED_POINTS / keypoints)));
+  return known.filter((_, index) => index % step === 0);
 }

@@ -6,7 +6,7 @@ export const NO_CAMERA = -1;
 
 /** The cameras of N frames of K views, as reconstructions have them. */
 export interface Cameras {
-  models: ArrayLike<number>; // (N, K): -1 none, 0 weak perspective, 1 perspective, 2 fisheye
+  models: Int8Array; // (N, K): -1 none, 0 weak perspective, 1 perspective, 2 fisheye
   rotations: Float32Array; // (N, K, 3, 3)
   translations: Float32Array; // (N, K, 3)
   scales: Float32Array; // (N, K) pixels per unit, of weak perspective

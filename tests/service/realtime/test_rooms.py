@@ -222,6 +222,8 @@ def test_a_reconstruction_and_its_lifts_share_one_room(
         if "up" in query:  # a tenth of the lowest feet are below the floor
             lowest = found["points3d"][:, :2, 1].min(1)
             assert np.quantile(lowest, 0.1) == pytest.approx(0, abs=1e-5)
+        some = load(http.get(f"{url}&{query}&frames=1:6:2").content)
+        np.testing.assert_array_equal(some["points3d"], found["points3d"][1:6:2])
         body = http.get(f"/fits/{fit.id}/reconstruction?{query}").content  # placed part by part
         assert b'"frames":[' + b",".join(frames_to_json(found)) + b'],"findings":' in body
     problem(http.get(f"{url}&up=auto"), 422, "invalid_input", "/up")

@@ -247,6 +247,58 @@ def test_as_json_it_is_that_of_its_arrays_however_long_it_is(
     assert peak < size / 2
 
 
+@pytest.mark.parametrize(
+    ("asked", "few"),
+    [
+        ("7:19", slice(7, 19)),
+        ("::13", slice(None, None, 13)),
+        ("50:999:4", slice(50, None, 4)),
+        (":", slice(None)),
+    ],
+)
+def test_some_frames_are_those_of_all(
+    live: Live, fitted: dict[str, Any], asked: str, few: slice
+) -> None:
+    url = f"/fits/{fitted['id']}/reconstruction"
+    some, whole = (
+        load(live.http.get(f"{url}?format=safetensors{query}").content)
+        for query in (f"&frames={asked}", "")
+    )
+    assert some.keys() == whole.keys()
+    for name, array in some.items():
+        np.testing.assert_array_equal(array, whole[name][few])
+    nested = live.http.get(f"{url}?frames={asked}").json()
+    assert nested["frames"] == live.http.get(url).json()["frames"][few]
+
+
+def test_some_frames_of_a_long_fit_are_read_in_parts(settings: Settings, api: TestClient) -> None:
+    numbers = np.arange(3000 * 200, dtype=np.float32).reshape(3000, 200)
+    models = np.zeros((3000, 1), np.int8)
+    stored = save({"camera_models": models, "points3d": numbers})
+    fit = stored_fit(settings, make_dataset(api), stored, frames=3000)
+    for asked, few in (("11:2900:7", slice(11, 2900, 7)), ("2000:2600", slice(2000, 2600))):
+        answer = api.get(f"/fits/{fit}/reconstruction?format=safetensors&frames={asked}")
+        np.testing.assert_array_equal(load(answer.content)["points3d"], numbers[few])
+
+
+@pytest.mark.parametrize(
+    ("query", "pointer"),
+    [
+        ("frames=3", "/frames"),
+        ("frames=-5:", "/frames"),
+        ("frames=::0", "/frames"),
+        ("frames=60:90", "/frames"),
+        ("frames=5:5", "/frames"),
+        ("frames=5:9&refine=off", "/refine"),
+    ],
+)
+def test_frames_that_there_are_not_are_refused(
+    live: Live, fitted: dict[str, Any], query: str, pointer: str
+) -> None:
+    answer = live.http.get(f"/fits/{fitted['id']}/reconstruction?{query}")
+    problem(answer, 422, "invalid_input", pointer)
+
+
 @pytest.mark.parametrize("harm", HARMS)
 def test_a_damaged_reconstruction_is_not_served(
     api: TestClient, settings: Settings, harm: Callable[[Path], None]

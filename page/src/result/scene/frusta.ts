@@ -24,7 +24,7 @@ export interface Frusta {
 export function createFrusta(take: Take, depth: number): Frusta {
   const { views, cameras } = take;
   const group = new Group();
-  const material = new LineBasicMaterial();
+  const material = new LineBasicMaterial({ transparent: true }); // the program of the floor's
   const shown = Array.from({ length: views }, (_, view) => {
     const lines = new LineSegments(pyramid(take, view, depth), material);
     lines.matrixAutoUpdate = false;

@@ -1,14 +1,13 @@
 /** The structure in its room, in three dimensions. */
 
-import { DirectionalLight, HemisphereLight, Scene, WebGLRenderer } from "three";
+import type { WebGLRenderer } from "three";
 import type { Take } from "../../data/take.ts";
-import { keepSize, pixelRatio } from "../../parts/canvas_size.ts";
+import { keepSize, resize } from "../../parts/canvas_size.ts";
 import type { Theme } from "../../parts/theme.ts";
-import { boxOf, subjectSize, usualStep, type Box } from "../../science/extent.ts";
-import { createFloor } from "./floor.ts";
-import { createFrusta } from "./frusta.ts";
-import { createSkeleton } from "./skeleton.ts";
-import { createTrails, endsOf } from "./trails.ts";
+import { boxOf, subjectSize, usualStep } from "../../science/extent.ts";
+import { createParts, type Extent } from "./parts.ts";
+import { takeRenderer } from "./renderer.ts";
+import { endsOf } from "./trails.ts";
 import { createEyes, type Viewpoint } from "./viewpoint.ts";
 
 const FLOWING = 12; // a step of frames that follow each other is less than this part of the subject
@@ -17,8 +16,11 @@ export interface Stage extends Viewpoint {
   canvas: HTMLCanvasElement;
   square: number; // side of a square of the floor, in the unit of the points
   flows: boolean; // whether frames follow each other so closely that trails say something
-  /** Draws a frame if it, the angle or anything else has changed since the last time. */
-  draw(frame: number): void;
+  /** Draws a frame if it, the angle or anything else has changed since the last time; returns whether
+   * that was so. */
+  draw(frame: number): boolean;
+  /** Has the next frame drawn again: its points have changed. */
+  spoil(): void;
   paint(theme: Theme, selected: number | null): void;
   showTrails(shown: boolean): void;
   /** Lays other points (N, P, 3) over the structure, or takes them away. */
@@ -26,10 +28,16 @@ export interface Stage extends Viewpoint {
   close(): void;
 }
 
-/** Starts drawing on a canvas. Throws where the browser has no WebGL. */
-export function createStage(canvas: HTMLCanvasElement, take: Take, firstFrame: number): Stage {
-  const renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: true });
-  const extent = { box: boxOf(take.points, take.keypoints), size: subjectSize(take.points, take.keypoints) };
+/** Returns how large a subject is and where it goes, as far as its frames are there. */
+export function extentOf({ points, keypoints, there }: Take): Extent {
+  return { box: boxOf(points, keypoints, there), size: subjectSize(points, keypoints, there) };
+}
+
+/** Puts a canvas into an element and starts to draw. Throws where the browser has no WebGL. */
+export function createStage(holder: HTMLElement, take: Take, firstFrame: number, extent = extentOf(take)): Stage {
+  const renderer = takeRenderer();
+  const canvas = renderer.domElement;
+  holder.append(canvas);
   const { scene, skeleton, ghost, trails, floor, frusta } = createParts(take, extent);
   let others: Float32Array | null = null;
   let drawn = -1;
@@ -48,9 +56,10 @@ export function createStage(canvas: HTMLCanvasElement, take: Take, firstFrame: n
     ...eyes.viewpoint,
     canvas,
     square: floor.square,
-    flows: usualStep(take.points, take.keypoints) < extent.size / FLOWING,
+    flows: usualStep(take.points, take.keypoints, take.there) < extent.size / FLOWING,
+    spoil,
     draw(frame) {
-      if (!stale && frame === drawn) return;
+      if (!stale && frame === drawn) return false;
       skeleton.show(frame, take.points);
       if (others !== null) ghost.show(frame, others);
       trails.show(frame);
@@ -59,6 +68,7 @@ export function createStage(canvas: HTMLCanvasElement, take: Take, firstFrame: n
       renderer.render(scene, eyes.seeing(frame));
       stale = false;
       drawn = frame;
+      return true;
     },
     paint(theme, selected) {
       skeleton.paint(theme, selected);
@@ -80,29 +90,11 @@ export function createStage(canvas: HTMLCanvasElement, take: Take, firstFrame: n
     close() {
       stopFitting();
       eyes.close();
+      canvas.remove();
       renderer.dispose();
       renderer.forceContextLoss();
     },
   };
-}
-
-/** Returns all that is drawn, in sizes that suit the subject's. */
-function createParts(take: Take, { box, size }: { box: Box; size: number }) {
-  const onFloor = take.frame === "level" && Math.abs(box.low[1]) < 0.2 * size;
-  const parts = {
-    skeleton: createSkeleton(take, size / 70),
-    ghost: createSkeleton(take, size / 52, true),
-    trails: createTrails(take, size / 2),
-    floor: createFloor(box, size, onFloor ? 0 : box.low[1]),
-    frusta: createFrusta(take, size / 3.2),
-  };
-  parts.ghost.group.visible = false;
-  const light = new DirectionalLight(0xffffff, 1.6);
-  light.position.set(1, 3, 2);
-  const scene = new Scene();
-  scene.add(parts.skeleton.group, parts.ghost.group, parts.trails.lines, parts.floor.lines);
-  scene.add(parts.frusta.group, light, new HemisphereLight(0xffffff, 0x9aa0a8, 2.1));
-  return { scene, ...parts };
 }
 
 /** Keeps the drawing as large as its canvas is shown; calls a function after a change. */
@@ -111,8 +103,7 @@ function keepFitting(renderer: WebGLRenderer, canvas: HTMLCanvasElement, onSize:
     renderer.setViewport(0, 0, canvas.width, canvas.height);
     onSize();
   };
-  canvas.width = Math.max(1, Math.round(canvas.clientWidth * pixelRatio()));
-  canvas.height = Math.max(1, Math.round(canvas.clientHeight * pixelRatio()));
+  resize(canvas, canvas.clientWidth, canvas.clientHeight);
   fit();
   return keepSize(canvas, fit);
 }

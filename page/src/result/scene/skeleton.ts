@@ -7,10 +7,10 @@ import {
   Group,
   IcosahedronGeometry,
   InstancedMesh,
-  MeshLambertMaterial,
 } from "three";
 import type { Take } from "../../data/take.ts";
 import { colourOf, type Theme } from "../../parts/theme.ts";
+import { litMaterial } from "./lit_material.ts";
 
 const GHOST = 0.3; // opacity
 const BONE = 0.45; // radius of a bone, as a share of a joint's
@@ -25,14 +25,15 @@ export interface Skeleton {
  * @param ghost whether it is another's structure, which is drawn as a pale hull */
 export function createSkeleton(take: Take, size: number, ghost = false): Skeleton {
   const { keypoints, edges, sides } = take;
-  const material = new MeshLambertMaterial(ghost ? { transparent: true, opacity: GHOST, depthWrite: false } : {});
+  const material = litMaterial(ghost ? GHOST : 1);
   const joints = new InstancedMesh(new IcosahedronGeometry(1, 2), material, keypoints);
   const bones = new InstancedMesh(new CylinderGeometry(1, 1, 1, 10, 1, true), material, edges.length);
   for (const mesh of [joints, bones]) {
     mesh.instanceMatrix.setUsage(DynamicDrawUsage);
     mesh.frustumCulled = false;
   }
-  const group = new Group().add(joints, bones);
+  const group = new Group().add(joints);
+  if (edges.length > 0) group.add(bones);
   let chosen: number | null = null;
 
   return {

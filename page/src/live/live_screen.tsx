@@ -1,0 +1,185 @@
+/** A stream of a model, as who runs one would watch it: frames of a stored capture are sent to it as
+ * cameras would, and what comes back is shown. */
+
+import { useEffect, useState } from "preact/hooks";
+import {
+  getCameras,
+  listDatasets,
+  listModels,
+  type Dataset,
+  type ModelSummary,
+} from "../api/resources.ts";
+import { rateOf } from "../data/capture.ts";
+import { structures } from "../data/loader.ts";
+import { inFrame } from "../data/loading.ts";
+import { remoteCapture } from "../data/remote.ts";
+import { emptyTake, putStructures, type Frame } from "../data/take.ts";
+import { captured } from "../fits/fits_screen.tsx";
+import { linkTo } from "../route.ts";
+import { extentOf } from "../result/scene/scene.ts";
+import type { Extent } from "../result/scene/parts.ts";
+import { LivePanels, type Running } from "./live_panels.tsx";
+
+const OVERVIEW = 300; // frames of the fit that say where the subject goes
+
+export default function LiveScreen() {
+  const [models, setModels] = useState<ModelSummary[] | null>(null);
+  const [datasets, setDatasets] = useState<Dataset[]>([]);
+  const [model, setModel] = useState("");
+  const [chosen, setChosen] = useState({ dataset: "", rate: "" });
+  const [running, setRunning] = useState<Running | null>(null);
+  const [trouble, setTrouble] = useState<string | null>(null);
+  useEffect(() => {
+    document.title = "Live · Fewview";
+    Promise.all([listModels(), listDatasets()]).then(
+      ([found, sets]) => {
+        setModels(found.items);
+        setDatasets(sets.items);
+        setModel(found.items[0]?.id ?? "");
+      },
+      (error: Error) => setTrouble(error.message),
+    );
+  }, []);
+  const used = models?.find((each) => each.id === model);
+  const fitting = datasets.filter((each) => each.keypoints === used?.keypoints && each.views === (used.views ?? each.views));
+  const dataset = fitting.find((each) => each.id === chosen.dataset) ?? fitting.find((each) => each.id === used?.dataset_id) ?? fitting[0];
+
+  const start = async () => {
+    setTrouble(null);
+    if (used === undefined || dataset === undefined) return;
+    try {
+      const rate = Number(chosen.rate) || undefined;
+      setRunning(await prepared(used, dataset.id, rate));
+    } catch (error) {
+      setTrouble((error as Error).message);
+    }
+  };
+  if (models?.length === 0) return <Teach />;
+  return (
+    <main class="wide">
+      <header class="title">
+        <h1>Live</h1>
+        <span class="quiet">Frames of a stored capture, sent to a model as cameras would.</span>
+      </header>
+      <form
+        class="panel live-form"
+        onSubmit={(event) => {
+          event.preventDefault();
+          if (running === null) void start();
+          else setRunning(null);
+        }}
+      >
+        <label>
+          Model
+          <select value={model} disabled={running !== null} onChange={(event) => setModel(event.currentTarget.value)}>
+            {models?.map((each) => (
+              <option key={each.id} value={each.id}>
+                {each.name} ({each.id.slice(-6)})
+              </option>
+            ))}
+          </select>
+        </label>
+        <label>
+          Capture
+          <select
+            value={dataset?.id ?? ""}
+            disabled={running !== null}
+            onChange={(event) => setChosen({ ...chosen, dataset: event.currentTarget.value })}
+          >
+            {fitting.map((each) => (
+              <option key={each.id} value={each.id}>
+                {each.name}: {captured(each)}
+              </option>
+            ))}
+          </select>
+        </label>
+        <label>
+          Frames per second
+          <input
+            type="number"
+            min={1}
+            max={1000}
+            step="any"
+            disabled={running !== null}
+            placeholder={dataset?.fps ? `${dataset.fps}, as captured` : "30, a guess"}
+            value={chosen.rate}
+            onInput={(event) => setChosen({ ...chosen, rate: event.currentTarget.value })}
+          />
+        </label>
+        <button class={running === null ? "primary" : ""} disabled={dataset === undefined}>
+          {running === null ? "Start" : "Stop"}
+        </button>
+      </form>
+      {used !== undefined && dataset === undefined && (
+        <p class="quiet">No stored capture has the {used.keypoints} keypoints and the views of this model.</p>
+      )}
+      {trouble !== null && (
+        <p class="trouble" role="alert">
+          {trouble}
+        </p>
+      )}
+      {running === null ? <How /> : <LivePanels running={running} />}
+    </main>
+  );
+}
+
+/** Returns all that a stream needs to be shown. */
+async function prepared(model: ModelSummary, dataset: string, rate: number | undefined): Promise<Running> {
+  const [file, cameras] = await Promise.all([remoteCapture(dataset), getCameras(model.id)]);
+  const resting = cameras.views.some((view) => view.resting && view.rotation);
+  const frame: Frame = !resting ? "view" : model.fit_id ? "level" : "camera";
+  const posed = file.capture.viewNames.map((_, view) => cameras.views.some(({ index }) => index === view));
+  const { frame: shown, extent } = await extentOfFit(model, frame, file.capture);
+  return { model, file, frame: shown, posed, extent, rate: rate ?? rateOf(file.capture).rate };
+}
+
+/** Returns where the subject of a model's fit went, and the frame of reference that it is known in. */
+async function extentOfFit(
+  { fit_id: fit, frames }: ModelSummary,
+  wanted: Frame,
+  capture: Parameters<typeof emptyTake>[0],
+): Promise<{ frame: Frame; extent?: Extent }> {
+  if (!fit || !frames) return { frame: wanted };
+  const slice = `::${Math.ceil(frames / OVERVIEW)}`;
+  const { frame, found } = await inFrame(wanted, (query) => structures(fit, query, slice));
+  const take = emptyTake(capture, found.get("points3d")?.shape[0] ?? 0, frame);
+  putStructures(take, found, 0, 1);
+  return { frame, extent: extentOf(take) };
+}
+
+function How() {
+  return (
+    <section class="panel teach">
+      <h2>What a capture program would see</h2>
+      <p>
+        Start sends the frames of a stored capture through <code>/lift/stream</code>, one by one and in time, and shows
+        each answer as it comes: the structure, the views, how long an answer takes, which frames were dropped because
+        they came too fast.
+      </p>
+      <p class="quiet">
+        Your own program does the same with its cameras&rsquo; frames: <code>examples/stream.py</code>,{" "}
+        <code>stream.cpp</code> and <code>stream.ts</code> are whole capture loops.
+      </p>
+    </section>
+  );
+}
+
+function Teach() {
+  return (
+    <main>
+      <header class="title">
+        <h1>Live</h1>
+      </header>
+      <section class="panel teach">
+        <h2>A stream needs a model</h2>
+        <p>
+          Fit a capture first. Its model then lifts each frame of the same cameras in a few milliseconds, and you watch
+          it here.
+        </p>
+        <a class="button primary" href={linkTo("datasets", "new")}>
+          Start with a capture
+        </a>
+      </section>
+    </main>
+  );
+}

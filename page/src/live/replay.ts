@@ -1,0 +1,144 @@
+/** Sends the frames of a stored capture as its cameras took them, again and again. */
+
+import type { CaptureFile } from "../data/capture.ts";
+import { emptyTake, putDetected, putLifted, type Frame, type Take } from "../data/take.ts";
+import { openStream, type Start, type Stream, type Trouble } from "./stream.ts";
+
+export interface Figures {
+  connected: boolean;
+  sent: number;
+  answered: number;
+  dropped: number;
+  notLifted: number;
+  latencies: number[]; // milliseconds, of the last answers
+  perSecond: number; // answers, of the last second
+}
+
+export interface Replay {
+  take: Take;
+  figures: Figures;
+  stop(): void;
+}
+
+export interface Listener {
+  /** Called with the frame of each answer. */
+  onFrame(frame: number): void;
+  onTrouble(trouble: Trouble): void;
+  onReady(): void;
+}
+
+const PART = 240; // frames that are fetched at a time
+const TICK_MS = 4;
+const LATE_MS = 500; // beyond which frames are skipped, as a camera's would be lost
+const LATENCIES = 240; // that are kept
+
+const FRAMES: Record<Frame, Omit<Start, "model">> = {
+  level: { frame: "room", up: "auto" },
+  camera: { frame: "room" },
+  view: { frame: "canonical" },
+};
+
+/** @param rate frames per second */
+export function startReplay(
+  file: CaptureFile,
+  model: string,
+  frame: Frame,
+  rate: number,
+  listener: Listener,
+): Replay {
+  const { capture } = file;
+  const take = emptyTake(capture, capture.frames, frame);
+  const figures: Figures = { connected: false, sent: 0, answered: 0, dropped: 0, notLifted: 0, latencies: [], perSecond: 0 };
+  const times: number[] = []; // of answers within the last second
+  const frames = new Map<number, number>(); // by sequence
+  const stream = openStream({ model, ...FRAMES[frame] }, capture.keypoints, {
+    onReady() {
+      figures.connected = true;
+      listener.onReady();
+    },
+    onAnswer({ sequence, lifted }, milliseconds) {
+      const shown = frames.get(sequence);
+      frames.delete(sequence);
+      figures.answered++;
+      if (Number.isFinite(milliseconds)) figures.latencies.push(milliseconds);
+      if (figures.latencies.length > LATENCIES) figures.latencies.shift();
+      count(times, figures);
+      if (lifted === null) figures.notLifted++;
+      if (lifted === null || shown === undefined) return;
+      putLifted(take, lifted, shown, 1);
+      listener.onFrame(shown);
+    },
+    onDropped(many) {
+      figures.dropped += many;
+    },
+    onTrouble(trouble) {
+      figures.connected = false;
+      frames.clear();
+      listener.onTrouble(trouble);
+    },
+  });
+  const stop = sendInTime(file, take, stream, rate, (sequence, sentFrame) => {
+    frames.set(sequence, sentFrame);
+    if (frames.size > LATENCIES) frames.delete(frames.keys().next().value ?? 0); // of dropped ones
+    figures.sent++;
+  });
+  return {
+    take,
+    figures,
+    stop() {
+      stop();
+      stream.close();
+    },
+  };
+}
+
+function count(times: number[], figures: Figures): void {
+  const now = performance.now();
+  times.push(now);
+  while (times[0] < now - 1000) times.shift();
+  figures.perSecond = times.length;
+}
+
+/** Sends frames at their pace, of parts that are fetched before they are due. Returns what ends it. */
+function sendInTime(
+  file: CaptureFile,
+  take: Take,
+  stream: Stream,
+  rate: number,
+  onSent: (sequence: number, frame: number) => void,
+): () => void {
+  const parts = new Map<number, "asked" | "there">();
+  const size = 2 * take.views * take.keypoints;
+  const fetchPart = (part: number) => {
+    if (parts.has(part)) return;
+    parts.set(part, "asked");
+    file.detected(part * PART, Math.min(take.frames, (part + 1) * PART)).then(
+      (detected) => {
+        putDetected(take, detected, part * PART);
+        parts.set(part, "there");
+      },
+      () => parts.delete(part), // it is asked for again
+    );
+  };
+  let frame = 0;
+  let due = performance.now();
+  const tick = () => {
+    const now = performance.now();
+    if (now - due > LATE_MS) {
+      const lost = Math.floor(((now - due) * rate) / 1000);
+      if (parts.get(Math.floor(frame / PART)) === "there") frame = (frame + lost) % take.frames;
+      due += (1000 * lost) / rate;
+    }
+    for (; due <= now; due += 1000 / rate) {
+      const part = Math.floor(frame / PART);
+      fetchPart(part);
+      fetchPart(Math.floor(((frame + PART) % take.frames) / PART));
+      if (parts.get(part) !== "there") return;
+      const sequence = stream.send(take.detected.subarray(frame * size, (frame + 1) * size), take.views);
+      if (sequence !== null) onSent(sequence, frame);
+      frame = (frame + 1) % take.frames;
+    }
+  };
+  const timer = setInterval(tick, TICK_MS);
+  return () => clearInterval(timer);
+}

@@ -1,0 +1,88 @@
+"""Storage: what is stored, how much room it takes, and how much a key has left."""
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query, Request
+from pydantic import BaseModel, ConfigDict, Field
+from typing_extensions import TypeAliasType
+
+from service.http.dependencies import StoreDep
+from service.http.errors import problems
+from service.http.keyring import caller_of
+from service.resources.lists import MOST_LISTED
+from store.usage import usage
+
+router = APIRouter(prefix="/storage", tags=["health"])
+
+StoredKindName = TypeAliasType("StoredKindName", Literal["datasets", "fits", "lifts", "models"])
+
+
+class StoredKind(BaseModel):
+    """How many there are of a kind, and what they take."""
+
+    kind: StoredKindName
+    count: int
+    stored_bytes: int = Field(description="Of fits: of their reconstructions.")
+
+
+class StoredItem(BaseModel):
+    """Something stored."""
+
+    kind: StoredKindName
+    id: str
+    name: str
+    stored_bytes: int
+
+
+class Storage(BaseModel):
+    """What is stored of a project."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "stored_bytes": 5120000,
+                "items": [{"kind": "datasets", "count": 2, "stored_bytes": 5120000}],
+                "largest": [
+                    {
+                        "kind": "datasets",
+                        "id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                        "name": "macaque, morning session",
+                        "stored_bytes": 4096000,
+                    }
+                ],
+                "own_bytes": 4096000,
+                "quota_bytes": 10000000,
+            }
+        }
+    )
+
+    stored_bytes: int = Field(description="Of all kinds.")
+    items: list[StoredKind]
+    largest: list[StoredItem] = Field(description="The largest of all kinds, those first.")
+    own_bytes: int = Field(description="Of what was made with the key that asks.")
+    quota_bytes: int | None = Field(description="What that key may store; null: there is no bound.")
+
+
+@router.get("", responses=problems())
+def get_storage(
+    store: StoreDep,
+    request: Request,
+    limit: Annotated[
+        int, Query(ge=1, le=MOST_LISTED, description="How many of the largest are named.")
+    ] = 20,
+) -> Storage:
+    """Tell what is stored of the project and how much room it takes.
+
+    What older versions stored, before bytes were counted, counts as 0.
+    """
+    found = usage(store, limit)
+    return Storage(
+        stored_bytes=sum(found.stored_bytes.values()),
+        items=[
+            StoredKind(kind=kind, count=count, stored_bytes=found.stored_bytes[kind])
+            for kind, count in found.counts.items()
+        ],
+        largest=[StoredItem.model_validate(item._asdict()) for item in found.largest],
+        own_bytes=found.by_author or 0,
+        quota_bytes=caller_of(request).author.quotas.stored_bytes,
+    )
