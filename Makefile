@@ -25,9 +25,9 @@ demo: .venv/compiled .venv/page
 test: lint
 	$(MAKE) --jobs 2 types tests
 
-# Three tests at a time: many wait for processes, so two cores are busy.
+# Four tests at a time: many wait for processes, so two cores are busy.
 tests: .venv/compiled .venv/page
-	$(BIN)/pytest --numprocesses 3 --dist worksteal
+	$(BIN)/pytest --numprocesses 4 --dist worksteal
 
 check: lint
 	$(MAKE) --jobs 2 --output-sync types changed

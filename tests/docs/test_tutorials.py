@@ -72,7 +72,7 @@ class Reader:
         """Return a command as a shell would, with fewer frames and steps."""
         for name, value in self._variables.items():
             line = line.replace(f"${name}", value)
-        program, *words = shlex.split(line.replace("~/fewview", str(ROOT)))
+        program, *words = (word.replace("~/fewview", str(ROOT)) for word in shlex.split(line))
         words = [found for word in words for found in self._found(word)]
         if program == "fewview" and words[0] in {"run", "fit"}:
             words += [part for name in QUICK for part in ("-c", f"{name}={QUICK[name]}")]

@@ -23,17 +23,17 @@ import numpy as np
 from store import datasets
 from store.capture import Capture
 from store.database import Store
-from store.datasets import Description
+from store.datasets import CaptureDescription
 from store.settings import StoreSettings
 
 store = Store(StoreSettings.model_validate_json(sys.argv[1]))
 capture = Capture.checked(np.random.default_rng(0).normal(size=(200, 4, 31, 2)))
-datasets.create(store, capture, Description("first"))
+datasets.create(store, capture, CaptureDescription("first"))
 print("ready", flush=True)
 while True:
-    dataset = datasets.create(store, capture, Description("a"))
+    dataset = datasets.create(store, capture, CaptureDescription("a"))
     datasets.append(store, dataset.id, capture, max_frames=1000)
-    datasets.delete(store, datasets.create(store, capture, Description("b")).id)
+    datasets.delete(store, datasets.create(store, capture, CaptureDescription("b")).id)
 """
 
 

@@ -344,7 +344,7 @@ def test_a_plain_producer_gets_a_lift(
         ({"views": [0, 1]}, "invalid_arguments", "one index per view of the dataset"),
         ({"views": [0, 1, 7]}, "invalid_arguments", "views must name 3 different views"),
         ({"frame": "room"}, "invalid_arguments", "has no room"),
-        ({"up": "auto"}, "invalid_arguments", "ask for frame=room"),
+        ({"up": "auto"}, "invalid_arguments", "up needs frame=room"),
         ({"config": {}}, "invalid_arguments", "config: unknown field: expected some of model_id"),
     ],
 )

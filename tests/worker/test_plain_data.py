@@ -7,7 +7,7 @@ import tracemalloc
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from worker.plain_data import loads
@@ -28,6 +28,7 @@ PLAIN = st.recursive(
 )
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow])  # examples are made beside other tests
 @given(value=PLAIN, protocol=st.integers(0, pickle.HIGHEST_PROTOCOL), shared=st.booleans())
 def test_all_that_a_pickler_writes_of_plain_data_is_read(
     value: Any, protocol: int, shared: bool
