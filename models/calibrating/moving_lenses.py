@@ -95,8 +95,9 @@ def scan_moving_lenses(problem: CalibrationProblem, solution: Solution) -> Steps
             groups = np.arange(views)
             best, sds[:, FOCAL] = yield from _peak(part, other)
         else:  # deviations that span both answers
-            share = 1 / (1 + np.exp(-_gain(other, best)))
-            sds[:, FOCAL] = np.hypot(sds[:, FOCAL], np.sqrt(share) * (other.at - best.at))
+            half_log_share = -np.logaddexp(0.0, -_gain(other, best)) / 2
+            apart = np.exp(half_log_share) * (other.at - best.at)
+            sds[:, FOCAL] = np.hypot(sds[:, FOCAL], apart)
     begun = _refocused(solution, best.at - start)
     begun = begun._replace(shapes=best.solution.shapes, noise=best.solution.noise)
     learnt = yield from learn(kept, begun)
