@@ -84,7 +84,7 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Measure how well cameras are found.")
     parser.add_argument("captures", type=Path, nargs="*", help=".npz with points3d")
     parser.add_argument("--only", nargs="+", choices=HARMS, default=list(HARMS))
-    parser.add_argument("--sizes", choices=("told", "untold", "both"), default="both")
+    parser.add_argument("--sizes", choices=("known", "unknown", "both"), default="both")
     parser.add_argument("--image-size", help="WxH of every view of captures without sizes")
     parser.add_argument("--moving", nargs="+", default=[], help="names of captures that move")
     parser.add_argument("--rigs", type=int, default=0, help="drawn rigs of unlike lenses")
@@ -105,7 +105,7 @@ def of_capture(path: Path, arguments: argparse.Namespace) -> Iterator[Row]:
     for harm in arguments.only:
         keypoints = harmed(capture.keypoints, harm)
         for given in (True, False):
-            if arguments.sizes == ("untold" if given else "told") or (given and sizes is None):
+            if arguments.sizes == ("unknown" if given else "known") or (given and sizes is None):
                 continue
             started = time.process_time()
             prior = fit(

@@ -234,8 +234,8 @@ def _peak(problem: CalibrationProblem, best: MovingTrial) -> Steps[tuple[MovingT
 
     Returns also standard deviations (K,) of the log focal lengths there.
     """
+    slope, inverse, deviations = yield from _about(problem, best)
     for _ in range(PEAKS):
-        slope, inverse, deviations = yield from _about(problem, best)
         step = (inverse @ slope).clip(-STEP, STEP)
         if np.abs(step).max() < FINE:
             break
@@ -243,6 +243,7 @@ def _peak(problem: CalibrationProblem, best: MovingTrial) -> Steps[tuple[MovingT
         if _best([best, tried], _unlike) is best:
             break
         best = tried
+        slope, inverse, deviations = yield from _about(problem, best)
     return best, deviations
 
 

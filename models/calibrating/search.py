@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.initial_poses import WeakPerspectiveScene, starting_scene
-from models.bundle.problem import FOCAL, VIEW
+from models.bundle.problem import FOCAL
 from models.calibrating.arrangement import StaticViews, find_static
 from models.calibrating.doubts import Checked, check_given
 from models.calibrating.expectation_maximisation import learn
@@ -22,7 +22,7 @@ from models.calibrating.given_cameras import (
     poses_disagree,
 )
 from models.calibrating.handedness import certainty, choose_handedness
-from models.calibrating.moving_lenses import MovingLenses, scan_moving_lenses
+from models.calibrating.moving_lenses import scan_moving_lenses
 from models.calibrating.problem import CalibrationProblem, Solution
 from models.findings.advice import attempt_steps, noticed
 from models.findings.finding import Finding
@@ -102,12 +102,10 @@ def _search(
     as_given, problem = static.solution, problem._replace(lens_groups=static.lens_groups)
     kept = static.kept
     if not as_given.rig.static.any() and np.isinf(problem.lens_sds[:, FOCAL]).all():
-        scanned = MovingLenses(
-            as_given, np.full((len(problem.poses), VIEW), np.inf), static.lens_groups
-        )
-        scanned = yield from attempt_steps(scan_moving_lenses(problem, as_given), scanned)
-        as_given, kept = scanned.solution, scanned.deviations
-        problem = problem._replace(lens_groups=scanned.groups)
+        scanned = yield from attempt_steps(scan_moving_lenses(problem, as_given), None)
+        if scanned is not None:
+            as_given, kept, groups = scanned
+            problem = problem._replace(lens_groups=groups)
     checked = yield from check_given(problem, as_given)
     findings += noticed(disagreements, problem, as_given, checked)
     certain = 1.0 if config.handedness is not None else certainty(static.evidence)

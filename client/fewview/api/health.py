@@ -26,7 +26,7 @@ class HealthChecks(Resource[Driver]):
 
     @operation
     def storage(self) -> Steps[Storage]:
-        """Tell what is stored and how much room it takes."""
+        """Return what is stored, and how many bytes it takes."""
         return self._call(Request("GET", "/storage", form_in(Storage)))
 
     @operation

@@ -15,7 +15,7 @@ from fewview.readers.names import frame_number
 from fewview.readers.sources import Source
 from fewview.readers.views import View, packed
 
-MIDDLE, NECK, HIPS = 8, 1, [9, 12]  # of BODY_25, which no format says; of BODY_25B they are others
+MIDDLE, NECK, HIPS = 8, 1, [9, 12]  # of BODY_25, which files do not name; BODY_25B has others
 PARTS = ("pose_keypoints_2d", "hand_right_keypoints_2d", "hand_left_keypoints_2d")
 
 
