@@ -4,6 +4,7 @@ import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import type { ModelSummary } from "../api/resources.ts";
 import type { CaptureFile } from "../data/capture.ts";
 import type { Frame } from "../data/take.ts";
+import { FigureList } from "../parts/figure_list.tsx";
 import { FindingList } from "../parts/finding_list.tsx";
 import { count, number } from "../parts/format.ts";
 import { onThemeChange, readTheme } from "../parts/theme.ts";
@@ -89,16 +90,7 @@ function StreamFigures({ figures, rate }: { figures: Figures; rate: number }) {
     ["Dropped", count(dropped, "frame")],
     ["Not lifted", count(notLifted, "frame")],
   ];
-  return (
-    <dl class="figures">
-      {rows.map(([name, value]) => (
-        <div key={name}>
-          <dt>{name}</dt>
-          <dd>{value}</dd>
-        </div>
-      ))}
-    </dl>
-  );
+  return <FigureList rows={rows} />;
 }
 
 /** Streams as long as the screen is there. */

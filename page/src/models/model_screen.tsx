@@ -3,6 +3,7 @@
 import { useEffect, useState } from "preact/hooks";
 import { getCameras, getFit, getModel, listFits, type Fit, type Model, type ModelCameras } from "../api/resources.ts";
 import { Curve } from "../fits/curve.tsx";
+import { FigureList } from "../parts/figure_list.tsx";
 import { FindingList } from "../parts/finding_list.tsx";
 import { bytes, count, moment, number, percent, pixels } from "../parts/format.ts";
 import { Downloads } from "../parts/downloads.tsx";
@@ -83,16 +84,7 @@ function Figures({ model, cameras }: { model: Model; cameras: ModelCameras | nul
   ];
   if (model.pa_mpjpe) rows.push(["Error against the truth", `${number(model.pa_mpjpe)}, PA-MPJPE in the truth's unit`]);
   if (model.pck) rows.push(["PCK", `${percent(model.pck)} within ${number(model.pck_threshold)} of the truth`]);
-  return (
-    <dl class="figures">
-      {rows.map(([name, value]) => (
-        <div key={name}>
-          <dt>{name}</dt>
-          <dd>{value}</dd>
-        </div>
-      ))}
-    </dl>
-  );
+  return <FigureList rows={rows} />;
 }
 
 /** From which dataset, by which fit, begun with which model; and which fits began with this one. */
