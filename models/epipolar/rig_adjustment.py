@@ -12,21 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
-from models.epipolar.robust_points import TINY, settle_points
+from models.epipolar.robust_points import TINY, costs_of, settle_points
 from models.epipolar.static_cameras import (
     CAMERA,
     LENS,
     SeenPoints,
+    Sight,
     StaticCameras,
-    distances_of,
+    differentiate_image,
+    image_of,
     linearised,
-    residuals_by_points,
-    robust_costs,
+    sight_of,
 )
+from models.numerics.compiled import compiled, inner
+from models.numerics.matrices import fill, inverse_symmetric
 from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+Int64 = NDArray[np.int64]
 
 RAYLEIGH = 1.1774  # median length of a pair of unit normal numbers
 LEAST_NOISE = 1e-5  # sides: less is as good as none
@@ -104,20 +108,47 @@ def noise_of(rig: StaticCameras, points: Float64, seen: SeenPoints, least: float
     more a view decides where the points are, the more of its residuals they absorb.
     """
     there = seen.weights > 0
-    residuals, by_point = residuals_by_points(rig, points, seen)
-    of_views = np.einsum("kiam,kibm->kmab", by_point, by_point, optimize=True)
-    normal = of_views.sum(0)
-    normal[:, range(3), range(3)] += TINY * (np.trace(normal, axis1=1, axis2=2) + 1)[:, None]
-    leverages = (np.linalg.inv(normal) * of_views).sum((2, 3))  # (K, M) of 2 numbers each
+    lengths, leverages = np.zeros(there.shape), np.zeros(there.shape)
+    _write_leverages(sight_of(rig, points, seen), lengths, leverages)
     left = np.array([1 - row[w].mean() / 2 for row, w in zip(leverages, there, strict=True)])
     left = left.clip(LEAST_LEFT)
-    lengths = np.linalg.norm(residuals, axis=1)
     medians = np.array([np.median(row[w]) for row, w in zip(lengths, there, strict=True)])
     noise = (medians / RAYLEIGH / np.sqrt(left)).clip(least)
     common = np.exp(float((left * np.log(noise)).sum() / left.sum()))
     if len(noise) == 2:
         return np.full(2, common)
     return np.asarray(common**POOLED * noise ** (1 - POOLED))
+
+
+@compiled
+def _write_leverages(sight: Sight, lengths: Float64, leverages: Float64) -> None:
+    """Write lengths (K, M) of residuals and their leverages, of 2 numbers each, on the points."""
+    views, count = lengths.shape
+    seen, by_held, by_point = np.empty(5), np.empty((2, 3)), np.empty((views, 2, 3))
+    normal, solved = np.empty((3, 3)), np.empty((3, 3))
+    for m in range(count):
+        fill(normal, 0.0)
+        fill(by_point, 0.0)
+        for k in range(views):
+            if sight.weights[k, m] <= 0 or not image_of(sight, k, m, seen):
+                continue
+            across, down = seen[0] - sight.images[k, 0, m], seen[1] - sight.images[k, 1, m]
+            lengths[k, m] = np.sqrt(across * across + down * down)
+            differentiate_image(sight, k, seen, by_held, by_point[k])
+            for a in range(3):
+                for b in range(a, 3):
+                    normal[a, b] += _dot(by_point[k], by_point[k], a, b)
+        inverse_symmetric(normal, TINY * (normal[0, 0] + normal[1, 1] + normal[2, 2] + 1), solved)
+        for k in range(views):
+            for a in range(3):
+                for b in range(3):
+                    leverages[k, m] += solved[a, b] * _dot(by_point[k], by_point[k], a, b)
+
+
+@inner
+def _dot(first: Float64, other: Float64, a: int, b: int) -> float:
+    """Multiply column a of a matrix of two rows by column b of another."""
+    return float(first[0, a] * other[0, b] + first[1, a] * other[1, b])
 
 
 class _Prior(NamedTuple):
@@ -166,8 +197,7 @@ def _alike(log_focals: Float64) -> _Prior:
 def _cost(
     rig: StaticCameras, points: Float64, seen: SeenPoints, noise: Float64, beliefs: Beliefs
 ) -> float:
-    costs = robust_costs(distances_of(rig, points, seen), seen.weights, noise)
-    return float(costs.sum()) + prior_cost(rig, beliefs)
+    return float(costs_of(rig, points, seen, noise).sum()) + prior_cost(rig, beliefs)
 
 
 def free_numbers(rig: StaticCameras, beliefs: Beliefs, *, lenses: bool) -> Bool:
@@ -186,10 +216,15 @@ class CameraEquations(NamedTuple):
 
     scores: Float64  # (11 K, M) what each point adds to the vector, besides the prior
     information: Float64  # (11 K, 11 K) of cameras and points
-    matrix: Float64  # (11 K, 11 K) of the cameras alone
-    vector: Float64  # (11 K,)
+    vector: Float64  # (11 K,) of the cameras alone
+    cross: Float64  # (11 K, 3 M) of cameras and points
     spread: Float64  # (11 K, 3 M) derivative of the points by the cameras' numbers
     solved: Float64  # (3, M) the points' own step
+
+    def matrix(self, places: Int64) -> Float64:
+        """Return the matrix (n, n) of some of the cameras' numbers alone."""
+        reduced = self.spread[places] @ self.cross[places].T
+        return np.asarray(self.information[np.ix_(places, places)] - reduced)
 
 
 def reduced_equations(
@@ -203,30 +238,79 @@ def reduced_equations(
     """Return the normal equations of the cameras about a rig and its points (3, M)."""
     views, count = seen.weights.shape
     residuals, by_camera, by_point = linearised(rig, points, seen, noise)
-    # Sums over what a view sees of products of its two rows.
-    cross = np.einsum("kiam,kibm->kabm", by_camera, by_point, optimize=True)  # (K, 11, 3, M)
+    inverse, solved = np.empty((3, 3, count)), np.empty((3, count))
+    _solve_points(residuals, by_point, damping, inverse, solved)
+    size = views * CAMERA
+    scores, cross, spread = (np.empty((size, *shape, count)) for shape in ((), (3,), (3,)))
+    _eliminate_points(residuals, by_camera, by_point, inverse, solved, scores, cross, spread)
     rows = by_camera.transpose(0, 2, 1, 3).reshape(views, CAMERA, -1)
     information = np.zeros((views, CAMERA, views, CAMERA))
     information[range(views), :, range(views), :] = rows @ rows.mT
-    pulls = -np.einsum("kiam,kim->kam", by_camera, residuals)
-    right = pulls.sum(-1)
     prior = lens_prior(rig, beliefs)
     information[:, :LENS, :, :LENS] += prior.precision
-    right[:, :LENS] -= prior.gradient
-    normal = np.einsum("kiam,kibm->abm", by_point, by_point, optimize=True)
-    diagonal = normal[range(3), range(3)]
-    normal[range(3), range(3)] += damping * diagonal + 1e-9 * diagonal.mean(0) + 1e-12
-    inverse = np.linalg.inv(normal.transpose(2, 0, 1)).transpose(1, 2, 0)  # (3, 3, M)
-    toward = -np.einsum("kiam,kim->am", by_point, residuals)  # (3, M)
-    solved = np.einsum("abm,bm->am", inverse, toward)
-    flat = cross.reshape(views * CAMERA, 3, count)
-    spread = np.einsum("cam,abm->cbm", flat, inverse, optimize=True)
-    flat, spread = flat.reshape(len(flat), -1), spread.reshape(len(flat), -1)
-    whole = information.reshape(len(flat), len(flat))
-    vector = right.ravel() - flat @ solved.ravel()
-    through = np.einsum("cam,am->cm", cross.reshape(-1, 3, count), solved)
-    scores = pulls.reshape(-1, count) - through
-    return CameraEquations(scores, whole, whole - spread @ flat.T, vector, spread, solved)
+    whole, vector = information.reshape(size, size), scores.sum(1)
+    vector.reshape(views, CAMERA)[:, :LENS] -= prior.gradient
+    cross, spread = cross.reshape(size, -1), spread.reshape(size, -1)
+    return CameraEquations(scores, whole, vector, cross, spread, solved)
+
+
+@compiled
+def _solve_points(
+    residuals: Float64, by_point: Float64, damping: float, inverse: Float64, solved: Float64
+) -> None:
+    """Write each point's inverse normal matrix (3, 3, M) and own step (3, M)."""
+    views, count = len(residuals), residuals.shape[2]
+    normal, toward, own = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    for m in range(count):
+        fill(normal, 0.0)
+        fill(toward, 0.0)
+        for k in range(views):
+            for i in range(2):
+                for a in range(3):
+                    toward[a] -= by_point[k, i, a, m] * residuals[k, i, m]
+                    for b in range(a, 3):
+                        normal[a, b] += by_point[k, i, a, m] * by_point[k, i, b, m]
+        least = 1e-9 * (normal[0, 0] + normal[1, 1] + normal[2, 2]) / 3 + 1e-12
+        for a in range(3):
+            normal[a, a] *= 1.0 + damping
+        inverse_symmetric(normal, least, own)
+        for a in range(3):
+            solved[a, m] = own[a, 0] * toward[0] + own[a, 1] * toward[1] + own[a, 2] * toward[2]
+            for b in range(3):
+                inverse[a, b, m] = own[a, b]
+
+
+@compiled
+def _eliminate_points(
+    residuals: Float64,
+    by_camera: Float64,
+    by_point: Float64,
+    inverse: Float64,
+    solved: Float64,
+    scores: Float64,
+    cross: Float64,
+    spread: Float64,
+) -> None:
+    """Write scores (11 K, M), and products (11 K, 3, M) of derivatives without and with inverses.
+
+    The innermost loops run along the points, where arrays are contiguous.
+    """
+    views, count = len(residuals), residuals.shape[2]
+    for k in range(views):
+        for c in range(CAMERA):
+            row = k * CAMERA + c
+            for m in range(count):
+                first, other = by_camera[k, 0, c, m], by_camera[k, 1, c, m]
+                x = first * by_point[k, 0, 0, m] + other * by_point[k, 1, 0, m]
+                y = first * by_point[k, 0, 1, m] + other * by_point[k, 1, 1, m]
+                z = first * by_point[k, 0, 2, m] + other * by_point[k, 1, 2, m]
+                cross[row, 0, m], cross[row, 1, m], cross[row, 2, m] = x, y, z
+                pull = -first * residuals[k, 0, m] - other * residuals[k, 1, m]
+                scores[row, m] = pull - x * solved[0, m] - y * solved[1, m] - z * solved[2, m]
+                for a in range(3):
+                    spread[row, a, m] = (
+                        x * inverse[a, 0, m] + y * inverse[a, 1, m] + z * inverse[a, 2, m]
+                    )
 
 
 def _step(
@@ -241,13 +325,13 @@ def _step(
     """Take one damped step of Gauss and Newton, the points eliminated."""
     equations = reduced_equations(rig, points, seen, noise, beliefs, damping)
     places = np.flatnonzero(free)
-    matrix = equations.matrix[np.ix_(places, places)]
+    matrix = equations.matrix(places)
     root = np.sqrt(equations.information.diagonal()[places])
     root = np.where(root > 0, root, 1.0)
     held = matrix / root / root[:, None] + (damping + LEAST_HELD) * np.eye(len(places))
     step = np.zeros(free.size)
     step[places] = np.linalg.solve(held, equations.vector[places] / root) / root
-    moved = equations.solved - (step @ equations.spread).reshape(equations.solved.shape)
+    moved = equations.solved - (step[places] @ equations.spread[places]).reshape(points.shape)
     return _moved(rig, step.reshape(free.shape)), points + moved
 
 

@@ -77,7 +77,8 @@ def _with_lenses(
             second.append(_nearer(start, adjusted.points, few, beliefs, least))
     second.append(_nearer(*necker(second[0].rig, second[0].points), few, beliefs, least))
     best = ordered(second, few, beliefs)[0]
-    for factor in COMMON_FACTORS:
+    # Two views fit almost any focal lengths: shapes choose them later.
+    for factor in COMMON_FACTORS if len(best.noise) > 2 else ():
         yield
         change = np.log(factor) * (beliefs.focal_sds > 0)
         rig = refocused(best.rig, best.points, best.rig.log_focals + change)

@@ -11,14 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.static_cameras import (
+    BLIND,
     FREEDOM,
     SeenPoints,
+    Sight,
     StaticCameras,
-    distances_of,
+    differentiate_image,
+    distance_in,
+    image_of,
     rays_of,
-    residuals_by_points,
-    robust_costs,
+    sight_of,
 )
+from models.numerics.compiled import compiled
+from models.numerics.matrices import cholesky, cholesky_solve, fill
 
 Float64 = NDArray[np.float64]
 
@@ -37,16 +42,10 @@ def robust_points(
 
     `noise` (K,) is the scale of Student's t in sides of the image, `start` (3, M) another guess.
     """
-
-    def costs_of(points: Float64) -> Float64:
-        distances = distances_of(rig, points, seen)
-        costs: Float64 = robust_costs(distances, seen.weights, noise).sum(0)
-        return costs
-
     points = triangulate_points(rig, seen)
-    costs = costs_of(points)
+    costs = costs_of(rig, points, seen, noise)
     for guess in [*([] if start is None else [start]), *_of_pairs(rig, seen)]:
-        tried = costs_of(guess)
+        tried = costs_of(rig, guess, seen, noise)
         better = np.isfinite(guess).all(0) & (tried < costs)
         points, costs = np.where(better, guess, points), np.where(better, tried, costs)
     return settle_points(rig, points, seen, noise, steps=ITERATIONS)
@@ -130,27 +129,74 @@ def settle_points(
     steps: int = POINT_STEPS,
 ) -> Float64:
     """Improve points (3, M) with fixed cameras, by Gauss-Newton steps that lower the cost."""
-
-    def costs_of(points: Float64) -> Float64:
-        distances = distances_of(rig, points, seen)
-        costs: Float64 = robust_costs(distances, seen.weights, noise).sum(0)
-        return costs
-
-    costs = costs_of(points)
+    sight = sight_of(rig, points, seen)
+    costs, tried_costs = np.empty(points.shape[1]), np.empty(points.shape[1])
+    _write_costs(sight, noise, costs)
     damping = np.full(points.shape[1], POINT_DAMPING)
     for _ in range(steps):
-        residuals, by_point = residuals_by_points(rig, points, seen)
-        squared = np.square(residuals).sum(1) / np.square(noise)[:, None]
-        weights = seen.weights * (FREEDOM + 2) / (FREEDOM + squared) / np.square(noise)[:, None]
-        weighted = by_point * weights[:, None, None]
-        normal = np.einsum("kiam,kibm->mab", weighted, by_point, optimize=True)
-        right = -np.einsum("kiam,kim->ma", weighted, residuals, optimize=True)
-        diagonal = normal[:, range(3), range(3)]
-        least = TINY * (diagonal.max(1, keepdims=True) + 1)
-        normal[:, range(3), range(3)] += damping[:, None] * diagonal + least
-        tried_points = points + np.linalg.solve(normal, right[..., None])[..., 0].T
-        tried = costs_of(tried_points)
-        better = tried <= costs
-        points, costs = np.where(better, tried_points, points), np.where(better, tried, costs)
+        tried = np.empty(points.shape)
+        _step(sight, noise, damping, tried)
+        tried_sight = sight_of(rig, tried, seen)
+        _write_costs(tried_sight, noise, tried_costs)
+        better = tried_costs <= costs
+        points, costs = np.where(better, tried, points), np.where(better, tried_costs, costs)
         damping = np.where(better, damping / 10, damping * 10)
+        sight = sight_of(rig, points, seen)
     return points
+
+
+def costs_of(rig: StaticCameras, points: Float64, seen: SeenPoints, noise: Float64) -> Float64:
+    """Return minus the log likelihood (M,) of all rays of each point under Student's t."""
+    costs = np.empty(points.shape[1])
+    _write_costs(sight_of(rig, points, seen), noise, costs)
+    return costs
+
+
+@compiled
+def _write_costs(sight: Sight, noise: Float64, out: Float64) -> None:
+    views, seen = len(noise), np.empty(5)
+    for m in range(len(out)):
+        out[m] = 0.0
+        for k in range(views):
+            weight = sight.weights[k, m]
+            if weight > 0:
+                visible = image_of(sight, k, m, seen)
+                distance = distance_in(sight, k, m, seen) if visible else BLIND
+                squared = (distance / noise[k]) ** 2
+                out[m] += weight * (
+                    (FREEDOM + 2) / 2 * np.log1p(squared / FREEDOM) + 2 * np.log(noise[k])
+                )
+
+
+@compiled
+def _step(sight: Sight, noise: Float64, damping: Float64, out: Float64) -> None:
+    """Write the points after one damped step of each."""
+    views, count = sight.weights.shape
+    seen, by_held, by_point = np.empty(5), np.empty((2, 3)), np.empty((2, 3))
+    normal, right = np.empty((3, 3)), np.empty(3)
+    for m in range(count):
+        fill(normal, 0.0)
+        fill(right, 0.0)
+        for k in range(views):
+            weight = sight.weights[k, m]
+            if weight <= 0 or not image_of(sight, k, m, seen):
+                continue
+            differentiate_image(sight, k, seen, by_held, by_point)
+            across, down = seen[0] - sight.images[k, 0, m], seen[1] - sight.images[k, 1, m]
+            squared = (across * across + down * down) / noise[k] ** 2
+            weight *= (FREEDOM + 2) / (FREEDOM + squared) / noise[k] ** 2
+            for a in range(3):
+                right[a] -= weight * (by_point[0, a] * across + by_point[1, a] * down)
+                for b in range(a + 1):
+                    normal[a, b] += weight * (
+                        by_point[0, a] * by_point[0, b] + by_point[1, a] * by_point[1, b]
+                    )
+        least = TINY * (max(normal[0, 0], normal[1, 1], normal[2, 2]) + 1.0)
+        for a in range(3):
+            normal[a, a] += damping[m] * normal[a, a] + least
+        if cholesky(normal):
+            cholesky_solve(normal, right)
+        else:
+            fill(right, 0.0)
+        for a in range(3):
+            out[a, m] = sight.points[a, m] + right[a]

@@ -1,22 +1,26 @@
 """Static cameras, their images of points, and the derivatives of these.
 
 Coordinates of the images are pixels from the expected principal point in sides of the image; the
-unit of the points is free. Points come last in all arrays, so that everything runs along them.
+unit of the points is free. Points come last in all arrays.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from models.numerics.compiled import compiled, inner
+
 Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 CAMERA = 11  # numbers: log focal, principal point, radial coefficients, rotation, translation
 LENS = 5
 FREEDOM = 3.0  # of Student's t
 NEAR, FAR = 0.2, 5.0  # median depths between which a point counts
 BLIND = 1.0  # sides: the distance of a point that a camera cannot see; the largest there is
+# Places in a row of `Sight.cameras`.
+FOCAL, CENTRE, BENDS, TURN, SHIFT, NUMBERS = 0, 1, 3, 5, 14, 17
 
 
 class StaticCameras(NamedTuple):
@@ -40,17 +44,43 @@ class SeenPoints(NamedTuple):
     weights: Float64  # (K, M) confidences
 
 
-def images_of(rig: StaticCameras, points: Float64, seen: SeenPoints) -> tuple[Float64, Bool]:
-    """Return images (K, 2, M) of points (3, M), and whether (K, M) they are visible there."""
-    flat, visible = _flat(rig.rotations @ points + rig.translations[..., None], seen)
-    return _images(rig, flat)[0], visible
+class Sight(NamedTuple):
+    """Cameras, points and keypoints as compiled functions take them: contiguous arrays."""
+
+    cameras: Float64  # (K, 17) focal length, centre, radial coefficients, rotation, translation
+    depths: Float64  # (K, 2) limits between which a point is visible
+    points: Float64  # (3, M)
+    images: Float64  # (K, 2, M)
+    weights: Float64  # (K, M)
+
+
+def sight_of(rig: StaticCameras, points: Float64, seen: SeenPoints) -> Sight:
+    """Arrange cameras, points (3, M) and keypoints for compiled functions.
+
+    A point is visible if its depth is usual among those that a camera sees.
+    """
+    views = len(rig.log_focals)
+    cameras = np.empty((views, NUMBERS))
+    cameras[:, FOCAL] = np.exp(rig.log_focals)
+    cameras[:, CENTRE:BENDS], cameras[:, BENDS:TURN] = rig.centres, rig.radial
+    cameras[:, TURN:SHIFT] = rig.rotations.reshape(views, -1)
+    cameras[:, SHIFT:] = rig.translations
+    depths = rig.rotations[:, 2] @ points + rig.translations[:, 2:]
+    medians = np.array(
+        [
+            np.median(row[w]) if w.any() else 1.0
+            for row, w in zip(depths, (seen.weights > 0) & np.isfinite(depths), strict=True)
+        ]
+    )
+    usual = np.where(medians > 0, medians, np.nan)[:, None] * [NEAR, FAR]
+    points, images, weights = map(np.ascontiguousarray, (points, *seen))
+    return Sight(cameras, usual, points, images, weights)
 
 
 def distances_of(rig: StaticCameras, points: Float64, seen: SeenPoints) -> Float64:
     """Return distances (K, M) in sides from keypoints to projections; `BLIND` if not visible."""
-    images, visible = images_of(rig, points, seen)
-    lengths = np.linalg.norm(images - seen.images, axis=1)
-    distances: Float64 = np.where(visible, np.minimum(lengths, BLIND), BLIND)
+    distances = np.empty(seen.weights.shape)
+    _write_distances(sight_of(rig, points, seen), distances)
     return distances
 
 
@@ -82,80 +112,113 @@ def linearised(
 
     These are (K, 2, 11, M) and (K, 2, 3, M).
     """
-    turned = rig.rotations @ points
-    camera = turned + rig.translations[..., None]
-    flat, visible = _flat(camera, seen)
-    images, gain, squared = _images(rig, flat)
-    residuals = images - seen.images
-    lengths = np.square(residuals).sum(1) / np.square(noise)[:, None]
-    weights = seen.weights * visible * (FREEDOM + 2) / (FREEDOM + lengths)
-    root = np.sqrt(weights) / noise[:, None]  # (K, M)
-    focals = np.exp(rig.log_focals)[:, None]
-    views, count = root.shape
-    depths = np.where(visible, camera[:, 2], 1.0)
-    by_camera = np.zeros((views, 2, CAMERA, count))
-    by_camera[:, :, 0] = focals[..., None] * gain[:, None] * flat
-    by_camera[:, 0, 1] = by_camera[:, 1, 2] = 1
-    by_camera[:, :, 3] = focals[..., None] * squared[:, None] * flat
-    by_camera[:, :, 4] = squared[:, None] * by_camera[:, :, 3]
-    by_held = _by_held(rig, flat, depths)
-    by_camera[:, :, LENS + 3 :] = by_held
-    by_camera[:, :, LENS : LENS + 3] = np.cross(turned[:, None], by_held, axis=2)
-    by_point = np.einsum("kiam,kab->kibm", by_held, rig.rotations, optimize=True)
-    return (
-        residuals * root[:, None],
-        by_camera * root[:, None, None],
-        by_point * root[:, None, None],
-    )
+    views, count = seen.weights.shape
+    residuals = np.zeros((views, 2, count))
+    by_camera, by_point = np.zeros((views, 2, CAMERA, count)), np.zeros((views, 2, 3, count))
+    _linearise(sight_of(rig, points, seen), noise, residuals, by_camera, by_point)
+    return residuals, by_camera, by_point
 
 
-def residuals_by_points(
-    rig: StaticCameras, points: Float64, seen: SeenPoints
-) -> tuple[Float64, Float64]:
-    """Return residuals (K, 2, M) of points (3, M) in sides, and their derivatives (K, 2, 3, M).
+@inner
+def image_of(sight: Sight, k: int, m: int, out: Float64) -> bool:
+    """Project point m into view k; False if it is not visible there.
 
-    Both are 0 where a camera cannot see the point.
+    Writes the image (2,), and after it the direction (2,) at depth one and the depth.
     """
-    camera = rig.rotations @ points + rig.translations[..., None]
-    flat, visible = _flat(camera, seen)
-    images, _, _ = _images(rig, flat)
-    by_held = _by_held(rig, flat, np.where(visible, camera[:, 2], 1.0))
-    by_point = np.einsum("kiam,kab->kibm", by_held, rig.rotations, optimize=True)
-    there = (visible & (seen.weights > 0))[:, None]
-    return np.where(there, images - seen.images, 0.0), by_point * there[:, None]
+    camera = sight.cameras[k]
+    x, y, z = sight.points[0, m], sight.points[1, m], sight.points[2, m]
+    depth = camera[11] * x + camera[12] * y + camera[13] * z + camera[16]
+    if not (sight.depths[k, 0] < depth < sight.depths[k, 1]):
+        return False
+    a = (camera[5] * x + camera[6] * y + camera[7] * z + camera[14]) / depth
+    b = (camera[8] * x + camera[9] * y + camera[10] * z + camera[15]) / depth
+    squared = a * a + b * b
+    scale = camera[0] * (1.0 + squared * (camera[3] + squared * camera[4]))
+    out[0], out[1] = scale * a + camera[1], scale * b + camera[2]
+    out[2], out[3], out[4] = a, b, depth
+    return True
 
 
-def _flat(camera: Float64, seen: SeenPoints) -> tuple[Float64, Bool]:
-    """Directions (K, 2, M) at depth one, and whether the points have a usual depth (K, M)."""
-    depths = camera[:, 2]
-    there = seen.weights > 0
-    medians = np.array(
-        [np.median(row[w]) if w.any() else 1.0 for row, w in zip(depths, there, strict=True)]
-    )[:, None]
-    visible: Bool = (depths > NEAR * medians) & (depths < FAR * medians) & (medians > 0)
-    safe = np.where(visible, depths, 1.0)
-    return camera[:, :2] / safe[:, None], visible
+@inner
+def differentiate_image(
+    sight: Sight, k: int, seen: Float64, by_held: Float64, by_point: Float64
+) -> None:
+    """Write derivatives (2, 3) of an image by the point in the camera's frame, and in the rig's.
+
+    `seen` is what `image_of` wrote.
+    """
+    camera = sight.cameras[k]
+    a, b, depth = seen[2], seen[3], seen[4]
+    squared = a * a + b * b
+    gain = 1.0 + squared * (camera[3] + squared * camera[4])
+    slope = 2.0 * camera[3] + 4.0 * camera[4] * squared
+    focal = camera[0] / depth
+    by_held[0, 0] = focal * (gain + slope * a * a)
+    by_held[0, 1] = focal * slope * a * b
+    by_held[1, 0] = by_held[0, 1]
+    by_held[1, 1] = focal * (gain + slope * b * b)
+    for i in range(2):
+        by_held[i, 2] = -(by_held[i, 0] * a + by_held[i, 1] * b)
+        for j in range(3):
+            by_point[i, j] = (
+                by_held[i, 0] * camera[5 + j]
+                + by_held[i, 1] * camera[8 + j]
+                + by_held[i, 2] * camera[11 + j]
+            )
 
 
-def _images(rig: StaticCameras, flat: Float64) -> tuple[Float64, Float64, Float64]:
-    """Images (K, 2, M) of directions (K, 2, M), the lens's gain and the squared radius (K, M)."""
-    squared = np.square(flat).sum(1)
-    gain = 1 + squared * (rig.radial[:, :1] + squared * rig.radial[:, 1:])
-    images = np.exp(rig.log_focals)[:, None, None] * gain[:, None] * flat
-    return images + rig.centres[..., None], gain, squared
+@inner
+def distance_in(sight: Sight, k: int, m: int, seen: Float64) -> float:
+    """Return the distance in view k of the image `seen`, which `image_of` wrote."""
+    across, down = seen[0] - sight.images[k, 0, m], seen[1] - sight.images[k, 1, m]
+    return min(math.sqrt(across * across + down * down), BLIND)
 
 
-def _by_held(rig: StaticCameras, flat: Float64, depths: Float64) -> Float64:
-    """Return derivatives (K, 2, 3, M) of images by points in their camera's frame."""
-    views, _, count = flat.shape
-    focals = np.exp(rig.log_focals)[:, None]
-    squared = np.square(flat).sum(1)
-    gain = 1 + squared * (rig.radial[:, :1] + squared * rig.radial[:, 1:])
-    slope = 2 * rig.radial[:, :1] + 4 * rig.radial[:, 1:] * squared
-    by_flat = np.empty((views, 2, 2, count))
-    a, b = flat[:, 0], flat[:, 1]
-    by_flat[:, 0, 0] = focals * (gain + slope * a * a)
-    by_flat[:, 0, 1] = by_flat[:, 1, 0] = focals * slope * a * b
-    by_flat[:, 1, 1] = focals * (gain + slope * b * b)
-    by_flat /= depths[:, None, None]
-    return np.concatenate((by_flat, -(by_flat * flat[:, None]).sum(2, keepdims=True)), 2)
+@compiled
+def _write_distances(sight: Sight, out: Float64) -> None:
+    views, count = out.shape
+    seen = np.empty(5)
+    for k in range(views):
+        for m in range(count):
+            visible = image_of(sight, k, m, seen)
+            out[k, m] = distance_in(sight, k, m, seen) if visible else BLIND
+
+
+@compiled
+def _linearise(
+    sight: Sight, noise: Float64, residuals: Float64, by_camera: Float64, by_point: Float64
+) -> None:
+    views, count = sight.weights.shape
+    seen, of_held, of_point = np.empty(5), np.empty((2, 3)), np.empty((2, 3))
+    for k in range(views):
+        camera = sight.cameras[k]
+        for m in range(count):
+            if sight.weights[k, m] <= 0 or not image_of(sight, k, m, seen):
+                continue
+            differentiate_image(sight, k, seen, of_held, of_point)
+            across, down = seen[0] - sight.images[k, 0, m], seen[1] - sight.images[k, 1, m]
+            squared = (across * across + down * down) / noise[k] ** 2
+            root = math.sqrt(sight.weights[k, m] * (FREEDOM + 2) / (FREEDOM + squared)) / noise[k]
+            residuals[k, 0, m], residuals[k, 1, m] = root * across, root * down
+            turned = (
+                seen[2] * seen[4] - camera[14],
+                seen[3] * seen[4] - camera[15],
+                seen[4] - camera[16],
+            )
+            bend = seen[2] ** 2 + seen[3] ** 2
+            gain = 1.0 + bend * (camera[3] + bend * camera[4])
+            for i in range(2):
+                along = root * camera[0] * seen[2 + i]
+                by_camera[k, i, 0, m] = gain * along
+                by_camera[k, i, 1 + i, m] = root
+                by_camera[k, i, 3, m] = bend * along
+                by_camera[k, i, 4, m] = bend * bend * along
+                x, y, z = root * of_held[i, 0], root * of_held[i, 1], root * of_held[i, 2]
+                by_camera[k, i, LENS, m] = turned[1] * z - turned[2] * y
+                by_camera[k, i, LENS + 1, m] = turned[2] * x - turned[0] * z
+                by_camera[k, i, LENS + 2, m] = turned[0] * y - turned[1] * x
+                by_camera[k, i, LENS + 3, m] = x
+                by_camera[k, i, LENS + 4, m] = y
+                by_camera[k, i, LENS + 5, m] = z
+                for j in range(3):
+                    by_point[k, i, j, m] = root * of_point[i, j]
