@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from models.bundle.problem import LENS, Scene
 from models.calibrating.result import CameraReport, SelfCalibration, camera_report
-from models.calibrating.self_calibration import self_calibrate
+from models.calibrating.self_calibration import self_calibrate, task_of
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import Lens, RigCapture, draw_rig_capture
@@ -82,7 +82,7 @@ def found_by(capture: RigCapture, *, sized: bool, seed: int = 0) -> tuple[SelfCa
     sizes = [IMAGE_SIZE] * len(capture.lenses) if sized else None
     return finished(
         self_calibrate(
-            capture.pixels, capture.weights, capture.answers(seed=seed), FitConfig(), sizes
+            task_of(capture.pixels, capture.weights, FitConfig(), sizes), capture.answers(seed=seed)
         )
     )
 

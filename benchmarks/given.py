@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.figures import console
 from models.calibrating.result import SelfCalibration
-from models.calibrating.self_calibration import self_calibrate
+from models.calibrating.self_calibration import self_calibrate, task_of
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import FOCAL, IMAGE_SIZE, RigCapture, make_rig_capture
@@ -57,7 +57,9 @@ def calibrated(capture: RigCapture, given: Calibration) -> SelfCalibration:
     """Calibrate with this given calibration."""
     config = FitConfig.model_validate({"calibration": given})
     sizes = [IMAGE_SIZE] * len(given)
-    steps = self_calibrate(capture.pixels, capture.weights, capture.answers(), config, sizes)
+    steps = self_calibrate(
+        task_of(capture.pixels, capture.weights, config, sizes), capture.answers()
+    )
     return finished(steps)[0]
 
 

@@ -18,7 +18,7 @@ from models.calibrating.expectation_maximisation import about_model, learn, rega
 from models.calibrating.handedness import DECIDED, Corners, certainty, volume
 from models.calibrating.keypoint_rig import geometry_of, lens_kinds, start_from_geometry
 from models.calibrating.lens_scan import scan_lenses
-from models.calibrating.problem import CalibrationProblem, Solution
+from models.calibrating.problem import CalibrationProblem, Geometry, Solution
 from models.calibrating.search import Arranged
 from models.epipolar.static_rig import StaticRig
 from models.numerics.steps import Steps
@@ -38,16 +38,23 @@ class Settled(NamedTuple):
     start: Solution  # of all frames, before shapes were learnt
 
 
+def seek_geometry(problem: CalibrationProblem, config: FitConfig) -> Steps[CalibrationProblem]:
+    """Return the problem with the geometry of all views, unless poses or motion are given."""
+    views = len(problem.poses)
+    if problem.posed or config.cameras == "moving" or views < 2:
+        return problem
+    found = yield from geometry_of(problem, list(range(views)))
+    return problem._replace(geometry=Geometry(found))
+
+
 def settle_by_geometry(
     problem: CalibrationProblem, config: FitConfig, *, most: int
 ) -> Steps[Settled | None]:
-    """Find static cameras from all frames, and shapes from `most` of them.
+    """Take the static cameras of `seek_geometry`, and learn shapes from `most` of the frames.
 
     None where geometry does not decide: cameras that move, given poses, a handedness that keypoints
     leave open, given lenses that keypoints contradict.
     """
-    if problem.posed or config.cameras == "moving":
-        return None
     views = len(problem.poses)
     found, certain = yield from _static_rig(problem, config.corners)
     started = None if found is None else start_from_geometry(problem, found)
@@ -74,12 +81,10 @@ def _static_rig(
     problem: CalibrationProblem, corners: Corners | None
 ) -> Steps[tuple[StaticRig | None, float]]:
     """Find static cameras and the certainty of their handedness; None if anything is undecided."""
-    views = len(problem.poses)
+    views, geometry = len(problem.poses), problem.geometry
+    found = None if geometry is None else geometry.rig
     known = np.isfinite(problem.lens_sds[:, FOCAL])
-    if views < 2 or (views == 2 and known.sum() == 1):
-        return None, 0.0
-    found = yield from geometry_of(problem, list(range(views)))
-    if found is None or not found.static.all():
+    if found is None or not found.static.all() or (views == 2 and known.sum() == 1):
         return None, 0.0
     found, certain = _handed(found, corners)
     if certain < DECIDED or found.noise * problem.side > EXPLAINED * problem.size:

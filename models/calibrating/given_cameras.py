@@ -91,7 +91,8 @@ def forget_lenses(problem: CalibrationProblem, views: Bool) -> CalibrationProble
         np.where(views, usual.models, as_given.models),
     )
     sds = np.where(which, np.inf, problem.lens_sds)
-    return problem._replace(reference=problem.reference._replace(lenses=lenses), lens_sds=sds)
+    reference = problem.reference._replace(lenses=lenses)
+    return problem._replace(reference=reference, lens_sds=sds, geometry=None)
 
 
 def disagreements(

@@ -133,8 +133,11 @@ def _static_start(
 def geometry_of(problem: CalibrationProblem, among: list[int]) -> Steps[StaticRig | None]:
     """Find static cameras `among` some views from keypoints alone; None where none explain them.
 
-    The rig is in sides of the longest image.
+    The rig is in sides of the longest image. If all views are asked for and the problem has their
+    geometry, it is returned.
     """
+    if problem.geometry is not None and len(among) == len(problem.poses):
+        return problem.geometry.rig
     # Two views determine each other worse than noise disturbs them: clean keypoints are better.
     keypoints = problem.detected if len(among) >= LEAST_VIEWS else problem.keypoints
     images, sizes = straight_images(problem, keypoints)

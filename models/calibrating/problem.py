@@ -21,6 +21,7 @@ from models.bundle.problem import (
 )
 from models.bundle.shape_model import ShapeModel
 from models.calibrating.image_sizes import Images, ImageSizes, images_of
+from models.epipolar.static_rig import StaticRig
 from models.numerics.rotations import rotations_from_vectors
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, index_of, project
 from models.settings.calibration import Alike, Camera
@@ -38,6 +39,16 @@ class Pose(NamedTuple):
 
     rotation: Float64  # (3, 3)
     translation: Float64  # (3,) in the user's unit
+
+
+class Geometry(NamedTuple):
+    """What keypoints alone show of all cameras together."""
+
+    rig: StaticRig | None  # None: no static cameras explain them
+
+    def of(self, frames: NDArray[np.int64]) -> "Geometry":
+        """Return the geometry of some of the frames."""
+        return Geometry(self.rig and self.rig.of(frames))
 
 
 class CalibrationProblem(NamedTuple):
@@ -60,6 +71,7 @@ class CalibrationProblem(NamedTuple):
     # Effective share of independent observations, 0 to 1. It is below 1 if noise was removed, which
     # correlates errors. The prior of lenses is divided by it.
     independent_share: float = 1.0
+    geometry: Geometry | None = None  # of all views, once it was sought
 
     @property
     def side(self) -> float:
@@ -83,6 +95,7 @@ class CalibrationProblem(NamedTuple):
             keypoints=self.keypoints[frames],
             detected=self.detected[frames],
             weights=self.weights[frames],
+            geometry=self.geometry and self.geometry.of(frames),
         )
 
     def views(self, noise: float) -> Views:

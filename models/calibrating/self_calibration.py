@@ -22,7 +22,11 @@ from models.calibrating.camera_findings import camera_findings
 from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import LEAST_MEASURED, LEAST_NOISE, learn
-from models.calibrating.geometry_first import settle_by_geometry, structures_of_all
+from models.calibrating.geometry_first import (
+    seek_geometry,
+    settle_by_geometry,
+    structures_of_all,
+)
 from models.calibrating.given_cameras import unit_by_length
 from models.calibrating.given_order import as_meant
 from models.calibrating.handedness import DECIDED
@@ -54,25 +58,36 @@ UNSURE = 0.15  # of the log focal length: shapes determine it as well
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
 
 
-def self_calibrate(
+class CalibrationTask(NamedTuple):
+    """The keypoints of a capture, and what is given of its cameras."""
+
+    problem: CalibrationProblem  # of frames with two usable views or more
+    config: FitConfig  # its poses in the convention that fits the keypoints
+    misread: tuple[Finding, ...]  # given poses that were in another convention
+    noisy: NoisyFrames | None
+    edges: Int64 | None
+
+    def of(self, frames: Int64) -> "CalibrationTask":
+        """Return the task for some of the frames."""
+        return self._replace(problem=self.problem.of(frames))
+
+
+def task_of(
     keypoints: Float64,
     weights: Float64,
-    answers: WeakPerspectiveScene,
     config: FitConfig,
     image_sizes: ImageSizes | None,
     *,
     detected: Float64 | None = None,
     noisy: NoisyFrames | None = None,
     edges: Int64 | None = None,
-) -> Steps[tuple[SelfCalibration, Scene]]:
-    """Estimate lenses, handedness, static cameras and the shape model; yields between iterations.
+) -> CalibrationTask:
+    """Return the task of finding the cameras.
 
     Parameters
     ----------
     keypoints, weights
         (N, K, P, 2) pixels and (N, K, P) confidences of frames with two usable views or more.
-    answers
-        The network's, for these frames.
     detected
         (N, K, P, 2) pixels, the keypoints before noise was removed; None: no noise was removed.
         Denoised keypoints of three views or more are no longer one rigid scene.
@@ -80,6 +95,18 @@ def self_calibrate(
         All frames of the capture, if noise was removed from them.
     edges
         (E, 2) keypoints that a skeleton joins.
+    """
+    config, misread = _as_meant(keypoints, weights, config, image_sizes)
+    problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
+    return CalibrationTask(problem, config, misread, noisy, edges)
+
+
+def self_calibrate(
+    task: CalibrationTask, answers: WeakPerspectiveScene
+) -> Steps[tuple[SelfCalibration, Scene]]:
+    """Estimate lenses, handedness, static cameras and the shape model; yields between iterations.
+
+    `answers` are the network's, for the frames of the task.
 
     Returns
     -------
@@ -92,8 +119,7 @@ def self_calibrate(
     numpy.linalg.LinAlgError
         When the cameras are not determined.
     """
-    config, misread = _as_meant(keypoints, weights, config, image_sizes)
-    problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
+    problem, config, misread, noisy, edges = task
     arranged = yield from search(problem, answers, config)
     share = _share_left(arranged, noisy)
     refined = yield from _refined(arranged, share, noisy, edges)
@@ -122,23 +148,21 @@ def self_calibrate(
     return found, best.scene
 
 
-def calibrate_by_geometry(
-    keypoints: Float64,
-    weights: Float64,
-    config: FitConfig,
-    image_sizes: ImageSizes | None,
-    *,
-    detected: Float64,
-    noisy: NoisyFrames | None = None,
-    edges: Int64 | None = None,
-) -> Steps[tuple[SelfCalibration, Scene] | None]:
-    """Find static cameras from keypoints alone; None where geometry does not decide.
+def with_geometry(task: CalibrationTask) -> Steps[CalibrationTask]:
+    """Return the task with what keypoints alone show of all cameras together."""
+    problem = yield from seek_geometry(task.problem, task.config)
+    return task._replace(problem=problem)
 
-    Parameters are those of `self_calibrate`, which handles all other cases.
+
+def calibrate_by_geometry(
+    task: CalibrationTask,
+) -> Steps[tuple[SelfCalibration, Scene] | None]:
+    """Take static cameras from a task `with_geometry`; None where geometry does not decide.
+
+    `self_calibrate` handles all other cases.
     """
-    config, misread = _as_meant(keypoints, weights, config, image_sizes)
-    problem = problem_of(keypoints, weights, image_sizes, config, detected=detected)
-    most = most_frames(*keypoints.shape[1:3])
+    problem, config, misread, noisy, edges = task
+    most = most_frames(*problem.keypoints.shape[1:3])
     settled = yield from settle_by_geometry(problem, config, most=most)
     if settled is None:
         return None

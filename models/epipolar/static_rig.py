@@ -71,6 +71,14 @@ class StaticRig(NamedTuple):
     )
     motion: CameraMotion  # of the static views
 
+    def of(self, frames: NDArray[np.int64]) -> "StaticRig":
+        """Return the rig with the structures of some of the frames."""
+        return self._replace(
+            best=self.best._replace(points=self.best.points[frames]),
+            mirror=self.mirror._replace(points=self.mirror.points[frames]),
+            log_odds=self.log_odds[frames],
+        )
+
 
 def find_static_rig(
     images: Float64, weights: Float64, beliefs: Beliefs, sizes: Float64, *, seed: int = 0

@@ -20,9 +20,12 @@ from models.calibrating.handedness import NothingFoundError, same_handedness
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
 from models.calibrating.self_calibration import (
+    CalibrationTask,
     calibrate_by_geometry,
     most_frames,
     self_calibrate,
+    task_of,
+    with_geometry,
 )
 from models.lifting.curve import CurveRow
 from models.lifting.fitted_prior import FittedPrior
@@ -74,6 +77,7 @@ class Teaching:
         self._removed_noise = removed_noise  # and the noise left, pixels
         self._detected = detected  # the data before noise was removed, weighted by this noise
         self._edges = edges  # (E, 2) of the skeleton
+        self._task: CalibrationTask | None = None  # of a search for cameras, with their geometry
 
     def settle_by_geometry(self) -> Iterator[None]:
         """Find static cameras from keypoints alone, if possible, and make teachers with them.
@@ -83,18 +87,7 @@ class Teaching:
         frames = self._frames_of_several_views(0).sort().values
         if not len(frames):
             return
-        weights = self._data.weights[frames]
-        found = yield from self._found_by(
-            calibrate_by_geometry(
-                self._data.pixels(frames).double().numpy(),
-                weights.double().numpy(),
-                self._config,
-                self._image_sizes,
-                detected=self._detected.pixels(frames).double().numpy(),
-                noisy=self._noisy_frames(),
-                edges=self._edges,
-            )
-        )
+        found = yield from self._found_by(self._settled())
         if found is None:
             return
         calibration, scene = found
@@ -108,7 +101,7 @@ class Teaching:
         self._teach(
             calibration,
             frames,
-            (weights > 0).any(-1),
+            (self._data.weights[frames] > 0).any(-1),
             (
                 torch.from_numpy(scene.points),
                 torch.from_numpy(rig.rotations @ scene.rotations),
@@ -135,7 +128,7 @@ class Teaching:
         if not len(frames):
             return
         if self.self_calibration is None:
-            yield from self._find_cameras(frames)
+            yield from self._find_cameras()
             if self.self_calibration is None:
                 return
             state.cameras, state.found_at_step = "found", step
@@ -208,24 +201,46 @@ class Teaching:
         """Return a part of the frames, at most so many."""
         return math.ceil(len(self._data.keypoints) / most)
 
-    def _find_cameras(self, frames: Tensor) -> Iterator[None]:
-        """Estimate the cameras from frames (T,) with two views or more, if this is possible."""
-        frames = frames[: most_frames(*self._data.keypoints.shape[1:3])]
-        pixels, weights = self._data.pixels(frames), self._data.weights[frames]
-        prior = self._as_prior(None)
-        answers = _weak_perspective(prior.lift(pixels, confidence=weights))
-        result = yield from self._found_by(
-            self_calibrate(
-                pixels.double().numpy(),
-                weights.double().numpy(),
-                answers,
-                self._config,
-                self._image_sizes,
-                detected=self._detected.pixels(frames).double().numpy(),
-                noisy=self._noisy_frames(),
-                edges=self._edges,
-            )
+    def _settled(self) -> Steps[tuple[SelfCalibration, Scene] | None]:
+        """Find static cameras by geometry; if it does not decide, keep it for the search."""
+        task = yield from with_geometry(self._task_of_all())
+        found = yield from calibrate_by_geometry(task)
+        if found is None:
+            self._task = task.of(self._searched())
+        return found
+
+    def _task_of_all(self) -> CalibrationTask:
+        """Return the task of finding the cameras in all frames with two views or more."""
+        frames = self._frames_of_several_views(0).sort().values
+        return task_of(
+            self._data.pixels(frames).double().numpy(),
+            self._data.weights[frames].double().numpy(),
+            self._config,
+            self._image_sizes,
+            detected=self._detected.pixels(frames).double().numpy(),
+            noisy=self._noisy_frames(),
+            edges=self._edges,
         )
+
+    def _searched(self) -> NDArray[np.int64]:
+        """Return places among those frames, sorted, of the ones that a search uses."""
+        frames = self._frames_of_several_views(0)
+        used = frames[: most_frames(*self._data.keypoints.shape[1:3])]
+        return torch.searchsorted(frames.sort().values, used).numpy()
+
+    def _search(self, answers: WeakPerspectiveScene) -> Steps[tuple[SelfCalibration, Scene] | None]:
+        task, self._task = self._task, None
+        if task is None:  # the fit was resumed, or had no time for geometry
+            task = (yield from with_geometry(self._task_of_all())).of(self._searched())
+        return (yield from self_calibrate(task, answers))
+
+    def _find_cameras(self) -> Iterator[None]:
+        """Estimate the cameras, if this is possible."""
+        frames = self._frames_of_several_views(0)[: len(self._searched())]
+        prior = self._as_prior(None)
+        lift = prior.lift(self._data.pixels(frames), confidence=self._data.weights[frames])
+        answers = _weak_perspective(lift)
+        result = yield from self._found_by(self._search(answers))
         if result is None:
             return
         found, scene = result

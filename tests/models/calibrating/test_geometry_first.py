@@ -7,7 +7,7 @@ from benchmarks.drawn_captures import draw_capture
 from benchmarks.wide_net import by_geometry, measure
 from models.calibrating.handedness import volume
 from models.calibrating.result import SelfCalibration
-from models.calibrating.self_calibration import calibrate_by_geometry
+from models.calibrating.self_calibration import calibrate_by_geometry, task_of, with_geometry
 from models.capture.metrics import pa_mpjpe
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
@@ -21,11 +21,17 @@ DRAWS = (7, 41, 47, 77, 125, 154, 178, 220, 223, 226, 229, 235)
 def found_in(capture: RigCapture, config: FitConfig | None = None) -> SelfCalibration | None:
     found = finished(
         calibrate_by_geometry(
-            capture.pixels,
-            capture.weights,
-            config or FitConfig(),
-            [IMAGE_SIZE] * len(capture.lenses),
-            detected=capture.pixels,
+            finished(
+                with_geometry(
+                    task_of(
+                        capture.pixels,
+                        capture.weights,
+                        config or FitConfig(),
+                        [IMAGE_SIZE] * len(capture.lenses),
+                        detected=capture.pixels,
+                    )
+                )
+            )
         )
     )
     return None if found is None else found[0]
@@ -67,11 +73,17 @@ def test_structures_follow_exact_keypoints_seen_from_far_away() -> None:
     )
     settled = finished(
         calibrate_by_geometry(
-            capture.pixels,
-            capture.weights,
-            FitConfig(),
-            [IMAGE_SIZE] * 4,
-            detected=capture.pixels,
+            finished(
+                with_geometry(
+                    task_of(
+                        capture.pixels,
+                        capture.weights,
+                        FitConfig(),
+                        [IMAGE_SIZE] * 4,
+                        detected=capture.pixels,
+                    )
+                )
+            )
         )
     )
     assert settled is not None

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from models.calibrating.result import SelfCalibration, camera_report
-from models.calibrating.self_calibration import self_calibrate
+from models.calibrating.self_calibration import self_calibrate, task_of
 from models.findings.finding import Finding
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
@@ -34,11 +34,13 @@ def calibration(rig: RigCapture, *, posed: bool = True) -> Calibration:
 def calibrated(rig: RigCapture, given: Calibration, **config: Any) -> SelfCalibration:
     found, _ = finished(
         self_calibrate(
-            rig.pixels,
-            rig.weights,
+            task_of(
+                rig.pixels,
+                rig.weights,
+                FitConfig.model_validate({"calibration": given, **config}),
+                [IMAGE_SIZE] * len(rig.lenses),
+            ),
             rig.answers(),
-            FitConfig.model_validate({"calibration": given, **config}),
-            [IMAGE_SIZE] * len(rig.lenses),
         )
     )
     return found

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from models.calibrating.handedness import DECIDED, certainty
-from models.calibrating.self_calibration import self_calibrate
+from models.calibrating.self_calibration import self_calibrate, task_of
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.calibrating.test_self_calibration import CORNERS
@@ -47,7 +47,9 @@ def test_cameras_that_are_too_far_away_do_not_tell_the_hand(*, options: bool) ->
         }
     )
     sizes = [IMAGE_SIZE] * 2
-    found, _ = finished(self_calibrate(far.pixels, far.weights, far.answers(), config, sizes))
+    found, _ = finished(
+        self_calibrate(task_of(far.pixels, far.weights, config, sizes), far.answers())
+    )
     codes = [finding.code for finding in found.findings]
     if options:
         assert found.handedness_certainty == 1

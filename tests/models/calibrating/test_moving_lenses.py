@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from models.calibrating.result import camera_report
-from models.calibrating.self_calibration import self_calibrate
+from models.calibrating.self_calibration import self_calibrate, task_of
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import IMAGE_SIZE, Lens, RigCapture, make_rig_capture
@@ -19,11 +19,8 @@ def check(capture: RigCapture, focals: Float64) -> None:
     """Focal lengths are near the true ones, and no further off than their deviations allow."""
     found, _ = finished(
         self_calibrate(
-            capture.pixels,
-            capture.weights,
+            task_of(capture.pixels, capture.weights, FitConfig(), [IMAGE_SIZE] * len(focals)),
             capture.answers(mirrored=False),
-            FitConfig(),
-            [IMAGE_SIZE] * len(focals),
         )
     )
     cameras = camera_report(found)

@@ -12,7 +12,7 @@ from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.problem import Scene
 from models.calibrating.handedness import NothingFoundError
 from models.calibrating.result import CameraReport, SelfCalibration, camera_report
-from models.calibrating.self_calibration import self_calibrate
+from models.calibrating.self_calibration import self_calibrate, task_of
 from models.capture.metrics import pa_mpjpe
 from models.numerics.steps import finished
 from models.settings.calibration import Camera, Intrinsics, KnownLength
@@ -49,11 +49,8 @@ def found_by(
     image_sizes = [IMAGE_SIZE] * len(capture.lenses) if sizes else None
     return finished(
         self_calibrate(
-            capture.pixels,
-            capture.weights,
+            task_of(capture.pixels, capture.weights, FitConfig.model_validate(config), image_sizes),
             capture.answers(mirrored=mirrored),
-            FitConfig.model_validate(config),
-            image_sizes,
         )
     )
 
@@ -324,13 +321,15 @@ def test_noisy_cameras_that_face_each_other_have_lenses_near_the_usual() -> None
     clear = exact + 0.1 * (exact.mean(0) - exact) + 2 * left  # pulled, as by removing noise
     found, _ = finished(
         self_calibrate(
-            clear,
-            facing.weights,
+            task_of(
+                clear,
+                facing.weights,
+                FitConfig(),
+                [IMAGE_SIZE] * 2,
+                detected=detected,
+                noisy=NoisyFrames(clear, detected, facing.weights, 12.0),
+            ),
             facing.answers(),
-            FitConfig(),
-            [IMAGE_SIZE] * 2,
-            detected=detected,
-            noisy=NoisyFrames(clear, detected, facing.weights, 12.0),
         )
     )
     assert found.static.all()
@@ -368,11 +367,8 @@ def test_a_fisheye_lens_is_found() -> None:
 def test_keypoints_that_say_nothing_are_named_as_such(static: RigCapture) -> None:
     answers = static.answers()
     behind = self_calibrate(
-        static.pixels,
-        static.weights,
+        task_of(static.pixels, static.weights, FitConfig(), None),
         answers._replace(scales=-answers.scales),
-        FitConfig(),
-        None,
     )
     with pytest.raises(NothingFoundError):
         finished(behind)
