@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from benchmarks.drawn_captures import Draw, draw_capture
 from benchmarks.figures import print_table
 from models.calibrating.handedness import certainty
-from models.calibrating.keypoint_rig import geometry_of
+from models.calibrating.keypoint_rig import focal_deviations, geometry_of
 from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import problem_of
 from models.capture.metrics import pa_mpjpe, procrustes_by_size
@@ -156,7 +156,7 @@ def by_geometry(draw: Draw) -> Answer:
         certainty([found.log_odds]),
         rig.rotations,
         np.exp(rig.log_focals) * problem.side,
-        found.deviations[:, 0],
+        focal_deviations(problem, found),
         float("nan"),
         (),
     )

@@ -21,7 +21,11 @@ from models.bundle.problem import (
 from models.bundle.shape_model import ShapeModel, align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, regauge
 from models.calibrating.handedness import mirrored, same_handedness
-from models.calibrating.lens_groups import find_lens_groups
+from models.calibrating.lens_groups import (
+    covariance_over_kinds,
+    find_lens_groups,
+    group_covariance,
+)
 from models.calibrating.lens_prior import (
     CENTRE_SD,
     FOCAL_SDS,
@@ -39,6 +43,7 @@ from models.numerics.steps import Steps
 from models.optics.lenses.projection import Lenses, project
 
 Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
 
 FOCAL_SD, UNKNOWN_FOCAL_SD = 0.5, 0.6  # of the log focal length, with and without the image's size
 STRAIGHTENINGS = 8  # steps that undo a lens
@@ -151,9 +156,47 @@ def _deviations(problem: CalibrationProblem, found: StaticRig, unit: float) -> F
     """Return standard deviations (K, VIEW), `unit` units of the rig in one of the structure."""
     sds = np.full((len(found.static), VIEW), np.inf)
     sds[found.static] = found.deviations[found.static]
+    sds[:, FOCAL] = focal_deviations(problem, found)
     sds[:, [CENTRE_X, CENTRE_Y]] *= problem.side
     sds[:, LENS + 3 :] /= unit
     return sds
+
+
+def focal_deviations(problem: CalibrationProblem, found: StaticRig) -> Float64:
+    """Return standard deviations (K,) of the log focal lengths; infinite for moving views.
+
+    Those of `found` hold if the choice between lenses of one kind and of several is right. The
+    deviations of three views or more span both. Two views have theirs from the scan.
+    """
+    sds = np.where(found.static, found.deviations[:, FOCAL], np.inf)
+    free, likelihood, expected = _free_lenses(problem, found)
+    if problem.cameras_alike != "auto" or len(free) < 2 or found.static.sum() < LEAST_VIEWS:
+        return sds
+    kinds = (np.zeros(len(free), np.int64), np.arange(len(free)))
+    priors = [group_covariance(groups, *FOCAL_SDS) for groups in kinds]
+    logs = found.best.rig.log_focals[free]
+    covariance = covariance_over_kinds(likelihood, expected, priors, logs)
+    sds[free] = np.maximum(sds[free], np.sqrt(covariance.diagonal()))
+    return sds
+
+
+def _free_lenses(
+    problem: CalibrationProblem, found: StaticRig
+) -> tuple[Int64, FocalLikelihood, Float64]:
+    """Return the static views whose lenses are not given, and their log focal lengths.
+
+    The latter as a likelihood, and as they are expected.
+    """
+    beliefs = lens_beliefs(problem)
+    members = np.flatnonzero(found.static)
+    free = beliefs.focal_sds[members] > 0
+    information, vector = found.focals
+    known = np.log(beliefs.focals[members])
+    likelihood = FocalLikelihood(
+        information[np.ix_(free, free)],
+        vector[free] - information[np.ix_(free, ~free)] @ known[~free],
+    )
+    return members[free], likelihood, known[free]
 
 
 def lens_kinds(problem: CalibrationProblem, found: StaticRig) -> NDArray[np.int64]:
@@ -161,21 +204,12 @@ def lens_kinds(problem: CalibrationProblem, found: StaticRig) -> NDArray[np.int6
 
     The other views belong to the largest group.
     """
-    beliefs = lens_beliefs(problem)
-    members = np.flatnonzero(found.static)
-    free = beliefs.focal_sds[members] > 0
-    if problem.cameras_alike != "auto" or free.sum() < 2:
+    free, likelihood, expected = _free_lenses(problem, found)
+    if problem.cameras_alike != "auto" or len(free) < 2:
         return problem.lens_groups
-    given = np.flatnonzero(~free)
-    information, vector = found.focals
-    known = np.log(beliefs.focals[members])
-    likelihood = FocalLikelihood(
-        information[np.ix_(free, free)],
-        vector[free] - information[np.ix_(free, given)] @ known[given],
-    )
-    kinds = find_lens_groups(likelihood, known[free], *FOCAL_SDS)
+    kinds = find_lens_groups(likelihood, expected, *FOCAL_SDS)
     groups = np.full(len(problem.lens_groups), np.bincount(kinds).argmax())
-    groups[members[free]] = kinds
+    groups[free] = kinds
     return groups
 
 

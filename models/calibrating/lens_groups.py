@@ -73,3 +73,28 @@ def log_evidence_of_kinds(
     inner = np.eye(len(expected)) + covariance @ likelihood.information
     explained = pull @ np.linalg.solve(inner, covariance @ pull)
     return float(explained - np.linalg.slogdet(inner).logabsdet) / 2
+
+
+def posterior_of_kinds(
+    likelihood: FocalLikelihood, expected: Float64, covariance: Float64
+) -> tuple[Float64, Float64]:
+    """Return mean (K,) and covariance (K, K) of the log focal lengths under a Gaussian prior."""
+    precision = np.linalg.inv(covariance)
+    posterior = np.linalg.inv(likelihood.information + precision)
+    return posterior @ (likelihood.vector + precision @ expected), posterior
+
+
+def covariance_over_kinds(
+    likelihood: FocalLikelihood, expected: Float64, covariances: list[Float64], about: Float64
+) -> Float64:
+    """Return the covariance (K, K) of the log focal lengths `about` (K,) some values.
+
+    It spans the answers under several priors, each as likely as it makes the keypoints.
+    """
+    evidence, spreads = [], []
+    for covariance in covariances:
+        mean, posterior = posterior_of_kinds(likelihood, expected, covariance)
+        spreads.append(posterior + np.outer(mean - about, mean - about))
+        evidence.append(log_evidence_of_kinds(likelihood, expected, covariance))
+    shares = np.exp(np.array(evidence) - max(evidence))
+    return np.asarray(np.average(spreads, 0, shares), np.float64)

@@ -21,7 +21,11 @@ from models.calibrating.keypoint_rig import (
     static_start,
     straight_images,
 )
-from models.calibrating.lens_groups import group_covariance, log_evidence_of_kinds
+from models.calibrating.lens_groups import (
+    covariance_over_kinds,
+    group_covariance,
+    posterior_of_kinds,
+)
 from models.calibrating.lens_prior import FOCAL_SDS
 from models.calibrating.problem import CalibrationProblem, Solution
 from models.epipolar.pairs import Beliefs
@@ -381,20 +385,8 @@ def _believed(
     One kind of lens is a priori as likely as two; undecided, the covariance spans both answers.
     """
     chosen = lens_kinds(problem, found)
-    one, two = np.zeros(2, np.int64), np.arange(2)
-    kinds = [one, two] if problem.cameras_alike == "auto" else [chosen]
-    means, covariances, evidence = [], [], []
-    for groups in kinds:
-        prior = group_covariance(groups, *FOCAL_SDS)
-        precision = np.linalg.inv(prior)
-        covariance = np.linalg.inv(found.focals.information + precision)
-        covariances.append(covariance)
-        means.append(covariance @ (found.focals.vector + precision @ expected))
-        evidence.append(log_evidence_of_kinds(found.focals, expected, prior))
-    logs = means[[groups.tolist() for groups in kinds].index(chosen.tolist())]
-    shares = np.exp(np.array(evidence) - max(evidence))
-    spread = [
-        covariance + np.outer(mean - logs, mean - logs)
-        for mean, covariance in zip(means, covariances, strict=True)
-    ]
-    return logs, np.average(spread, 0, shares)
+    kinds = [np.zeros(2, np.int64), np.arange(2)] if problem.cameras_alike == "auto" else [chosen]
+    priors = [group_covariance(groups, *FOCAL_SDS) for groups in kinds]
+    own = group_covariance(chosen, *FOCAL_SDS)
+    logs, _ = posterior_of_kinds(found.focals, expected, own)
+    return logs, covariance_over_kinds(found.focals, expected, priors, logs)

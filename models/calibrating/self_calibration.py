@@ -174,8 +174,8 @@ def calibrate_by_geometry(
     sds = deviations(part, best) if kept is None else kept
     if best.noise <= LEAST_NOISE * part.side:
         best, sds = yield from _exact(arranged, best, sds)
-    if len(sds) == 2 and arranged.kept is not None:
-        # Other focal lengths of the scan are nearly as likely.
+    if arranged.kept is not None:
+        # Other focal lengths, of the scan or of other kinds of lens, are nearly as likely.
         sds = np.maximum(sds, arranged.kept)
     found = _result(part, best, sds, reason, arranged.certain, None, misread, config)
     return found, structures_of_all(problem, best, settled.start)
