@@ -21,7 +21,8 @@ Bool = NDArray[np.bool_]
 ReasonCode = Literal["outlier", "disagreement", "missed", "unlike_fit"]
 
 LEAST_SCORE = 0.5  # of an image that is listed
-MISSED = 0.5  # what a keypoint counts that was not detected, as it may be hidden
+# What a keypoint counts that was not detected in one frame, and in so many or more on end.
+MISSED_ONCE, MISSED_FOR_LONG, LONG = 0.25, 0.75, 10
 PLACELESS = 0.5  # times that, where it is not known where the camera looked
 APART = 15  # frames between two images of a view for the same reason, at least
 
@@ -140,7 +141,17 @@ def _missed(filmed: Filmed, evidence: Evidence, sizes: Sizes, detected: Bool) ->
     # Of a camera that moves, it is not known where it looked; shortly before or after, it saw.
     nearby = _spread_out(np.asarray(detected.any(-1)), APART)[..., None]
     weight = np.where(placed, shown * 1.0, PLACELESS * nearby)
-    return np.where(sure, MISSED * weight * (1 - np.exp2(-evidence.others.astype(np.float64))), 0.0)
+    grown = np.clip((_lengths(sure) - 1) / (LONG - 1), 0, 1)
+    weight *= MISSED_ONCE + (MISSED_FOR_LONG - MISSED_ONCE) * grown
+    return np.where(sure, weight * (1 - np.exp2(-evidence.others.astype(np.float64))), 0.0)
+
+
+def _lengths(there: Bool) -> NDArray[np.int64]:
+    """Return how many frames on end (N, K, P) something is there; 0 where it is not."""
+    every = np.arange(len(there))[:, None, None]
+    before = np.maximum.accumulate(np.where(there, -1, every), axis=0)
+    after = np.minimum.accumulate(np.where(there, len(there), every)[::-1], axis=0)[::-1]
+    return np.where(there, after - before - 1, 0)
 
 
 def _within_reach(filmed: Filmed, evidence: Evidence, sizes: Sizes) -> Bool:

@@ -108,8 +108,8 @@ def test_a_static_view_that_saw_nobody_is_shown_what_others_see() -> None:
 def test_who_left_the_image_is_not_missed() -> None:
     points, keypoints = walked()
     turns, shifts = around(AZIMUTHS)
-    aside = turns[3].T @ [3.0, 0.0, 0.0]
-    points[150:158] += aside  # 3 m to the right of the fourth camera
+    aside = turns[3].T @ [4.0, 0.0, 0.0]
+    points[150:158] += aside  # 4 m to the right of the fourth camera
     more = 0.01 * np.random.default_rng(0).standard_normal(keypoints[150:158].shape)
     for view in range(3):
         camera = points[150:158] @ turns[view].T + shifts[view]
@@ -177,3 +177,15 @@ def test_frames_are_those_of_a_late_view() -> None:
     assert 130 <= image.frame < 136
     assert image.moment is not None
     assert abs(image.frame - 6.5 - image.moment) <= 0.5
+
+
+def test_a_keypoint_that_one_view_misses_for_long_is_listed() -> None:
+    points, keypoints = walked()
+    keypoints[100:112, 2, 7] = np.nan
+    keypoints[150, 2, 7] = np.nan  # a moment is no reason
+    [image] = ranked(points, keypoints)
+    assert image.view == 2
+    assert 100 <= image.frame < 112
+    [reason] = image.reasons
+    assert (reason.code, reason.keypoints) == ("missed", (7,))
+    assert image.score == pytest.approx(0.75 * (1 - 1 / 8), abs=0.01)
