@@ -13,6 +13,7 @@ from models.labelling.worth import APART, Ranking, rank
 from service.http.dependencies import StoreDep
 from service.http.downloads import bytes_response
 from service.http.errors import invalid, problems
+from service.http.negotiation import OCTETS
 from service.http.operations import binary_responses
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.engine import Engine
@@ -37,7 +38,6 @@ from store.database import Store
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
-ZIP = "application/zip"
 MOST_LISTED, USUALLY_LISTED = 500, 50
 TOGETHER = {"lightning-pose"}  # formats whose views have rows of the same moments
 
@@ -136,7 +136,7 @@ def get_labels(
     response_class=Response,
     dependencies=[Depends(take_turn, scope="function")],
     responses=problems("not_found", "conflict", "overloaded", "range_not_satisfiable")
-    | binary_responses("The files of the format, in a ZIP.", ZIP),
+    | binary_responses("The files of the format, in a ZIP.", OCTETS),
 )
 def download_labels(
     fit: FitDep,
@@ -214,4 +214,4 @@ def download_labels(
         scorer=scorer,
     )
     filename = f"{fit.id}-labels-{format}.zip"
-    return bytes_response(request, labels_zip(labels, format), media_type=ZIP, filename=filename)
+    return bytes_response(request, labels_zip(labels, format), media_type=OCTETS, filename=filename)

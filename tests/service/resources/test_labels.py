@@ -90,7 +90,6 @@ def test_a_clean_film_has_little_to_label(live: Live, clean: Any) -> None:
 def unpacked(live: Live, fit: str, query: str, folder: Path) -> list[Path]:
     answer = live.http.get(f"/fits/{fit}/labels/file?{query}")
     assert answer.status_code == 200, answer.text
-    assert answer.headers["content-type"] == "application/zip"
     assert f"{fit}-labels-" in answer.headers["content-disposition"]
     with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
         archive.extractall(folder)
