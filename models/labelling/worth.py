@@ -193,8 +193,8 @@ def _described(filmed: Filmed, evidence: Evidence, scores: _Scores, frame: int, 
             reasons.append((float(counted.sum()), reason))
 
     add("outlier", scores.outlier[at], error_px=errors, probability=doubt)
-    deviations = evidence.deviations[at]
-    add("disagreement", scores.disagreement[at], error_px=errors, noises=deviations)
+    noises = errors / evidence.noise[view]
+    add("disagreement", scores.disagreement[at], error_px=errors, noises=noises)
     add("missed", scores.missed[at], views=evidence.others[at].astype(np.float64))
     if scores.unlike[at]:
         far = float(scores.distances[at])
@@ -205,6 +205,6 @@ def _described(filmed: Filmed, evidence: Evidence, scores: _Scores, frame: int, 
         view,
         frame,
         int(np.rint(moment)) if np.isfinite(moment) else None,
-        round(float(scores.total[at]), 3),
+        round(sum(counted for counted, _ in reasons), 3),
         tuple(reason for _, reason in sorted(reasons, key=lambda one: -one[0])),
     )

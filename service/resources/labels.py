@@ -18,7 +18,7 @@ from service.http.operations import binary_responses
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
-from service.resources.animations import MOST_POINTS, take_turn
+from service.resources.animations import take_turn
 from service.resources.fits import FitDep
 from service.resources.reconstructions import model_of, stored_arrays
 from service.wire.labels import (
@@ -38,6 +38,7 @@ from store.database import Store
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
+MOST_KEYPOINTS = 2_000_000  # of all frames and views: half a gigabyte of memory
 MOST_LISTED, USUALLY_LISTED = 500, 50
 TOGETHER = {"lightning-pose"}  # formats whose views have rows of the same moments
 
@@ -80,11 +81,11 @@ def read_material(fit: records.FitRecord, store: Store, engine: Engine, rooms: R
     model = lookup.get(store, records.ModelRecord, model_of(fit))
     dataset = lookup.get(store, records.DatasetRecord, fit.dataset_id)
     views = dataset.views
-    if fit.frames * views * model.keypoints > MOST_POINTS:
+    if fit.frames * views * model.keypoints > MOST_KEYPOINTS:
         raise invalid(
             "/fit_id",
-            f"expected {MOST_POINTS} keypoints at most, frames times views times keypoints; this "
-            f"fit has {fit.frames} x {views} x {model.keypoints}: fit the capture in parts",
+            f"expected {MOST_KEYPOINTS} keypoints at most, frames times views times keypoints; "
+            f"this fit has {fit.frames} x {views} x {model.keypoints}: fit the capture in parts",
         )
     capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
     found = stored_arrays(fit, store)

@@ -1,5 +1,6 @@
 """The JSON form of images that are worth labelling, and labels as files of other tools."""
 
+import shutil
 import zipfile
 from io import BytesIO
 from pathlib import Path
@@ -203,5 +204,6 @@ def labels_zip(labels: Labels, format: LabelFormat) -> bytes:
         for file in write_labels(Path(place), labels, format):
             about = zipfile.ZipInfo(file.relative_to(place).as_posix(), STAMP)
             about.compress_type = zipfile.ZIP_DEFLATED
-            archive.writestr(about, file.read_bytes())
+            with file.open("rb") as source, archive.open(about, "w") as target:
+                shutil.copyfileobj(source, target)
     return content.getvalue()

@@ -187,6 +187,6 @@ def test_a_fit_in_the_queue_has_no_labels(api: TestClient) -> None:
 
 
 def test_a_very_long_fit_is_refused(api: TestClient, settings: Settings) -> None:
-    fit = stored_fit(settings, make_dataset(api), b"", frames=3_000_000 // 32 + 1)
+    fit = stored_fit(settings, make_dataset(api), b"", frames=2_000_000 // 32 + 1)
     detail = problem(api.get(f"/fits/{fit}/labels"), 422, "invalid_input", "/fit_id")
-    assert "3000000 keypoints at most" in detail
+    assert "2000000 keypoints at most" in detail
