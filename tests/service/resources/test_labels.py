@@ -13,14 +13,15 @@ from starlette.testclient import TestClient
 
 from models.capture.synthetic import KEYPOINT_NAMES
 from service.settings import Settings
-from tests.models.rigs import IMAGE_SIZE
-from tests.models.walk import film
+from tests.models.rigs import IMAGE_SIZE, Lens, around
+from tests.models.walk import walk
 from tests.service.conftest import BYTES, Live, make_dataset, problem, to_npz
 from tests.service.resources.test_reconstructions import stored_fit
 
 FRAMES, LATE = 120, 6
 VIEWS = ["left", "right", "front", "late"]
-BURST, BLIND = range(40, 46), range(80, 90)  # of the late view's own frames, of the second view
+# Of the late view's own frames, of the second view, and of the first: all see an odd pose.
+BURST, BLIND, ODD = range(40, 46), range(80, 90), 70
 
 
 def uploaded(live: Live, keypoints: Any) -> str:
@@ -42,16 +43,35 @@ def fitted(live: Live, keypoints: Any) -> str:
     return str(fit["id"])
 
 
+def filmed(odd: int | None = None) -> Any:
+    """Return keypoints (N, K, P, 2) of somebody who sways, and is squashed in one frame."""
+    moments = np.arange(-LATE, FRAMES)
+    points = walk(60 + 20 * np.sin(2 * np.pi * moments / 60))
+    if odd is not None:
+        points[odd + LATE] *= [1.0, 0.5, 1.0]
+    seen = []
+    for view, (turn, shift) in enumerate(zip(*around([0, 70, 160, -100]), strict=True)):
+        shown = points[:-LATE] if view == 3 else points[LATE:]
+        seen.append(Lens().project(shown @ turn.T + shift))
+    pixels = np.stack(seen, axis=1)
+    return pixels + np.random.default_rng(0).standard_normal(pixels.shape)
+
+
 @pytest.fixture(scope="module")
 def clean() -> Any:
-    moments = np.arange(20.0, 20 + FRAMES)[:, None] - np.array([0, 0, 0, LATE])
-    return film([0, 70, 160, -100], moments, noise=1.0)
+    return filmed()
 
 
 @pytest.fixture(scope="module")
-def planted(live: Live, clean: Any) -> str:
-    """Fit a film with a burst of a wrong keypoint in the late view, and a view that sees nobody."""
-    keypoints = clean.copy()
+def right() -> Any:
+    """Return what the planted film would have been without errors."""
+    return filmed(ODD)
+
+
+@pytest.fixture(scope="module")
+def planted(live: Live, right: Any) -> str:
+    """Fit a film with a wrong keypoint in the late view, a view that sees nobody, an odd pose."""
+    keypoints = right.copy()
     keypoints[list(BURST), 3, 12] += [40.0, 0.0]
     keypoints[list(BLIND), 1] = np.nan
     return fitted(live, keypoints)
@@ -59,7 +79,9 @@ def planted(live: Live, clean: Any) -> str:
 
 def test_planted_errors_come_first_and_once(live: Live, planted: str) -> None:
     found = live.get(f"/fits/{planted}/labels")
-    blind, burst, *others = found["images"]
+    blind, burst, odd, *others = found["images"]
+    if odd["view"] == 3:
+        burst, odd = odd, burst
     assert (blind["view"], blind["view_name"]) == (1, "right")
     assert blind["frame"] in BLIND
     assert blind["moment"] == blind["frame"]
@@ -70,6 +92,8 @@ def test_planted_errors_come_first_and_once(live: Live, planted: str) -> None:
     [wrong] = [r for r in burst["reasons"] if r["code"] in ("outlier", "disagreement")]
     assert wrong["keypoints"] == [12]
     assert wrong["evidence"]["error_px"] == pytest.approx(40, abs=12)
+    assert odd["moment"] == ODD
+    assert "unlike_fit" in [reason["code"] for reason in odd["reasons"]]
     assert all(image["score"] <= 1.5 for image in others)
     assert len(others) < 8
     assert found["candidates"] >= len(BURST) + len(BLIND)
@@ -97,7 +121,7 @@ def unpacked(live: Live, fit: str, query: str, folder: Path) -> list[Path]:
 
 
 def test_files_have_the_images_that_are_listed_put_right(
-    live: Live, planted: str, clean: Any, tmp_path: Path
+    live: Live, planted: str, right: Any, tmp_path: Path
 ) -> None:
     listed = live.get(f"/fits/{planted}/labels?limit=2")["images"]
     files = unpacked(live, planted, "format=coco&most=2", tmp_path)
@@ -107,7 +131,7 @@ def test_files_have_the_images_that_are_listed_put_right(
     for image, one in zip(content["images"], content["annotations"], strict=True):
         _, view, name = image["file_name"].split("/")
         labels = np.array(one["keypoints"]).reshape(-1, 3)
-        true = clean[int(name[3:7]), VIEWS.index(view)]
+        true = right[int(name[3:7]), VIEWS.index(view)]
         there = labels[:, 2] > 0
         assert there.mean() > 0.9
         assert np.linalg.norm(labels[there, :2] - true[there], axis=-1).max() < 12
@@ -119,7 +143,7 @@ def test_files_have_the_images_that_are_listed_put_right(
 @pytest.mark.parametrize(("format", "suffix"), [("dlc", ".h5"), ("dlc", ".csv")])
 @pytest.mark.parametrize("source", ["keypoints", "reprojections"])
 def test_all_that_is_accepted_trains_a_detector(
-    live: Live, planted: str, clean: Any, tmp_path: Path, format: str, suffix: str, source: str
+    live: Live, planted: str, right: Any, tmp_path: Path, format: str, suffix: str, source: str
 ) -> None:
     query = f"format={format}&images=all&source={source}&scorer=anna"
     files = unpacked(live, planted, query, tmp_path)
@@ -130,7 +154,7 @@ def test_all_that_is_accepted_trains_a_detector(
     order = [capture.view_names.index(name) for name in VIEWS]
     assert capture.keypoint_names == KEYPOINT_NAMES
     numbers = np.arange(len(capture.keypoints)) if capture.numbers is None else capture.numbers
-    off = np.linalg.norm(capture.keypoints[:, order] - clean[numbers], axis=-1)
+    off = np.linalg.norm(capture.keypoints[:, order] - right[numbers], axis=-1)
     assert np.isfinite(off).mean() > 0.85
     assert np.nanquantile(off, 0.99) < (5 if source == "reprojections" else 0.01)
     assert np.isnan(off[list(BLIND), 1]).all() == (source == "keypoints")
