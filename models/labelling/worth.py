@@ -24,6 +24,7 @@ LEAST_SCORE = 0.5  # of an image that is listed
 # What a keypoint counts that was not detected in one frame, and in so many or more on end.
 MISSED_ONCE, MISSED_FOR_LONG, LONG = 0.25, 0.75, 10
 PLACELESS = 0.5  # times that, where it is not known where the camera looked
+NEAR = 2.0  # noises from the fit: an outlier that is not further off was detected rightly
 APART = 15  # frames between two images of a view for the same reason, at least
 
 
@@ -115,8 +116,8 @@ def rank(
 def _scores(filmed: Filmed, evidence: Evidence, sizes: Sizes) -> _Scores:
     detected = np.asarray(np.isfinite(filmed.keypoints[..., 0]))
     doubt = np.nan_to_num(filmed.outlier_probability)
-    outlying = detected & (doubt > OUTLIER)
     with np.errstate(invalid="ignore", divide="ignore"):
+        outlying = detected & (doubt > OUTLIER) & ~(evidence.deviations < NEAR)
         off = 1 - np.square(FAR / evidence.deviations)
     far = detected & ~outlying & (off > 0)
     distances = pose_distances(filmed.structures, APART)
