@@ -85,6 +85,7 @@ def test_outliers_count_as_the_fit_judged_them() -> None:
     judged = np.zeros(keypoints.shape[:3], np.float32)
     judged[50:53, 2, 4:6] = 0.9
     judged[90, 1, 3] = 1.0  # and yet it is where the fit shows it
+    keypoints[90, 1, 3] = filmed(points, keypoints)[0].reprojections[90, 1, 3]
     [image] = ranked(points, keypoints, found={"outlier_probability": judged})
     [reason] = image.reasons
     assert (image.view, reason.code, reason.keypoints) == (2, "outlier", (4, 5))
