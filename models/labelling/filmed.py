@@ -28,6 +28,7 @@ class Filmed(NamedTuple):
     """
 
     keypoints: Float64  # (N, K, P, 2) pixels, NaN where not observed
+    confidence: Float64  # (N, K, P) in [0, 1] of the detector, 1 where it gave none
     reprojections: Float64  # (N, K, P, 2) pixels, NaN without a camera or a point
     outlier_probability: Float64  # (N, K, P), NaN where not judged
     moments: Float64  # (N, K) which moment a frame shows, in fractions; NaN if none
@@ -79,6 +80,7 @@ def as_filmed(
     projected = _reprojections(found, cameras, placed)
     filmed = Filmed(
         keypoints=np.where(seen[..., None], keypoints, np.nan).astype(np.float64),
+        confidence=np.ones(seen.shape) if confidence is None else confidence.astype(np.float64),
         reprojections=projected,
         outlier_probability=np.full(seen.shape, np.nan),
         moments=moments,

@@ -24,6 +24,7 @@ LEAST_SCORE = 0.5  # of an image that is listed
 # What a keypoint counts that was not detected in one frame, and in so many or more on end.
 MISSED_ONCE, MISSED_FOR_LONG, LONG = 0.25, 0.75, 10
 PLACELESS = 0.5  # times that, where it is not known where the camera looked
+UNSURE = 0.25  # what counts of a wrong keypoint that the detector had no confidence in
 NEAR = 2.0  # noises from the fit: an outlier that is not further off was detected rightly
 APART = 15  # frames between two images of a view for the same reason, at least
 
@@ -120,12 +121,13 @@ def _scores(filmed: Filmed, evidence: Evidence, sizes: Sizes) -> _Scores:
         outlying = detected & (doubt > OUTLIER) & ~(evidence.deviations < NEAR)
         off = 1 - np.square(FAR / evidence.deviations)
     far = detected & ~outlying & (off > 0)
+    trust = UNSURE + (1 - UNSURE) * filmed.confidence
     distances = pose_distances(filmed.structures, APART)
     poses = np.repeat(distances.ratios[:, None], detected.shape[1], axis=1)
     unlike = np.repeat((filmed.unlike | distances.unlike)[:, None], detected.shape[1], axis=1)
     return _Scores(
-        outlier=np.where(outlying, doubt, 0.0),
-        disagreement=np.where(far, off, 0.0),
+        outlier=np.where(outlying, trust * doubt, 0.0),
+        disagreement=np.where(far, trust * off, 0.0),
         missed=_missed(filmed, evidence, sizes, detected),
         unlike=filmed.of_moments(unlike),
         distances=filmed.of_moments(poses),

@@ -56,5 +56,5 @@ def walked(views: int = 4, frames: int = FRAMES, *, late: float = 0) -> tuple[Ar
 def filmed(points: Array, keypoints: Array, **more: Any) -> tuple[Filmed, Evidence]:
     """Return what labels are made of."""
     found = reconstruction(points, keypoints) | more.pop("found", {})
-    film = as_filmed(keypoints, None, found, **more)
+    film = as_filmed(keypoints, more.pop("confidence", None), found, **more)
     return film, weigh(film)

@@ -191,3 +191,14 @@ def test_a_keypoint_that_one_view_misses_for_long_is_listed() -> None:
     [reason] = image.reasons
     assert (reason.code, reason.keypoints) == ("missed", (7,))
     assert image.score == pytest.approx(0.75 * (1 - 1 / 8), abs=0.01)
+
+
+def test_what_the_detector_was_sure_of_comes_first() -> None:
+    points, keypoints = walked()
+    keypoints[60, 0, 4] += [40.0, 0.0]
+    keypoints[100, 0, 4] += [40.0, 0.0]
+    confidence = np.full(keypoints.shape[:3], 1.0, np.float32)
+    confidence[60, 0, 4] = 0.6
+    sure, unsure = ranked(points, keypoints, confidence=confidence)
+    assert (sure.frame, unsure.frame) == (100, 60)
+    assert unsure.score == pytest.approx(sure.score * 0.7, rel=0.05)
