@@ -140,15 +140,17 @@ def frames_worth(ranking: worth.Ranking, filmed: Filmed, *, together: bool) -> F
     Parameters
     ----------
     together
-        Whether every view has a frame of each moment that is named in any view.
+        Whether every view has a frame of each moment that is named in any view; moments that some
+        view did not film are left out.
     """
-    count, views = filmed.moments.shape
+    views = filmed.moments.shape[1]
     if not together:
         named = [[i.frame for i in ranking.images if i.view == view] for view in range(views)]
         return [np.array(sorted(frames), np.int64) for frames in named]
     moments = sorted({i.moment for i in ranking.images if i.moment is not None})
-    shown = np.clip(np.nan_to_num(np.rint(filmed.frames[moments])), 0, count - 1)
-    return [shown[:, view].astype(np.int64) for view in range(views)]
+    shown = filmed.frames[moments]
+    shown = np.rint(shown[np.isfinite(shown).all(1)]).astype(np.int64)
+    return list(shown.T)
 
 
 def frames_of_all(accepted: Accepted, most: int | None) -> Frames:
