@@ -124,7 +124,7 @@ def test_lightning_pose_names_rows_by_paths(tmp_path: Path) -> None:
     ]
 
 
-def test_views_of_names_that_files_cannot_have_are_told_apart() -> None:
+def test_views_have_different_folders_whose_names_files_can_have() -> None:
     views = labels().views
     twice = [
         ViewLabels(name, FRAMES, views[0].keypoints, views[0].weights, views[0].detected)
