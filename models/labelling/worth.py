@@ -1,8 +1,8 @@
 """Which images a human should label first: those that would teach the detector most.
 
 An image is a frame of a view. Its score is the number of keypoints that the detector got wrong or
-missed there, each as far as the fit is sure of it, and one more where the subject's pose is unlike
-all others. From each burst of such images one is taken.
+missed there, each as far as the fit is sure of it and the detector was, and one more where the
+subject's pose is unlike all others. From each burst of such images one is taken.
 """
 
 from typing import Literal, NamedTuple

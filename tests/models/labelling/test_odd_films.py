@@ -60,7 +60,7 @@ def test_odd_films_have_labels_where_something_was_seen(make: Any, known: bool) 
     assert rank(film, evidence, sizes, most=20).images == ()
     seen: Array = np.asarray(np.isfinite(keypoints).all(-1))
     for source in ("keypoints", "reprojections"):
-        accepted = accept(film, evidence, sizes, source)  # type: ignore[arg-type]
+        accepted = accept(film, evidence, sizes, source)
         labelled: Array = np.asarray(np.isfinite(accepted.keypoints).all(-1))
         np.testing.assert_array_equal(labelled, accepted.weights > 0)
         assert (labelled & seen).sum() >= 0.98 * seen.sum()
