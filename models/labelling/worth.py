@@ -69,9 +69,9 @@ class _Scores(NamedTuple):
 
     @property
     def concerned(self) -> Bool:
-        """What each image is about (N, K, P + 1): keypoints, and the whole pose."""
-        wrong = (self.outlier > 0) | (self.disagreement > 0) | (self.missed > 0)
-        return np.concatenate((wrong, self.unlike[..., None]), axis=-1)
+        """What each image is about (N, K, 2 P + 1): keypoints wrong or missed, the whole pose."""
+        wrong = (self.outlier > 0) | (self.disagreement > 0)
+        return np.concatenate((wrong, self.missed > 0, self.unlike[..., None]), axis=-1)
 
 
 def rank(

@@ -43,7 +43,7 @@ class FitLabels:
     candidates
         How many are worth labelling, with all that are like those listed.
     noise_px
-        Standard deviation of a coordinate in each view, pixels.
+        Standard deviation of detections about the fit in each view, pixels.
     """
 
     fit_id: str

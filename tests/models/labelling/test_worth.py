@@ -202,3 +202,13 @@ def test_what_the_detector_was_sure_of_comes_first() -> None:
     sure, unsure = ranked(points, keypoints, confidence=confidence)
     assert (sure.frame, unsure.frame) == (100, 60)
     assert unsure.score == pytest.approx(sure.score * 0.7, rel=0.05)
+
+
+def test_a_view_that_saw_nobody_hides_no_other_error_of_that_view() -> None:
+    points, keypoints = np.repeat(walked(frames=1)[0], FRAMES, axis=0), walked()[1]
+    keypoints[:] = walked(frames=1)[1]  # nobody moves
+    keypoints[60:70, 1] = np.nan
+    keypoints[72, 1, 6] += [40.0, 0.0]
+    keypoints[150, 1, 6] += [0.0, 40.0]
+    codes = [i.reasons[0].code for i in ranked(points, keypoints, cameras=rig(), placed=points)]
+    assert codes == ["missed", "disagreement"]
