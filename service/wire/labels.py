@@ -100,8 +100,8 @@ class FitLabels(BaseModel):
         description="How many images are worth labelling, with all that are like those listed."
     )
     noise_px: list[float | None] = Field(
-        description="Standard deviation of detections about the fit in each view, pixels: median over its "
-        "keypoints; null for a view without accepted ones."
+        description="Standard deviation of detections about the fit in each view, pixels: median "
+        "over its keypoints; null for a view without accepted ones."
     )
 
     @classmethod
