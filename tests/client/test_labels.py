@@ -38,6 +38,8 @@ def test_the_command_prints_what_to_label_and_writes_files(served: Served, tmp_p
     listed = said(fewview("labels", served.fit.id, "--json", "--most=2", url))
     assert len(listed["images"]) <= 2
     assert listed["files"] == []
+    longest = said(fewview("labels", served.fit.id, "--json", "--most=9999", url))
+    assert len(longest["images"]) > 2
     command = ("labels", served.fit.id, "-o", str(tmp_path / "out"), "--all", url)
     words = fewview(*command, "--format=coco")
     assert words.returncode == 0, words.stderr

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from fewview.api.label_forms import ImageWorthLabelling
 
 HEADING = ("view", "frame", "score", "why")
+LISTED = 500  # images at most
 SHOWN = 8  # keypoints of a reason that are named
 
 
@@ -46,7 +47,8 @@ def labels(
     """List the images that would teach the detector most; write what the fit accepts as labels."""
     with talking(url) as client:
         done = client.fits.wait(fit)
-        found = client.fits.labels(done, limit=None if every else most)
+        limit = None if every or most is None else min(most, LISTED)
+        found = client.fits.labels(done, limit=limit)
         result = found.raw | {"files": []}
         if output is not None:
             files = client.fits.download_labels(
