@@ -28,6 +28,7 @@ PACKAGES = {
         ("bundle",),
         ("calibrating",),
         ("lifting",),
+        ("labelling",),
         ("training",),
     ),
     "service": (
@@ -180,6 +181,8 @@ def test_the_client_knows_no_floor_and_is_known_for_its_cameras_and_rooms_alone(
         allowed = known | {"reading_options"} if module.startswith("service.wire.") else set()
         if module == "service.wire.animations":
             allowed = {"animation", "errors", "writers"}
+        if module == "service.wire.labels":
+            allowed = {"writers"}
         if module == "worker.rooms":
             allowed = {"placing", "room"}
         if module == "service.http.peers":

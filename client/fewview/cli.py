@@ -11,6 +11,7 @@ from fewview.commands.convert import convert
 from fewview.commands.evaluate import evaluate
 from fewview.commands.export import export
 from fewview.commands.fit import fit
+from fewview.commands.labels import labels
 from fewview.commands.lift import lift
 from fewview.commands.run import run
 from fewview.commands.stored import COLUMNS, commands_of
@@ -64,7 +65,7 @@ def _run_of_server(context: typer.Context) -> None:
 
 for name, words in OF_SERVER.items():
     app.command(name, help=words, context_settings=ELSEWHERE)(_run_of_server)
-for command in (run, convert, upload, fit, cameras, lift, export, evaluate):
+for command in (run, convert, upload, fit, cameras, lift, export, labels, evaluate):
     app.command()(command)
 for kind in COLUMNS:
     app.add_typer(commands_of(kind), name=kind)

@@ -1,6 +1,10 @@
 """Fits: jobs that turn a dataset into a model."""
 
+import zipfile
 from collections.abc import Iterable, Mapping
+from io import BytesIO
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -9,6 +13,7 @@ from fewview.api.arrays import SAFETENSORS
 from fewview.api.calibrations import Calibration, in_request_form
 from fewview.api.forms import Dataset, Fit, Model, form_in
 from fewview.api.jobs import Jobs
+from fewview.api.label_forms import FitLabels
 from fewview.api.lifting import Lift, identifier, room_query
 from fewview.api.operations import Driver, operation
 from fewview.api.steps import Request, Steps, once, path
@@ -109,3 +114,51 @@ class Fits(Jobs[Driver, Fit]):
                 headers=headers,
             )
         )
+
+    @operation
+    def labels(
+        self, fit: Fit | str, *, limit: int | None = None, apart: int | None = None
+    ) -> Steps[FitLabels]:
+        """Return the images that would teach the detector most, if a human labelled them.
+
+        Parameters
+        ----------
+        limit
+            How many at most; None: 50.
+        apart
+            Frames between two images of a view for the same reason, at least; None: 15.
+
+        Raises
+        ------
+        Conflict
+            The fit has not succeeded.
+        """
+        where = path("fits", identifier(fit), "labels")
+        query = {"limit": limit, "apart": apart}
+        return self._call(Request("GET", where, form_in(FitLabels), params=query))
+
+    @operation
+    def download_labels(
+        self, /, fit: Fit | str, folder: str | PathLike[str], format: str, **options: Any
+    ) -> Steps[list[Path]]:
+        """Write the keypoints that the fit accepts as labels of images; return the files.
+
+        Parameters
+        ----------
+        format
+            ``dlc``, ``dlc-machine``, ``coco`` or ``lightning-pose``.
+        options
+            Those of the API: ``source`` (``reprojections`` or ``keypoints``), ``images``
+            (``worth-labelling`` or ``all``), ``most``, ``least_weight``, ``scorer``, ``apart``.
+
+        Raises
+        ------
+        InvalidRequest
+            No image has labels, or an option is wrong.
+        """
+        where = path("fits", identifier(fit), "labels", "file")
+        content = yield from self._call(
+            Request("GET", where, lambda found: found.content, params={"format": format, **options})
+        )
+        with zipfile.ZipFile(BytesIO(content)) as archive:
+            return [Path(archive.extract(name, Path(folder))) for name in archive.namelist()]

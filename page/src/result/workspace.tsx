@@ -9,6 +9,7 @@ import { CopyLink, Shortcuts, WorstFrames } from "./asides.tsx";
 import type { Crop } from "./crop.ts";
 import { Exports } from "./exports.tsx";
 import { Figures } from "./figures.tsx";
+import { Labels } from "./labels.tsx";
 import { Legend } from "./legend.tsx";
 import type { Stage } from "./scene/scene.ts";
 import { ShowContext, ShownContext, type Show } from "./show.ts";
@@ -58,6 +59,7 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
           <section class="panel">
             <h2>Take it away</h2>
             <Exports stage={stage} />
+            <Labels />
             <CopyLink stage={stage} frame={() => player.frame} />
             <Shortcuts />
           </section>
