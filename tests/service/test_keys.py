@@ -22,6 +22,7 @@ from tests.service.conftest import (
     Live,
     frames_of,
     problem,
+    wait_for,
 )
 from tests.service.http.test_peers import NOBODY
 from worker.process import tied
@@ -31,6 +32,7 @@ NEEDS = {
     "/keys": "admin",
     "/audit": "admin",
     "/webhooks": "webhook",
+    "/lift/streams": "read",
     "/lift": "lift",
     "/evaluations": "read",
 }
@@ -177,17 +179,36 @@ class Things(NamedTuple):
     fit_id: str
     lift_id: str
     model_id: str
+    stream_id: str
 
 
 @pytest.fixture
-def things(api: TestClient, model: str, capture: SyntheticCapture) -> Things:
+def things(api: TestClient, model: str, capture: SyntheticCapture) -> Iterator[Things]:
     body = {"keypoints": frames_of(capture.keypoints[:8])}
     dataset = api.post("/datasets", content=orjson.dumps(body), headers=JSON).json()["id"]
     fit = api.post("/fits", json={"dataset_id": dataset, "config": CONFIG}).json()["id"]
     lift = api.post("/lifts", json={"dataset_id": dataset, "model_id": model}).json()["id"]
     for kind, identifier in (("fits", fit), ("lifts", lift)):
         api.post(f"/{kind}/{identifier}/cancel")
-    return Things(dataset, fit, lift, model)
+    with api.websocket_connect("/lift/stream") as stream:
+        stream.send_text(orjson.dumps({"model": model}).decode())
+        (open_stream,) = wait_for(lambda: api.get("/lift/streams").json()["items"], "the stream")
+        yield Things(dataset, fit, lift, model, open_stream["id"])
+
+
+def test_a_stream_is_watched_with_a_key_that_reads(
+    things: Things, stranger: TestClient, key: MakeKey
+) -> None:
+    watch = f"/lift/streams/{things.stream_id}/watch"
+    with stranger.websocket_connect(watch, headers=key("read")) as watched:
+        assert watched.receive_json()["id"] == things.stream_id
+    for refused, status in (({}, 401), (key("lift"), 403), (key("read", revoked=True), 401)):
+        with (
+            pytest.raises(WebSocketDenialResponse) as denied,
+            stranger.websocket_connect(watch, headers=refused),
+        ):
+            pass
+        assert denied.value.status_code == status
 
 
 BODIES: dict[tuple[str, str], dict[str, Any]] = {
@@ -206,6 +227,10 @@ def test_another_project_sees_nothing(things: Things, stranger: TestClient, key:
         body = BODIES.get((method, path)) or BODIES.get((method, ""), {})
         answer = stranger.request(method, url, headers=other, **body)
         problem(answer, 404, "not_found")
+    assert stranger.get("/lift/streams", headers=other).json()["items"] == []
+    watch = f"/lift/streams/{things.stream_id}/watch"
+    with stranger.websocket_connect(watch, headers=other) as watched:
+        assert watched.receive_json()["code"] == "not_found"
     for kind in ("datasets", "fits", "lifts", "models"):
         assert stranger.get(f"/{kind}", headers=other).json()["items"] == []
         found = stranger.delete(
