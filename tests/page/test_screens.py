@@ -133,7 +133,7 @@ def test_a_stream_is_watched_and_goes_on_after_a_break(watched: Watched, stored:
     page.get_by_role("button", name="Start").click()
     expect(page.get_by_role("region", name="Structure in 3D")).to_be_visible()
     expect(page.get_by_text("In the room: y up")).to_be_visible()
-    figures = page.get_by_role("region", name="Stream")
+    figures = page.get_by_role("region", name="Stream", exact=True)
     expect(figures).to_contain_text("of 50 frames a second")
     expect(figures).to_contain_text("ms in the median")
     expect(page.locator("figure.view").first).to_contain_text("px")

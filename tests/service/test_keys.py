@@ -1,8 +1,5 @@
 """Keys: every route of the OpenAPI document, for whoever may use it and for whoever may not."""
 
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -19,13 +16,10 @@ from store.quotas import Quotas
 from tests.service.conftest import (
     CONFIG,
     JSON,
-    Live,
     frames_of,
     problem,
     wait_for,
 )
-from tests.service.http.test_peers import NOBODY
-from worker.process import tied
 
 # What a route needs, by the begin of its path or else its method.
 NEEDS = {
@@ -38,18 +32,6 @@ NEEDS = {
 }
 OF_METHODS = {"get": "read", "post": "write", "put": "write", "patch": "write", "delete": "delete"}
 WITHOUT_DOCUMENT = [("get", "/docs"), ("get", "/openapi.json"), ("get", "/docs/assets/x.js")]
-# Sends requests as a user, and prints their statuses.
-AS_USER = """
-import encodings.idna, http.client, json, os, sys
-os.setgroups([]), os.setresgid(*[int(sys.argv[1])] * 3), os.setresuid(*[int(sys.argv[1])] * 3)
-statuses = []
-for method, path in json.loads(sys.argv[3]):
-    connection = http.client.HTTPConnection(sys.argv[2].removeprefix("http://"))
-    connection.request(method.upper(), path.replace("{", "").replace("}", ""))
-    statuses.append(connection.getresponse().status)
-    connection.close()
-print(json.dumps(statuses))
-"""
 FRAMES = {"keypoints": [[[[1, 2], [3, 4], [5, 6], [7, 8]]] * 2] * 3}
 
 
@@ -404,22 +386,3 @@ def test_what_comes_through_a_proxy_is_not_the_owners(api: TestClient) -> None:
     for header in ("X-Forwarded-For", "Forwarded"):
         problem(api.get("/datasets", headers={header: "for=192.0.2.1"}), 401, "unauthorized")
     assert api.get("/datasets").status_code == 200
-
-
-def test_another_user_of_the_machine_gets_nothing(live: Live) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("only root can be several users")
-    paths = live.get("/openapi.json")["paths"]
-    asked = [(m, p) for p, item in paths.items() for m in item if m in OF_METHODS]
-    asked += WITHOUT_DOCUMENT
-    statuses = {}
-    for uid in (NOBODY, 0):
-        ran = subprocess.run(
-            tied(sys.executable, "-c", AS_USER, str(uid), live.url, orjson.dumps(asked).decode()),
-            stdout=subprocess.PIPE,
-            text=True,
-            check=True,
-        )
-        statuses[uid] = orjson.loads(ran.stdout)
-    assert statuses[NOBODY] == [401] * len(asked)
-    assert 401 not in statuses[0]
