@@ -186,4 +186,4 @@ def test_the_stream_of_another_program_is_watched_until_it_ends(
     streamer.set()
     expect(page.get_by_text("The stream has ended.")).to_be_visible()
     expect(page.get_by_text("No program streams just now.")).to_be_visible()
-    expect(figures).to_contain_text("broken")
+    expect(figures).to_contain_text("closed")

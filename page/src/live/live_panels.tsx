@@ -82,7 +82,7 @@ function StreamFigures({ figures, rate }: { figures: Figures; rate: number | und
   const { connected, sent, answered, dropped, refused, notLifted, perSecond } = figures;
   const { median, p95 } = figures.seconds.at(-1) ?? { median: null, p95: null };
   const rows: [string, string][] = [
-    ["Connection", connected ? "open" : "broken"],
+    ["Connection", connected ? "open" : "closed"],
     ["An answer takes", `${number(median)} ms in the median, ${number(p95)} ms at p95`],
     ["Answers", `${number(perSecond)} a second${rate === undefined ? "" : `, of ${number(rate)} frames a second`}`],
     ["Answered", `${count(answered, "frame")}${sent === undefined ? "" : `, of ${sent.toLocaleString("en")} sent`}`],

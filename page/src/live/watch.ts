@@ -10,7 +10,7 @@ import type { Running } from "./live_panels.tsx";
 import { readWatched, viewsIn } from "./messages.ts";
 
 const FRAMES = 600; // that are kept, some 20 s
-const AHEAD = 30; // of which so many before the oldest are taken away: they are not what comes next
+const AHEAD = 30; // frames after the newest that are taken away: they are the oldest, not what comes next
 const GONE = "The stream has ended.";
 
 interface Heard {
@@ -112,12 +112,15 @@ async function describe(stream: LiftStream, views: number) {
 /** Puts frames into a take in turn, the newest in the place of the oldest. */
 function startFeed(capture: Capture, frame: Frame, figures: Figures, listener: Listener) {
   const take = emptyTake(capture, FRAMES, frame);
+  const size = 3 * capture.keypoints;
   let next = 0;
   const put = (message: ArrayBuffer) => {
     const { pixels, lifted } = readWatched(message, capture.keypoints);
     putDetected(take, pixels, next);
     putLifted(take, lifted, next, 1);
-    for (let ahead = 1; ahead <= AHEAD; ahead++) take.there[(next + ahead) % FRAMES] = NOTHING;
+    const gone = (next + AHEAD) % FRAMES;
+    take.there[gone] = NOTHING;
+    take.points.fill(NaN, gone * size, (gone + 1) * size);
     listener.onFrame(next);
     next = (next + 1) % FRAMES;
   };

@@ -55,5 +55,5 @@ export function Plot({ data, height, x, y, scales, series, summary, anew }: Prop
     };
   }, [anew]);
   useEffect(() => plot.current?.setData(data), [data[0].at(-1), data[0].length]);
-  return <div ref={holder} class="curve" role="img" aria-label={summary} />;
+  return <div ref={holder} class="curve" style={{ minHeight: height }} role="img" aria-label={summary} />;
 }
