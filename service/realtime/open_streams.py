@@ -186,6 +186,7 @@ class OpenStreams:
             with suppress(TimeoutError):
                 async with asyncio.timeout(FRAME_SECONDS if watched else due - time.monotonic()):
                     await self._changed.wait()
+                    await asyncio.sleep(FRAME_SECONDS)  # for others that begin or end just now
 
     async def _beat(self) -> None:
         """Write which streams there are, send who watches how they go, and see who does."""

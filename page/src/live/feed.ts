@@ -41,6 +41,8 @@ export function noFigures(): Figures {
 }
 
 export function noteSecond({ seconds }: Figures, median: number | null, p95: number | null): void {
-  seconds.push({ at: performance.now() / 1000, median, p95 });
+  const at = performance.now() / 1000;
+  if (at - (seconds.at(-1)?.at ?? -1) < 0.5) return; // it is the same second
+  seconds.push({ at, median, p95 });
   if (seconds.length > SECONDS) seconds.shift();
 }
