@@ -5,7 +5,7 @@ import asyncio
 import random
 import struct
 import time
-from collections.abc import Iterable
+from collections.abc import Coroutine, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import product
@@ -96,6 +96,7 @@ class Tally:
     seconds: list[float] = field(default_factory=list)  # of each answer, from when it was due
     dropped: int = 0
     continued: int = 0
+    shown: int = 0  # to who watches
 
     def row(self) -> Row:
         """Return the figures as columns."""
@@ -106,6 +107,7 @@ class Tally:
             **spread(self.seconds),
             "most ms": 1000 * max(self.seconds, default=np.nan),
             "continued %": 100 * self.continued / max(len(self.seconds), 1),
+            "shown": self.shown,
         }
 
 
@@ -114,12 +116,13 @@ async def measure_streams(
 ) -> tuple[dict[str, list[Row]], list[Bar]]:
     """Let clients send at the pace of cameras: feed-forward, then refined with continuity.
 
-    With `--stream-lag` also with frames that are smoothed in time.
+    Each way also while all streams are watched. With `--stream-lag` also with frames that are
+    smoothed in time.
     """
     rows, bars = [], []
     lags = [None] if arguments.stream_lag is None else [None, arguments.stream_lag]
     ways = ((120, "off", 20.0), (60, "auto", 30.0))
-    for (rate, refine, most), lag in product(ways, lags):
+    for (rate, refine, most), lag, watched in product(ways, lags, (False, True)):
         start: dict[str, object] = {
             "model": model,
             "refine": refine,
@@ -128,12 +131,14 @@ async def measure_streams(
         }
         if lag is not None:
             start |= {"lag": lag, "fps": rate}
-        await _run(running, start, keypoints, rate, seconds=1)  # warms up
+        await _run(running, start, keypoints, rate, 1, watched=watched)  # warms up
         own = time.process_time()
-        tally = await _run(running, start, keypoints, rate, arguments.stream_seconds)
+        seconds = arguments.stream_seconds
+        tally = await _run(running, start, keypoints, rate, seconds, watched=watched)
         own = time.process_time() - own
         name = "feed-forward" if refine == "off" else "refined, continuity"
         name += "" if lag is None else f", lag {lag}"
+        name += ", watched" if watched else ""
         what = f"{CLIENTS} streams x {rate} frames/s, {name}"
         rows.append(
             {
@@ -152,10 +157,17 @@ async def measure_streams(
 
 
 async def _run(
-    running: Service, start: dict[str, object], keypoints: Float32, rate: int, seconds: float
+    running: Service,
+    start: dict[str, object],
+    keypoints: Float32,
+    rate: int,
+    seconds: float,
+    *,
+    watched: bool,
 ) -> Tally:
     tally, chance = Tally(), random.Random(0)  # noqa: S311
     streams = [await Stream.open(running, **start) for _ in range(CLIENTS)]
+    watching = [asyncio.create_task(w) for w in await _watchers(running)] if watched else []
     begin = time.perf_counter() + 0.1
     count, lag = round(rate * seconds), start.get("lag")
     frames = [keypoints[n % len(keypoints)] for n in range(count)]
@@ -168,7 +180,23 @@ async def _run(
     )
     for stream in streams:
         await stream.close()
+    tally.shown = sum([await task for task in watching])
     return tally
+
+
+async def _watchers(running: Service) -> list[Coroutine[None, None, int]]:
+    """Return what watches each stream to its end, and returns how many frames came."""
+    found: list[dict[str, str]] = []
+    while len(found) < CLIENTS:  # they are listed a moment after they were opened
+        await asyncio.sleep(0.1)
+        found = running.client.get("/lift/streams").json()["items"]
+    return [_watch(running, each["id"]) for each in found]
+
+
+async def _watch(running: Service, identifier: str) -> int:
+    uri = f"ws://{running.host}:{running.port}/lift/streams/{identifier}/watch"
+    async with connect(uri, compression=None, proxy=None, ping_interval=None) as connection:
+        return sum([isinstance(message, bytes) async for message in connection])
 
 
 async def _play(

@@ -41,8 +41,9 @@ from service.http.rates import Rates
 from service.http.request_ids import Watched
 from service.http.websockets import WebSocketConnection
 from service.page.serving import serve_page
-from service.realtime import lift, stream
+from service.realtime import lift, stream, watch
 from service.realtime.engine import Engine
+from service.realtime.open_streams import OpenStreams
 from service.realtime.rooms import Rooms
 from service.resources import (
     aliases,
@@ -78,6 +79,7 @@ logger = logging.getLogger(__name__)
 RESOURCES = (
     lift,
     stream,
+    watch,
     datasets,
     previews,
     captures,
@@ -204,6 +206,7 @@ async def _close(app: FastAPI) -> None:
     app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
     app.state.keyring.close()
     await app.state.rates.close()
+    await app.state.open_streams.close()
     app.state.store.close()
     app.state.redis.close()
 
@@ -229,6 +232,7 @@ def _set_bounds(app: FastAPI, settings: Settings) -> None:
     # As many again are for small ones, which wait for nothing.
     app.state.lift_bodies = ThreadPoolExecutor(2 * large, thread_name_prefix="lift-body")
     app.state.rates = Rates(str(settings.redis_url))
+    app.state.open_streams = OpenStreams(str(settings.redis_url))
     app.state.streams = asyncio.Semaphore(settings.max_streams)
     app.state.event_places = asyncio.Semaphore(settings.max_event_streams)
 

@@ -110,7 +110,10 @@ class Settings(WorkerSettings):
         60, gt=0, description="Silence of a client after which its stream is closed."
     )
     max_event_streams: int = Field(
-        256, ge=1, description="Jobs followed at a time, by events; one more is refused with 503."
+        256,
+        ge=1,
+        description="Jobs followed at a time, by events, and streams watched; one more is refused "
+        "with 503.",
     )
     request_seconds: float = Field(
         20,

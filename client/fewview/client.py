@@ -1,7 +1,8 @@
 """The clients: one that blocks, one that is awaited; what they can do is in ``fewview.api``."""
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import AsyncIterator, Iterable, Iterator, Mapping
+from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from types import TracebackType
 from typing import Any, Self, Unpack
 
@@ -21,6 +22,7 @@ from fewview.api.models import Models
 from fewview.api.operations import Driver, Resource, operation
 from fewview.api.steps import Steps
 from fewview.api.stream import AsyncStream, Line, Start, Stream
+from fewview.api.watching import OpenStream, Streams, WatchedFrame, watch, watch_async
 from fewview.api.webhooks import Webhooks
 from fewview.capture import Capture
 from fewview.keys import is_loopback, key_for
@@ -36,7 +38,7 @@ class Api(Resource[Driver]):
     ----------
     url
         Where the service is.
-    datasets, fits, models, lifts, evaluations, health, keys, audit, webhooks
+    datasets, fits, models, lifts, streams, evaluations, health, keys, audit, webhooks
         What it has.
     """
 
@@ -47,6 +49,7 @@ class Api(Resource[Driver]):
         self.fits = Fits(driver)
         self.models = Models(driver)
         self.lifts = Lifts(driver)
+        self.streams = Streams(driver)
         self.evaluations = Evaluations(driver)
         self.health = HealthChecks(driver)
         self.keys = Keys(driver)
@@ -170,6 +173,20 @@ class Client(Api[Blocking]):
         """
         return Stream(self._line(), model, start)
 
+    def watch(
+        self, stream: OpenStream | str
+    ) -> AbstractContextManager[Iterator[OpenStream | WatchedFrame]]:
+        """Return states and frames of a stream until it ends, to be iterated over in a ``with``.
+
+        Raises
+        ------
+        NotFound
+            With the first of them: no such stream is open.
+        Unavailable
+            Streams cannot be watched just now.
+        """
+        return watch(self._line(), stream)
+
     def close(self) -> None:
         """Close the connections."""
         self._driver.http.close()
@@ -205,6 +222,12 @@ class AsyncClient(Api[Awaiting]):
     def stream(self, model: Model | str, **start: Unpack[Start]) -> AsyncStream:
         """Return a stream of single frames, to be used in an ``async with``."""
         return AsyncStream(self._line(), model, start)
+
+    def watch(
+        self, stream: OpenStream | str
+    ) -> AbstractAsyncContextManager[AsyncIterator[OpenStream | WatchedFrame]]:
+        """Return states and frames of a stream until it ends, for an ``async with``."""
+        return watch_async(self._line(), stream)
 
     async def close(self) -> None:
         """Close the connections."""

@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from models.bundle.initial_poses import WeakPerspectiveScene
 from models.findings.catalogue import LiftCode
 from models.network.answers import (
     NOT_IN_ROOM,
@@ -92,3 +93,19 @@ class LiftedFrames(Answers):
 def join(lifts: Sequence[LiftedFrames]) -> LiftedFrames:
     """Join lifts of the same views and keypoints, frame after frame."""
     return LiftedFrames._make(np.concatenate(parts) for parts in zip(*lifts, strict=True))
+
+
+def weak_perspective(lift: LiftedFrames) -> WeakPerspectiveScene:
+    """Return structures, rotations, scales and translations (x, y) of a lift, finite everywhere."""
+
+    def number(array: NDArray[np.float32], without: float) -> NDArray[np.float64]:
+        return np.asarray(np.nan_to_num(array, nan=without), np.float64)
+
+    rotations = number(lift.rotations, 0)
+    rotations[~np.isfinite(lift.scales)] = np.eye(3)
+    return WeakPerspectiveScene(
+        number(lift.points3d, 0),
+        rotations,
+        number(lift.scales, 1),
+        number(lift.translations[..., :2], 0),
+    )

@@ -29,7 +29,7 @@ from models.calibrating.self_calibration import (
 )
 from models.lifting.curve import CurveRow
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import LiftedFrames, join
+from models.lifting.lift import LiftedFrames, join, weak_perspective
 from models.lifting.skeleton_lengths import SkeletonLengths, learn_skeleton_lengths
 from models.network.answers import Usual
 from models.network.priors.prior import Prior
@@ -239,7 +239,7 @@ class Teaching:
         frames = self._frames_of_several_views(0)[: len(self._searched())]
         prior = self._as_prior(None)
         lift = prior.lift(self._data.pixels(frames), confidence=self._data.weights[frames])
-        answers = _weak_perspective(lift)
+        answers = weak_perspective(lift)
         result = yield from self._found_by(self._search(answers))
         if result is None:
             return
@@ -394,19 +394,3 @@ class Teaching:
         self.teachers = perspective_teachers(
             *seen, observed, frames, count, noise=noise, reflected=mirrored
         )
-
-
-def _weak_perspective(lift: LiftedFrames) -> WeakPerspectiveScene:
-    """Return structures, rotations, scales and translations (x, y) of a lift, finite everywhere."""
-
-    def number(array: NDArray[np.float32], without: float) -> NDArray[np.float64]:
-        return np.asarray(np.nan_to_num(array, nan=without), np.float64)
-
-    rotations = number(lift.rotations, 0)
-    rotations[~np.isfinite(lift.scales)] = np.eye(3)
-    return WeakPerspectiveScene(
-        number(lift.points3d, 0),
-        rotations,
-        number(lift.scales, 1),
-        number(lift.translations[..., :2], 0),
-    )

@@ -14,6 +14,7 @@ import { currentRoute, linkTo } from "./route.ts";
 import { StorageScreen } from "./storage/storage_screen.tsx";
 
 const LiveScreen = lazy(() => import("./live/live_screen.tsx"));
+const WatchScreen = lazy(() => import("./live/watch_screen.tsx"));
 const SCREENS = [
   ["datasets", "Datasets"],
   ["models", "Models"],
@@ -81,7 +82,7 @@ function Screen({ path }: { path: string[] }) {
   if (kind === "live") {
     return (
       <Suspense fallback={<div class="waiting-page quiet">Loading …</div>}>
-        <LiveScreen />
+        {id === undefined ? <LiveScreen /> : <WatchScreen id={id} />}
       </Suspense>
     );
   }

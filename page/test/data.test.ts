@@ -5,7 +5,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
-import { frameMessage, readAnswer } from "../src/live/messages.ts";
+import { frameMessage, readAnswer, readWatched, viewsIn } from "../src/live/messages.ts";
 import { partsOf } from "../src/datasets/parts.ts";
 import { openCapture } from "../src/data/capture.ts";
 import { readSafetensors } from "../src/data/safetensors.ts";
@@ -120,6 +120,9 @@ test("messages of a stream are those of the service", { skip }, () => {
   }
   assert.deepEqual(nulls(cameras.principalPoints), expected.principal_points);
   const pixels = Float32Array.from(expected.sent as (number | null)[], (value) => value ?? NaN);
+  const watched = bytes("watched.bin");
+  assert.equal(viewsIn(watched), views);
+  assert.deepEqual(readWatched(watched, expected.points3d.length / 3), { pixels, lifted });
   assert.deepEqual(new Uint8Array(frameMessage(3, views, pixels)), new Uint8Array(bytes("frame.bin")));
 });
 

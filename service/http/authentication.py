@@ -23,8 +23,9 @@ HOW = (
     "Send the header `Authorization: Bearer TOKEN`. Who keeps the service makes keys with "
     "`fewview key create`."
 )
-# The first part of a path: what its routes need, whatever the method.
+# The first part of a path, or its first two: what its routes need, whatever the method.
 OF_PATH: dict[str, access_keys.Scope] = {
+    "lift/streams": "read",  # which others have opened
     "keys": "admin",
     "audit": "admin",
     "webhooks": "webhook",
@@ -91,9 +92,10 @@ class Authentication:
 
 def needed(method: str, path: str) -> access_keys.Scope:
     """Return the scope that a request needs; of a WebSocket the method is GET."""
-    first = path.lstrip("/").partition("/")[0]
-    if first in OF_PATH:
-        return OF_PATH[first]
+    first, _, more = path.lstrip("/").partition("/")
+    for begin in (f"{first}/{more.partition('/')[0]}", first):
+        if begin in OF_PATH:
+            return OF_PATH[begin]
     if method in ("GET", "HEAD", "OPTIONS"):
         return "read"
     return "delete" if method == "DELETE" else "write"

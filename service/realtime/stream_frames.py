@@ -36,6 +36,7 @@ from service.wire.stream_messages import (
     StreamFlush,
     StreamFrame,
 )
+from service.wire.watch_messages import WATCHED
 from store.capture import Capture
 from worker.rooms import Room
 
@@ -63,6 +64,8 @@ class Frame:
         When it was taken, in seconds; 0 where that is not asked for.
     flush
         It is no frame, but asks for the answers to those before.
+    arrived
+        When it was read, by `time.perf_counter`.
     """
 
     binary: bool
@@ -72,6 +75,7 @@ class Frame:
     dropped: list[int] = field(default_factory=list)
     time: float = 0.0
     flush: bool = False
+    arrived: float = 0.0
 
 
 class FilmClock:
@@ -235,23 +239,33 @@ def seen_bytes(keypoints: int) -> int:
 
 def write_answer(frame: Frame, lift: LiftedFrames, prior: FittedPrior) -> str | bytes:
     """Return the answer to a frame, lifted by a prior: text if it came as text, else bytes."""
-    continued = bool(lift.continued[0])
-    if not frame.binary:
-        (text,) = frames_to_json(lift.arrays)
-        answer = {
-            "type": "answer",
-            "sequence": frame.sequence,
-            "continued": continued,
-            "frame": orjson.Fragment(text),
-            "findings": dumped(lift_findings(lift, prior)),
-        }
-        return orjson.dumps(answer).decode()
+    if frame.binary:
+        return _as_bytes(ANSWER, frame, lift)
+    (text,) = frames_to_json(lift.arrays)
+    answer = {
+        "type": "answer",
+        "sequence": frame.sequence,
+        "continued": bool(lift.continued[0]),
+        "frame": orjson.Fragment(text),
+        "findings": dumped(lift_findings(lift, prior)),
+    }
+    return orjson.dumps(answer).decode()
+
+
+def write_watched(frame: Frame, lift: LiftedFrames) -> bytes:
+    """Return the answer to a frame and its keypoints, for who watches the stream."""
+    assert frame.capture is not None  # noqa: S101
+    keypoints = frame.capture.keypoints.astype("<f4", copy=False)
+    return _as_bytes(WATCHED, frame, lift) + keypoints.tobytes()
+
+
+def _as_bytes(kind: int, frame: Frame, lift: LiftedFrames) -> bytes:
     views = np.empty(lift.scales.shape[1], VIEW)
     for name in VIEW.names or ():
         views[name] = getattr(lift, name)[0]
-    flags = LIFTED * (lift.status[0] == "ok") | CONTINUED * continued
+    flags = LIFTED * (lift.status[0] == "ok") | CONTINUED * bool(lift.continued[0])
     flags |= int(lift.findings[0]) << FINDINGS
-    header = HEADER.pack(ANSWER, flags, len(views), frame.sequence)
+    header = HEADER.pack(kind, flags, len(views), frame.sequence)
     points, outlying = (
         numbers.astype("<f4", copy=False) for numbers in (lift.points3d, lift.outlier_probability)
     )

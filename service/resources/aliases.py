@@ -11,7 +11,7 @@ from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
-from service.resources.lists import MOST_LISTED
+from service.resources.lists import LimitQuery
 from service.wire.json_bodies import read_json
 from store import aliases, lookup
 from store.labels import Text
@@ -70,7 +70,7 @@ class AliasPage(BaseModel):
 def list_aliases(
     store: StoreDep,
     model_id: Annotated[str | None, Query(max_length=200, description="Of this model.")] = None,
-    limit: Annotated[int, Query(ge=1, le=MOST_LISTED, description="Items on a page.")] = 50,
+    limit: LimitQuery = 50,
     cursor: Annotated[
         str | None, Query(max_length=200, description="`next_cursor` of the page before.")
     ] = None,

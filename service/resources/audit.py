@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.http.dependencies import StoreDep
 from service.http.errors import problems
-from service.resources.lists import MOST_LISTED
+from service.resources.lists import LimitQuery, cut
 from store import audit, records
 
 router = APIRouter(prefix="/audit", tags=["keys"])
@@ -54,7 +54,7 @@ def list_audit(
     store: StoreDep,
     key_id: Annotated[str | None, Query(max_length=200, description="Changes by this key.")] = None,
     target: Annotated[str | None, Query(max_length=200, description="Changes of this.")] = None,
-    limit: Annotated[int, Query(ge=1, le=MOST_LISTED, description="Items on a page.")] = 50,
+    limit: LimitQuery = 50,
     cursor: Annotated[
         str | None,
         Query(pattern="^audit_[0-9a-z]{26}$", description="`next_cursor` of the page before."),
@@ -65,8 +65,8 @@ def list_audit(
     What workers do is not in it: it follows from what they were asked for.
     """
     found = audit.page(store, limit=limit + 1, after=cursor, key_id=key_id, target=target)
-    more = found[limit - 1].id if len(found) > limit else None
-    return AuditPage(items=[_entry(record) for record in found[:limit]], next_cursor=more)
+    page, more = cut(found, limit)
+    return AuditPage(items=[_entry(record) for record in page], next_cursor=more)
 
 
 def _entry(record: records.AuditRecord) -> AuditEntry:

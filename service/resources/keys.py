@@ -1,6 +1,6 @@
 """Keys: who may do what, in which project."""
 
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Annotated, Any, Self
 
 from fastapi import APIRouter, Query, Request, Response, status
@@ -10,7 +10,7 @@ from service.http.dependencies import Identifier, StoreDep
 from service.http.errors import BODY_PROBLEMS, problems
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
-from service.resources.lists import MOST_LISTED
+from service.resources.lists import LimitQuery, cut
 from service.wire.json_bodies import read_json
 from service.wire.moments import Moment
 from service.wire.schemas import Name
@@ -86,9 +86,9 @@ class Key(BaseModel):
                 "project": record.project,
                 "scopes": record.scopes,
                 "quotas": record.quotas or {},
-                "created_at": _moment(record.created_at),
-                "expires_at": _moment(record.expires_at),
-                "revoked_at": _moment(record.revoked_at),
+                "created_at": record.created_at,
+                "expires_at": record.expires_at,
+                "revoked_at": record.revoked_at,
                 **more,
             }
         )
@@ -113,10 +113,6 @@ class KeyPage(BaseModel):
 
     items: list[Key]
     next_cursor: str | None = None
-
-
-def _moment(seconds: float | None) -> datetime | None:
-    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
 
 
 @router.post(
@@ -148,16 +144,15 @@ def create_key(upload: UploadBody, store: StoreDep, request: Request, response: 
 @router.get("", responses=problems())
 def list_keys(
     store: StoreDep,
-    limit: Annotated[int, Query(ge=1, le=MOST_LISTED, description="Items on a page.")] = 50,
+    limit: LimitQuery = 50,
     cursor: Annotated[
         str | None,
         Query(pattern="^key_[0-9a-z]{26}$", description="`next_cursor` of the page before."),
     ] = None,
 ) -> KeyPage:
     """List the keys of all projects, newest first; those that were revoked, too."""
-    found = access_keys.page(store, limit=limit + 1, after=cursor)
-    more = found[limit - 1].id if len(found) > limit else None
-    return KeyPage(items=[Key.of(record) for record in found[:limit]], next_cursor=more)
+    page, more = cut(access_keys.page(store, limit=limit + 1, after=cursor), limit)
+    return KeyPage(items=[Key.of(record) for record in page], next_cursor=more)
 
 
 @router.get("/{key_id}", responses=problems("not_found"))

@@ -1,7 +1,7 @@
 """What is stored as lists: filtered, continued by a cursor, deleted many at a time."""
 
 from collections.abc import Awaitable, Callable
-from typing import Annotated, Any, Generic, NamedTuple, Self, TypeVar
+from typing import Annotated, Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from fastapi import APIRouter, Depends, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
@@ -16,12 +16,21 @@ from store.errors import ConflictError, NotFoundError
 from store.labels import Tag
 from store.lookup import Filters, Resource
 
+
+class _Identified(Protocol):
+    @property
+    def id(self) -> str: ...
+
+
 Item = TypeVar("Item", bound=BaseModel)
+Record = TypeVar("Record", bound=_Identified)
 Columns = dict[str, str | None]
 
 MOST_LISTED = 200
 MOST_LABELS = 8  # tags, and keys of metadata, to filter by
 LONGEST_VALUE = 1000
+
+LimitQuery = Annotated[int, Query(ge=1, le=MOST_LISTED, description="Items on a page.")]
 
 _MOMENT = (
     "a date or a moment as ISO 8601 writes it, such as `2026-01-31` or `2026-01-31T09:30:00Z`; UTC "
@@ -119,9 +128,13 @@ class Page(BaseModel, Generic[Item]):
     ) -> Self:
         """Return the page that is asked for."""
         found = lookup.page(store, kind, asked.filters, limit=asked.limit + 1, after=asked.cursor)
-        page = found[: asked.limit]
-        cursor = page[-1].id if len(found) > asked.limit else None
+        page, cursor = cut(found, asked.limit)
         return cls(items=[to_wire(record) for record in page], next_cursor=cursor)
+
+
+def cut(found: list[Record], limit: int) -> tuple[list[Record], str | None]:
+    """Return a page of what was found with one more than it has, and where the list goes on."""
+    return found[:limit], found[limit - 1].id if len(found) > limit else None
 
 
 async def no_columns() -> Columns:
@@ -211,7 +224,7 @@ def _asked_of(
     async def read_query(
         request: Request,
         equal: Annotated[Columns, Depends(columns)],
-        limit: Annotated[int, Query(ge=1, le=MOST_LISTED, description="Items on a page.")] = 50,
+        limit: LimitQuery = 50,
         cursor: Annotated[
             str | None,
             Query(

@@ -1,6 +1,6 @@
 """Webhooks: URLs that are notified when fits and lifts end."""
 
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Annotated, Any, Self
 from urllib.parse import urlsplit
 
@@ -11,7 +11,7 @@ from service.http.dependencies import Identifier, SettingsDep, StoreDep
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
-from service.resources.lists import MOST_LISTED
+from service.resources.lists import LimitQuery, cut
 from service.settings import Settings
 from service.wire.json_bodies import read_json
 from store import records, webhooks
@@ -68,8 +68,8 @@ class Webhook(BaseModel):
     @classmethod
     def of(cls, record: records.WebhookRecord, **more: str) -> Self:
         """Return the wire form of a record."""
-        known = {"id": record.id, "url": record.url, "events": record.events}
-        return cls.model_validate({**known, "created_at": _moment(record.created_at), **more})
+        known = {name: getattr(record, name) for name in ("id", "url", "events", "created_at")}
+        return cls.model_validate(known | more)
 
 
 class NewWebhook(Webhook):
@@ -111,15 +111,8 @@ class WebhookDelivery(BaseModel):
     @classmethod
     def of(cls, record: records.Delivery) -> Self:
         """Return the wire form of a record."""
-        plain = {name: getattr(record, name) for name in ("id", "event", "attempts", "outcome")}
-        return cls.model_validate(
-            {
-                **plain,
-                "created_at": _moment(record.created_at),
-                "next_attempt_at": _moment(record.next_at),
-                "delivered_at": _moment(record.delivered_at),
-            }
-        )
+        known = {name: getattr(record, name) for name in cls.model_fields if hasattr(record, name)}
+        return cls.model_validate(known | {"next_attempt_at": record.next_at})
 
 
 class WebhookDeliveryPage(BaseModel):
@@ -129,13 +122,6 @@ class WebhookDeliveryPage(BaseModel):
 
     items: list[WebhookDelivery]
     next_cursor: str | None = None
-
-
-LimitQuery = Annotated[int, Query(ge=1, le=MOST_LISTED, description="Items on a page.")]
-
-
-def _moment(seconds: float | None) -> datetime | None:
-    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
 
 
 @router.post(
@@ -194,9 +180,8 @@ def list_webhooks(
     ] = None,
 ) -> WebhookPage:
     """List the webhooks of the project, newest first."""
-    found = webhooks.page(store, limit=limit + 1, after=cursor)
-    more = found[limit - 1].id if len(found) > limit else None
-    return WebhookPage(items=[Webhook.of(record) for record in found[:limit]], next_cursor=more)
+    page, more = cut(webhooks.page(store, limit=limit + 1, after=cursor), limit)
+    return WebhookPage(items=[Webhook.of(record) for record in page], next_cursor=more)
 
 
 @router.get("/{webhook_id}", responses=problems("not_found"))
@@ -216,9 +201,8 @@ def list_webhook_deliveries(
     ] = None,
 ) -> WebhookDeliveryPage:
     """List what was and is to be sent to a webhook, newest first; what ended stays for a week."""
-    found = webhooks.deliveries(store, webhook_id, limit=limit + 1, after=cursor)
-    more = found[limit - 1].id if len(found) > limit else None
-    items = [WebhookDelivery.of(record) for record in found[:limit]]
+    page, more = cut(webhooks.deliveries(store, webhook_id, limit=limit + 1, after=cursor), limit)
+    items = [WebhookDelivery.of(record) for record in page]
     return WebhookDeliveryPage(items=items, next_cursor=more)
 
 

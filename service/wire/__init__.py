@@ -10,6 +10,6 @@
     The JSON forms of keypoints and lifts, of skeletons, and of a model's cameras.
 ``representations``
     Answers that carry a lift's arrays, in the form that the client accepts.
-``stream_messages``
-    The messages of a stream of frames.
+``stream_messages``, ``watch_messages``
+    The messages of a stream of frames, and those to who watches one.
 """

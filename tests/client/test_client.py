@@ -4,6 +4,7 @@ import asyncio
 import subprocess
 import sys
 from collections.abc import Coroutine
+from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,12 +16,13 @@ from fewview import AsyncClient, Client
 from fewview.api import datasets
 from fewview.api.forms import Fit
 from fewview.api.stream_messages import Answer, Dropped
+from fewview.api.watching import OpenStream, WatchedFrame
 from fewview.calibration import from_model
 from fewview.room import to_room
 from safetensors.numpy import load_file
 
 from tests.client.conftest import Served, a_capture
-from tests.service.conftest import CONFIG
+from tests.service.conftest import CONFIG, wait_for
 
 T = TypeVar("T")
 FIXTURES = Path(__file__).parent.parent / "fixtures"
@@ -225,6 +227,33 @@ def test_frames_are_streamed(served: Served) -> None:
         assert [found.sequence for found in answers if isinstance(found, Answer)] == sent
     with pytest.raises(fewview.NotFound), served.client.stream("mdl_none"):
         pass
+
+
+def test_a_stream_of_another_is_watched(served: Served) -> None:
+    client, frames = served.client, served.capture.keypoints
+    with ExitStack() as opened:
+        stream = opened.enter_context(client.stream(served.model, refine="off"))
+        (mine,) = wait_for(client.streams.list, "the stream to be listed", 10)
+        assert (mine.model, mine.key_id, mine.keypoints) == (served.model, "owner", 16)
+        with client.watch(mine) as watched:
+            found = None
+            while not isinstance(found, WatchedFrame):
+                answer = stream.lift(frames[3])
+                found = next(watched)
+            np.testing.assert_array_equal(found.keypoints, frames[3])
+            np.testing.assert_array_equal(found.answer.points3d, answer.points3d)
+            assert isinstance(awaited(first_seen(served)), OpenStream)
+            opened.close()
+            assert all(isinstance(last, OpenStream | WatchedFrame) for last in watched)  # it ends
+    with client.watch(mine) as watched, pytest.raises(fewview.NotFound, match="may have ended"):
+        next(watched)
+
+
+async def first_seen(served: Served) -> OpenStream | WatchedFrame:
+    async with AsyncClient(served.live.url) as client:
+        (listed,) = await client.streams.list()
+        async with client.watch(listed) as watched:
+            return await anext(watched)
 
 
 def test_answers_come_in_the_room(served: Served, tmp_path: Path) -> None:

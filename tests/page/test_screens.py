@@ -1,13 +1,16 @@
 """Screens beside the result: what is stored is listed, named, deleted; what goes on is followed."""
 
 from collections.abc import Iterator
+from itertools import cycle
+from threading import Event, Thread
 
 import pytest
+from fewview import Client
 from playwright.sync_api import BrowserContext, WebSocketRoute, expect
 
 from tests.page.conftest import Watched, watch
 from tests.page.stored import KEYPOINTS, Stored
-from tests.service.conftest import BYTES, Live, to_npz
+from tests.service.conftest import BYTES, Live, to_npz, wait_for
 
 
 @pytest.fixture
@@ -130,7 +133,7 @@ def test_a_stream_is_watched_and_goes_on_after_a_break(watched: Watched, stored:
     page.get_by_role("button", name="Start").click()
     expect(page.get_by_role("region", name="Structure in 3D")).to_be_visible()
     expect(page.get_by_text("In the room: y up")).to_be_visible()
-    figures = page.get_by_role("region", name="Stream")
+    figures = page.get_by_role("region", name="Stream", exact=True)
     expect(figures).to_contain_text("of 50 frames a second")
     expect(figures).to_contain_text("ms in the median")
     expect(page.locator("figure.view").first).to_contain_text("px")
@@ -141,3 +144,46 @@ def test_a_stream_is_watched_and_goes_on_after_a_break(watched: Watched, stored:
     expect(figures).to_contain_text("open")
     page.get_by_role("button", name="Stop").click()
     expect(figures).to_have_count(0)
+
+
+@pytest.fixture
+def streamer(live: Live, stored: Stored) -> Iterator[Event]:
+    """Stream frames of the walk as a capture program does, until the event that is given is set."""
+    over = Event()
+
+    def play() -> None:
+        with Client(live.url).stream(stored.model, frame="room", up="auto") as stream:
+            for keypoints in cycle(KEYPOINTS):
+                stream.lift(keypoints)
+                if over.wait(0.02):
+                    return
+
+    playing = Thread(target=play)
+    playing.start()
+    yield over
+    over.set()
+    playing.join()
+
+
+def test_the_stream_of_another_program_is_watched_until_it_ends(
+    watched: Watched, streamer: Event, stored: Stored
+) -> None:
+    page = watched.open("#/live")
+    rows = page.get_by_role("region", name="Open streams").get_by_role("link")
+    expect(rows).to_have_count(1)
+    expect(rows).to_contain_text("walk")
+    rows.click()
+    expect(page.get_by_role("region", name="Structure in 3D")).to_be_visible()
+    expect(page.get_by_text("In the room: y up")).to_be_visible()
+    expect(page.locator("figure.view")).to_have_count(3)
+    expect(page.locator("figure.view").first).to_contain_text("px")
+    figures = page.get_by_role("region", name="Stream", exact=True)
+    expect(figures).to_contain_text("ms in the median")
+    expect(figures.get_by_role("img", name="Time until an answer")).to_be_visible()
+    canvas = page.locator(".stage canvas")
+    before = canvas.screenshot()
+    wait_for(lambda: canvas.screenshot() != before, "another frame", 30)
+    streamer.set()
+    expect(page.get_by_text("The stream has ended.")).to_be_visible()
+    expect(page.get_by_text("No program streams just now.")).to_be_visible()
+    expect(figures).to_contain_text("closed")

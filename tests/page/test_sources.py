@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from safetensors.numpy import save_file
 from scipy.spatial.transform import Rotation
 
-from service.realtime.stream_frames import Frame, write_answer
+from service.realtime.stream_frames import Frame, write_answer, write_watched
 from service.wire.stream_messages import FRAME, HEADER
+from store.capture import Capture
 from tests.node import node
 from tests.page.project import checked_out
 from tests.page.stored import KEYPOINTS, walking
@@ -90,9 +91,11 @@ def write_stream(folder: Path) -> None:
     keypoints[0, 1, 2:5] = np.nan
     lift = prior.lift(keypoints)
     lift = lift._replace(findings=np.array([9], np.uint8))
-    answer = write_answer(Frame(binary=True, sequence=70_000), lift, prior)
+    came = Frame(binary=True, sequence=70_000, capture=Capture(keypoints))
+    answer = write_answer(came, lift, prior)
     assert isinstance(answer, bytes)
     (folder / "answer.bin").write_bytes(answer)
+    (folder / "watched.bin").write_bytes(write_watched(came, lift))
     frame = HEADER.pack(FRAME, 0, keypoints.shape[1], 3) + keypoints.tobytes()
     (folder / "frame.bin").write_bytes(frame)
     arrays = {name: listed(array[0]) for name, array in lift.arrays.items()}

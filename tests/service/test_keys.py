@@ -1,8 +1,5 @@
 """Keys: every route of the OpenAPI document, for whoever may use it and for whoever may not."""
 
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -19,35 +16,22 @@ from store.quotas import Quotas
 from tests.service.conftest import (
     CONFIG,
     JSON,
-    Live,
     frames_of,
     problem,
+    wait_for,
 )
-from tests.service.http.test_peers import NOBODY
-from worker.process import tied
 
 # What a route needs, by the begin of its path or else its method.
 NEEDS = {
     "/keys": "admin",
     "/audit": "admin",
     "/webhooks": "webhook",
+    "/lift/streams": "read",
     "/lift": "lift",
     "/evaluations": "read",
 }
 OF_METHODS = {"get": "read", "post": "write", "put": "write", "patch": "write", "delete": "delete"}
 WITHOUT_DOCUMENT = [("get", "/docs"), ("get", "/openapi.json"), ("get", "/docs/assets/x.js")]
-# Sends requests as a user, and prints their statuses.
-AS_USER = """
-import encodings.idna, http.client, json, os, sys
-os.setgroups([]), os.setresgid(*[int(sys.argv[1])] * 3), os.setresuid(*[int(sys.argv[1])] * 3)
-statuses = []
-for method, path in json.loads(sys.argv[3]):
-    connection = http.client.HTTPConnection(sys.argv[2].removeprefix("http://"))
-    connection.request(method.upper(), path.replace("{", "").replace("}", ""))
-    statuses.append(connection.getresponse().status)
-    connection.close()
-print(json.dumps(statuses))
-"""
 FRAMES = {"keypoints": [[[[1, 2], [3, 4], [5, 6], [7, 8]]] * 2] * 3}
 
 
@@ -177,17 +161,36 @@ class Things(NamedTuple):
     fit_id: str
     lift_id: str
     model_id: str
+    stream_id: str
 
 
 @pytest.fixture
-def things(api: TestClient, model: str, capture: SyntheticCapture) -> Things:
+def things(api: TestClient, model: str, capture: SyntheticCapture) -> Iterator[Things]:
     body = {"keypoints": frames_of(capture.keypoints[:8])}
     dataset = api.post("/datasets", content=orjson.dumps(body), headers=JSON).json()["id"]
     fit = api.post("/fits", json={"dataset_id": dataset, "config": CONFIG}).json()["id"]
     lift = api.post("/lifts", json={"dataset_id": dataset, "model_id": model}).json()["id"]
     for kind, identifier in (("fits", fit), ("lifts", lift)):
         api.post(f"/{kind}/{identifier}/cancel")
-    return Things(dataset, fit, lift, model)
+    with api.websocket_connect("/lift/stream") as stream:
+        stream.send_text(orjson.dumps({"model": model}).decode())
+        (open_stream,) = wait_for(lambda: api.get("/lift/streams").json()["items"], "the stream")
+        yield Things(dataset, fit, lift, model, open_stream["id"])
+
+
+def test_a_stream_is_watched_with_a_key_that_reads(
+    things: Things, stranger: TestClient, key: MakeKey
+) -> None:
+    watch = f"/lift/streams/{things.stream_id}/watch"
+    with stranger.websocket_connect(watch, headers=key("read")) as watched:
+        assert watched.receive_json()["id"] == things.stream_id
+    for refused, status in (({}, 401), (key("lift"), 403), (key("read", revoked=True), 401)):
+        with (
+            pytest.raises(WebSocketDenialResponse) as denied,
+            stranger.websocket_connect(watch, headers=refused),
+        ):
+            pass
+        assert denied.value.status_code == status
 
 
 BODIES: dict[tuple[str, str], dict[str, Any]] = {
@@ -206,6 +209,10 @@ def test_another_project_sees_nothing(things: Things, stranger: TestClient, key:
         body = BODIES.get((method, path)) or BODIES.get((method, ""), {})
         answer = stranger.request(method, url, headers=other, **body)
         problem(answer, 404, "not_found")
+    assert stranger.get("/lift/streams", headers=other).json()["items"] == []
+    watch = f"/lift/streams/{things.stream_id}/watch"
+    with stranger.websocket_connect(watch, headers=other) as watched:
+        assert watched.receive_json()["code"] == "not_found"
     for kind in ("datasets", "fits", "lifts", "models"):
         assert stranger.get(f"/{kind}", headers=other).json()["items"] == []
         found = stranger.delete(
@@ -379,22 +386,3 @@ def test_what_comes_through_a_proxy_is_not_the_owners(api: TestClient) -> None:
     for header in ("X-Forwarded-For", "Forwarded"):
         problem(api.get("/datasets", headers={header: "for=192.0.2.1"}), 401, "unauthorized")
     assert api.get("/datasets").status_code == 200
-
-
-def test_another_user_of_the_machine_gets_nothing(live: Live) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("only root can be several users")
-    paths = live.get("/openapi.json")["paths"]
-    asked = [(m, p) for p, item in paths.items() for m in item if m in OF_METHODS]
-    asked += WITHOUT_DOCUMENT
-    statuses = {}
-    for uid in (NOBODY, 0):
-        ran = subprocess.run(
-            tied(sys.executable, "-c", AS_USER, str(uid), live.url, orjson.dumps(asked).decode()),
-            stdout=subprocess.PIPE,
-            text=True,
-            check=True,
-        )
-        statuses[uid] = orjson.loads(ran.stdout)
-    assert statuses[NOBODY] == [401] * len(asked)
-    assert 401 not in statuses[0]

@@ -1,5 +1,8 @@
 """What a key has opened ends with it, and what is refused costs little and leaves no noise."""
 
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
@@ -25,6 +28,7 @@ from tests.service.conftest import (
     CONFIG,
     JSON,
     MIB,
+    Live,
     frames_of,
     make_dataset,
     problem,
@@ -32,8 +36,23 @@ from tests.service.conftest import (
     wait_for,
 )
 from tests.service.http.test_limits import Chunks
+from tests.service.http.test_peers import NOBODY
 from tests.service.owner import OwnersClient
-from tests.service.test_keys import bearer
+from tests.service.test_keys import OF_METHODS, WITHOUT_DOCUMENT, bearer
+from worker.process import tied
+
+# Sends requests as a user, and prints their statuses.
+AS_USER = """
+import encodings.idna, http.client, json, os, sys
+os.setgroups([]), os.setresgid(*[int(sys.argv[1])] * 3), os.setresuid(*[int(sys.argv[1])] * 3)
+statuses = []
+for method, path in json.loads(sys.argv[3]):
+    connection = http.client.HTTPConnection(sys.argv[2].removeprefix("http://"))
+    connection.request(method.upper(), path.replace("{", "").replace("}", ""))
+    statuses.append(connection.getresponse().status)
+    connection.close()
+print(json.dumps(statuses))
+"""
 
 
 @pytest.fixture(scope="module")
@@ -144,3 +163,22 @@ def test_the_key_of_the_settings_and_no_trust_in_who_is_local(settings: Settings
         assert client.get("/keys", headers=bearer(token)).status_code == 200
         assert client.get("/health/ready").status_code == 200  # for balancers
     assert token not in repr(closed)
+
+
+def test_another_user_of_the_machine_gets_nothing(live: Live) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root can be several users")
+    paths = live.get("/openapi.json")["paths"]
+    asked = [(m, p) for p, item in paths.items() for m in item if m in OF_METHODS]
+    asked += WITHOUT_DOCUMENT
+    statuses = {}
+    for uid in (NOBODY, 0):
+        ran = subprocess.run(
+            tied(sys.executable, "-c", AS_USER, str(uid), live.url, orjson.dumps(asked).decode()),
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+        )
+        statuses[uid] = orjson.loads(ran.stdout)
+    assert statuses[NOBODY] == [401] * len(asked)
+    assert 401 not in statuses[0]

@@ -41,6 +41,7 @@ from service.resources import (
     storage,
     webhooks,
 )
+from service.wire import watch_messages
 from tests.service.conftest import CONFIG, Live, frames_of, to_npz
 
 # Where the forms of answers are.
@@ -55,6 +56,7 @@ MODULES = (
     lift,
     lifts,
     lists,
+    watch_messages,
     queues,
     storage,
     keys,
@@ -158,6 +160,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "list_datasets",
         "list_fits",
         "list_keys",
+        "list_lift_streams",
         "list_lifts",
         "list_models",
         "list_queues",
@@ -169,6 +172,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "stream_fit_events",
         "stream_lift_events",
         "stream_lifts",
+        "watch_lift_stream",
     ]
     for operation in operations(spec):
         assert operation["summary"]

@@ -82,7 +82,8 @@ class Line:
 
     def __init__(self, driver: Blocking | Awaiting) -> None:
         http = driver.http
-        self.url = f"ws{str(http.base_url).removeprefix('http').rstrip('/')}/lift/stream"
+        self.base = f"ws{str(http.base_url).removeprefix('http').rstrip('/')}"
+        self.url = f"{self.base}/lift/stream"
         self.timeout, self.patience = http.timeout.read, driver.patience
         self._http = http
 
@@ -127,7 +128,7 @@ class Stream:
         pauses = self._line.pauses()
         while True:
             try:
-                with _opening(self._line.url):
+                with opening(self._line.url):
                     connection = connect(self._line.url, **self._line.options())
                     self._socket: ClientConnection = self._stack.enter_context(connection)
                 break
@@ -136,7 +137,7 @@ class Stream:
                     raise
                 time.sleep(pause)
         try:
-            with _talking():
+            with talking():
                 self._socket.send(self._start)
                 self.ready: Ready = read_ready(self._socket.recv(self._line.timeout))
         except BaseException:
@@ -166,7 +167,7 @@ class Stream:
             The stream was closed.
         """
         sequence = next(self._sequences)
-        with _talking():
+        with talking():
             self._socket.send(write_frame(sequence, keypoints, confidence, time))
         return sequence
 
@@ -175,7 +176,7 @@ class Stream:
 
         The next frame has none before it to be smoothed with.
         """
-        with _talking():
+        with talking():
             self._socket.send(FLUSH)
 
     def receive(self) -> Answer | Dropped:
@@ -188,7 +189,7 @@ class Stream:
         ConnectionFailed
             The stream was closed.
         """
-        with _talking():
+        with talking():
             return read_message(self._socket.recv(), self.ready.keypoints)
 
     def lift(
@@ -227,7 +228,7 @@ class AsyncStream:
         pauses = self._line.pauses()
         while True:
             try:
-                with _opening(self._line.url):
+                with opening(self._line.url):
                     connection = connect_async(self._line.url, **self._line.options())
                     self._socket: AsyncConnection = await self._stack.enter_async_context(
                         connection
@@ -238,7 +239,7 @@ class AsyncStream:
                     raise
                 await asyncio.sleep(pause)
         try:
-            with _talking():
+            with talking():
                 await self._socket.send(self._start)
                 async with asyncio.timeout(self._line.timeout):
                     self.ready: Ready = read_ready(await self._socket.recv())
@@ -261,18 +262,18 @@ class AsyncStream:
     ) -> int:
         """Send a frame, as :meth:`Stream.send` does."""
         sequence = next(self._sequences)
-        with _talking():
+        with talking():
             await self._socket.send(write_frame(sequence, keypoints, confidence, time))
         return sequence
 
     async def flush(self) -> None:
         """Ask for the answers to all frames so far, as :meth:`Stream.flush` does."""
-        with _talking():
+        with talking():
             await self._socket.send(FLUSH)
 
     async def receive(self) -> Answer | Dropped:
         """Return the next answer, as :meth:`Stream.receive` does."""
-        with _talking():
+        with talking():
             return read_message(await self._socket.recv(), self.ready.keypoints)
 
     async def lift(
@@ -305,7 +306,8 @@ def _check_waits_for_nothing(ready: Ready) -> None:
 
 
 @contextmanager
-def _opening(url: str) -> Iterator[None]:
+def opening(url: str) -> Iterator[None]:
+    """Raise what a connection is refused with as an error of ours."""
     try:
         yield
     except InvalidStatus as error:
@@ -322,7 +324,8 @@ def _opening(url: str) -> Iterator[None]:
 
 
 @contextmanager
-def _talking() -> Iterator[None]:
+def talking() -> Iterator[None]:
+    """Raise what a connection ends with as an error of ours."""
     try:
         yield
     except ConnectionClosed as error:

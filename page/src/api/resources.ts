@@ -14,6 +14,7 @@ export type Finding = Schemas["Finding"];
 export type Alias = Schemas["Alias"];
 export type Storage = Schemas["Storage"];
 export type WaitingJobs = Schemas["WaitingJobs"];
+export type LiftStream = Schemas["LiftStream"];
 /** What has a page of its own, and can be renamed and deleted. */
 export type Kind = "datasets" | "fits" | "models";
 
@@ -46,6 +47,7 @@ export const setAlias = (alias: string, model: string) =>
   sendJson<Alias>(`models/${encodeURIComponent(alias)}`, { model_id: model }, "PUT");
 export const deleteAlias = (alias: string) => remove("models", alias);
 export const getStorage = () => askJson<Storage>("storage");
+export const listStreams = () => askJson<Page<LiftStream>>("lift/streams");
 export const getQueues = () => askJson<Page<WaitingJobs>>("queues");
 export const rename = (kind: Kind, id: string, name: string) =>
   sendJson<{ name: string }>(`${kind}/${encodeURIComponent(id)}`, { name }, "PATCH");

@@ -85,7 +85,7 @@ export function rateOf({ fps, times }: Capture): { rate: number; known: boolean 
   return { rate: 30, known: false };
 }
 
-function numbered(word: string, count: number): string[] {
+export function numbered(word: string, count: number): string[] {
   return Array.from({ length: count }, (_, index) => `${word} ${index}`);
 }
 

@@ -4,6 +4,7 @@ import { useEffect, useState } from "preact/hooks";
 import { createFit, getDataset, listFitsOf, type Dataset, type Fit } from "../api/resources.ts";
 import { remoteCapture } from "../data/remote.ts";
 import { captured } from "../fits/fits_screen.tsx";
+import { Alert, Waiting } from "../parts/alert.tsx";
 import { DeleteButton, NamedHeading } from "../parts/named.tsx";
 import { goTo, linkTo } from "../route.ts";
 import { ConfigForm } from "./config_form.tsx";
@@ -39,7 +40,7 @@ export function DatasetScreen({ id }: { id: string }) {
     await work().catch((error: Error) => setTrouble(error.message));
     setBusy(false);
   };
-  if (dataset === null) return <main>{trouble === null ? <p class="quiet">Loading …</p> : <p class="trouble">{trouble}</p>}</main>;
+  if (dataset === null) return <Waiting trouble={trouble} />;
   return (
     <main>
       <header class="title">
@@ -56,11 +57,7 @@ export function DatasetScreen({ id }: { id: string }) {
           The defaults suit most captures. A minute or two for a thousand frames; you may close the page meanwhile.
         </p>
         <ConfigForm dataset={dataset} onChange={setConfig} />
-        {trouble !== null && (
-          <p class="trouble" role="alert">
-            {trouble}
-          </p>
-        )}
+        <Alert>{trouble}</Alert>
         <div class="buttons">
           <button
             class="primary"

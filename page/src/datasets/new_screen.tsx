@@ -2,6 +2,7 @@
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import { captured } from "../fits/fits_screen.tsx";
+import { Alert } from "../parts/alert.tsx";
 import { bytes, count, percent } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { goTo } from "../route.ts";
@@ -57,11 +58,7 @@ export function NewScreen() {
         {files.length > 0 && <FileList files={files} onRemove={(gone) => setFiles(files.filter((file) => file !== gone))} />}
         <Fields description={description} setDescription={setDescription} disabled={sent !== null} />
         <Looked look={look} />
-        {trouble !== null && (
-          <p class="trouble" role="alert">
-            {trouble}
-          </p>
-        )}
+        <Alert>{trouble}</Alert>
         {sent === null ? (
           <button class="primary" disabled={look.state !== "seen"}>
             {unfinished ? "Store what is missing of it" : "Store this capture"}
@@ -76,13 +73,7 @@ export function NewScreen() {
 
 function Looked({ look }: { look: Look }) {
   if (look.state === "none") return null;
-  if (look.state === "refused") {
-    return (
-      <p class="trouble" role="alert">
-        {look.reason}
-      </p>
-    );
-  }
+  if (look.state === "refused") return <Alert>{look.reason}</Alert>;
   if (look.state === "sending") return <Sending share={look.share} then="Reading the files …" />;
   const { preview } = look;
   return (

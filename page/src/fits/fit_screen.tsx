@@ -5,6 +5,7 @@ import { useEffect, useState } from "preact/hooks";
 import { followFit } from "../api/events.ts";
 import { Refusal } from "../api/http.ts";
 import { getFit, type Fit } from "../api/resources.ts";
+import { Alert } from "../parts/alert.tsx";
 import { DeleteButton, NamedHeading } from "../parts/named.tsx";
 import { goTo, linkTo } from "../route.ts";
 import { Failure } from "./failure.tsx";
@@ -77,11 +78,7 @@ export function FitScreen({ id }: { id: string }) {
           )}
         </span>
       </header>
-      {trouble !== null && isGoingOn(fit) && (
-        <p class="trouble" role="status">
-          {trouble.message} Trying again.
-        </p>
-      )}
+      {isGoingOn(fit) && <Alert>{trouble && `${trouble.message} Trying again.`}</Alert>}
       {isGoingOn(fit) && <Progress fit={fit} history={history} onFit={setFit} />}
       {(fit.status === "failed" || fit.status === "cancelled") && <Failure fit={fit} />}
       {fit.status === "succeeded" && (

@@ -14,89 +14,76 @@ import {
   type WaitingJobs,
 } from "../api/resources.ts";
 import { count, duration, moment, number, percent, pixels } from "../parts/format.ts";
-import { Icon } from "../parts/icons.tsx";
+import { ListScreen, NewCapture, Warnings } from "../parts/list_screen.tsx";
+import { useList } from "../parts/use_list.ts";
 import { linkTo } from "../route.ts";
 import { isGoingOn } from "./fit_screen.tsx";
 import { Status } from "./status.tsx";
 
 export function FitsScreen() {
-  const [fits, setFits] = useState<Fit[] | null>(null);
-  const [datasets, setDatasets] = useState<Dataset[]>([]);
-  const [next, setNext] = useState<string | null>(null);
+  const fits = useList(listFits);
+  const [datasets, setDatasets] = useState<Dataset[] | null>(null);
   const [errors, setErrors] = useState(new Map<string, number>()); // pixels, by model
-  const [trouble, setTrouble] = useState<string | null>(null);
+  const [broken, setBroken] = useState<string | null>(null); // why a fit cannot be followed
 
   useEffect(() => {
-    document.title = "Fits · Fewview";
-    Promise.all([listFits(), listDatasets(), listModels()]).then(
-      ([found, sets, models]) => {
-        setFits(found.items);
-        setNext(found.next_cursor ?? null);
+    Promise.all([listDatasets(), listModels()]).then(
+      ([sets, models]) => {
         setDatasets(sets.items);
         setErrors(new Map(models.items.flatMap((model) => (model.reprojection_error ? [[model.id, model.reprojection_error]] : []))));
       },
-      (error: Error) => setTrouble(error.message),
+      (error: Error) => setBroken(error.message),
     );
   }, []);
-  const going = (fits ?? []).filter(isGoingOn).map((fit) => fit.id);
-  const put = (fit: Fit) => setFits((all) => all?.map((each) => (each.id === fit.id ? fit : each)) ?? null);
+  const going = (fits.items ?? []).filter(isGoingOn).map((fit) => fit.id);
   useEffect(() => {
-    const stops = going.map((id) => followFit(id, put, (error) => setTrouble(error?.message ?? null)));
+    const stops = going.map((id) => followFit(id, fits.put, (error) => setBroken(error?.message ?? null)));
     return () => stops.forEach((stop) => stop());
   }, [going.join()]);
 
-  const more = async () => {
-    const page = await listFits(next ?? undefined);
-    setFits([...(fits ?? []), ...page.items]);
-    setNext(page.next_cursor ?? null);
-  };
-  const fitted = new Set((fits ?? []).map((fit) => fit.dataset_id));
-  const unfitted = datasets.filter((dataset) => !fitted.has(dataset.id));
+  const row = (fit: Fit) => (
+    <>
+      <FitRow
+        fit={fit}
+        dataset={datasets?.find((dataset) => dataset.id === fit.dataset_id)}
+        error={errors.get(fit.model_id ?? "")}
+      />
+      {isGoingOn(fit) && <CancelButton fit={fit} onFit={fits.put} />}
+    </>
+  );
+  const fitted = new Set((fits.items ?? []).map((fit) => fit.dataset_id));
+  const unfitted = fits.items === null ? [] : (datasets ?? []).filter((dataset) => !fitted.has(dataset.id));
   return (
-    <main>
-      <header class="title">
-        <h1>Fits</h1>
-        <a class="button primary" href={linkTo("datasets", "new")}>
-          <Icon name="plus" /> New capture
-        </a>
-      </header>
-      {trouble !== null && (
-        <p class="trouble" role="alert">
-          {trouble}
-        </p>
-      )}
-      {going.length > 0 && <Queue key={going.length} />}
-      {fits?.length === 0 && unfitted.length === 0 && <Teach />}
+    <ListScreen
+      title="Fits"
+      list={{ ...fits, trouble: fits.trouble ?? broken }}
+      beside={<NewCapture />}
+      above={going.length > 0 && <Queue key={going.length} />}
+      teach={datasets?.length === 0 && <Teach />}
+      row={row}
+      isGoing={isGoingOn}
+    >
+      {unfitted.length > 0 && <Unfitted datasets={unfitted} />}
+    </ListScreen>
+  );
+}
+
+function Unfitted({ datasets }: { datasets: Dataset[] }) {
+  return (
+    <>
+      <h2>Datasets that wait to be fitted</h2>
       <ul class="list">
-        {fits?.map((fit) => (
-          <li key={fit.id} class={isGoingOn(fit) ? "going" : ""}>
-            <FitRow
-              fit={fit}
-              dataset={datasets.find((dataset) => dataset.id === fit.dataset_id)}
-              error={errors.get(fit.model_id ?? "")}
-            />
-            {isGoingOn(fit) && <CancelButton fit={fit} onFit={put} />}
+        {datasets.map((dataset) => (
+          <li key={dataset.id}>
+            <a class="panel row" href={linkTo("datasets", dataset.id)}>
+              <strong>{dataset.name}</strong>
+              <span class="quiet">{captured(dataset)}</span>
+              <span class="quiet">{moment(dataset.created_at)}</span>
+            </a>
           </li>
         ))}
       </ul>
-      {next !== null && <button onClick={() => void more()}>Older fits</button>}
-      {unfitted.length > 0 && (
-        <>
-          <h2>Datasets that wait to be fitted</h2>
-          <ul class="list">
-            {unfitted.map((dataset) => (
-              <li key={dataset.id}>
-                <a class="panel row" href={linkTo("datasets", dataset.id)}>
-                  <strong>{dataset.name}</strong>
-                  <span class="quiet">{captured(dataset)}</span>
-                  <span class="quiet">{moment(dataset.created_at)}</span>
-                </a>
-              </li>
-            ))}
-          </ul>
-        </>
-      )}
-    </main>
+    </>
   );
 }
 
@@ -142,18 +129,13 @@ interface RowProps {
 }
 
 function FitRow({ fit, dataset, error }: RowProps) {
-  const warnings = fit.findings.filter((finding) => finding.severity === "warning").length;
   return (
     <a class="panel row" href={linkTo("fits", fit.id)}>
       <strong>{fit.name}</strong>
       <span class="quiet">{dataset ? `${dataset.name}: ${captured(dataset)}` : count(fit.frames, "frame")}</span>
       <span class="facts">
         <Status fit={fit} />
-        {warnings > 0 && (
-          <span class="warned">
-            <Icon name="warning" /> {count(warnings, "warning")}
-          </span>
-        )}
+        <Warnings findings={fit.findings} />
         {error !== undefined && <span>{pixels(error)}</span>}
         <span class="quiet">{progressOf(fit)}</span>
       </span>
@@ -194,9 +176,7 @@ function Teach() {
           away as files.
         </li>
       </ol>
-      <a class="button primary" href={linkTo("datasets", "new")}>
-        <Icon name="plus" /> Start with a capture
-      </a>
+      <NewCapture>Start with a capture</NewCapture>
       <p class="quiet">
         No capture at hand? <code>make demo</code> fits one of three actors.
       </p>

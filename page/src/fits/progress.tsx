@@ -2,6 +2,7 @@
 
 import { useState } from "preact/hooks";
 import { cancelFit, type Fit } from "../api/resources.ts";
+import { Alert } from "../parts/alert.tsx";
 import { duration, number, pixels } from "../parts/format.ts";
 import { Curve } from "./curve.tsx";
 
@@ -34,7 +35,7 @@ export function Progress({ fit, history, onFit }: { fit: Fit; history: Fit[]; on
           Cancel the fit
         </button>
       </div>
-      {trouble !== null && <p class="trouble">{trouble}</p>}
+      <Alert>{trouble}</Alert>
       <p class="quiet">You may close this page: the fit goes on, and its result will be here.</p>
     </section>
   );

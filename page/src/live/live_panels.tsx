@@ -1,9 +1,8 @@
 /** What a stream brings: the structure, the views, how fast answers come, and what was noticed. */
 
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
-import type { ModelSummary } from "../api/resources.ts";
-import type { CaptureFile } from "../data/capture.ts";
-import type { Frame } from "../data/take.ts";
+import type { Model } from "../api/resources.ts";
+import { Alert } from "../parts/alert.tsx";
 import { FigureList } from "../parts/figure_list.tsx";
 import { FindingList } from "../parts/finding_list.tsx";
 import { count, number } from "../parts/format.ts";
@@ -15,18 +14,19 @@ import { ShownContext, type Shown } from "../result/show.ts";
 import { StagePanel } from "../result/stage_panel.tsx";
 import { ViewPanel } from "../result/view_panel.tsx";
 import { frameFindings } from "../science/frame_findings.ts";
-import { quantile } from "../science/worst.ts";
-import { startReplay, type Figures, type Replay } from "./replay.ts";
-import type { Trouble } from "./stream.ts";
+import type { Trouble } from "./connection.ts";
+import type { Feed, Figures, Listener } from "./feed.ts";
+import { LatencyCurve } from "./latency_curve.tsx";
 
 /** What is streamed, and how. */
 export interface Running {
-  model: ModelSummary;
-  file: CaptureFile;
-  frame: Frame;
+  config: Model["config"];
+  frames: number; // that there is room for
+  numbered: boolean; // whether their numbers say anything to who looks on
   posed: boolean[];
   extent?: Extent; // of the subject; without one it is that of the first answers
-  rate: number;
+  rate?: number; // frames per second that are sent, where that is known
+  start(listener: Listener): Feed;
 }
 
 const FIRST_ANSWERS = 30;
@@ -34,18 +34,15 @@ const PERIOD_MS = 250; // between two looks at the figures
 
 export function LivePanels({ running }: { running: Running }) {
   const [trouble, setTrouble] = useState<Trouble | null>(null);
-  const { replay, shown: begun } = useReplay(running, setTrouble);
-  const figures = useFigures(replay);
-  const ready = running.extent !== undefined ? figures.answered > 0 : figures.answered >= FIRST_ANSWERS;
-  const { take } = replay;
+  const { feed, shown: begun, come } = useFeed(running, setTrouble);
+  useRegularLook(feed);
+  const ready = come.current >= (running.extent !== undefined ? 1 : FIRST_ANSWERS);
+  const { take, figures } = feed;
+  const noticed = frameFindings(take.frameBits).map((each) => (running.numbered ? each : { ...each, frames: [] }));
   const shown: Shown = { ...begun, done: ready };
   return (
     <ShownContext.Provider value={shown}>
-      {trouble !== null && (
-        <p class="trouble" role="alert">
-          {trouble.reason} {!trouble.forGood && "Trying again."}
-        </p>
-      )}
+      <Alert>{trouble && `${trouble.reason} ${trouble.forGood ? "" : "Trying again."}`}</Alert>
       <div class="result">
         <div class="screens live">
           {ready ? (
@@ -65,11 +62,12 @@ export function LivePanels({ running }: { running: Running }) {
           <section class="panel" aria-label="Stream">
             <h2>The stream</h2>
             <StreamFigures figures={figures} rate={running.rate} />
+            <LatencyCurve seconds={figures.seconds} />
           </section>
           <section class="panel">
             <h2>What was noticed</h2>
             <FindingList
-              findings={frameFindings(take.frameBits)}
+              findings={noticed}
               viewNames={take.viewNames}
               keypointNames={take.names}
             />
@@ -80,62 +78,63 @@ export function LivePanels({ running }: { running: Running }) {
   );
 }
 
-function StreamFigures({ figures, rate }: { figures: Figures; rate: number }) {
-  const { connected, sent, answered, dropped, notLifted, latencies, perSecond } = figures;
+function StreamFigures({ figures, rate }: { figures: Figures; rate: number | undefined }) {
+  const { connected, sent, answered, dropped, refused, notLifted, perSecond } = figures;
+  const { median, p95 } = figures.seconds.at(-1) ?? { median: null, p95: null };
   const rows: [string, string][] = [
-    ["Connection", connected ? "open" : "broken"],
-    ["An answer takes", `${number(quantile(latencies, 0.5))} ms in the median, ${number(quantile(latencies, 0.95))} ms at p95`],
-    ["Answers", `${number(perSecond)} a second, of ${number(rate)} frames a second`],
-    ["Sent", `${count(sent, "frame")}, ${answered.toLocaleString("en")} answered`],
+    ["Connection", connected ? "open" : "closed"],
+    ["An answer takes", `${number(median)} ms in the median, ${number(p95)} ms at p95`],
+    ["Answers", `${number(perSecond)} a second${rate === undefined ? "" : `, of ${number(rate)} frames a second`}`],
+    ["Answered", `${count(answered, "frame")}${sent === undefined ? "" : `, of ${sent.toLocaleString("en")} sent`}`],
     ["Dropped", count(dropped, "frame")],
+    ["Refused", count(refused, "frame")],
     ["Not lifted", count(notLifted, "frame")],
   ];
   return <FigureList rows={rows} />;
 }
 
-/** Streams as long as the screen is there. */
-function useReplay(running: Running, setTrouble: (trouble: Trouble | null) => void) {
-  const { model, file, frame, posed, rate } = running;
+/** Shows what comes as long as the screen is there. */
+function useFeed(running: Running, setTrouble: (trouble: Trouble | null) => void) {
+  const { config, frames, posed } = running;
   const [theme, setTheme] = useState(readTheme);
   const [through, setThrough] = useState<number | null>(null);
   const [selected, select] = useState<number | null>(null);
-  const player = useMemo(() => createPlayer(file.capture.frames, rate, 0), [running]);
+  const come = useRef(0); // frames
+  const player = useMemo(() => createPlayer(frames, running.rate ?? 30, 0), [running]);
   const loop = useMemo(() => createLoop(player), [player]);
-  const replay = useMemo(
-    () =>
-      startReplay(file, model.id, frame, rate, {
-        onFrame(shownFrame) {
-          player.show(shownFrame);
-          loop.wake();
-        },
-        onTrouble: setTrouble,
-        onReady: () => setTrouble(null),
-      }),
-    [running],
-  );
+  const feed = useMemo(() => {
+    come.current = 0;
+    return running.start({
+      onFrame(frame) {
+        come.current++;
+        player.show(frame);
+        loop.wake();
+      },
+      onTrouble: setTrouble,
+      onReady: () => setTrouble(null),
+    });
+  }, [running]);
   useEffect(
     () => () => {
-      replay.stop();
+      feed.stop();
       loop.close();
     },
-    [replay, loop],
+    [feed, loop],
   );
   useEffect(() => onThemeChange(() => setTheme(readTheme())), []);
   const lookThrough = (view: number | null) => setThrough(view === null || posed[view] ? view : null);
   const shown: Shown = {
-    ...{ config: model.config, take: replay.take, player, loop, theme, posed, version: 0, done: false },
+    ...{ config, take: feed.take, player, loop, theme, posed, version: 0, done: false },
     ...{ selected, select, through, lookThrough },
   };
-  return { replay, shown };
+  return { feed, shown, come };
 }
 
-/** Returns what has come so far, looked at a few times a second. */
-function useFigures(replay: Replay): Figures {
+/** Looks at what has come a few times a second. */
+function useRegularLook(feed: Feed): void {
   const [, look] = useState(0);
-  const parts = useRef(0);
   useEffect(() => {
-    const timer = setInterval(() => look(++parts.current), PERIOD_MS);
+    const timer = setInterval(() => look((looks) => looks + 1), PERIOD_MS);
     return () => clearInterval(timer);
-  }, [replay]);
-  return replay.figures;
+  }, [feed]);
 }

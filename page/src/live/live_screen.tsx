@@ -1,5 +1,5 @@
-/** A stream of a model, as who runs one would watch it: frames of a stored capture are sent to it as
- * cameras would, and what comes back is shown. */
+/** Streams: those that programs have open, and one of the page's own, which sends the frames of a stored
+ * capture as cameras would and shows what comes back. */
 
 import { useEffect, useState } from "preact/hooks";
 import {
@@ -15,10 +15,13 @@ import { inFrame } from "../data/loading.ts";
 import { remoteCapture } from "../data/remote.ts";
 import { emptyTake, putStructures, type Frame } from "../data/take.ts";
 import { captured } from "../fits/fits_screen.tsx";
+import { Alert } from "../parts/alert.tsx";
 import { linkTo } from "../route.ts";
 import { extentOf } from "../result/scene/scene.ts";
 import type { Extent } from "../result/scene/parts.ts";
 import { LivePanels, type Running } from "./live_panels.tsx";
+import { OpenStreams } from "./open_streams.tsx";
+import { startReplay } from "./replay.ts";
 
 const OVERVIEW = 300; // frames of the fit that say where the subject goes
 
@@ -59,8 +62,10 @@ export default function LiveScreen() {
     <main class="wide">
       <header class="title">
         <h1>Live</h1>
-        <span class="quiet">Frames of a stored capture, sent to a model as cameras would.</span>
+        <span class="quiet">Streams of frames, lifted as they come.</span>
       </header>
+      {running === null && <OpenStreams models={models ?? []} />}
+      {running === null && <h2>A stream of a stored capture</h2>}
       <form
         class="panel live-form"
         onSubmit={(event) => {
@@ -113,11 +118,7 @@ export default function LiveScreen() {
       {used !== undefined && dataset === undefined && (
         <p class="quiet">No stored capture has the {used.keypoints} keypoints and the views of this model.</p>
       )}
-      {trouble !== null && (
-        <p class="trouble" role="alert">
-          {trouble}
-        </p>
-      )}
+      <Alert>{trouble}</Alert>
       {running === null ? <How /> : <LivePanels running={running} />}
     </main>
   );
@@ -130,7 +131,11 @@ async function prepared(model: ModelSummary, dataset: string, rate: number | und
   const frame: Frame = !resting ? "view" : model.fit_id ? "level" : "camera";
   const posed = file.capture.viewNames.map((_, view) => cameras.views.some(({ index }) => index === view));
   const { frame: shown, extent } = await extentOfFit(model, frame, file.capture);
-  return { model, file, frame: shown, posed, extent, rate: rate ?? rateOf(file.capture).rate };
+  const perSecond = rate ?? rateOf(file.capture).rate;
+  return {
+    ...{ config: model.config, frames: file.capture.frames, numbered: true, posed, rate: perSecond, ...(extent ? { extent } : {}) },
+    start: (listener) => startReplay(file, model.id, shown, perSecond, listener),
+  };
 }
 
 /** Returns where the subject of a model's fit went, and the frame of reference that it is known in. */

@@ -4,6 +4,7 @@ import type { Lifted } from "../data/take.ts";
 
 const FRAME = 1; // kinds of messages
 const ANSWER = 2;
+const WATCHED = 3;
 const HEADER = 8; // bytes
 const VIEW = 27; // numbers of four bytes
 const LIFTED = 1; // flags of an answer
@@ -29,26 +30,44 @@ export interface Answer {
 
 /** @param keypoints of a view */
 export function readAnswer(message: ArrayBuffer, keypoints: number): Answer {
+  const { flags, sequence, lifted } = read(message, ANSWER, keypoints);
+  return { sequence, lifted: flags & LIFTED ? lifted : null };
+}
+
+/** How many views a frame has that is watched. */
+export function viewsIn(message: ArrayBuffer): number {
+  return new DataView(message).getUint16(2, true);
+}
+
+export interface WatchedFrame {
+  pixels: Float32Array; // (K, P, 2) as they were sent
+  lifted: Lifted; // one frame; NaN where it could not be lifted
+}
+
+/** @param keypoints of a view */
+export function readWatched(message: ArrayBuffer, keypoints: number): WatchedFrame {
+  const { lifted, end } = read(message, WATCHED, keypoints);
+  return { pixels: new Float32Array(message, end), lifted };
+}
+
+function read(message: ArrayBuffer, kind: number, keypoints: number) {
   const header = new DataView(message);
-  if (header.getUint8(0) !== ANSWER) throw new Error("The service sent a message of an unknown kind.");
+  if (header.getUint8(0) !== kind) throw new Error("The service sent a message of an unknown kind.");
   const flags = header.getUint8(1);
   const views = header.getUint16(2, true);
   const sequence = header.getUint32(4, true);
-  if ((flags & LIFTED) === 0) return { sequence, lifted: null };
   const start = HEADER + 12 * keypoints;
   const outliers = start + 4 * VIEW * views + 4 * Math.ceil(keypoints / 4);
-  return {
-    sequence,
-    lifted: {
-      frames: 1,
-      views,
-      keypoints,
-      points: new Float32Array(message.slice(HEADER, start)),
-      ...viewsOf(message, start, views),
-      outliers: new Float32Array(message, outliers, views * keypoints),
-      bits: [flags >> FINDINGS],
-    },
+  const lifted: Lifted = {
+    frames: 1,
+    views,
+    keypoints,
+    points: new Float32Array(message.slice(HEADER, start)),
+    ...viewsOf(message, start, views),
+    outliers: new Float32Array(message, outliers, views * keypoints),
+    bits: [flags >> FINDINGS],
   };
+  return { flags, sequence, lifted, end: outliers + 4 * views * keypoints };
 }
 
 function viewsOf(message: ArrayBuffer, start: number, views: number) {

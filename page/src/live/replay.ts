@@ -2,35 +2,14 @@
 
 import type { CaptureFile } from "../data/capture.ts";
 import { emptyTake, putDetected, putLifted, type Frame, type Take } from "../data/take.ts";
-import { openStream, type Start, type Stream, type Trouble } from "./stream.ts";
-
-export interface Figures {
-  connected: boolean;
-  sent: number;
-  answered: number;
-  dropped: number;
-  notLifted: number;
-  latencies: number[]; // milliseconds, of the last answers
-  perSecond: number; // answers, of the last second
-}
-
-export interface Replay {
-  take: Take;
-  figures: Figures;
-  stop(): void;
-}
-
-export interface Listener {
-  /** Called with the frame of each answer. */
-  onFrame(frame: number): void;
-  onTrouble(trouble: Trouble): void;
-  onReady(): void;
-}
+import { quantile } from "../science/worst.ts";
+import { noFigures, noteSecond, type Feed, type Listener } from "./feed.ts";
+import { openStream, type Start, type Stream } from "./stream.ts";
 
 const PART = 240; // frames that are fetched at a time
 const TICK_MS = 4;
 const LATE_MS = 500; // beyond which frames are skipped, as a camera's would be lost
-const LATENCIES = 240; // that are kept
+const MOST_SENT = 240; // frames that may yet be answered
 
 const FRAMES: Record<Frame, Omit<Start, "model">> = {
   level: { frame: "room", up: "auto" },
@@ -39,17 +18,11 @@ const FRAMES: Record<Frame, Omit<Start, "model">> = {
 };
 
 /** @param rate frames per second */
-export function startReplay(
-  file: CaptureFile,
-  model: string,
-  frame: Frame,
-  rate: number,
-  listener: Listener,
-): Replay {
+export function startReplay(file: CaptureFile, model: string, frame: Frame, rate: number, listener: Listener): Feed {
   const { capture } = file;
   const take = emptyTake(capture, capture.frames, frame);
-  const figures: Figures = { connected: false, sent: 0, answered: 0, dropped: 0, notLifted: 0, latencies: [], perSecond: 0 };
-  const times: number[] = []; // of answers within the last second
+  const figures = { ...noFigures(), sent: 0 };
+  let latencies: number[] = []; // milliseconds, of this second
   const frames = new Map<number, number>(); // by sequence
   const stream = openStream({ model, ...FRAMES[frame] }, capture.keypoints, {
     onReady() {
@@ -60,9 +33,7 @@ export function startReplay(
       const shown = frames.get(sequence);
       frames.delete(sequence);
       figures.answered++;
-      if (Number.isFinite(milliseconds)) figures.latencies.push(milliseconds);
-      if (figures.latencies.length > LATENCIES) figures.latencies.shift();
-      count(times, figures);
+      latencies.push(milliseconds);
       if (lifted === null) figures.notLifted++;
       if (lifted === null || shown === undefined) return;
       putLifted(take, lifted, shown, 1);
@@ -70,6 +41,9 @@ export function startReplay(
     },
     onDropped(many) {
       figures.dropped += many;
+    },
+    onRefused() {
+      figures.refused++;
     },
     onTrouble(trouble) {
       figures.connected = false;
@@ -79,24 +53,24 @@ export function startReplay(
   });
   const stop = sendInTime(file, take, stream, rate, (sequence, sentFrame) => {
     frames.set(sequence, sentFrame);
-    if (frames.size > LATENCIES) frames.delete(frames.keys().next().value ?? 0); // of dropped ones
+    if (frames.size > MOST_SENT) frames.delete(frames.keys().next().value ?? 0); // of dropped ones
     figures.sent++;
   });
+  const clock = setInterval(() => {
+    const some = latencies.length > 0;
+    figures.perSecond = latencies.length;
+    noteSecond(figures, some ? quantile(latencies, 0.5) : null, some ? quantile(latencies, 0.95) : null);
+    latencies = [];
+  }, 1000);
   return {
     take,
     figures,
     stop() {
+      clearInterval(clock);
       stop();
       stream.close();
     },
   };
-}
-
-function count(times: number[], figures: Figures): void {
-  const now = performance.now();
-  times.push(now);
-  while (times[0] < now - 1000) times.shift();
-  figures.perSecond = times.length;
 }
 
 /** Sends frames at their pace, of parts that are fetched before they are due. Returns what ends it. */

@@ -2,6 +2,7 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { deleteAlias, listAliases, setAlias, type Alias, type Model } from "../api/resources.ts";
+import { Alert } from "../parts/alert.tsx";
 import { moment } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 
@@ -58,11 +59,7 @@ export function Aliases({ model }: { model: Model }) {
         <button disabled={typed === ""}>{elsewhere ? "Move it here" : "Add"}</button>
         {elsewhere && <span class="quiet">It points to another model now.</span>}
       </form>
-      {trouble !== null && (
-        <p class="trouble" role="alert">
-          {trouble}
-        </p>
-      )}
+      <Alert>{trouble}</Alert>
     </>
   );
 }

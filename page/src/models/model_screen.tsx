@@ -3,6 +3,7 @@
 import { useEffect, useState } from "preact/hooks";
 import { getCameras, getFit, getModel, listFits, type Fit, type Model, type ModelCameras } from "../api/resources.ts";
 import { Curve } from "../fits/curve.tsx";
+import { Waiting } from "../parts/alert.tsx";
 import { FigureList } from "../parts/figure_list.tsx";
 import { FindingList } from "../parts/finding_list.tsx";
 import { bytes, count, moment, number, percent, pixels } from "../parts/format.ts";
@@ -23,9 +24,7 @@ export function ModelScreen({ id }: { id: string }) {
   useEffect(() => {
     document.title = `${model?.name ?? "Model"} · Fewview`;
   }, [model?.name]);
-  if (model === null) {
-    return <main>{trouble === null ? <p class="quiet">Loading …</p> : <p class="trouble">{trouble}</p>}</main>;
-  }
+  if (model === null) return <Waiting trouble={trouble} />;
   const curve = model.training_curve.flatMap(({ step, reprojection_error: error }) => (error ? [{ step, error }] : []));
   return (
     <main>

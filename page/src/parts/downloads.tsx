@@ -3,6 +3,7 @@
 import type { ComponentChildren } from "preact";
 import { useState } from "preact/hooks";
 import { download } from "../api/download.ts";
+import { Alert } from "./alert.tsx";
 import { Icon } from "./icons.tsx";
 
 export type Entry = [label: string, path: string, file: string];
@@ -43,11 +44,7 @@ export function Downloads({ groups, hindered = () => undefined }: Props) {
             </span>
           </div>
         ))}
-      {trouble !== null && (
-        <p class="trouble" role="alert">
-          {trouble}
-        </p>
-      )}
+      <Alert>{trouble}</Alert>
     </>
   );
 }

@@ -2,6 +2,7 @@
 
 import { useState } from "preact/hooks";
 import { remove, rename, type Kind } from "../api/resources.ts";
+import { Alert } from "./alert.tsx";
 import { Icon } from "./icons.tsx";
 
 interface Named {
@@ -51,11 +52,7 @@ export function NamedHeading({ kind, id, name, onName }: Named) {
       <button type="button" onClick={() => setTyped(null)}>
         Leave it
       </button>
-      {trouble !== null && (
-        <span class="trouble" role="alert">
-          {trouble}
-        </span>
-      )}
+      <Alert>{trouble}</Alert>
     </form>
   );
 }
@@ -102,11 +99,7 @@ export function DeleteButton({ kind, id, what, kept, onDeleted }: Deleting) {
           <Icon name="bin" /> Delete {what}
         </button>
       )}
-      {trouble !== null && (
-        <p class="trouble" role="alert">
-          {trouble}
-        </p>
-      )}
+      <Alert>{trouble}</Alert>
     </div>
   );
 }

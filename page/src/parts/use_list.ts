@@ -12,9 +12,11 @@ export interface List<T> {
   trouble: string | null;
   /** Shows older ones; null where there are none. */
   more: (() => void) | null;
+  /** Takes the newer state of one. */
+  put: (item: T) => void;
 }
 
-export function useList<T>(ask: (cursor?: string) => Promise<Page<T>>): List<T> {
+export function useList<T extends { id: string }>(ask: (cursor?: string) => Promise<Page<T>>): List<T> {
   const [items, setItems] = useState<T[] | null>(null);
   const [next, setNext] = useState<string | null>(null);
   const [trouble, setTrouble] = useState<string | null>(null);
@@ -26,6 +28,7 @@ export function useList<T>(ask: (cursor?: string) => Promise<Page<T>>): List<T> 
       },
       (error: Error) => setTrouble(error.message),
     );
+  const put = (newer: T) => setItems((all) => all?.map((each) => (each.id === newer.id ? newer : each)) ?? null);
   useEffect(() => void load(), []);
-  return { items, trouble, more: next === null ? null : () => void load(next) };
+  return { items, trouble, more: next === null ? null : () => void load(next), put };
 }

@@ -76,16 +76,7 @@ function pathPart(boxes: Box[], size: number): Part {
 
 function following(take: Take, view: number, size: number): (frame: number) => Part {
   const side = (1 + 2 * MARGIN) * size;
-  const known = new Map<number, Box | null>();
-  const boxAt = (frame: number): Box | null => {
-    if (take.there[frame] !== ALL) return null; // also beyond the ends
-    let box = known.get(frame);
-    if (box === undefined) {
-      if (known.size > 4 * FARTHEST) known.clear();
-      known.set(frame, (box = boxOf(take, view, frame)));
-    }
-    return box;
-  };
+  const boxAt = (frame: number) => (take.there[frame] === ALL ? boxOf(take, view, frame) : null); // also beyond the ends
   return (frame) => {
     let [x, y, count] = [0, 0, 0];
     for (let near = 0; near <= SMOOTHING || (count === 0 && near < FARTHEST); near++) {

@@ -2,6 +2,7 @@
 
 import type { ComponentChildren } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
+import { Alert } from "../parts/alert.tsx";
 import type { Extent } from "./scene/parts.ts";
 import { nearest } from "../data/take.ts";
 import { createStage, type Stage } from "./scene/scene.ts";
@@ -83,7 +84,7 @@ export function StagePanel({ onStage, extent, overlay = null, title, plain = fal
           </button>
         ))}
       </div>
-      {trouble !== null && <p class="trouble">{trouble}</p>}
+      <Alert>{trouble}</Alert>
       <div class="overlay top">
         {through === null ? (
           title === undefined ? <span class="quiet">{FRAMES[take.frame]}</span> : <strong>{title}</strong>

@@ -2,6 +2,7 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { getStorage, type Storage } from "../api/resources.ts";
+import { Alert } from "../parts/alert.tsx";
 import { bytes, count, percent } from "../parts/format.ts";
 import { linkTo } from "../route.ts";
 
@@ -26,11 +27,7 @@ export function StorageScreen() {
         <h1>Storage</h1>
         {storage !== null && <span class="quiet">{bytes(storage.stored_bytes)} in all</span>}
       </header>
-      {trouble !== null && (
-        <p class="trouble" role="alert">
-          {trouble}
-        </p>
-      )}
+      <Alert>{trouble}</Alert>
       {storage !== null && (
         <>
           <Quota storage={storage} />

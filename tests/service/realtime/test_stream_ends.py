@@ -17,7 +17,7 @@ from websockets.sync.client import ClientConnection
 
 from models.capture.synthetic import SyntheticCapture
 from service.settings import Settings
-from service.wire import stream_messages
+from service.wire import stream_messages, watch_messages
 from service.wire.stream_messages import StreamError
 from tests.damage import flip
 from tests.service.conftest import (
@@ -228,9 +228,10 @@ def test_a_request_without_a_websocket_is_refused(api: TestClient) -> None:
 
 def test_every_message_is_in_the_openapi_document(api: TestClient) -> None:
     document = api.get("/openapi.json").json()
-    described = document["paths"]["/lift/stream"]["get"]["x-websocket"]
     schemas = document["components"]["schemas"]
-    for side in ("client", "server"):
-        for reference in described[side]["oneOf"]:
-            name = reference["$ref"].rpartition("/")[2]
-            getattr(stream_messages, name).model_validate(schemas[name]["example"])
+    for path in ("/lift/stream", "/lift/streams/{stream_id}/watch"):
+        for messages in document["paths"][path]["get"]["x-websocket"].values():
+            for reference in messages["oneOf"]:
+                name = reference["$ref"].rpartition("/")[2]
+                kind = getattr(stream_messages, name, None) or getattr(watch_messages, name)
+                kind.model_validate(schemas[name]["example"])

@@ -1,0 +1,59 @@
+/** Curves (uPlot), with a sentence for who cannot see them. */
+
+import { useEffect, useRef } from "preact/hooks";
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+import { onThemeChange, readTheme, type Theme } from "./theme.ts";
+
+interface Props {
+  data: uPlot.AlignedData;
+  height: number; // pixels
+  x: string; // what the axes are called
+  y: string;
+  scales: uPlot.Scales;
+  series: (theme: Theme) => uPlot.Series[];
+  summary: string;
+  anew?: unknown; // where it changes, so do scales
+}
+
+export function Plot({ data, height, x, y, scales, series, summary, anew }: Props) {
+  const holder = useRef<HTMLDivElement>(null);
+  const plot = useRef<uPlot | null>(null);
+  const latest = useRef(data);
+  latest.current = data;
+
+  useEffect(() => {
+    const element = holder.current;
+    if (element === null) return undefined;
+    const build = () => {
+      const theme = readTheme();
+      const axis = { stroke: theme.quiet, grid: { stroke: theme.line, width: 1 }, ticks: { show: false }, labelSize: 20 };
+      const options: uPlot.Options = {
+        width: element.clientWidth,
+        height,
+        legend: { show: false },
+        cursor: { drag: { x: false, y: false } },
+        scales,
+        axes: [
+          { ...axis, label: x, size: 32 },
+          { ...axis, label: y, size: 48, values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : `${tick}`)) },
+        ],
+        series: [{}, ...series(theme)],
+      };
+      plot.current?.destroy();
+      plot.current = new uPlot(options, latest.current, element);
+    };
+    build();
+    const watcher = new ResizeObserver(() => plot.current?.setSize({ width: element.clientWidth, height }));
+    watcher.observe(element);
+    const stop = onThemeChange(build);
+    return () => {
+      stop();
+      watcher.disconnect();
+      plot.current?.destroy();
+      plot.current = null;
+    };
+  }, [anew]);
+  useEffect(() => plot.current?.setData(data), [data[0].at(-1), data[0].length]);
+  return <div ref={holder} class="curve" style={{ minHeight: height }} role="img" aria-label={summary} />;
+}
