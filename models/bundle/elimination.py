@@ -139,9 +139,9 @@ def _reduce(complement: Float64, right: Float64, answers: Float64, frame: Reduce
     copy(rest, frame.rest)
     for a in range(shared):
         link = complement[size + a]  # (R + T,)
-        frame.right[a] = right[size + a] - dot(link, rest)
+        frame.right[a] = right[size + a] - _dot(link, rest)
         for b in range(a + 1):
-            frame.information[a, b] = link[size + b] - dot(link, answers[b])
+            frame.information[a, b] = link[size + b] - _dot(link, answers[b])
             frame.information[b, a] = frame.information[a, b]
         for b in range(size):
             frame.rest_by_shared[b, a] = -answers[a, b]
@@ -169,7 +169,7 @@ def _points_by_shared(own: NormalEquations, inverses: Float64, frame: Reduced) -
 
 
 @inner
-def dot(a: Float64, b: Float64) -> float:
+def _dot(a: Float64, b: Float64) -> float:
     """Return the sum of products of the numbers of two arrays, as many as `b` has."""
     total = 0.0
     for i in range(len(b)):

@@ -67,11 +67,25 @@ def align(points: Float64, mean: Float64) -> tuple[Float64, Similarity]:
     return scales[:, None, None] * centred @ rotations, Similarity(scales, rotations, centres)
 
 
-def learn_shapes(points: Float64, covariances: Float64, *, floor: float) -> ShapeModel:
+class StructureCovariances(NamedTuple):
+    """Covariances of N structures: blocks on the diagonal, and factors times their transposes."""
+
+    blocks: Float64  # (N, P, 3, 3)
+    factors: Float64  # (N, 3 P, R)
+
+    def of(self, frames: NDArray[np.int64]) -> "StructureCovariances":
+        """Return the covariances of some of the frames."""
+        return StructureCovariances(self.blocks[frames], self.factors[frames])
+
+
+def learn_shapes(
+    points: Float64, covariances: StructureCovariances | None, *, floor: float
+) -> ShapeModel:
     """Fit a shape model by maximum likelihood to structures (N, P, 3) with covariances.
 
-    `covariances` (N, 3 P, 3 P) are added to the scatter (the M-step of EM). Similarities, which
-    belong to the cameras, are projected out. `floor` is the least standard deviation.
+    `covariances` are added to the scatter (the M-step of EM); None: structures are exact.
+    Similarities, which belong to the cameras, are projected out. `floor` is the least standard
+    deviation.
     """
     frames, count, _ = points.shape
     mean = points.mean(0)
@@ -80,13 +94,18 @@ def learn_shapes(points: Float64, covariances: Float64, *, floor: float) -> Shap
         mean = aligned.mean(0)
         mean = mean - mean.mean(0)
         mean = mean / np.sqrt(np.square(mean).sum(-1).mean())
-    # On column vectors a similarity acts as `scaled`, and on covariances from both sides.
-    scaled = (similarity.rotations.mT * similarity.scales[:, None, None])[:, None]  # (N, 1, 3, 3)
-    half = scaled @ covariances.reshape(frames, count, 3, 3 * count)  # (N, P, 3, 3 P)
-    whole = half.reshape(frames, 3 * count, count, 3) @ scaled.mT  # (N, 3 P, P, 3)
-    unsure = whole.sum(0).reshape(3 * count, 3 * count) / frames
     offsets = (aligned - mean).reshape(frames, -1)
-    return _components(mean, offsets.T @ offsets / frames + unsure, floor)
+    scatter = offsets.T @ offsets
+    if covariances is not None:
+        # On column vectors a similarity acts as `scaled`, and on covariances from both sides.
+        scaled = (similarity.rotations.mT * similarity.scales[:, None, None])[:, None]
+        factors = scaled @ covariances.factors.reshape(frames, count, 3, -1)  # (N, P, 3, R)
+        rows = factors.transpose(1, 2, 0, 3).reshape(3 * count, -1)
+        scatter += rows @ rows.T
+        every = np.arange(count)
+        blocks = scatter.reshape(count, 3, count, 3)
+        blocks[every, :, every] += (scaled @ covariances.blocks @ scaled.mT).sum(0)
+    return _components(mean, scatter / frames, floor)
 
 
 def unknown_network_errors(keypoints: int) -> NetworkErrors:
@@ -130,8 +149,8 @@ def _components(mean: Float64, scatter: Float64, floor: float) -> ShapeModel:
     count = len(mean)
     kept_directions = 3 * count - SIMILARITY
     similarity = similarity_directions(mean)
-    keep = np.eye(3 * count) - similarity @ similarity.T
-    values, vectors = np.linalg.eigh(keep @ scatter @ keep)
+    kept_rows = scatter - similarity @ (similarity.T @ scatter)
+    values, vectors = np.linalg.eigh(kept_rows - (kept_rows @ similarity) @ similarity.T)
     values, vectors = values[::-1][:kept_directions], vectors[:, ::-1][:, :kept_directions]
     some = min(MOST_COMPONENTS, max(len(values) - 1, 0))
     spread = max(float(np.sqrt(values[some:].mean().clip(0))), floor)

@@ -21,7 +21,13 @@ from models.bundle.problem import (
     points_in_cameras,
 )
 from models.bundle.scene_adjustment import adjust_frames, costs_of
-from models.bundle.shape_model import ShapeModel, Similarity, align, learn_shapes
+from models.bundle.shape_model import (
+    ShapeModel,
+    Similarity,
+    StructureCovariances,
+    align,
+    learn_shapes,
+)
 from models.bundle.shared_likelihood import SharedLikelihood, likelihood_of_shared
 from models.bundle.structure_covariances import structure_covariances
 from models.calibrating.lens_prior import rig_prior
@@ -47,14 +53,12 @@ MOST_LEARNT = 0.95  # of the remaining way in a direction: at most 19 rounds are
 # coefficients), of a rotation in radians, and of a translation in structures.
 LONGEST_LEAP = np.array([0.05, 0.03, 0.03, 0.05, 0.1, *[0.05] * 3, *[0.5] * 3])
 
-FRAMES_AT_A_TIME = 128  # whose covariances are in memory together with their equations
-
 
 class Uncertainty(NamedTuple):
     """Covariances of structures, and the resulting correction of the noise."""
 
     frames: NDArray[np.int64]  # (M,) for which they are determined
-    covariances: Float64  # (M, 3 P, 3 P) of their structures
+    covariances: StructureCovariances  # of their structures
     noise_factor: float  # ratio of the noise in the residuals to the assumed one
 
 
@@ -178,47 +182,41 @@ def uncertainty(
     numpy.linalg.LinAlgError
         When they exist for no frame.
     """
-    which, covariances, squared, freedom = [], [], 0.0, 0.0
     frames = np.flatnonzero(explained)
-    for some in np.split(frames, range(FRAMES_AT_A_TIME, len(frames), FRAMES_AT_A_TIME)):
-        of_some = structure_covariances(views.of(some), rig, prior.of(some), scene.of(some))
-        definite = np.isfinite(of_some).all((1, 2))
-        part, known = some[definite], of_some[definite]
-        terms = _noise_terms(views.of(part), rig, prior.of(part), scene.of(part), known)
-        which.append(part)
-        covariances.append(known)
-        squared, freedom = squared + terms.squared, freedom + terms.freedom
-    if not any(len(part) for part in which):
+    covariances = structure_covariances(views.of(frames), rig, prior.of(frames), scene.of(frames))
+    definite = np.flatnonzero(np.isfinite(covariances.blocks[:, 0, 0, 0]))
+    if not len(definite):
         raise np.linalg.LinAlgError("no frame's normal equations are positive definite")
-    factor = math.sqrt(squared / max(freedom, 1.0))
-    return Uncertainty(np.concatenate(which), np.concatenate(covariances), factor)
-
-
-class _NoiseTerms(NamedTuple):
-    squared: float  # sum of the robust squared residuals over the noise
-    freedom: float  # their degrees of freedom
-
-
-def _noise_terms(
-    views: Views, rig: Rig, prior: ShapePrior, scene: Scene, covariances: Float64
-) -> _NoiseTerms:
-    """Sum robust residuals over the noise, and compute their degrees of freedom."""
+    frames, covariances = frames[definite], covariances.of(definite)
+    views, prior, scene = views.of(frames), prior.of(frames), scene.of(frames)
     pixels = project(points_in_cameras(scene, rig), rig.lenses)
     squared = views.weights * np.square(pixels - views.keypoints).sum(-1)  # (N, K, P)
     seen = (views.weights > 0) & (squared < FAR**2)
     robust = np.where(seen, (OUTLIER / np.sqrt(squared.clip(1e-12))).clip(max=1) * squared, 0.0)
-    # Of the structure's unknowns the data determine as many as the prior does not.
-    components = np.linalg.solve(prior.inner, prior.basis.T)  # (Q, 3 P)
-    trace = covariances.trace(axis1=1, axis2=2)
-    trace = trace - (components.T * (covariances @ prior.basis)).sum((1, 2))
-    structure = len(prior.basis) - trace / (prior.scale * prior.spread) ** 2  # (N,)
     # The size of a group of one view is held.
     numbers = np.where(rig.members > 1, POSE, POSE - 1)
     belongs: Bool = rig.groups[:, None] == np.arange(rig.group_count)  # (K, G)
     observed: Bool = np.any(seen, -1)  # (N, K)
     there = np.any(observed[..., None] & belongs, 1)  # (N, G)
-    freedom = (2 * seen.sum((1, 2)) - structure - there @ numbers).clip(0)
-    return _NoiseTerms(float(robust.sum()), float(freedom.sum()))
+    determined = _determined(covariances, prior) + there @ numbers
+    freedom = float((2 * seen.sum((1, 2)) - determined).clip(0).sum())
+    factor = math.sqrt(float(robust.sum()) / max(freedom, 1.0))
+    return Uncertainty(frames, covariances, factor)
+
+
+def _determined(covariances: StructureCovariances, prior: ShapePrior) -> Float64:
+    """Return how many numbers (N,) of each structure the data determine: what the prior does not.
+
+    It is 3 P - tr(C S^-1), with the covariances C and the prior's S = s^2 I + B B^T.
+    """
+    components = np.linalg.solve(prior.inner, prior.basis.T)  # (Q, 3 P)
+    blocks, factors = covariances
+    shape = (blocks.shape[1], 3, -1)
+    outer = prior.basis.reshape(shape) @ components.T.reshape(shape).mT  # (P, 3, 3)
+    trace = blocks.trace(axis1=2, axis2=3).sum(1) - (blocks * outer.mT).sum((1, 2, 3))
+    trace += np.square(factors).sum((1, 2))
+    trace -= ((components @ factors) * (prior.basis.T @ factors)).sum((1, 2))
+    return np.asarray(len(prior.basis) - trace / (prior.scale * prior.spread) ** 2)
 
 
 def about_model(shapes: ShapeModel, frames: int) -> ShapePrior:

@@ -388,7 +388,6 @@ def _in_first_camera(
 
 def _shapes(points: Float64) -> tuple[ShapeModel, ShapePrior]:
     """Return the shape model of structures (N, P, 3), and the prior of frames from it."""
-    count = points[0].size
-    shapes = learn_shapes(points, np.zeros((len(points), count, count)), floor=LEAST_SPREAD)
+    shapes = learn_shapes(points, None, floor=LEAST_SPREAD)
     means = np.tile(shapes.mean, (len(points), 1, 1))
     return shapes, make_shape_prior(means, shapes.basis, shapes.spread)

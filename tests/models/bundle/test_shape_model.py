@@ -11,6 +11,7 @@ from models.bundle.shape_model import (
     LEAST_SHARE,
     MOST_COMPONENTS,
     ShapeModel,
+    StructureCovariances,
     align,
     learn_network_errors,
     learn_shapes,
@@ -105,7 +106,7 @@ def test_align_undoes_a_similarity_exactly() -> None:
 
 def test_components_agree_with_a_decomposition_of_the_aligned_structures() -> None:
     points, _, _ = moved_about(drawn(200, 20, seed=3), seed=4)
-    model = learn_shapes(points, np.zeros((200, 60, 60)), floor=1e-6)
+    model = learn_shapes(points, None, floor=1e-6)
     mean: Float64 = model.mean
     np.testing.assert_allclose(mean, standard(mean), atol=1e-12)
 
@@ -128,9 +129,8 @@ def test_components_agree_with_a_decomposition_of_the_aligned_structures() -> No
 def test_what_structures_vary_like_is_found_whatever_their_pose() -> None:
     structures = drawn(1500, 10, seed=5)
     points, _, _ = moved_about(structures, seed=6)
-    none = np.zeros((1500, 30, 30))
-    still = learn_shapes(structures, none, floor=1e-6)
-    model = learn_shapes(points, none, floor=1e-6)
+    still = learn_shapes(structures, None, floor=1e-6)
+    model = learn_shapes(points, None, floor=1e-6)
     # The same model in another frame of reference.
     rotation, _ = Rotation.align_vectors(still.mean, model.mean)
     turn = np.kron(np.eye(10), rotation.as_matrix())
@@ -147,13 +147,15 @@ def test_covariances_of_structures_count_as_their_variance() -> None:
     rng = np.random.default_rng(7)
     mean = standard(rng.standard_normal((6, 3)))
     root = 0.1 * rng.standard_normal((18, 18))
+    halves = 0.1 * rng.standard_normal((6, 3, 3))
     covariance = root @ root.T  # of every structure, in the frame of the mean
+    for at, half in zip(range(0, 18, 3), halves, strict=True):
+        covariance[at : at + 3, at : at + 3] += half @ half.T
     points, turns, scales = moved_about(np.stack([mean] * 4), seed=8)
-    own = np.stack(
-        [
-            scale**2 * np.kron(np.eye(6), turn) @ covariance @ np.kron(np.eye(6), turn).T
-            for turn, scale in zip(turns, scales, strict=True)
-        ]
+    moved = turns * scales[:, None, None]
+    own = StructureCovariances(
+        moved[:, None] @ halves @ halves.mT @ moved.mT[:, None],
+        np.stack([np.kron(np.eye(6), each) @ root for each in moved]),
     )
     model = learn_shapes(points, own, floor=1e-6)
     rotation, _ = Rotation.align_vectors(model.mean, mean)
@@ -169,7 +171,7 @@ def test_covariances_of_structures_count_as_their_variance() -> None:
 def test_structures_that_do_not_vary_leave_the_least_spread() -> None:
     mean = standard(np.random.default_rng(9).standard_normal((7, 3)))
     points, _, _ = moved_about(np.stack([mean] * 5), seed=10)
-    model = learn_shapes(points, np.zeros((5, 21, 21)), floor=0.02)
+    model = learn_shapes(points, None, floor=0.02)
     assert model.spread == 0.02
     assert model.basis.shape == (7, 3, 0)
     np.testing.assert_allclose(model.mean, procrustes(mean, model.mean), atol=1e-9)
