@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 HEADING = ("view", "frame", "score", "why")
 LISTED = 500  # images at most
+NOTHING = "no image stands out as worth labelling; `--all` writes all images that have labels"
 SHOWN = 8  # keypoints of a reason that are named
 
 
@@ -50,7 +51,7 @@ def labels(
         limit = None if every or most is None else min(most, LISTED)
         found = client.fits.labels(done, limit=limit)
         result = found.raw | {"files": []}
-        if output is not None:
+        if output is not None and (every or found.images):
             files = client.fits.download_labels(
                 done,
                 output,
@@ -75,7 +76,7 @@ def in_words(
         (image.view_name, str(image.frame), f"{image.score:.2f}", _why(image, names))
         for image in images
     ]
-    lines = [table([HEADING, *rows])] if rows else ["no image stands out as worth labelling"]
+    lines = [table([HEADING, *rows])] if rows else [NOTHING]
     if result["candidates"] > len(rows):
         lines.append(f"{result['candidates']} images are worth it, with those that are like these")
     return "\n".join([*lines, *(f"wrote      {file}" for file in result["files"])])
