@@ -199,7 +199,7 @@ def test_the_client_in_the_documentation_works(
     http: httpx2.Client, model: str, capture: SyntheticCapture, tmp_path: Path
 ) -> None:
     text = (Path(__file__).parents[3] / "docs" / "streaming.md").read_text()
-    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (code,) = re.findall(r'```python\n("""python stream.py .*?)```', text, re.DOTALL)
     (tmp_path / "stream.py").write_text(code)
     np.save(tmp_path / "keypoints.npy", capture.keypoints)
     url = f"ws://{http.base_url.host}:{http.base_url.port}/lift/stream"
