@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.frame_evidence import log_evidence
+from models.calibrating.bagging import bagged_shares, filled
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.keypoint_rig import (
     lens_beliefs,
@@ -54,6 +55,7 @@ LONGEST_STEP = 0.2  # from one parabola to the next
 # Shapes are learnt from the frames that they are held against: on drawn rigs errors are so many
 # times what the evidence gives.
 TOO_SURE = 2.0
+BIAS = 5.0  # times the noise over the subject's radius: usual errors of drawn rigs with much noise
 LEAST_INFORMATION = 1e-3  # of the evidence on a logarithm: next to none
 # Of the common log focal length and the log ratio, of lenses of two kinds.
 PRIOR_SDS = FOCAL_SDS[0] * np.array([math.sqrt(0.5), math.sqrt(2.0)])
@@ -84,6 +86,7 @@ class _Sight(NamedTuple):
     clusters: tuple[NDArray[np.int64], NDArray[np.int64]]  # frames and keypoints of these
     beliefs: Beliefs
     worth: float  # weight of the evidence, 0 to 1
+    bias: float  # of the common log focal length and of the log ratio, as noise causes it
 
 
 class _Peak(NamedTuple):
@@ -165,6 +168,7 @@ def _sight(problem: CalibrationProblem, found: StaticRig, frames: NDArray[np.int
         (shared.frames[chosen], shared.keypoints[chosen]),
         lens_beliefs(problem),
         worth / TOO_SURE**2,
+        BIAS * found.noise * problem.side / problem.size,
     )
 
 
@@ -191,6 +195,7 @@ def _peak(sight: _Sight, cameras: AdjustedRig) -> Steps[_Peak]:
             walk = [best.at + side * ratio * UP for ratio in ratios]
             found += yield from _walk(sight, best, walk, uphill=True)
         best = max(found, key=_posterior)
+        trials += found[1:]
     for _ in range(PEAKS):
         around = yield from _around(sight, best)
         step = _step(sight, around)
@@ -258,7 +263,8 @@ def _information(sight: _Sight, around: _Around, trials: list[Trial]) -> Float64
     """Return the information (2, 2) of the frames, allowing for their correlated errors.
 
     In each direction it is divided by the factor by which sums over frames scatter more (the design
-    effect: Kish, *Survey Sampling*, 1965), and limited by other peaks of the scan.
+    effect: Kish, *Survey Sampling*, 1965). It is limited by other trials that would be the best if
+    other frames had been seen, and by what noise biases.
     """
     values, vectors = np.linalg.eigh(sight.worth * around.curvature)
     values = values.clip(LEAST_INFORMATION)
@@ -267,13 +273,15 @@ def _information(sight: _Sight, around: _Around, trials: list[Trial]) -> Float64
     scores = vectors.T @ (known - known.mean(1, keepdims=True))
     effect = np.maximum(1.0, np.square(scores).sum(1) / values)
     information = (vectors * (values / effect)) @ vectors.T
-    best = around.trials[0]
-    tried = [*trials, best]
-    likely = np.exp(np.array([trial.posterior - best.posterior for trial in tried]))
-    squares = np.square([trial.at[0] - best.at[0] for trial in tried])
-    variance = float(np.linalg.inv(information + np.diag(1 / PRIOR_SDS**2))[0, 0])
-    widest = float((likely * squares).sum() / likely.sum())
-    return np.asarray(information * min(1.0, variance / max(widest, TINY)))
+    tried = [*trials, around.trials[0]]
+    offsets = np.array([trial.at - around.trials[0].at for trial in tried])
+    places = np.array([trial.at for trial in tried]) - _expected(sight.beliefs)
+    evidence = sight.worth * filled(np.array([trial.evidence for trial in tried]))
+    shares = bagged_shares(evidence, -np.square(places / PRIOR_SDS).sum(1) / 2)
+    widest = shares @ np.square(offsets) + sight.bias**2
+    variances = np.linalg.inv(information + np.diag(1 / PRIOR_SDS**2)).diagonal()
+    shrink = np.sqrt(np.minimum(1.0, variances / np.maximum(widest, TINY)))
+    return np.asarray(shrink[:, None] * information * shrink)
 
 
 def share_of_information(problem: CalibrationProblem, noise: float) -> float:

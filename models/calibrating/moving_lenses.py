@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from models.bundle.frame_evidence import log_evidence
 from models.bundle.problem import FOCAL, VIEW
+from models.calibrating.bagging import bagged_shares, filled
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.lens_prior import FOCAL_SDS
 from models.calibrating.lens_scan import (
@@ -34,7 +35,6 @@ Int64 = NDArray[np.int64]
 
 STEP, FINE = 0.25, 0.0625  # of a log focal length, over the range and about the best
 FINE_STEPS = 3  # to either side of the best
-RESAMPLED = 200  # times that frames are drawn with replacement
 UNLIKE = 10.0  # least difference of log posteriors in favour of unlike lenses
 SURE = 3.0  # and its least size in standard deviations over frames
 CLIMBS = (0.25, 0.25, 0.1)  # steps of a log focal length, one round each
@@ -177,14 +177,8 @@ def _refocused(solution: Solution, steps: Float64) -> Solution:
 
 
 def _evidence(trials: list[MovingTrial]) -> Float64:
-    """Return the evidence (T, N) of trials.
-
-    A frame that a trial cannot explain is as unlikely as under the worst of the others.
-    """
-    evidence = np.array([trial.evidence for trial in trials])
-    worst = np.where(np.isfinite(evidence), evidence, np.inf).min(0)
-    worst[np.isinf(worst)] = 0
-    return np.where(np.isfinite(evidence), evidence, worst)
+    """Return the evidence (T, N) of trials."""
+    return filled(np.array([trial.evidence for trial in trials]))
 
 
 def _best(trials: list[MovingTrial], prior: Prior) -> MovingTrial:
@@ -209,23 +203,13 @@ def _clearly_better(unlike: MovingTrial, alike: MovingTrial) -> bool:
 
 
 def _common_deviation(trials: list[MovingTrial], best: MovingTrial) -> float:
-    """Return the standard deviation of the common log focal length about the best.
-
-    The posterior is the mean over frames drawn with replacement, because errors of frames are
-    correlated (bagging; Huggins & Miller, 2019). So it is wide if it has several peaks.
-    """
+    """Return the standard deviation of the common log focal length about the best."""
     trials = sorted(trials, key=lambda trial: float(trial.at.mean()))
     places = np.array([trial.at.mean() for trial in trials])
     widths = np.gradient(places) if len(places) > 1 else np.ones(1)
-    evidence, prior = _evidence(trials), np.array([_alike(trial.at) for trial in trials])
-    rng, frames = np.random.default_rng(0), evidence.shape[1]
-    shares = np.zeros(len(places))
-    for _ in range(RESAMPLED):
-        counts = np.bincount(rng.integers(frames, size=frames), minlength=frames)
-        logs = evidence @ counts + prior
-        densities = widths * np.exp(logs - logs.max())
-        shares += densities / densities.sum()
-    variance = float((shares / RESAMPLED) @ np.square(places - best.at.mean()))
+    prior = np.array([_alike(trial.at) for trial in trials])
+    shares = bagged_shares(_evidence(trials), prior, widths)
+    variance = float(shares @ np.square(places - best.at.mean()))
     return float(np.sqrt(variance + FINE**2 / 12))
 
 
