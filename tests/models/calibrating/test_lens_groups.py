@@ -5,7 +5,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
-from models.calibrating.lens_groups import find_lens_groups, group_covariance
+from models.calibrating.lens_groups import (
+    covariance_over_kinds,
+    find_lens_groups,
+    group_covariance,
+)
 from models.epipolar.rig_certainty import FocalLikelihood
 
 TOGETHER, ALONE = 0.3, 0.01
@@ -56,3 +60,19 @@ def test_the_kinds_found_are_the_likeliest_of_all() -> None:
         one = likelihood(np.zeros(4, np.int64))
         # One kind is believed unless others are clearly likelier.
         assert likelihood(found) > most - 1e-9 or (found.max() == 0 and most < one + 5 + 1e-9)
+
+
+def test_deviations_span_the_answers_with_one_kind_and_with_several() -> None:
+    """Against sums over a grid of the two focal lengths, with either prior as likely."""
+    information = np.array([[40.0, -15.0], [-15.0, 25.0]])
+    likelihood = FocalLikelihood(information, information @ np.array([0.1, 0.7]))
+    expected, about = np.full(2, EXPECTED), np.array([0.3, 0.4])
+    priors = [group_covariance(np.array(kinds), TOGETHER, 0.1) for kinds in ([0, 0], [0, 1])]
+    axis = np.linspace(-2.5, 3, 600)
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
+    logs = -np.einsum("na,ab,nb->n", grid, information, grid) / 2 + grid @ likelihood.vector
+    density = np.exp(logs) * sum(multivariate_normal(expected, each).pdf(grid) for each in priors)
+    density /= density.sum()
+    found = covariance_over_kinds(likelihood, expected, priors, about)
+    true = (grid - about).T @ (density[:, None] * (grid - about))
+    np.testing.assert_allclose(found, true, rtol=1e-4)

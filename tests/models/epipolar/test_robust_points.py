@@ -27,3 +27,19 @@ def test_a_wrong_ray_of_four_does_not_move_a_point() -> None:
     weights[wrong, np.arange(500)] = 0
     found = robust_points(rig, SeenPoints(images, weights), np.full(4, 1e-3))
     assert np.linalg.norm(found - points, axis=0).max() < 1e-7
+
+
+def test_points_that_some_views_do_not_see_spoil_no_other() -> None:
+    """Of three views some points lack one; of the others, some have a ray that is far off."""
+    rng = np.random.default_rng(1)
+    rotations, translations = around([0.0, 60.0, 120.0])
+    rig = StaticCameras(np.zeros(3), np.zeros((3, 2)), np.zeros((3, 2)), rotations, translations)
+    points = rng.uniform(-0.5, 0.5, (3, 400))
+    camera = rotations @ points + translations[..., None]
+    images, weights = camera[:, :2] / camera[:, 2:], np.ones((3, 400))
+    weights[np.arange(0, 400, 4) % 3, np.arange(0, 400, 4)] = 0
+    images += 0.002 * rng.standard_normal(images.shape)
+    harmed = np.arange(1, 400, 20)
+    images[harmed % 3, :, harmed] += rng.uniform(-0.6, 0.6, (20, 2))
+    found = robust_points(rig, SeenPoints(images, weights), np.full(3, 2e-3))
+    assert np.linalg.norm(found - points, axis=0)[harmed].max() < 0.1
