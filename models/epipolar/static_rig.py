@@ -47,6 +47,7 @@ LAST_ITERATIONS = 25
 UNBIASED = 40.0
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it is not static with them
 MOVES = 0.03  # of the subject's size in the image: a camera whose motion shifts it less is static
+MOVES_OF_TWO = 0.15  # the same of two views, where errors that repeat look like motion
 SURE = 3.0  # standard errors by which it must shift it
 
 
@@ -110,7 +111,8 @@ def find_static_rig(
         out = _out_of_line(chosen.noise_alone, sizes[members])
         if out is None:
             result = _result(chosen, images, weights, beliefs, members)
-            out = _most_moving(result.motion, sizes[members]) if len(members) > 2 else None
+            least = MOVES if len(members) > 2 else MOVES_OF_TWO
+            out = _most_moving(result.motion, least * sizes[members], sizes[members])
             if out is None:
                 return result
         members = [view for place, view in enumerate(members) if place != out]
@@ -166,9 +168,9 @@ def _adjusted(
     return _Chosen(best, twin, alone, certainty_of(best, many, of_members, clusters))
 
 
-def _most_moving(motion: CameraMotion, sizes: Float64) -> int | None:
-    """Return the camera that moves most, if its motion matters."""
-    moves = (motion.squares > np.square(MOVES * sizes)) & (motion.squares > SURE * motion.errors)
+def _most_moving(motion: CameraMotion, least: Float64, sizes: Float64) -> int | None:
+    """Return the camera that moves most, if it shifts the subject by `least` (K,) or more."""
+    moves = (motion.squares > np.square(least)) & (motion.squares > SURE * motion.errors)
     if not moves.any():
         return None
     return int(np.where(moves, motion.squares / np.square(sizes), 0.0).argmax())

@@ -81,6 +81,14 @@ def test_nothing_rests_where_all_move() -> None:
     assert found is None or (found.static.sum() == 2 and found.noise * SIDE > 5)
 
 
+def test_two_views_that_move_are_no_rig() -> None:
+    """One rigid scene would explain them to 37 px."""
+    assert found_in(make_rig_capture([0.0, 80.0], frames=60, moving=(0, 1))) is None
+    static = found_in(make_rig_capture([0.0, 80.0], frames=60))
+    assert static is not None
+    assert static.static.all()
+
+
 def test_clear_keypoints_give_exact_cameras() -> None:
     capture = make_rig_capture([0.0, 50.0, 110.0], frames=80, lenses=UNLIKE, noise=0.0)
     found = found_in(capture)
