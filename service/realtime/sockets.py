@@ -48,7 +48,8 @@ async def serve(
                 await websocket.send_text(error_text(ending, None))
                 await websocket.close(CLOSE_CODE + PROBLEMS[ending.code][0])
         else:
-            await websocket.close()
+            with suppress(WebSocketDisconnect):  # the client may have left meanwhile
+                await websocket.close()
 
 
 def _refusal(websocket: WebSocket, places: asyncio.Semaphore) -> ApiError | None:

@@ -231,6 +231,7 @@ def test_frames_are_streamed(served: Served) -> None:
 
 def test_a_stream_of_another_is_watched(served: Served) -> None:
     client, frames = served.client, served.capture.keypoints
+    wait_for(lambda: not client.streams.list(), "streams of other tests to end", 10)
     with ExitStack() as opened:
         stream = opened.enter_context(client.stream(served.model, refine="off"))
         (mine,) = wait_for(client.streams.list, "the stream to be listed", 10)
