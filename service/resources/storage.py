@@ -71,7 +71,7 @@ def get_storage(
         int, Query(ge=1, le=MOST_LISTED, description="How many of the largest are named.")
     ] = 20,
 ) -> Storage:
-    """Tell what is stored of the project and how much room it takes.
+    """Return what is stored of the project and how much space it takes.
 
     What older versions stored, before bytes were counted, counts as 0.
     """
