@@ -16,9 +16,9 @@ from models.bundle.shape_model import align
 from models.calibrating.doubts import check_given
 from models.calibrating.expectation_maximisation import about_model, learn, regauge
 from models.calibrating.handedness import DECIDED, Corners, certainty, volume
-from models.calibrating.keypoint_rig import geometry_of, lens_kinds, start_from_geometry
+from models.calibrating.keypoint_rig import lens_kinds, start_from_geometry
 from models.calibrating.lens_scan import scan_lenses
-from models.calibrating.problem import CalibrationProblem, Geometry, Solution
+from models.calibrating.problem import CalibrationProblem, Solution
 from models.calibrating.search import Arranged
 from models.epipolar.static_rig import StaticRig
 from models.numerics.steps import Steps
@@ -38,19 +38,10 @@ class Settled(NamedTuple):
     start: Solution  # of all frames, before shapes were learnt
 
 
-def seek_geometry(problem: CalibrationProblem, config: FitConfig) -> Steps[CalibrationProblem]:
-    """Return the problem with the geometry of all views, unless poses or motion are given."""
-    views = len(problem.poses)
-    if problem.posed or config.cameras == "moving" or views < 2:
-        return problem
-    found = yield from geometry_of(problem, list(range(views)))
-    return problem._replace(geometry=Geometry(found))
-
-
 def settle_by_geometry(
     problem: CalibrationProblem, config: FitConfig, *, most: int
 ) -> Steps[Settled | None]:
-    """Take the static cameras of `seek_geometry`, and learn shapes from `most` of the frames.
+    """Take the static cameras of the geometry, and learn shapes from `most` of the frames.
 
     None where geometry does not decide: cameras that move, given poses, a handedness that keypoints
     leave open, given lenses that keypoints contradict.

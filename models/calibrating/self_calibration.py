@@ -22,19 +22,17 @@ from models.calibrating.camera_findings import camera_findings
 from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import LEAST_MEASURED, LEAST_NOISE, learn
-from models.calibrating.geometry_first import (
-    seek_geometry,
-    settle_by_geometry,
-    structures_of_all,
-)
+from models.calibrating.geometry_first import settle_by_geometry, structures_of_all
 from models.calibrating.given_cameras import unit_by_length
 from models.calibrating.given_order import as_meant
 from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
+from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
     CLEAR,
     CalibrationProblem,
+    Geometry,
     Solution,
     problem_of,
     reprojection_distances,
@@ -149,9 +147,12 @@ def self_calibrate(
 
 
 def with_geometry(task: CalibrationTask) -> Steps[CalibrationTask]:
-    """Return the task with what keypoints alone show of all cameras together."""
-    problem = yield from seek_geometry(task.problem, task.config)
-    return task._replace(problem=problem)
+    """Return the task with the geometry of all views, unless poses or motion are given."""
+    problem, views = task.problem, len(task.problem.poses)
+    if problem.posed or task.config.cameras == "moving" or views < 2:
+        return task
+    found = yield from geometry_of(problem, list(range(views)))
+    return task._replace(problem=problem._replace(geometry=Geometry(found)))
 
 
 def calibrate_by_geometry(

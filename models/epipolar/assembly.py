@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import RelativePoses
-from models.epipolar.robust_points import triangulate_points
-from models.epipolar.static_cameras import SeenPoints, StaticCameras, distances_of, robust_costs
+from models.epipolar.robust_points import costs_of, triangulate_points
+from models.epipolar.static_cameras import SeenPoints, StaticCameras
 
 Float64 = NDArray[np.float64]
 ViewGraph = dict[tuple[int, int], RelativePoses]  # by views j < k
@@ -75,8 +75,7 @@ def _grow(
                 continue
             for candidate in _candidates(graph, rig, placed, view):
                 camera = _place(candidate, points, of_view)
-                distances = distances_of(camera, points, of_view)
-                cost = robust_costs(distances, of_view.weights, np.array([noise])).sum()
+                cost = costs_of(camera, points, of_view, np.array([noise])).sum()
                 cost /= of_view.weights.sum()
                 if best is None or cost < best[0]:
                     best = float(cost), view, camera
@@ -88,7 +87,7 @@ def _grow(
         placed.append(view)
     points = triangulate_points(rig, seen)
     level = np.full(views, noise)
-    costs = robust_costs(distances_of(rig, points, seen), seen.weights, level)
+    costs = costs_of(rig, points, seen, level)
     return Assembled(rig, float(costs.sum() / seen.weights.sum()))
 
 

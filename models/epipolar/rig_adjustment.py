@@ -55,11 +55,6 @@ class AdjustedRig(NamedTuple):
     noise: Float64  # (K,) sides, of each view
 
 
-def prior_cost(rig: StaticCameras, beliefs: Beliefs) -> float:
-    """Minus log density of the lenses, up to a constant."""
-    return 0.5 * float(lens_prior(rig, beliefs).cost)
-
-
 def adjust_rig(
     rig: StaticCameras,
     points: Float64,
@@ -78,14 +73,14 @@ def adjust_rig(
     free = free_numbers(rig, beliefs, lenses=lenses)
     noise = noise_of(rig, points, seen, least_noise)
     damping, still = FIRST_DAMPING, 0
-    cost = _cost(rig, points, seen, noise, beliefs)
+    cost = cost_of(rig, points, seen, noise, beliefs)
     for iteration in range(iterations):
         if iteration and iteration % LEARN_NOISE == 0:
             noise = noise_of(rig, points, seen, least_noise)
-            cost = _cost(rig, points, seen, noise, beliefs)
+            cost = cost_of(rig, points, seen, noise, beliefs)
         tried_rig, tried = _step(rig, points, seen, noise, beliefs, free, damping)
         tried = settle_points(tried_rig, tried, seen, noise)
-        tried_cost = _cost(tried_rig, tried, seen, noise, beliefs)
+        tried_cost = cost_of(tried_rig, tried, seen, noise, beliefs)
         if tried_cost <= cost:
             gained = cost - tried_cost
             rig, points, cost = tried_rig, tried, tried_cost
@@ -194,10 +189,11 @@ def _alike(log_focals: Float64) -> _Prior:
     return _Prior(float(2 * np.log1p(squared).sum()), gradient, precision)
 
 
-def _cost(
+def cost_of(
     rig: StaticCameras, points: Float64, seen: SeenPoints, noise: Float64, beliefs: Beliefs
 ) -> float:
-    return float(costs_of(rig, points, seen, noise).sum()) + prior_cost(rig, beliefs)
+    """Return minus the log posterior of cameras and points (3, M), under a noise (K,) in sides."""
+    return float(costs_of(rig, points, seen, noise).sum()) + lens_prior(rig, beliefs).cost / 2
 
 
 def free_numbers(rig: StaticCameras, beliefs: Beliefs, *, lenses: bool) -> Bool:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from models.epipolar.assembly import ViewGraph, assemble
 from models.epipolar.pairs import Beliefs
-from models.epipolar.rig_adjustment import AdjustedRig, adjust_rig, prior_cost
+from models.epipolar.rig_adjustment import AdjustedRig, adjust_rig, cost_of
 from models.epipolar.robust_points import robust_points, triangulate_points
-from models.epipolar.static_cameras import SeenPoints, StaticCameras, distances_of, robust_costs
+from models.epipolar.static_cameras import SeenPoints, StaticCameras
 from models.epipolar.view_graph import LENS_NOISE
 from models.numerics.steps import Steps
 
@@ -166,14 +166,6 @@ def finished_rig(
     return adjust_rig(adjusted.rig, points, seen, beliefs, iterations=iterations)
 
 
-def _cost(adjusted: AdjustedRig, seen: SeenPoints, beliefs: Beliefs, noise: Float64) -> float:
-    """Minus log posterior under a noise (K,)."""
-    distances = distances_of(adjusted.rig, adjusted.points, seen)
-    return float(robust_costs(distances, seen.weights, noise).sum()) + prior_cost(
-        adjusted.rig, beliefs
-    )
-
-
 def ordered(rigs: list[AdjustedRig], seen: SeenPoints, beliefs: Beliefs) -> list[AdjustedRig]:
     """Sort by cost under one common noise: under its own, a rig that fits worse could win.
 
@@ -184,7 +176,7 @@ def ordered(rigs: list[AdjustedRig], seen: SeenPoints, beliefs: Beliefs) -> list
         each._replace(points=robust_points(each.rig, seen, common, start=each.points))
         for each in rigs
     ]
-    costs = [_cost(each, seen, beliefs, common) for each in located]
+    costs = [cost_of(each.rig, each.points, seen, common, beliefs) for each in located]
     return [located[place] for place in np.argsort(costs, kind="stable")]
 
 

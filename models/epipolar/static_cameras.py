@@ -84,13 +84,6 @@ def distances_of(rig: StaticCameras, points: Float64, seen: SeenPoints) -> Float
     return distances
 
 
-def robust_costs(distances: Float64, weights: Float64, noise: Float64) -> Float64:
-    """Minus log likelihood (K, M) of distances (K, M) under Student's t of `noise` (K,)."""
-    squared = np.square(distances / noise[:, None]) / FREEDOM
-    costs: Float64 = weights * ((FREEDOM + 2) / 2 * np.log1p(squared) + 2 * np.log(noise)[:, None])
-    return costs
-
-
 def rays_of(rig: StaticCameras, images: Float64) -> Float64:
     """Return unit directions (K, 3, M) in the rig's frame; the lens is undone by iteration."""
     flat = (images - rig.centres[..., None]) / np.exp(rig.log_focals)[:, None, None]

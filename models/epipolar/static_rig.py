@@ -18,13 +18,12 @@ from models.epipolar.pairs import Beliefs
 from models.epipolar.rig_adjustment import AdjustedRig, adjust_rig
 from models.epipolar.rig_certainty import Certainty, FocalLikelihood, certainty_of
 from models.epipolar.rig_search import finished_rig, likely_rigs, necker, ordered, same_rig
-from models.epipolar.robust_points import robust_points
+from models.epipolar.robust_points import costs_of, robust_points
 from models.epipolar.static_cameras import (
     CAMERA,
     SeenPoints,
     StaticCameras,
     distances_of,
-    robust_costs,
 )
 from models.epipolar.view_graph import (
     NO_RIG,
@@ -207,8 +206,8 @@ def _result(
         whole = _of_all_views(rig, beliefs, members)
         explanations.append(StaticScene(whole, points.reshape(frames, keypoints, 3)))
         located.append(found)
-        robust = robust_costs(distances_of(rig, found, some), some.weights, noise)
-        costs.append(np.bincount(known // keypoints, robust.sum(0), frames))
+        robust = costs_of(rig, found, some, noise)
+        costs.append(np.bincount(known // keypoints, robust, frames))
     best, mirror = explanations
     odds = np.asarray(costs[1] - costs[0], np.float64)
     deviations = np.full((views, CAMERA), np.inf)

@@ -1,4 +1,4 @@
-"""Storage: what is stored, how much room it takes, and how much a key has left."""
+"""Storage: what is stored, how much space it takes, and how much a key has left."""
 
 from typing import Annotated, Literal
 
