@@ -105,7 +105,7 @@ class OpenStreams:
     def __init__(self, redis_url: str) -> None:
         self._redis: Redis = Redis.from_url(
             redis_url,
-            retry=Retry(NoBackoff(), 0),
+            retry=Retry(NoBackoff(), 1),  # a connection from before Redis began anew is closed
             socket_timeout=PATIENCE_SECONDS,
             socket_connect_timeout=PATIENCE_SECONDS,
         )
