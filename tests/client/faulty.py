@@ -1,4 +1,4 @@
-"""A line to the service that breaks where a test says."""
+"""A line to the service that breaks where a test wants it."""
 
 import socket
 import threading

@@ -1,4 +1,4 @@
-"""Servers of HTTP and of WebSockets that note which keys come, and answer as a test says."""
+"""Servers of HTTP and of WebSockets that note which keys come, and answer as a test wants."""
 
 import socket
 import threading
@@ -12,7 +12,7 @@ from websockets.sync.server import ServerConnection, serve
 
 
 class Heard(ThreadingHTTPServer):
-    """An HTTP server that notes who comes, and answers as a test says."""
+    """An HTTP server that notes who comes, and answers as a test wants."""
 
     daemon_threads = True
 

@@ -66,7 +66,7 @@ def test_what_fewview_offers_is_loaded_when_it_is_used() -> None:
     assert ran.stdout == "set()\n"
 
 
-def test_the_url_is_told_or_in_the_environment_or_the_usual(
+def test_the_url_is_given_or_in_the_environment_or_the_usual(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delenv("FEWVIEW_URL", raising=False)
@@ -161,7 +161,7 @@ def test_a_fit_that_fails_is_an_exception(served: Served) -> None:
         served.client.fits.wait(fit)
 
 
-def test_what_is_asked_wrongly_is_told_by_its_place(served: Served) -> None:
+def test_errors_name_the_place_of_the_fault(served: Served) -> None:
     with pytest.raises(fewview.InvalidRequest) as error:
         served.client.fits.create(served.dataset, steps=-1)
     assert [item.pointer for item in error.value.errors] == ["/config/steps"]

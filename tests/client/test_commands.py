@@ -124,7 +124,7 @@ def test_jobs_are_queued_and_cancelled(served: Served) -> None:
     assert fewview("lifts", "list", url).stdout == "no lifts\n"
 
 
-def test_a_fit_is_told_a_calibration_file(served: Served, tmp_path: Path) -> None:
+def test_a_fit_is_given_a_calibration_file(served: Served, tmp_path: Path) -> None:
     lens = np.array([[1100.5, 0, 640.25], [0, 1099, 512], [0, 0, 1]])
     turn = rotation_matrix([0.1, -0.2, 0.3])
     bent = np.array([0.1, -0.05])

@@ -21,7 +21,7 @@ TILT = Rotation.from_euler("xz", [20, 4], degrees=True).as_matrix()  # of the fi
 
 @dataclass
 class Walk:
-    """A walk in the axes of the first camera, and what a lift says of it."""
+    """A walk in the axes of the first camera, and its lift."""
 
     truth: Float64
     points3d: Float64

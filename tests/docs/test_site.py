@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-# What a browser loads by itself, by the attribute that says from where.
+# What a browser loads by itself, by the attribute that has the address.
 LOADED = {"script": "src", "img": "src", "iframe": "src", "source": "srcset", "video": "src"}
 FOREIGN = re.compile(r"\s*(?:https?:)?//")
 

@@ -117,7 +117,7 @@ def look_at(page: Page) -> None:
 
 
 def take_away(page: Page) -> None:
-    """Save arrays, a picture and a link, each of which holds what it says."""
+    """Save arrays, a picture and a link, each of which holds what its button names."""
     exports = page.locator("section", has=page.get_by_role("heading", name="Take it away"))
     with page.expect_download() as saved:
         exports.get_by_role("button", name="npz").first.click()

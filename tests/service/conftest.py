@@ -235,7 +235,7 @@ class Live:
 
     @property
     def queue_url(self) -> str:
-        """The URL of its queue, as it says it."""
+        """The URL of its queue, as it prints it."""
         found = re.search(r"queue\s+(\S+)", self.printed)
         assert found, self.printed
         return found[1]
@@ -333,7 +333,7 @@ def start_service(
     cwd: Path | None = None,
     popen: type["subprocess.Popen[str]"] = Popen,
 ) -> Live:
-    """Start ``fewview serve`` on a data folder and a free port; wait until it says its address."""
+    """Start ``fewview serve`` with a data folder and a free port; wait for its address."""
     process = popen(
         tied(*program, "serve", "--port=0", f"--data-dir={folder}", *options),
         env={k: v for k, v in os.environ.items() if not k.startswith("FEWVIEW_")},

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.usefixtures("unchanged")
 
 
 @pytest.mark.parametrize(
-    ("method", "url", "pointer", "says"),
+    ("method", "url", "pointer", "message"),
     [
         ("GET", "/datasets?limt=5", "/limt", "did you mean 'limit'?"),
         ("GET", "/fits?colour=red", "/colour", "expected some of"),
@@ -28,9 +28,9 @@ pytestmark = pytest.mark.usefixtures("unchanged")
     ],
 )
 def test_unknown_query_parameters(
-    api: TestClient, method: str, url: str, pointer: str, says: str
+    api: TestClient, method: str, url: str, pointer: str, message: str
 ) -> None:
-    assert says in problem(api.request(method, url), 422, "invalid_input", pointer)
+    assert message in problem(api.request(method, url), 422, "invalid_input", pointer)
 
 
 def test_unknown_query_parameters_of_a_stream(api: TestClient) -> None:

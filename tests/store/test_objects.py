@@ -104,7 +104,7 @@ def test_what_is_not_what_was_put_is_not_given(objects: Objects, found: bytes) -
         objects.get_range(key, 0, 2)
     with pytest.raises(DamagedError):
         objects.check(key)
-    older = key.replace(key.split(".")[1] + ".", "")  # which says no checksum
+    older = key.replace(key.split(".")[1] + ".", "")  # which has no checksum
     objects.put(older, found)
     assert objects.get(older) == found
     with pytest.raises(DamagedError):

@@ -56,7 +56,7 @@ def fields(**values: str | bytes) -> Spoil:
 
 @cache
 def a_bomb() -> bytes:
-    """Return a quarter of a megabyte that says it is a quarter of a gigabyte."""
+    """Return a quarter of a megabyte that declare a quarter of a gigabyte."""
     return zlib.compress(bytes(2**28), 9)
 
 

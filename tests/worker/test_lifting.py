@@ -139,7 +139,7 @@ def is_writable(settings: WorkerSettings) -> bool:
 
 
 def assert_is_lift_of(store: Store, lift: LiftRecord, frames: Capture, prior: FittedPrior) -> None:
-    """Compare a result with what the prior says of the same frames, here and at once."""
+    """Compare a result with the lift of the same frames by the prior, here and in one call."""
     record = lookup.get(store, LiftRecord, lift.id)
     file = result_file(record, lifts.finished_chunks(store, record), "safetensors", {})
     found = load(b"".join(file.read(store.objects.get_range, 0, file.size)))

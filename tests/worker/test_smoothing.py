@@ -1,4 +1,4 @@
-"""Datasets that tell times: their fits and lifts are smoothed, whatever parts they are done in."""
+"""Datasets with times: their fits and lifts are smoothed, whatever parts they are done in."""
 
 from typing import Any
 

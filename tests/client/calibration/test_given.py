@@ -28,7 +28,7 @@ def test_cameras_of_other_names_are_in_order() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cameras", "names", "says"),
+    ("cameras", "names", "message"),
     [
         (("cam_0", "cam_1"), ("a", "b", "c"), "has 2 cameras .* there are 3 views"),
         (("cam_0", "cam_1", "cam_2"), ("a", "b"), "has 3 cameras"),
@@ -36,13 +36,13 @@ def test_cameras_of_other_names_are_in_order() -> None:
     ],
 )
 def test_what_does_not_match_is_refused(
-    cameras: tuple[str, ...], names: tuple[str, ...], says: str
+    cameras: tuple[str, ...], names: tuple[str, ...], message: str
 ) -> None:
-    with pytest.raises(FormatError, match=says):
+    with pytest.raises(FormatError, match=message):
         for_views(called(*cameras), names)
 
 
-def test_a_camera_is_told_as_the_service_takes_it() -> None:
+def test_a_camera_is_given_as_the_service_takes_it() -> None:
     lens = np.array([[900, 0, 640], [0, 910, 512], [0, 0, 1]])
     bent, there = np.array([0.1, 0.2, 0.3, 0.4]), np.array([1, 2, 3])
     fisheye = Camera("f", lens, bent, np.eye(3), there, fisheye=True)

@@ -142,7 +142,7 @@ def test_a_table_of_3d_points_is_refused(tmp_path: Path) -> None:
 
 def test_openpose(tmp_path: Path) -> None:
     body = files.walk(6, 25)
-    body[1, 3] = 0  # how OpenPose says that it did not see this
+    body[1, 3] = 0  # how OpenPose writes what it did not see
     for camera in ("cam1", "cam2"):
         files.openpose(tmp_path / f"{camera}_json", [[frame] for frame in body])
     capture = fewview.read(tmp_path)

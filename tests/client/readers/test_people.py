@@ -94,7 +94,7 @@ def test_the_same_person_is_taken_in_all_cameras(
         fewview.read(tmp_path, person=9)
 
 
-def test_who_cannot_be_told_apart_is_said_and_can_be_chosen(tmp_path: Path) -> None:
+def test_people_who_look_alike_are_noted_and_can_be_chosen(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     pixels = [rng.uniform(0, 1000, (2, FRAMES, POINTS, 2)).cumsum(1) / 100 for _ in range(2)]
     for of_view in pixels:  # nothing that two cameras would see of anybody

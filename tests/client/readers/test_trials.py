@@ -1,4 +1,4 @@
-"""Files of several trials, detectors and cameras in folders: told apart, or asked for."""
+"""Files of several trials, detectors and cameras in folders: separated, or asked for."""
 
 from pathlib import Path
 

@@ -42,7 +42,7 @@ HEADER = ",".join(f"{n}.x,{n}.y,{n}.score" for n in files.NAMES)
 
 
 @pytest.mark.parametrize("layout", [AXES, ("track", "xy", "node", "frame"), AXES[::-1]])
-def test_axes_of_sleap_analysis_are_those_that_it_says(
+def test_axes_of_sleap_analysis_are_those_that_it_names(
     tmp_path: Path, layout: tuple[str, ...]
 ) -> None:
     path = files.sleap_analysis(tmp_path / "a.analysis.h5", TWO, ["one", "two"])
@@ -148,7 +148,7 @@ def test_rows_that_name_nobody_are_several_animals(tmp_path: Path) -> None:
     assert "up to 2 people" in said(capture)
 
 
-def test_somebody_who_is_told_of_twice_is_refused(tmp_path: Path) -> None:
+def test_a_person_given_twice_is_refused(tmp_path: Path) -> None:
     row = f"t0,0,{wide(XYZ[0])}"
     with pytest.raises(FormatError, match="'t0' twice"):
         fewview.read(csv(tmp_path / "a.csv", [f"track,frame,{HEADER}", row, row]))

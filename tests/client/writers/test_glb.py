@@ -17,7 +17,7 @@ KINDS = {5126: np.float32, 5123: np.uint16}
 
 
 def values(file: Any, place: int) -> NDArray[np.float64]:
-    """Return what an accessor says, after checking that it keeps the rules."""
+    """Return the values of an accessor, after checking that it keeps the rules."""
     accessor = file.accessors[place]
     view = file.bufferViews[accessor.bufferView]
     kind, width = KINDS[accessor.componentType], WIDTHS[accessor.type]
@@ -91,7 +91,7 @@ def test_meshes_face_outward(file: Any) -> None:
         assert file.materials[mesh.primitives[0].material].doubleSided
 
 
-def test_bytes_are_laid_out_as_the_specification_says(tmp_path: Path, animation: Animation) -> None:
+def test_bytes_are_laid_out_as_specified(tmp_path: Path, animation: Animation) -> None:
     data = write(tmp_path / "a.glb", animation).read_bytes()
     magic, version, length, size = np.frombuffer(data[:16], "<u4").tolist()
     assert (magic, version, length) == (0x46546C67, 2, len(data))

@@ -53,9 +53,9 @@ def test_poses_are_used_as_they_are_meant(
         np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-9)
         np.testing.assert_allclose(one.translation, other.translation, atol=1e-9)
     assert [each and each.intrinsics for each in meant] == [each.intrinsics for each in right]
-    as_told = not inverted and not graphics and order == (0, 1, 2)
+    as_given = not inverted and not graphics and order == (0, 1, 2)
     codes = [finding.code for finding in findings]
-    assert codes == ([] if as_told else ["calibration_read_otherwise"])
+    assert codes == ([] if as_given else ["calibration_read_otherwise"])
 
 
 def test_wrong_poses_that_nothing_explains_stay_as_they_are(capture: RigCapture) -> None:

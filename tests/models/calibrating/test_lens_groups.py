@@ -31,11 +31,11 @@ def groups_of(focals: list[float], sd: float) -> list[int]:
         ([1.1, 1.105, 1.098, 1.1], 0.005, [0, 0, 0, 0]),
         ([0.6, 1.1, 1.9], 0.005, [0, 1, 2]),
         ([0.8, 1.5, 0.805, 1.49, 1.5], 0.005, [0, 1, 0, 1, 1]),
-        ([0.8, 1.2, 1.0], 0.3, [0, 0, 0]),  # too unsure to tell
+        ([0.8, 1.2, 1.0], 0.3, [0, 0, 0]),  # too uncertain
         ([1.3], 0.01, [0]),
     ],
 )
-def test_kinds_are_those_that_the_measurements_tell(
+def test_kinds_are_those_that_the_measurements_show(
     focals: list[float], sd: float, kinds: list[int]
 ) -> None:
     assert groups_of(focals, sd) == kinds

@@ -90,7 +90,7 @@ def test_noise_of_each_keypoint_in_each_view_is_found(clean: Float64) -> None:
     assert model is not None
     np.testing.assert_allclose(model.noise, levels, rtol=0.15)
     left = pixels(noisy, model, [0, 1]) - clean
-    # Those with least noise tell of those with most.
+    # Those with least noise predict those with most.
     assert root_mean_square(left) < 0.3 * root_mean_square(noisy - clean)
     assert model.remaining_noise == pytest.approx(root_mean_square(left), rel=0.15)
 

@@ -70,7 +70,7 @@ def found_in(model: OutlierModel, keypoints: Float64, views: tuple[int, ...] = (
 
 
 def check(found: Bool, planted: Bool) -> None:
-    """Ask for most of them: what lies near where the keypoint might be is hard to tell."""
+    """Ask for most of them: what lies near where the keypoint might be is hard to recognise."""
     assert (found & planted).sum() > 0.95 * found.sum()
     assert (found & planted).sum() > 0.85 * planted.sum()
 
@@ -146,7 +146,7 @@ def expected(model: OutlierModel, offsets: Float64, noise: float, used: Bool) ->
 
 
 def expected_in_frame(model: OutlierModel, pixels: Float64) -> Float64:
-    """Return how probably keypoints (K, P) of a frame are outliers, as the docs tell it."""
+    """Return how probably keypoints (K, P) of a frame are outliers, by the formula in the docs."""
     offsets = (pixels - model.mean).reshape(-1, 2)
     seen = np.isfinite(offsets[:, 0])
     first = FIRST_NOISE * model.sides.mean()

@@ -1,4 +1,4 @@
-"""docs/findings.md says of every code what the catalogue says."""
+"""docs/findings.md describes every code as the catalogue does."""
 
 from pathlib import Path
 from typing import get_args

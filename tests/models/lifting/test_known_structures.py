@@ -1,4 +1,4 @@
-"""What few views of a frame do not tell, from structures that the fit knows; stray keypoints."""
+"""Keypoints that few views see are inferred from known structures; stray keypoints."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Known structures that tell of noisy frames, against a figure that turns, and dense algebra."""
+"""Known structures sharpen noisy frames, against a figure that turns, and dense algebra."""
 
 import numpy as np
 import pytest

@@ -129,7 +129,7 @@ def plain(prior: FittedPrior) -> FittedPrior:
 def test_limbs_of_noisy_lifts_keep_their_lengths(
     noisy: RigCapture, prior: FittedPrior, plain: FittedPrior
 ) -> None:
-    # What known structures tell of noisy frames was learnt with lengths held, too.
+    # The weights of known structures in noisy frames were learnt with lengths held, too.
     held, loose = (without(p, "structures").lift(noisy.keypoints) for p in (prior, plain))
     at_rest = (held.camera_models > 0).all(1) & (held.findings & RIG_NOT_USED == 0)
     assert at_rest.mean() > 0.6

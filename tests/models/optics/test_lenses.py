@@ -32,7 +32,7 @@ STEP = 1e-6
 
 
 def opencv(point: Float64, lens: "Lens") -> Float64:
-    """Project as the documentation of calib3d and of its fisheye model says."""
+    """Project by the formulas in the documentation of calib3d and of its fisheye model."""
     k = dict(enumerate(lens.distortion, start=1))
     x, y = point[0] / point[2], point[1] / point[2]
     r = math.hypot(x, y)

@@ -1,4 +1,4 @@
-"""What a user may tell of cameras, what comes back of it, and what is refused in which words."""
+"""Given cameras: what is accepted, what comes back, and which errors others raise."""
 
 from typing import Any
 
@@ -40,7 +40,7 @@ def test_what_goes_out_is_what_came_in(camera: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rotation", "says"),
+    ("rotation", "message"),
     [
         ([0, 90, 0], "in radians.*degrees, multiply by pi / 180"),
         ((2 * np.eye(3)).tolist(), r"one times 2; divide by it"),
@@ -52,8 +52,8 @@ def test_what_goes_out_is_what_came_in(camera: dict[str, Any]) -> None:
         ([0, 0, float("nan")], "3x3 matrix .* or Rodrigues' vector"),
     ],
 )
-def test_a_rotation_that_is_none_is_refused_with_the_fix(rotation: Any, says: str) -> None:
-    with pytest.raises(ValidationError, match=says) as refused:
+def test_a_rotation_that_is_none_is_refused_with_the_fix(rotation: Any, message: str) -> None:
+    with pytest.raises(ValidationError, match=message) as refused:
         camera_with(rotation)
     (error,) = refused.value.errors()
     assert error["loc"] == ("rotation",)
@@ -65,7 +65,7 @@ def test_rounding_is_forgiven() -> None:
 
 
 @pytest.mark.parametrize(
-    ("camera", "says"),
+    ("camera", "message"),
     [
         ({"rotation": [0, 0, 0]}, "rotation and translation belong together"),
         ({"translation": [0, 0, 4]}, "rotation and translation belong together"),
@@ -77,8 +77,8 @@ def test_rounding_is_forgiven() -> None:
         ),
     ],
 )
-def test_what_does_not_belong_together_is_refused(camera: dict[str, Any], says: str) -> None:
-    with pytest.raises(ValidationError, match=says):
+def test_what_does_not_belong_together_is_refused(camera: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
         Camera.model_validate(camera)
 
 

@@ -80,7 +80,7 @@ def done(*words: object, **environment: str) -> str:
 
 
 def refused(*words: object, **environment: str) -> str:
-    """Return what a command says that cannot be carried out: one line."""
+    """Return the one line that a command prints if it cannot be carried out."""
     ended = run(*map(str, words), **environment)
     assert ended.status == 2, ended
     assert ended.stderr.count("\n") == 1

@@ -375,7 +375,7 @@ def test_named_views_keep_their_lenses_and_may_come_in_any_order(
                 assert camera["principal_point"] == mine["principal_point"]
                 checked += 1
     assert checked > 5
-    # The query says the same of bytes.
+    # For bytes the query gives the same.
     response = api.post(
         "/lift",
         params={"model": model, "views": [2, 0], "refine": "full", "format": "json"},

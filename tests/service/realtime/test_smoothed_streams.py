@@ -325,8 +325,8 @@ def test_a_request_with_times_is_smoothed_as_the_library_does(
     else:
         body: Any = {"keypoints": LATER[frames], "times": TIMES[frames]}
         if form == "json":
-            told = {"frames": frames_of(LATER[frames]), "times": TIMES[frames].tolist()}
-            sent = orjson.dumps({"model": smoothing, **told})
+            body = {"frames": frames_of(LATER[frames]), "times": TIMES[frames].tolist()}
+            sent = orjson.dumps({"model": smoothing, **body})
             response = http.post("/lift", content=sent, headers=JSON)
         else:
             url = f"/lift?model={smoothing}"

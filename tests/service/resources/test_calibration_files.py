@@ -36,7 +36,7 @@ def model(live: Live, rig: RigCapture) -> str:
         ("colmap", "application/zip", "colmap"),
     ],
 )
-def test_files_say_what_json_says(
+def test_files_mean_what_json_means(
     live: Live, model: str, tmp_path: Path, kind: str, media_type: str, name: str
 ) -> None:
     fields: list[dict[str, Any]] = live.get(f"/models/{model}/cameras")["views"]

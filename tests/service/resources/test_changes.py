@@ -71,7 +71,7 @@ def test_tags_and_metadata_are_replaced(api: TestClient, urls: list[str]) -> Non
         assert emptied == api.get(url).json() == changed | {"name": "n", "tags": [], "metadata": {}}
 
 
-def test_they_are_told_as_something_is_made(api: TestClient, model: str, weights: bytes) -> None:
+def test_new_things_can_have_them(api: TestClient, model: str, weights: bytes) -> None:
     fields: dict[str, Any] = {"tags": ["pilot"], "metadata": {"subject": "M7"}}
     dataset = make_dataset(api, frames=1, **fields)
     fit = api.post("/fits", json={"dataset_id": dataset["id"], **fields})

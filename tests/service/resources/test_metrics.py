@@ -220,7 +220,7 @@ def _workers(live: Live) -> list[int]:
 
 
 def test_what_is_away_is_left_out(settings: Settings, tmp_path: Path) -> None:
-    """The others are shown, and the answer says what is missing."""
+    """The others are shown, and the answer names what is missing."""
     here = settings.model_copy(update={"data_dir": tmp_path, "database_url": None})
     with OwnersClient(create_app(here), raise_server_exceptions=False) as api:
         assert value(metrics(api), "fewview_part_reached", part="records") == 1

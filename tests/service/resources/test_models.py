@@ -231,7 +231,7 @@ LABELS = {"tags": ["pilot"], "metadata": {"subject": ["M7"]}}
 def test_a_model_travels_with_all_that_is_known_of_it(
     live: Live, fitted: dict[str, Any], api: TestClient
 ) -> None:
-    """It is named after the fit: an export says what is so now."""
+    """It is named after the fit: an export has the present name."""
     url = f"/models/{fitted['model_id']}"
     named = live.http.patch(url, json={"name": "Maki 猕猴"} | LABELS).json()
     file = live.http.get(f"{url}/weights")
