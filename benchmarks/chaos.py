@@ -5,8 +5,9 @@
 
 Each round people upload, fit, lift, cancel and delete, while faults are injected; then everything
 that the service had acknowledged must be there, equal to the bit, and every job must have ended as
-it should. What does not hold is printed with the seed and the round that it was seen in.
-README.md describes the work and the checks.
+it should. Every round has a key of its own; the keys before it, and those of other projects, see
+nothing. What does not hold is printed with the seed and the round that it was seen in. README.md
+describes the work and the checks.
 """
 
 import argparse
@@ -23,6 +24,7 @@ from benchmarks.chaos_api import Api
 from benchmarks.chaos_checks import Checks
 from benchmarks.chaos_deployments import Deployment, Embedded, Servers
 from benchmarks.chaos_faults import FAULTS, draw_seconds
+from benchmarks.chaos_keys import Keys
 from benchmarks.chaos_ledger import Ledger
 from benchmarks.chaos_parts import words
 from benchmarks.chaos_users import Action, Users
@@ -43,10 +45,11 @@ class Run:
         self._kind, self._seed = kind, seed
         self._number = 0
         self.deployment = DEPLOYMENTS[kind](folder, self.report)
-        api = Api(self.deployment.addresses, self.report)
+        self._api = Api(self.deployment.addresses, self.report)
+        self._keys = Keys(self.deployment.addresses, self.report)
         self._ledger = Ledger()
-        self.users = Users(api, self._ledger, self.deployment.redis_url, self.report)
-        self.checks = Checks(api, self._ledger, self.report)
+        self.users = Users(self._api, self._ledger, self.deployment.redis_url, self.report)
+        self.checks = Checks(self._api, self._ledger, self.report)
 
     def report(self, what: str) -> None:
         """Note something that must not be."""
@@ -57,6 +60,8 @@ class Run:
     def settle(self) -> None:
         """Start everything and make what the rounds use, undisturbed."""
         self.deployment.start()
+        self._keys.begin()
+        self._keys.renew(self._api)
         fits = self.users.settle()
         self.checks.ends(-1)
         self.users.use_models(fits)
@@ -70,7 +75,9 @@ class Run:
 
     def round(self, number: int, only: Sequence[str]) -> None:
         """Do the work of one round while one fault or two happen, then check everything."""
-        self._number, started = number, time.monotonic()
+        self._number = number
+        self._keys.renew(self._api)
+        started = time.monotonic()
         random = Random(f"{self._seed} {self._kind} {number}")  # noqa: S311
         names = random.sample(list(only), min(len(only), random.choice((1, 1, 2))))
         drawn = [(random.uniform(0, WORK_SECONDS), name, draw_seconds(random)) for name in names]
@@ -91,6 +98,7 @@ class Run:
         self.checks.ends(number)
         self.checks.lists()
         self.checks.contents(number, random)
+        self._keys.check(thing for thing in self._ledger.things if thing.round == number)
         if number % SWEEP_ROUNDS == 0:
             kills = sum(self.faults.values())
             self.checks.sweep(self.deployment.store_settings(), kills)

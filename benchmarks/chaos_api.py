@@ -14,10 +14,19 @@ PATIENCE_SECONDS = 90.0
 
 
 class Api:
-    """The APIs of a deployment, as its users reach them: through any of them."""
+    """The APIs of a deployment, as its users reach them: through any of them.
 
-    def __init__(self, addresses: list[str], report: Callable[[str], None]) -> None:
-        """Prepare to ask; `report` hears of answers that nothing excuses."""
+    Attributes
+    ----------
+    key
+        The token that requests have, if any.
+    """
+
+    def __init__(
+        self, addresses: list[str], report: Callable[[str], None], key: str | None = None
+    ) -> None:
+        """Prepare to ask; `report` receives answers that nothing excuses."""
+        self.key = key
         self._turns = itertools.cycle(
             [httpx2.Client(base_url=a, timeout=ANSWER_SECONDS, trust_env=False) for a in addresses]
         )
@@ -28,8 +37,10 @@ class Api:
         """Ask one API; None if it has no answer now (503 is none)."""
         with self._lock:
             client = next(self._turns)
+        headers = {} if self.key is None else {"Authorization": f"Bearer {self.key}"}
+        headers |= options.pop("headers", {})
         try:
-            answer = client.request(method, path, **options)
+            answer = client.request(method, path, headers=headers, **options)
         except httpx2.HTTPError:
             return None
         if answer.status_code == 503:

