@@ -110,7 +110,7 @@ def _write(capture: "Capture", path: Path) -> None:
     part = path.with_name(f".{path.name}.part")
     try:
         with part.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **capture.arrays())
+            np.savez(file, allow_pickle=False, **capture.arrays())
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fewview.capture import Float32, Float64, located
 from fewview.errors import FormatError
 from fewview.readers.headers import Label, plain
 from fewview.readers.names import frame_number, natural
@@ -30,7 +30,7 @@ OF_3D = (
 
 
 def views_of_columns(
-    name: str, labels: Sequence[Label], values: NDArray[np.float64], numbers: Int64, what: str
+    name: str, labels: Sequence[Label], values: Float32 | Float64, numbers: Int64, what: str
 ) -> list[View]:
     """Return the views of a table, one for each camera that its labels name.
 
@@ -61,7 +61,7 @@ def views_of_columns(
 
 
 def view_of_labels(
-    name: str, labels: Sequence[Label], values: NDArray[np.float64], numbers: Int64, what: str
+    name: str, labels: Sequence[Label], values: Float32 | Float64, numbers: Int64, what: str
 ) -> View:
     """Return the view of one camera's columns, as `views_of_columns` does of all."""
     people = tuple(dict.fromkeys(label.person for label in labels))
@@ -100,7 +100,7 @@ def view_of_labels(
 
 
 def without_depth(
-    view: View, depths: NDArray[np.float64], what: str, *, visible: bool = False
+    view: View, depths: Float32 | Float64, what: str, *, visible: bool = False
 ) -> View:
     """Return a view whose points have a depth that is constant, or is MediaPipe's guess.
 
@@ -118,7 +118,7 @@ def without_depth(
     """
     if not np.any(np.nan_to_num(depths)):
         return view
-    known = view.keypoints[np.isfinite(view.keypoints).all(-1)]
+    known = view.keypoints[located(view.keypoints)]
     shares = len(known) > 0 and np.mean((known >= 0) & (known <= 1)) > INSIDE
     names = view.keypoint_names
     landmarks = (

@@ -6,11 +6,11 @@ from math import inf
 
 import numpy as np
 
-from fewview.capture import Capture, Float32
+from fewview.capture import Capture, Float32, located
 from fewview.errors import FormatError
 from fewview.readers.skeletons import edges_of, skeleton_of
 from fewview.readers.timing import together
-from fewview.readers.views import Edges, Int64, View, bounded
+from fewview.readers.views import Edges, Int64, View, bounded, unseen
 from fewview.reading_options import Align
 
 SLIGHTLY_ABOVE = 1.1  # peaks of heatmaps that are interpolated
@@ -21,7 +21,7 @@ def cleaned(view: View, min_confidence: float) -> tuple[View, list[str]]:
     """Return a view with gaps as NaN and confidences in [0, 1], and what was changed."""
     keypoints, confidence, notes = view.keypoints.copy(), view.confidence, []
     if not view.pixels_from_zero:
-        nowhere = (keypoints == 0).all(-1) | (keypoints == -1).all(-1)
+        nowhere = unseen(keypoints)
         sure = 1.0 if confidence is None else np.nan_to_num(confidence)
         placeholders = nowhere & (np.asarray(sure) > 0)
         if placeholders.any():
@@ -29,7 +29,7 @@ def cleaned(view: View, min_confidence: float) -> tuple[View, list[str]]:
                 f"{view.name}: {int(placeholders.sum())} keypoints at (0, 0) or (-1, -1) are gaps"
             )
         keypoints[nowhere] = np.nan
-    gaps = ~np.isfinite(keypoints).all(-1)
+    gaps = ~located(keypoints)
     if confidence is not None:
         confidence = np.where(np.isfinite(confidence), confidence, 1.0)
         confidence = np.where(gaps, 0.0, confidence).astype(np.float32)
@@ -90,7 +90,7 @@ def combined(views: Sequence[View], *, align: Align, one_file: bool = False) -> 
         if view.confidence is not None:
             confidence[there, v] = view.confidence[rows[there, v], 0]
         else:
-            confidence[:, v] = np.isfinite(keypoints[:, v]).all(-1)
+            confidence[:, v] = located(keypoints[:, v])
     sizes = tuple(view.image_size for view in views)
     return Capture(
         keypoints,
@@ -164,6 +164,8 @@ def _common_keypoints(views: list[View], notes: list[str]) -> list[View]:
 
 def _only_keypoints(view: View, common: list[str]) -> View:
     names = list(view.keypoint_names or ())
+    if names == common:
+        return view
     first = {name: place for place, name in reversed(list(enumerate(names)))}
     index = [first[name] for name in common]
     place = {old: new for new, old in enumerate(index)}

@@ -14,6 +14,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from fewview.capture import located
 from fewview.readers.views import Int64
 
 FRAMES, POINTS = 80, 1500  # of two tracks that are compared, at most
@@ -95,7 +96,7 @@ def epipolar_misfit(one: Float, other: Float) -> float | None:
     float or None
         The median distance; None if too few points are seen by both.
     """
-    both = np.isfinite(one).all(-1) & np.isfinite(other).all(-1)
+    both = located(one) & located(other)
     x, y = one[both], other[both]
     part = slice(None, None, max(1, -(-len(x) // POINTS)))
     x, y = x[part], y[part]
@@ -215,7 +216,7 @@ def _value(tried: Tried) -> float:
 def _scale(tracks: list[Track]) -> tuple[Float, float, float]:
     """Return the centre and the size of all points of a camera, and the size of bodies in it."""
     points = np.concatenate([track.points for track in tracks])
-    known = points[np.isfinite(points).all(-1)]
+    known = points[located(points)]
     size = float(known.std()) or 1.0
     with warnings.catch_warnings(action="ignore"):  # frames without points
         bodies = np.nanmax(np.nanmax(points, 1) - np.nanmin(points, 1), -1)
@@ -227,7 +228,7 @@ def _shared(one: Track, other: Track) -> tuple[Float, Float, Int64]:
     _, i, j = np.intersect1d(one.numbers, other.numbers, return_indices=True)
     step = max(1, -(-len(i) // FRAMES))
     x, y = one.points[i[::step]], other.points[j[::step]]
-    both = np.isfinite(x).all(-1) & np.isfinite(y).all(-1)
+    both = located(x) & located(y)
     frames = np.nonzero(both)[0]
     part = slice(None, None, max(1, -(-len(frames) // POINTS)))
     return x[both][part], y[both][part], frames[part]

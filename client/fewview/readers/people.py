@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fewview.capture import Float32
+from fewview.capture import Float32, located
 from fewview.errors import FormatError
 from fewview.placing import row_medians
 from fewview.readers.matching import SURE, Track, same_people
@@ -284,7 +284,7 @@ def follow(view: View) -> list[Followed]:
 
 
 def _extend(track: Followed, keypoints: Float32, frame: int, place: int) -> None:
-    known = np.isfinite(keypoints).all(-1)
+    known = located(keypoints)
     track.last[known] = keypoints[known]
     track.frames.append(frame)
     track.places.append(place)
@@ -318,5 +318,5 @@ def _near(
 
 
 def _centre(keypoints: Float32) -> Float32:
-    centre: Float32 = keypoints[np.isfinite(keypoints).all(-1)].mean(0)
+    centre: Float32 = keypoints[located(keypoints)].mean(0)
     return centre

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from fewview.capture import Capture
+from fewview.capture import Capture, located
 from fewview.errors import FormatError
 from fewview.readers.archives import workplace
 from fewview.readers.combining import cleaned, combined, named
@@ -18,7 +18,7 @@ from fewview.readers.registry import views_of
 from fewview.readers.sides import doubts_of_sides, put_right
 from fewview.readers.timing import with_rates
 from fewview.readers.videos import with_video
-from fewview.readers.views import View
+from fewview.readers.views import View, unseen
 from fewview.reading_options import Align, Person, ReadingOptions, Size, Sizes
 
 SHARES = 3.0  # pixels go further than this many images
@@ -185,8 +185,7 @@ def _are_shares(view: View) -> bool:
     far = (view.keypoints > SHARES) & (view.keypoints < np.inf)
     if view.pixels_from_zero or far.any():
         return False
-    nowhere = (view.keypoints == 0).all(-1) | (view.keypoints == -1).all(-1)
-    there = view.keypoints[~nowhere & np.isfinite(view.keypoints).all(-1)]
+    there = view.keypoints[~unseen(view.keypoints) & located(view.keypoints)]
     if not len(there) or there.min() < -SHARES:
         return False
     if np.median(there) < MIDDLE and there.min() < -MIDDLE:

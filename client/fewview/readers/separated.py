@@ -5,11 +5,11 @@ import re
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fewview.capture import Float32
 from fewview.errors import FormatError
 from fewview.readers.sources import Source
 from fewview.readers.views import Int64
@@ -146,7 +146,7 @@ def _is_number(cell: str) -> bool:
 
 def read_columns(
     table: Table, *, texts: Sequence[int], numbers: Sequence[int], ragged: bool = False
-) -> tuple[list[Words], NDArray[np.float64]]:
+) -> tuple[list[Words], Float32]:
     """Read the columns of a table that are wanted.
 
     Parameters
@@ -170,13 +170,12 @@ def read_columns(
     """
     known: list[dict[str, int]] = [{} for _ in texts]
     codes = [array("q") for _ in texts]
-    parts = [np.empty((0, len(numbers)))]
-    rows_read = _rows(table, ragged=ragged, skip=bool(texts))
+    parts = [np.empty((0, len(numbers)), np.float32)]
     try:
-        while rows := list(islice(rows_read, CHUNK)):
-            for column, words, code in zip(texts, known, codes, strict=True):
+        for rows, part in _chunks(table, texts, numbers, ragged=ragged):
+            for column, (words, code) in enumerate(zip(known, codes, strict=True)):
                 code.extend(words.setdefault(row[column].strip(), len(words)) for row in rows)
-            parts.append(_numbers([[row[i] for i in numbers] for row in rows]))
+            parts.append(part)
     except (ValueError, csv.Error) as error:
         if isinstance(error, FormatError):
             raise
@@ -187,7 +186,69 @@ def read_columns(
     )
 
 
-def _rows(table: Table, *, ragged: bool, skip: bool) -> Iterator[list[str]]:
+def _chunks(
+    table: Table, texts: Sequence[int], numbers: Sequence[int], *, ragged: bool
+) -> Iterator[tuple[list[list[str]], Float32]]:
+    """Yield the cells of text and the numbers of many rows at a time."""
+    lines: Iterator[str] = islice(table.source.text_lines(), table.start, None)
+    while chunk := list(islice(lines, CHUNK)):
+        plain = _plain_numbers(chunk, table, numbers)
+        if plain is None:
+            lines = chain(chunk, lines)
+            break
+        split = [line.split(table.separator, max(texts) + 1) for line in chunk] if texts else []
+        yield [[row[i] for i in texts] for row in split], plain
+    rows_read = _rows(lines, table, ragged=ragged, skip=bool(texts))
+    while rows := list(islice(rows_read, CHUNK)):
+        values = _numbers([[row[i] for i in numbers] for row in rows])
+        yield [[row[i] for i in texts] for row in rows], values
+
+
+def _plain_numbers(lines: list[str], table: Table, numbers: Sequence[int]) -> Float32 | None:
+    """Read columns of numbers (N, C) an order of magnitude faster than cell by cell.
+
+    None if the lines need more care: quoted cells, rows of another length or without an entry, and
+    cells that are neither numbers nor marked as empty.
+    """
+    separator, gaps = table.separator, table.width - 1
+    if separator == " " or not numbers:
+        return None
+    for line in lines:
+        empty = line.startswith(separator) and not line.strip(separator)
+        if empty or '"' in line or line.count(separator) != gaps:
+            return None
+    for filled in (_filled, _respelled):
+        try:
+            read = np.loadtxt(
+                [filled(line, separator) for line in lines],
+                delimiter=separator,
+                comments=None,
+                usecols=numbers,
+                ndmin=2,
+                dtype=np.float32,
+            )
+        except ValueError:
+            continue
+        return np.asarray(read)
+    return None
+
+
+def _filled(line: str, separator: str) -> str:
+    """Write NaN into empty cells."""
+    empty = 2 * separator
+    if empty in line:
+        filled = f"{separator}nan{separator}"
+        line = line.replace(empty, filled).replace(empty, filled)
+    before = "nan" if line.startswith(separator) else ""
+    return before + line + ("nan" if line.endswith(separator) else "")
+
+
+def _respelled(line: str, separator: str) -> str:
+    """Write NaN into cells that are empty or marked as such, and points for decimal commas."""
+    return separator.join(map(_spelled, line.split(separator)))
+
+
+def _rows(lines: Iterable[str], table: Table, *, ragged: bool, skip: bool) -> Iterator[list[str]]:
     """Yield the rows, each of the table's width; those without an entry as `read_columns` has it.
 
     Raises
@@ -195,7 +256,6 @@ def _rows(table: Table, *, ragged: bool, skip: bool) -> Iterator[list[str]]:
     FormatError
         If a row has another count of cells.
     """
-    lines = islice(table.source.text_lines(), table.start, None)
     width, blank = table.width, 0
     for cells_read in _reader(lines, table.separator):
         row = cells_read
@@ -216,20 +276,32 @@ def _rows(table: Table, *, ragged: bool, skip: bool) -> Iterator[list[str]]:
         yield row
 
 
-def _numbers(rows: list[list[str]]) -> NDArray[np.float64]:
+def _numbers(rows: list[list[str]]) -> Float32:
     try:
-        return np.array(rows, np.float64)  # much faster than cell by cell
+        return np.array(rows, np.float32)  # much faster than cell by cell
     except ValueError:
-        return np.array([[_number(cell) for cell in row] for row in rows], np.float64)
+        return np.array([_row_of_numbers(row) for row in rows], np.float32)
+
+
+def _row_of_numbers(row: list[str]) -> list[float]:
+    try:
+        return list(map(float, row))
+    except ValueError:
+        return list(map(_number, row))
 
 
 def _number(cell: str) -> float:
     try:
         return float(cell)
     except ValueError:
-        cell = cell.strip().lower()
-        if cell in NOTHING:
-            return np.nan
-        if cell.rfind(".") < cell.rfind(","):  # 1.234,5
-            cell = cell.replace(".", "")
-        return float(cell.replace(",", "."))
+        return float(_spelled(cell))
+
+
+def _spelled(cell: str) -> str:
+    """Return a cell as `float` reads it: with a decimal point, and NaN where it is empty."""
+    cell = cell.strip().lower()
+    if cell in NOTHING:
+        return "nan"
+    if cell.rfind(".") < cell.rfind(","):  # 1.234,5
+        cell = cell.replace(".", "")
+    return cell.replace(",", ".")

@@ -102,3 +102,9 @@ def bounded(shape: Sequence[int], what: str) -> None:
     size = int(np.prod(np.array(shape, float)))
     if size > MAX_NUMBERS:
         raise FormatError(f"{what}: {size:,} numbers {tuple(shape)} are too many; cut it in parts")
+
+
+def unseen(keypoints: Float32) -> NDArray[np.bool_]:
+    """Return which keypoints (..., 2) are (0, 0) or (-1, -1), as detectors write unseen ones."""
+    x, y = keypoints[..., 0], keypoints[..., 1]
+    return np.asarray(((x == 0) | (x == -1)) & (x == y))

@@ -129,6 +129,20 @@ def test_rows_without_an_entry_are_frames_where_nothing_counts_them(tmp_path: Pa
     assert np.isnan(capture.keypoints[3]).all()
 
 
+def test_a_long_table_may_change_its_hand(tmp_path: Path) -> None:
+    """Its rows are read some thousands at a time: those with words, quotes and blanks, too."""
+    body = files.walk(12000)
+    body[::97, 1] = (np.nan, np.nan, 0)
+    names = [f"{n}_{a}" for n in NAMES for a in ("x", "y", "confidence")]
+    rows = [["frame", *names]]
+    for n, frame in enumerate(body):
+        cells = [number(v, ".", "" if n < 4500 else "NA") for v in frame.ravel()]
+        rows.append([str(n), *(f'"{cell}"' if n > 9000 else cell for cell in cells)])
+        rows += [[""] * 13] * (n % 5000 == 7)
+    capture = fewview.read(written(tmp_path / "a.csv", rows, ","))
+    np.testing.assert_allclose(capture.keypoints[:, 0], body[..., :2], atol=1e-4)
+
+
 @pytest.mark.parametrize("odd", ["inf", "37.2"])
 def test_one_odd_confidence_is_no_scale(tmp_path: Path, odd: str) -> None:
     body = np.concatenate([files.walk(60), files.walk(60)], axis=1)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fewview.capture import Float64
+from fewview.capture import Float32, Float64
 from fewview.errors import FormatError
 from fewview.readers.columns import row_numbers, views_of_columns
 from fewview.readers.headers import LEVELS, Label, axis_of, parted, stacked_columns
@@ -113,7 +113,7 @@ def _numbers(frames: Words, what: str) -> tuple[Int64, NDArray[np.bool_]]:
 def _views(
     source: Source,
     columns: dict[int, Label],
-    values: NDArray[np.float64],
+    values: Float32 | Float64,
     numbers: Int64,
     times: Float64 | None = None,
 ) -> list[View]:

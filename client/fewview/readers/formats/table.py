@@ -11,9 +11,8 @@ import re
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fewview.capture import Float64
+from fewview.capture import Float32, Float64
 from fewview.errors import FormatError
 from fewview.readers.clocks import seconds_in
 from fewview.readers.columns import bounded_columns, row_numbers, views_of_columns
@@ -94,7 +93,7 @@ def _stem(name: str) -> str:
 def _views(
     source: Source,
     columns: list[Label],
-    values: NDArray[np.float64],
+    values: Float32 | Float64,
     given: dict[str, Words],
     clock: str,
 ) -> list[View]:
