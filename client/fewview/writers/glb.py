@@ -107,9 +107,9 @@ def write(path: Path, animation: Animation) -> None:
             file.nodes.append({"name": name, "mesh": 1})
             file.nodes[-1].update({part: values[0].tolist() for part, values in laid.items()})
             file.animate(len(file.nodes) - 1, seconds[there], laid)
-    meshes = [_ball(file, BALL * size), _rod(file, STICK * size)]
-    if not any(node.get("mesh") == 1 for node in file.nodes):
-        meshes.pop()
+    meshes = [_ball(file, BALL * size)]
+    if any(node.get("mesh") == 1 for node in file.nodes):
+        meshes.append(_rod(file, STICK * size))
     path.write_bytes(_packed(file, meshes))
 
 

@@ -1,5 +1,6 @@
 """glTF, by pygltflib and the rules of its specification."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,9 +9,13 @@ import numpy as np
 import pytest
 from fewview import Animation, write
 from fewview.errors import FormatError
+from fewview.readers.skeletons import SKELETONS
 from numpy.typing import NDArray
 from pygltflib import GLTF2
 from scipy.spatial.transform import Rotation
+
+from tests.node import node
+from tests.page.project import checked_out
 
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 KINDS = {5126: np.float32, 5123: np.uint16}
@@ -44,6 +49,17 @@ def motion(file: Any, node: int) -> dict[str, tuple[NDArray[np.float64], NDArray
             assert len(message) == len(times)
             found[channel.target.path] = (times, message)
     return found
+
+
+# Prints the report of Khronos's validator for each file.
+VALIDATE = """
+import { readFileSync } from "node:fs";
+import validator from "gltf-validator";
+for (const file of process.argv.slice(1)) {
+  const report = await validator.validateBytes(new Uint8Array(readFileSync(file)));
+  console.log(JSON.stringify(report.issues));
+}
+"""
 
 
 @pytest.fixture
@@ -96,6 +112,25 @@ def test_bytes_are_laid_out_as_specified(tmp_path: Path, animation: Animation) -
     magic, version, length, size = np.frombuffer(data[:16], "<u4").tolist()
     assert (magic, version, length) == (0x46546C67, 2, len(data))
     assert (data[16:20], size % 4, data[20 + size + 4 : 20 + size + 8]) == (b"JSON", 0, b"BIN\0")
+
+
+def test_the_validator_of_khronos_finds_nothing(
+    tmp_path: Path, animation: Animation, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    page = checked_out(tmp_path_factory)
+    rng = np.random.default_rng(0)
+    made = {"walk": animation, "lone": Animation(animation.points[:1])}
+    for name, skeleton in SKELETONS.items():
+        points = rng.normal(size=(9, len(skeleton.names), 3))
+        points[rng.random(points.shape[:2]) < 0.2] = np.nan
+        points[4] = np.nan  # nobody is seen
+        made[name] = Animation(points, unit="mm", fps=50, edges=skeleton.edges)
+    files = [str(write(tmp_path / f"{name}.glb", each)) for name, each in made.items()]
+    reports = node(page, "--input-type=module", "--eval", VALIDATE, *files).splitlines()
+    for name, report in zip(made, reports, strict=True):
+        found = json.loads(report)["messages"]
+        # A keypoint that is never seen is a node with nothing but its name.
+        assert [issue for issue in found if issue["code"] != "NODE_EMPTY"] == [], name
 
 
 def test_straight_down_and_lone_points_and_millimetres(tmp_path: Path) -> None:
