@@ -132,7 +132,18 @@ class JobFailed(FewviewError):  # noqa: N818
 
 
 class FormatError(FewviewError, ValueError):
-    """A file is not what its reader expects, or cannot be written; the message has the remedy."""
+    """A file is not what its reader expects, or cannot be written; the message has the remedy.
+
+    Attributes
+    ----------
+    option
+        The option of reading that is wrong or missing, as `ReadingOptions` names it; None if it is
+        the files.
+    """
+
+    def __init__(self, message: str, *, option: str | None = None) -> None:
+        super().__init__(message)
+        self.option = option
 
 
 _REMEDIES = {  # by codes, which the message ends with

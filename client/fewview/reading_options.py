@@ -73,11 +73,15 @@ class ReadingOptions:
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_confidence <= 1:
-            raise FormatError(f"min_confidence is {self.min_confidence}, not in [0, 1]")
+            raise FormatError(
+                f"min_confidence is {self.min_confidence}, not in [0, 1]", option="min_confidence"
+            )
         if self.align not in ("auto", "index", "time"):
-            raise FormatError(f"align is {self.align!r}, neither 'auto', 'index' nor 'time'")
+            raise FormatError(
+                f"align is {self.align!r}, neither 'auto', 'index' nor 'time'", option="align"
+            )
         if self.y not in ("down", "up"):
-            raise FormatError(f"y is {self.y!r}, neither 'down' nor 'up'")
+            raise FormatError(f"y is {self.y!r}, neither 'down' nor 'up'", option="y")
         self.sizes([""])
         self.rates([""])
 
@@ -104,7 +108,8 @@ class ReadingOptions:
         )
         if not right or (len(listed) != len(views) and views != [""]):
             raise FormatError(
-                f"image_size is {given!r}, not (width, height), nor {len(views)} of these"
+                f"image_size is {given!r}, not (width, height), nor {len(views)} of these",
+                option="image_size",
             )
         return [None if size is None else (int(size[0]), int(size[1])) for size in listed]
 
@@ -154,7 +159,9 @@ def _place(name: str, views: Sequence[str], option: str) -> int:
     name = name.strip()
     if name in views:
         return list(views).index(name)
-    raise FormatError(f"{option}: there is no camera {name!r}; there are {', '.join(views)}")
+    raise FormatError(
+        f"{option}: there is no camera {name!r}; there are {', '.join(views)}", option=option
+    )
 
 
 def _size(text: str, option: str) -> Size:
@@ -162,7 +169,8 @@ def _size(text: str, option: str) -> Size:
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise FormatError(
             f"{option} {text!r}: expected WIDTHxHEIGHT, such as 1920x1080, or of each camera, such "
-            "as cam1=1920x1080,cam2=1080x1920"
+            "as cam1=1920x1080,cam2=1080x1920",
+            option=option,
         )
     return int(width), int(height)
 
@@ -175,6 +183,7 @@ def _rate(text: str, option: str) -> float:
     if not 0 < rate < inf:
         raise FormatError(
             f"{option} is {text}, not above 0; give one number, or those of each camera, such as "
-            "cam1=60,cam2=30"
+            "cam1=60,cam2=30",
+            option=option,
         )
     return rate

@@ -16,7 +16,7 @@ from fewview.readers.skeletons import SKELETONS
 from fewview.reading_options import ReadingOptions
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from service.http.errors import from_validation, invalid
+from service.http.errors import ApiError, from_validation, invalid
 from service.http.uploads import ZIP_FAULTS, Upload
 from service.settings import Settings
 from service.wire.arrays import Arrays
@@ -26,6 +26,11 @@ LONGEST_NAME = 100  # bytes of a file's name, characters of a camera's that is n
 LONGEST_NOTE, MOST_NOTES = 1000, 100
 # Of a whole path; readers are given names alone, so such a path is one of this machine.
 FOLDERS = re.compile(r"(?<![\w.)\]-])/(?:[^\s'\"/()]+/)*(?=[\w.])")
+# Options that have another name in the form, and how messages name those of commands.
+FIELDS = {"image_size": "image_sizes", "columns": "table_columns"}
+OF_COMMANDS = re.compile(r" \(--[^)]*\)")
+OF_FORM = {"image_size": "image_sizes for each view, such as [[1920, 1080], [1280, 720]]"}
+MAPPING = re.compile(r"fewview convert .{1,200}? --columns (?=')")
 
 
 def _one_of(*known: str) -> AfterValidator:
@@ -168,7 +173,7 @@ def read_files(
                 Path(folder, names[-1]).write_bytes(file.data)
             found = read_apart(Path(folder), names, options, max_bytes=settings.max_body_bytes)
     except FormatError as error:
-        raise invalid("/files", _sentence(str(error))) from error
+        raise _at_field(error) from error
     arrays = {
         name: array
         for name in ("keypoints", "confidence", "points3d", "times")
@@ -183,6 +188,16 @@ def read_files(
     if found.image_sizes is not None:
         fields["image_sizes"] = found.image_sizes
     return ReadFiles(arrays, fields, [_sentence(note) for note in found.notes[:MOST_NOTES]])
+
+
+def _at_field(error: FormatError) -> ApiError:
+    """Return the error with the form's field that is wrong, and without options of commands."""
+    option = error.option or "files"
+    field = FIELDS.get(option, option)
+    message = MAPPING.sub("table_columns=", OF_COMMANDS.sub("", str(error)))
+    if option in OF_FORM:
+        message = f"{message.partition('; give ')[0]}; give {OF_FORM[option]}"
+    return invalid(f"/{field}", _sentence(re.sub(rf"\b{option}\b", field, message)))
 
 
 def _text(text: str, longest: int) -> str:

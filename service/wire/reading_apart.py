@@ -16,7 +16,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,9 @@ def read_apart(
     if done.returncode == 0:
         return _capture(out)
     if done.returncode == 1 and done.stdout:
-        raise FormatError(done.stdout.decode(errors="replace"))
+        option, _, message = done.stdout.decode(errors="replace").partition("\n")
+        known = {field.name for field in fields(ReadingOptions)}
+        raise FormatError(message, option=option if option in known else None)
     errors = done.stderr.decode(errors="replace")[-LONGEST_LOG:]
     logger.warning("Reading files ended with status %d: %s", done.returncode, errors)
     raise FormatError(
@@ -127,7 +129,8 @@ def _tuples(value: Any) -> Any:
 def main() -> None:
     """Read the files that standard input names into the folder ``out``.
 
-    Exit status 1: what is wrong with them is on standard output.
+    Exit status 1: the first line of standard output is the option that is wrong, or empty, and the
+    error is below.
     """
     asked = json.loads(sys.stdin.buffer.read())
     die_with_parent(asked["parent"])
@@ -135,10 +138,12 @@ def main() -> None:
     try:
         _read(asked["names"], ReadingOptions(**asked["options"]), asked["max_bytes"])
     except FormatError as error:
-        sys.stdout.write(str(error))
+        sys.stdout.write(f"{error.option or ''}\n{error}")
         sys.exit(1)
     except MemoryError:
-        sys.stdout.write(f"{', '.join(asked['names'])}: need more memory than there is; part them")
+        sys.stdout.write(
+            f"\n{', '.join(asked['names'])}: need more memory than there is; part them"
+        )
         sys.exit(1)
 
 

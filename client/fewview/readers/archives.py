@@ -29,7 +29,8 @@ def workplace() -> Iterator[Path]:
             yield Path(folder)
         except FormatError as error:
             raise FormatError(
-                re.sub(rf"{re.escape(folder)}/\d+/{NAMED}/", "", str(error))
+                re.sub(rf"{re.escape(folder)}/\d+/{NAMED}/", "", str(error)),
+                option=error.option,
             ) from error
 
 

@@ -77,7 +77,7 @@ def combined(views: Sequence[View], *, align: Align, one_file: bool = False) -> 
     views = _common_keypoints(list(views), notes)
     for view in views:
         if view.fps is not None and not 0 < view.fps < inf:
-            raise FormatError(f"{view.name}: `fps` is {view.fps}, not above 0")
+            raise FormatError(f"{view.name}: `fps` is {view.fps}, not above 0", option="fps")
     rows, numbers, times, fps = together(views, align, notes, one_file=one_file)
     first = views[0]
     shape = (len(rows), len(views), first.keypoints.shape[2])
@@ -143,7 +143,8 @@ def _common_keypoints(views: list[View], notes: list[str]) -> list[View]:
             raise FormatError(
                 "the cameras have "
                 + ", ".join(f"{view.name} {view.keypoints.shape[2]}" for view in views)
-                + " keypoints, and not all have names to match them by; give skeleton= (--skeleton)"
+                + " keypoints, and not all have names to match them by; give skeleton (--skeleton)",
+                option="skeleton",
             )
         known = next((each for each in names if each is not None), None)
         return [replace(view, keypoint_names=known) for view in views]

@@ -224,11 +224,12 @@ def mapped_columns(header: Sequence[str], mapping: str) -> Columns:
         if not name or (role not in ROLES and role not in AXES):
             raise FormatError(
                 f"columns: {part!r} is not ROLE=COLUMN, where the role is {', '.join(AXES)}, "
-                f"{', '.join(ROLES)}"
+                f"{', '.join(ROLES)}",
+                option="columns",
             )
         if role in ROLES:
             if name not in header:
-                raise FormatError(_missing(part, header))
+                raise FormatError(_missing(part, header), option="columns")
             roles[role] = header.index(name)
             continue
         pattern = re.escape(name)
@@ -240,7 +241,7 @@ def mapped_columns(header: Sequence[str], mapping: str) -> Columns:
             if len(cell) <= LONGEST_CELL and (each := re.fullmatch(pattern, cell))
         }
         if not found:
-            raise FormatError(_missing(part, header))
+            raise FormatError(_missing(part, header), option="columns")
         for place, each in found.items():
             label = {"camera": "", "person": "", "keypoint": ""} | each.groupdict()
             labels[place] = Label(**label, axis=role)

@@ -48,7 +48,9 @@ def pick(views: Sequence[View], person: Person | Sequence[Person]) -> tuple[list
         person = [part.strip() for part in person.split(",")]
     if not isinstance(person, str | int):
         if len(person) != len(views):
-            raise FormatError(f"person: {len(person)} were named for {len(views)} cameras")
+            raise FormatError(
+                f"person: {len(person)} were named for {len(views)} cameras", option="person"
+            )
         picked = [pick([view], one) for view, one in zip(views, person, strict=True)]
         return [view for (view,), _ in picked], [note for _, notes in picked for note in notes]
     placed = any(view.people is not None and len(view.people) > 1 for view in views)
@@ -108,7 +110,7 @@ def _by_name(views: Sequence[View], person: Person) -> tuple[list[View], list[st
         name = names[int(person)]
     else:
         there = f"there are {', '.join(names)}" if any(names) else "there is one, without a name"
-        raise FormatError(f"there is no person {person!r}; {there}")
+        raise FormatError(f"there is no person {person!r}; {there}", option="person")
     share = totals[name] / max(sum(totals.values()), 1e-9)
     notes = []
     if len(names) > 1:
@@ -157,10 +159,12 @@ def _matched(views: Sequence[View], person: Person) -> tuple[list[View], list[st
     if sure < SURE and all(view.people is not None for view in views):
         return _by_name(views, person)
     if person != "auto" and not str(person).isdigit():
-        raise FormatError(f"person {person!r}: people have no names there; choose by a number")
+        raise FormatError(
+            f"person {person!r}: people have no names there; choose by a number", option="person"
+        )
     number = 0 if person == "auto" else int(person)
     if number >= len(people):
-        raise FormatError(f"there is no person {number}; {len(people)} were found")
+        raise FormatError(f"there is no person {number}; {len(people)} were found", option="person")
     who = people[number]
     chosen, notes = [], []
     for v, view in enumerate(views):

@@ -165,7 +165,8 @@ def _sized(views: list[View], given: list[Size | None]) -> list[View]:
         raise FormatError(
             f"{', '.join(unknown)}: coordinates are shares of the image's width and height, and "
             "its size is not in the file; give image_size='WIDTHxHEIGHT' for all cameras, or "
-            f"'{each}' (--image-size, image_sizes)"
+            f"'{each}' (--image-size)",
+            option="image_size",
         )
     out = []
     for view, size, share in zip(views, sizes, shares, strict=True):

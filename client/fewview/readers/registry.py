@@ -185,4 +185,4 @@ def find(source: Source, name: str | None) -> Format:
     for each in FORMATS:
         if each.name == name:
             return each
-    raise FormatError(f"there is no format {name!r}; there are {', '.join(NAMES)}")
+    raise FormatError(f"there is no format {name!r}; there are {', '.join(NAMES)}", option="format")

@@ -172,9 +172,14 @@ def skeleton_of(
     if name is not None:
         found = next((one for each, one in SKELETONS.items() if _plain(each) == _plain(name)), None)
         if found is None:
-            raise FormatError(f"there is no skeleton {name!r}; there are {', '.join(SKELETONS)}")
+            raise FormatError(
+                f"there is no skeleton {name!r}; there are {', '.join(SKELETONS)}",
+                option="skeleton",
+            )
         if len(found.names) != count:
-            raise FormatError(f"{found.title} has {len(found.names)} keypoints, not {count}")
+            raise FormatError(
+                f"{found.title} has {len(found.names)} keypoints, not {count}", option="skeleton"
+            )
         return found, ()
     fitting = tuple(each for each, known in SKELETONS.items() if len(known.names) == count)
     by_format = tuple(each for each in fitting if each in meant)

@@ -196,10 +196,11 @@ def _by_time(views: list[View], rates: list[float | None], notes: list[str]) -> 
             clocks.append((view.numbers - begin) / rate)
         else:
             raise FormatError(
-                f"{view.name}: has no times to align by; give fps (--fps), or align='index'"
+                f"{view.name}: has no times to align by; give fps (--fps), or align='index'",
+                option="fps",
             )
     if any(np.any(np.diff(clock) <= 0) for clock in clocks):
-        raise FormatError("times must rise from frame to frame to align by them")
+        raise FormatError("times must rise from frame to frame to align by them", option="align")
     reference = max(clocks, key=len)
     half = float(np.median(np.diff(reference))) / 2 if len(reference) > 1 else np.inf
     rows = np.full((len(reference), len(views)), -1)
@@ -214,7 +215,9 @@ def _by_time(views: list[View], rates: list[float | None], notes: list[str]) -> 
         if not near.all():
             notes.append(f"{view.name}: {int((~near).sum())} moments without a frame are gaps")
     if not (rows >= 0).any(0).all():
-        raise FormatError("the cameras' times do not overlap; give align='index' (--align index)")
+        raise FormatError(
+            "the cameras' times do not overlap; give align='index' (--align index)", option="align"
+        )
     return Together(rows, np.arange(len(reference)), reference - reference[0], None)
 
 

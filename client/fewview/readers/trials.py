@@ -62,7 +62,8 @@ def of_one_trial(names: Sequence[str], trial: str | None) -> tuple[list[int], li
     if parted is None:
         if trial is not None:
             raise FormatError(
-                f"trial {trial!r}: the files are of one trial, a camera each: {_shown(names)}"
+                f"trial {trial!r}: the files are of one trial, a camera each: {_shown(names)}",
+                option="trial",
             )
         return list(range(len(names))), list(names), ""
     cameras, trials = parted
@@ -75,12 +76,13 @@ def of_one_trial(names: Sequence[str], trial: str | None) -> tuple[list[int], li
         raise FormatError(
             f"the files are of {len(known)} trials or detectors ({_shown(known)}) of the same "
             f"cameras ({_shown(sorted(set(cameras), key=natural))}): name one, as in "
-            f"trial={known[0]!r} (--trial {known[0]}), or give its files alone"
+            f"trial={known[0]!r} (--trial {known[0]}), or give its files alone",
+            option="trial",
         )
     wanted = {called[i] for i, full in enumerate(trials) if trial in (called[i], full)}
     wanted = wanted or {each for each in known if trial in _WORDS.findall(each)}
     if len(wanted) != 1:
-        raise FormatError(f"there is no trial {trial!r}; there are {_shown(known)}")
+        raise FormatError(f"there is no trial {trial!r}; there are {_shown(known)}", option="trial")
     mine = [i for i, each in enumerate(called) if each in wanted]
     note = f"of {len(known)} trials or detectors ({_shown(known)}), {wanted.pop()} was taken"
     return mine, [cameras[i] for i in mine], note

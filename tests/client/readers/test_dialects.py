@@ -201,6 +201,9 @@ def test_columns_are_mapped_as_was_asked(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_read_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="no columns of x and y"):
+        fewview.read(written(tmp_path / "walk.csv", dlc(".", ""), ","), format="csv")
+    (tmp_path / "walk.csv").unlink()
     numbers = written(tmp_path / "cam1.csv", wide(".", "NaN")[1:3], ",")
     for given in (numbers, tmp_path):
         with pytest.raises(FormatError, match="numbers without a header; write the names"):

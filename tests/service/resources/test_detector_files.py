@@ -65,8 +65,8 @@ def send(api: TestClient, sent: Parts, **fields: str) -> dict[str, Any]:
     return made
 
 
-def refused(answer: httpx2.Response) -> str:
-    return problem(answer, 422, "invalid_input", "/files")
+def refused(answer: httpx2.Response, field: str = "files") -> str:
+    return problem(answer, 422, "invalid_input", f"/{field}")
 
 
 def test_tables_of_two_cameras(api: TestClient, tables: Parts) -> None:
@@ -113,10 +113,33 @@ def test_reading_options_are_in_the_form(api: TestClient, tables: Parts) -> None
         answer = api.post("/datasets", files=tables, data={field: wrong})
         problem(answer, 422, "invalid_input", f"/{field}")
     answer = api.post("/datasets", files=tables, data={"skeleton": "cat"})
-    assert "there is no skeleton 'cat'; there are coco-17" in refused(answer)
+    assert "there is no skeleton 'cat'; there are coco-17" in refused(answer, "skeleton")
     answer = api.post("/datasets", files=tables, data={"min_confidense": "0.1"})
     message = problem(answer, 422, "invalid_input", "/min_confidense")
     assert "did you mean 'min_confidence'" in message
+
+
+@pytest.mark.usefixtures("unchanged")
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("person", "7"),
+        ("person", "0,0,0"),
+        ("cameras", "left,behind"),
+        ("mirror", "behind"),
+        ("trial", "walk2"),
+        ("table_columns", "x={}_u,y={}_v"),
+        ("align", "time"),  # without times
+    ],
+)
+def test_errors_name_the_field_that_is_wrong(
+    api: TestClient, tables: Parts, field: str, value: str
+) -> None:
+    message = refused(
+        api.post("/datasets", files=tables, data={field: value}),
+        "fps" if field == "align" else field,
+    )
+    assert "--" not in message
 
 
 def test_a_zip_file_is_a_folder_of_frames(api: TestClient) -> None:
@@ -131,7 +154,9 @@ def test_a_zip_file_is_a_folder_of_frames(api: TestClient) -> None:
 def test_landmarks_use_the_given_sizes(api: TestClient) -> None:
     frames = [[{"x": 0.1 * k, "y": 0.05 * n} for k in range(1, 6)] for n in range(1, 5)]
     sent = parts(left_json=json.dumps(frames).encode(), right_json=json.dumps(frames).encode())
-    assert "image's width" in refused(api.post("/datasets", files=sent))
+    message = refused(api.post("/datasets", files=sent), "image_sizes")
+    assert "image's width" in message
+    assert "give image_sizes for each view, such as [[1920, 1080]" in message
     made = send(api, sent, image_sizes="[[1920, 1080], [1280, 720]]")
     assert made["image_sizes"] == [[1920, 1080], [1280, 720]]
 

@@ -52,6 +52,8 @@ def read(source: Source, mapping: str | None = None) -> list[View]:
     header = table.header[0]
     bounded_columns(len(header), str(source))
     columns = columns_of(header) if mapping is None else mapped_columns(header, mapping)
+    if not columns.has_points:
+        raise FormatError(f"{source}: has no columns of x and y", option="columns")
     if columns.roles.keys() & {"person", "keypoint"} and not (
         columns.roles.keys() & {"frame", "time"}
     ):
