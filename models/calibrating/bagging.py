@@ -1,7 +1,13 @@
-"""How likely each of several trials is to be the best, if other frames had been seen."""
+"""How far the evidence of trials is believed.
+
+Errors of frames are correlated, by the removal of noise and by all that a model leaves out. So the
+evidence is less than the sum over frames, and other frames might have preferred another trial.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
+
+from models.calibrating.problem import CalibrationProblem
 
 Float64 = NDArray[np.float64]
 
@@ -33,3 +39,26 @@ def bagged_shares(evidence: Float64, log_prior: Float64, widths: Float64 | float
         densities = widths * np.exp(logs - logs.max())
         shares += densities / densities.sum()
     return shares / RESAMPLED
+
+
+def at_most(information: Float64, widest: Float64) -> Float64:
+    """Limit information (n, n): no direction has less variance than under a covariance (n, n).
+
+    `widest` is positive definite. In the axes that make both matrices diagonal, each variance is
+    the larger of the two.
+    """
+    root = np.linalg.cholesky(widest)
+    known, axes = np.linalg.eigh(root.T @ information @ root)
+    back = np.linalg.solve(root.T, axes)
+    return np.asarray((back * np.minimum(known, 1.0)) @ back.T)
+
+
+def share_of_information(problem: CalibrationProblem, noise: float) -> float:
+    """Return the weight of keypoints with this `noise` in pixels; 1 if no noise was removed.
+
+    Removing noise correlates the errors of many frames. If all were correlated, the weight would be
+    the square of the ratio of the noise after to the noise before. On drawn rigs it is the ratio.
+    """
+    seen = problem.weights > 0
+    removed = np.square(problem.detected - problem.keypoints)[seen].mean()
+    return float(noise / np.sqrt(noise**2 + removed))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.frame_evidence import log_evidence
-from models.calibrating.bagging import bagged_shares, filled
+from models.calibrating.bagging import at_most, bagged_shares, filled, share_of_information
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.keypoint_rig import (
     lens_beliefs,
@@ -95,6 +95,7 @@ class _Peak(NamedTuple):
     trial: Trial
     at: Float64  # (2,) the top of a quadratic about the trial
     information: Float64  # (2, 2) of keypoints alone, on `at`
+    vector: Float64  # (2,) information times mean of keypoints alone
     moves: Float64  # (2, 2, 11) derivatives of the cameras' numbers by `at`
 
 
@@ -209,8 +210,9 @@ def _peak(sight: _Sight, cameras: AdjustedRig) -> Steps[_Peak]:
     else:
         around = yield from _around(sight, best)
         step = _step(sight, around)
-    information = _information(sight, around, trials)
-    return _Peak(best, best.at + step.clip(-FINE, FINE), information, around.moves)
+    at = best.at + step.clip(-FINE, FINE)
+    information, vector = _likelihood(sight, around, trials, at)
+    return _Peak(best, at, information, vector, around.moves)
 
 
 def _posterior(trial: Trial) -> float:
@@ -259,12 +261,15 @@ def _around(sight: _Sight, middle: Trial) -> Steps[_Around]:
     return _Around([middle, right, left, up, down, both])
 
 
-def _information(sight: _Sight, around: _Around, trials: list[Trial]) -> Float64:
-    """Return the information (2, 2) of the frames, allowing for their correlated errors.
+def _likelihood(
+    sight: _Sight, around: _Around, trials: list[Trial], at: Float64
+) -> tuple[Float64, Float64]:
+    """Return information (2, 2) and information times mean (2,); `at` is the posterior's top.
 
-    In each direction it is divided by the factor by which sums over frames scatter more (the design
-    effect: Kish, *Survey Sampling*, 1965). It is limited by other trials that would be the best if
-    other frames had been seen, and by what noise biases.
+    Errors of frames are correlated. So in each direction the information is divided by the factor
+    by which sums over frames scatter more (the design effect: Kish, *Survey Sampling*, 1965). In no
+    direction is the variance less than that of the trials that would be the best if other frames
+    had been seen, and of what noise biases. The pull away from the prior's mean shrinks likewise.
     """
     values, vectors = np.linalg.eigh(sight.worth * around.curvature)
     values = values.clip(LEAST_INFORMATION)
@@ -278,21 +283,10 @@ def _information(sight: _Sight, around: _Around, trials: list[Trial]) -> Float64
     places = np.array([trial.at for trial in tried]) - _expected(sight.beliefs)
     evidence = sight.worth * filled(np.array([trial.evidence for trial in tried]))
     shares = bagged_shares(evidence, -np.square(places / PRIOR_SDS).sum(1) / 2)
-    widest = shares @ np.square(offsets) + sight.bias**2
-    variances = np.linalg.inv(information + np.diag(1 / PRIOR_SDS**2)).diagonal()
-    shrink = np.sqrt(np.minimum(1.0, variances / np.maximum(widest, TINY)))
-    return np.asarray(shrink[:, None] * information * shrink)
-
-
-def share_of_information(problem: CalibrationProblem, noise: float) -> float:
-    """Return the weight of keypoints with this `noise` in pixels; 1 if no noise was removed.
-
-    Removing noise correlates the errors of many frames. If all were correlated, the weight would be
-    the square of the ratio of the noise after to the noise before. On drawn rigs it is the ratio.
-    """
-    seen = problem.weights > 0
-    removed = np.square(problem.detected - problem.keypoints)[seen].mean()
-    return float(noise / np.sqrt(noise**2 + removed))
+    widest = (offsets.T * shares) @ offsets + (sight.bias**2 + TINY) * np.eye(2)
+    limited = at_most(information, widest)
+    share = limited @ (vectors / values) @ vectors.T  # of the evidence that is believed
+    return limited, limited @ at + share @ ((at - _expected(sight.beliefs)) / PRIOR_SDS**2)
 
 
 def _next(sight: _Sight, at: Float64, near: Trial) -> Steps[Trial]:
@@ -365,9 +359,8 @@ def _settled(
     problem: CalibrationProblem, found: StaticRig, sight: _Sight, peak: _Peak
 ) -> Steps[StaticRig]:
     """Set the cameras to the focal lengths of the peak, combined with the prior of lenses."""
-    # The likelihood whose product with the prior of the scan has its top at the peak.
-    vector = peak.information @ peak.at + (peak.at - _expected(sight.beliefs)) / PRIOR_SDS**2
-    likelihood = FocalLikelihood(FROM_LOGS.T @ peak.information @ FROM_LOGS, FROM_LOGS.T @ vector)
+    information = FROM_LOGS.T @ peak.information @ FROM_LOGS
+    likelihood = FocalLikelihood(information, FROM_LOGS.T @ peak.vector)
     found = found._replace(focals=likelihood)
     logs, covariance = _believed(problem, found, np.log(sight.beliefs.focals))
     last = yield from _next(sight, FROM_LOGS @ logs, peak.trial)

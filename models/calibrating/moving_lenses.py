@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from models.bundle.frame_evidence import log_evidence
 from models.bundle.problem import FOCAL, VIEW
-from models.calibrating.bagging import bagged_shares, filled
+from models.calibrating.bagging import bagged_shares, filled, share_of_information
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.lens_prior import FOCAL_SDS
 from models.calibrating.lens_scan import (
@@ -25,7 +25,6 @@ from models.calibrating.lens_scan import (
     ROUNDS,
     SHORTEST,
     TOO_SURE,
-    share_of_information,
 )
 from models.calibrating.problem import CalibrationProblem, Solution
 from models.numerics.steps import Steps
