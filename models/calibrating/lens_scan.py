@@ -56,6 +56,7 @@ LONGEST_STEP = 0.2  # from one parabola to the next
 # times what the evidence gives.
 TOO_SURE = 2.0
 BIAS = 5.0  # times the noise over the subject's radius: usual errors of drawn rigs with much noise
+LEAST_DEVIATION = 0.08  # of both logarithms: usual errors of drawn rigs without noise
 LEAST_INFORMATION = 1e-3  # of the evidence on a logarithm: next to none
 # Of the common log focal length and the log ratio, of lenses of two kinds.
 PRIOR_SDS = FOCAL_SDS[0] * np.array([math.sqrt(0.5), math.sqrt(2.0)])
@@ -367,7 +368,8 @@ def _settled(
     beliefs = _held(sight.beliefs, logs)
     cameras = last.cameras
     deviations = certainty_of(cameras, sight.points, beliefs, sight.clusters).deviations
-    of_lenses = FROM_LOGS @ covariance @ FROM_LOGS.T
+    # Shapes bend in more ways than models of them do, so even clear keypoints leave an error.
+    of_lenses = FROM_LOGS @ (covariance + LEAST_DEVIATION**2 * np.eye(2)) @ FROM_LOGS.T
     variances = np.einsum("ikn,ij,jkn->kn", peak.moves, of_lenses, peak.moves)
     images, _ = straight_images(problem, problem.keypoints)
     points = robust_structures(cameras.rig, images, problem.weights, cameras.noise)
