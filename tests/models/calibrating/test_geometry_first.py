@@ -48,6 +48,14 @@ def test_drawn_rigs_are_as_good_as_the_true_ones(number: int) -> None:
     assert not row.mirrored
 
 
+@pytest.mark.parametrize("number", [39, 111])
+def test_lenses_of_two_views_are_not_surer_than_they_are_right(number: int) -> None:
+    """Shapes of one are clear and bend; of the other they show the ratio of the lenses alone."""
+    draw = draw_capture(number)
+    assert draw is not None
+    assert max(measure(draw, by_geometry, None).focal_scores) < 5
+
+
 def test_a_draw_is_the_same_each_time() -> None:
     first, second = draw_capture(7), draw_capture(7)
     assert first is not None
