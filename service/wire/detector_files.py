@@ -197,7 +197,7 @@ def _at_field(error: FormatError) -> ApiError:
     message = MAPPING.sub("table_columns=", OF_COMMANDS.sub("", str(error)))
     if option in OF_FORM:
         message = f"{message.partition('; give ')[0]}; give {OF_FORM[option]}"
-    return invalid(f"/{field}", _sentence(re.sub(rf"\b{option}\b", field, message)))
+    return invalid(f"/{field}", _sentence(re.sub(rf"\b{option}(?=[=:])", field, message)))
 
 
 def _text(text: str, longest: int) -> str:

@@ -142,6 +142,14 @@ def test_errors_name_the_field_that_is_wrong(
     assert "--" not in message
 
 
+@pytest.mark.usefixtures("unchanged")
+def test_errors_name_fields_and_leave_other_words(api: TestClient, tables: Parts) -> None:
+    answer = api.post("/datasets", files=tables, data={"format": "csv"})
+    assert "has no columns of x and y" in refused(answer, "table_columns")
+    answer = api.post("/datasets", files=tables, data={"table_columns": "x={}_u,y={}_v"})
+    assert "table_columns: no column matches" in refused(answer, "table_columns")
+
+
 def test_a_zip_file_is_a_folder_of_frames(api: TestClient) -> None:
     left, right = files.walk(5, 25), files.walk(5, 25, start=300, seed=2)
     sent = parts(left_zip=openpose(left), right_zip=openpose(right))
