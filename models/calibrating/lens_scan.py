@@ -94,8 +94,7 @@ class _Peak(NamedTuple):
     """The most likely focal lengths of one handedness."""
 
     trial: Trial
-    at: Float64  # (2,) the top of a quadratic about the trial
-    information: Float64  # (2, 2) of keypoints alone, on `at`
+    information: Float64  # (2, 2) of keypoints alone, on the numbers of `Trial.at`
     vector: Float64  # (2,) information times mean of keypoints alone
     moves: Float64  # (2, 2, 11) derivatives of the cameras' numbers by `at`
 
@@ -211,9 +210,8 @@ def _peak(sight: _Sight, cameras: AdjustedRig) -> Steps[_Peak]:
     else:
         around = yield from _around(sight, best)
         step = _step(sight, around)
-    at = best.at + step.clip(-FINE, FINE)
-    information, vector = _likelihood(sight, around, trials, at)
-    return _Peak(best, at, information, vector, around.moves)
+    top = best.at + step.clip(-FINE, FINE)
+    return _Peak(best, *_likelihood(sight, around, trials, top), around.moves)
 
 
 def _posterior(trial: Trial) -> float:
@@ -263,9 +261,9 @@ def _around(sight: _Sight, middle: Trial) -> Steps[_Around]:
 
 
 def _likelihood(
-    sight: _Sight, around: _Around, trials: list[Trial], at: Float64
+    sight: _Sight, around: _Around, trials: list[Trial], top: Float64
 ) -> tuple[Float64, Float64]:
-    """Return information (2, 2) and information times mean (2,); `at` is the posterior's top.
+    """Return information (2, 2) and information times mean (2,); `top` is the posterior's.
 
     Errors of frames are correlated. So in each direction the information is divided by the factor
     by which sums over frames scatter more (the design effect: Kish, *Survey Sampling*, 1965). In no
@@ -287,7 +285,7 @@ def _likelihood(
     widest = (offsets.T * shares) @ offsets + (sight.bias**2 + TINY) * np.eye(2)
     limited = at_most(information, widest)
     share = limited @ (vectors / values) @ vectors.T  # of the evidence that is believed
-    return limited, limited @ at + share @ ((at - _expected(sight.beliefs)) / PRIOR_SDS**2)
+    return limited, limited @ top + share @ ((top - _expected(sight.beliefs)) / PRIOR_SDS**2)
 
 
 def _next(sight: _Sight, at: Float64, near: Trial) -> Steps[Trial]:
