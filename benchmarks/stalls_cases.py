@@ -202,23 +202,32 @@ def _binary() -> Iterator[Case]:
         size = LONGEST // (4 * 8 * 100 * 2)
         return {"keypoints": capture(size, 8, 100).astype(np.float32)}
 
-    def npz(compressed: bool) -> bytes:
+    def npz() -> bytes:
         file = io.BytesIO()
-        (np.savez_compressed if compressed else np.savez)(file, **arrays())
+        np.savez(file, **arrays())
         return file.getvalue()
 
-    yield Case("npz", posted("/datasets", lambda: npz(False), BYTES))
+    def packed(size: int, part: float) -> bytes:
+        """Return keypoints of so many bytes, of which a part alone cannot be packed."""
+        keypoints = np.ones((size // (4 * 8 * 100 * 2), 8, 100, 2), np.float32)
+        noisy = keypoints[: int(part * len(keypoints))]
+        noisy += np.random.default_rng(0).normal(size=noisy.shape)
+        file = io.BytesIO()
+        np.savez_compressed(file, keypoints=keypoints)
+        return file.getvalue()
+
+    yield Case("npz", posted("/datasets", npz, BYTES))
     yield Case("safetensors", posted("/datasets", lambda: save(arrays()), BYTES))
-    zeros = io.BytesIO()
-    np.savez_compressed(zeros, keypoints=np.ones((35_000, 8, 100, 2), np.float32))
-    yield Case("npz, packed", posted("/datasets", zeros.getvalue, BYTES))
+    for size, part in ((15 * MIB, 0.0), (220 * MIB, 0.0), (220 * MIB, 0.3)):
+        name = f"npz of {size / MIB:.0f} MiB, {100 * part:.0f} % noise, packed"
+        yield Case(name, posted("/datasets", partial(packed, size, part), BYTES))
     yield Case("no weights", posted("/models", lambda: save(arrays()), BYTES))
 
     def form(client: httpx2.Client, data: bytes) -> str:
         return _in_short(client.post("/datasets", files={"file": ("a.npz", data)}))
 
     def in_form() -> tuple[Send, int]:
-        data = npz(False)
+        data = npz()
         return partial(form, data=data), len(data)
 
     yield Case("npz in a form", in_form)

@@ -54,7 +54,7 @@ class Capture:
         points3d: ArrayLike | None = None,
         times: ArrayLike | None = None,
     ) -> "Capture":
-        """Return the capture these arrays make.
+        """Return the capture these arrays make, which are changed where that spares a copy.
 
         Raises
         ------
@@ -65,7 +65,7 @@ class Capture:
         n, k, p, _ = pixels.shape
         if n == 0:
             raise CaptureError("keypoints", "expected at least one frame, got none")
-        pixels = np.where(np.isnan(pixels).any(-1, keepdims=True), np.float32(np.nan), pixels)
+        pixels = _whole_points(pixels)
         weights = None
         if confidence is not None:
             weights = _checked(
@@ -83,7 +83,7 @@ class Capture:
                 raise CaptureError(
                     "points3d", "expected finite coordinates, got infinity; write NaN for unknown"
                 )
-            truth = np.where(np.isnan(truth).any(-1, keepdims=True), np.float32(np.nan), truth)
+            truth = _whole_points(truth)
         seconds = None
         if times is not None:
             seconds = _checked("times", lambda: check_times(times, frames=n, views=k))
@@ -195,7 +195,7 @@ def extend_checksum(checksum: str, capture: Capture) -> str:
     """
     arrays = {name: getattr(capture, name) for name in ARRAYS}
     frames = [
-        array.astype("<f8" if name == "times" else "<f4").reshape(capture.frames, -1)
+        array.astype("<f8" if name == "times" else "<f4", copy=False).reshape(capture.frames, -1)
         for name, array in arrays.items()
         if array is not None
     ]
@@ -203,6 +203,15 @@ def extend_checksum(checksum: str, capture: Capture) -> str:
     for rows in zip(*frames, strict=True):
         link = hashlib.sha256(link + b"".join(row.tobytes() for row in rows)).digest()
     return link.hex()
+
+
+def _whole_points(points: Float32) -> Float32:
+    """Return points with NaN in all coordinates where one has it; in place where that can be."""
+    missing = np.isnan(points).any(-1)
+    if missing.any():
+        points = np.require(points, requirements="W")
+        points[missing] = np.nan
+    return points
 
 
 def _checked(field: str, check: Callable[[], Array]) -> Array:

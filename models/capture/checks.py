@@ -246,7 +246,7 @@ def _motionless(capture: _Capture) -> Iterator[Finding]:
         places = np.nanmedian(shown, 0)  # (P, 2)
         offsets = shown - places
         shifts = np.nanmedian(offsets, 1)  # (F, 2) of most keypoints together
-        radius = max(float(np.sqrt(places.var(0).sum())), np.finfo(np.float64).tiny)
+        radius = float(np.sqrt(places.var(0).sum())) or 1.0  # pixels, if all are in one place
         most_change = max(most_change, _change(_kept(offsets - shifts[:, None]) / radius))
         most_path = max(most_path, float(np.sqrt(shifts.var(0).sum()) / radius))
         if most_change > LEAST_CHANGE or most_path > LEAST_PATH:

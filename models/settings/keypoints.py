@@ -37,7 +37,8 @@ def check_keypoints(keypoints: ArrayLike) -> Float32:
     if count > MAX_KEYPOINTS:
         raise ValueError(f"expected at most {MAX_KEYPOINTS} keypoints per view, got {count}")
     # fmax skips NaN, which is how a missing keypoint is written; infinity is not.
-    largest = np.fmax.reduce(np.abs(pixels), axis=None, initial=0)
+    largest = np.fmax.reduce(pixels, axis=None, initial=0)
+    largest = max(largest, -np.fmin.reduce(pixels, axis=None, initial=0))  # without a copy of all
     if not largest <= MAX_COORDINATE:
         raise ValueError(
             f"keypoints must lie within {MAX_COORDINATE:g} pixels of the origin,"

@@ -59,8 +59,8 @@ NULL_BYTES = 256  # counted for a null of JSON: it may mean a keypoint, a view o
 # Times the largest JSON body: what a body may take as lists, while it is read in a process of its
 # own. Captures take 10 to 15.
 DECODED = 16
-# What each array of a JSON body may take, for nulls may stand for much: so many
-# times the body, or this.
+# What each array of a JSON body may take, for nulls may stand for much, and all arrays of an npz,
+# which may be packed: so many times the body, or this.
 AS_ARRAYS, SMALL_ARRAYS = 4, 16 * 1024 * 1024
 
 
@@ -89,7 +89,7 @@ class Upload:
     max_decoded_bytes
         What its JSON may take as lists, about.
     max_array_bytes
-        What each of its arrays may take.
+        What each array of JSON may take, and all of an npz together.
     """
 
     data: bytes
@@ -198,12 +198,12 @@ async def read_body(request: Request, *, max_files: int = 1) -> Upload:
         _check_charset(request.headers["content-type"])
         async with request.form(max_files=max_files, max_fields=16) as form:
             found = await _of_form(form, several=max_files > 1)
-            return replace(found, max_array_bytes=settings.max_body_bytes)
+            return replace(found, max_array_bytes=_as_arrays(len(found.data), settings))
     if media_type in BINARY_TYPES:
         whole = io.BytesIO()  # which is grown in place: to join pieces would take long at the end
         async for piece in request.stream():
             whole.write(piece)
-        most = settings.max_body_bytes
+        most = _as_arrays(whole.tell(), settings)
         return Upload(whole.getvalue(), is_json=False, max_array_bytes=most)
     if media_type == "application/json" or media_type.endswith("+json"):
         whole, size = io.BytesIO(), 0
@@ -219,7 +219,7 @@ async def read_body(request: Request, *, max_files: int = 1) -> Upload:
             whole.getvalue(),
             is_json=True,
             max_decoded_bytes=DECODED * settings.max_json_bytes,
-            max_array_bytes=min(settings.max_body_bytes, max(AS_ARRAYS * size, SMALL_ARRAYS)),
+            max_array_bytes=_as_arrays(size, settings),
         )
     hint = HOW_TO_SEND_FILES if max_files > 1 else "JSON: curl -H 'Content-Type: application/json'"
     raise ApiError(
@@ -227,6 +227,11 @@ async def read_body(request: Request, *, max_files: int = 1) -> Upload:
         f"expected Content-Type application/json, application/octet-stream (npz or safetensors) "
         f"or multipart/form-data, got {media_type or 'none'!r}. {hint}",
     )
+
+
+def _as_arrays(size: int, settings: Settings) -> int:
+    """Return what a body of so many bytes may take as arrays."""
+    return min(settings.max_body_bytes, max(AS_ARRAYS * size, SMALL_ARRAYS))
 
 
 def _check_charset(content_type: str) -> None:

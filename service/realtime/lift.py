@@ -130,7 +130,7 @@ def _understand(
                 "/model", "expected the model's identifier in the query: /lift?model=mdl_..."
             )
         known = frozenset({"frames", "keypoints", "confidence", "times"})
-        found = read_arrays(upload, settings, known)
+        found = read_arrays(upload, known)
         frames = found.get("frames", found.get("keypoints"))
         if frames is None:
             raise invalid(

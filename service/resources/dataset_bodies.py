@@ -164,7 +164,7 @@ def read_new(
     elif reading:
         raise invalid(f"/{next(iter(reading))}", "expected beside `files` only, not beside arrays")
     else:
-        found = read_arrays(upload, settings, CAPTURE_ARRAYS | DESCRIPTION_ARRAYS)
+        found = read_arrays(upload, CAPTURE_ARRAYS | DESCRIPTION_ARRAYS)
         fields |= _described_in(found)
         notes = []
     capture = _capture_in(found, settings, notes)
@@ -200,7 +200,7 @@ def read_frames(upload: Upload, settings: Settings) -> Capture:
     if upload.is_json:
         body = read_json(upload, Frames)
         return _capture_of(body, upload, settings)
-    return _capture_in(read_arrays(upload, settings, CAPTURE_ARRAYS), settings)
+    return _capture_in(read_arrays(upload, CAPTURE_ARRAYS), settings)
 
 
 def _capture_of(

@@ -40,7 +40,8 @@ def from_bytes(data: bytes, *, max_bytes: int) -> Arrays:
     Raises
     ------
     ApiError
-        400 for anything that is neither, is cut short, or holds pickled members.
+        400 for anything that is neither, is cut short, or holds pickled members; 413 for an npz
+        that unpacks to more than ``max_bytes``.
     """
     if data.startswith(_NPZ_MAGIC):
         return _from_npz(data, max_bytes)
@@ -80,8 +81,9 @@ def _other_kind(data: bytes) -> str | None:
 def _from_npz(data: bytes, max_bytes: int) -> Arrays:
     too_large = ApiError(
         "body_too_large",
-        f"The .npz file unpacks to more than {max_bytes} bytes or {MAX_MEMBERS} arrays. Send it "
-        "in parts: POST /datasets/{id}/frames.",
+        f"The .npz file of {len(data)} bytes unpacks to more than {max_bytes} bytes or "
+        f"{MAX_MEMBERS} arrays. Save it with numpy.savez, which packs nothing, or send it in "
+        "parts: POST /datasets/{id}/frames.",
     )
     steps = range(0, len(data), PIECE_BYTES - len(ZIP_ENTRY) + 1)
     # Millions of them would fill the memory; to count them at once keeps other threads waiting.
@@ -113,8 +115,10 @@ def _from_npy(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
         )
     if math.prod(shape) * dtype.itemsize > size:
         raise ValueError(f"the array {name!r} is cut short")
+    data = bytearray()  # which is grown in place: to join pieces would take twice as much
     # Read as a whole, it would keep all other threads waiting.
-    data = b"".join(iter(partial(stream.read, PIECE_BYTES), b""))
+    for piece in iter(partial(stream.read, PIECE_BYTES), b""):
+        data += piece
     values = np.frombuffer(data, dtype, count=math.prod(shape))
     return values.reshape(shape, order="F" if fortran_order else "C")
 

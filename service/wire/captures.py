@@ -155,9 +155,9 @@ def _clipped(confidence: NDArray[np.float32], notes: list[str] | None) -> NDArra
     return np.minimum(confidence, np.float32(1))
 
 
-def read_arrays(upload: Upload, settings: Settings, known: frozenset[str]) -> Arrays:
+def read_arrays(upload: Upload, known: frozenset[str]) -> Arrays:
     """Read the arrays of an upload's file that an operation knows; captures come with others."""
-    found = arrays.from_bytes(upload.data, max_bytes=settings.max_body_bytes)
+    found = arrays.from_bytes(upload.data, max_bytes=upload.max_array_bytes)
     return {name: array for name, array in found.items() if name in known}
 
 

@@ -46,22 +46,37 @@ def busy(client: TestClient) -> float:
     return taken
 
 
-def packed(frames: np.ndarray[Any, Any]) -> bytes:
-    """Return frames as an npz file that is squeezed as far as it can be."""
-    with zipfile.ZipFile(io.BytesIO(to_npz(frames=frames))) as archive:
-        return zip_of({"frames.npy": archive.read("frames.npy")})
+def packed(**arrays: np.ndarray[Any, Any]) -> bytes:
+    """Return arrays as an npz file that is squeezed as far as it can be."""
+    with zipfile.ZipFile(io.BytesIO(to_npz(**arrays))) as archive:
+        return zip_of({name: archive.read(name) for name in archive.namelist()})
 
 
 def test_a_small_file_of_many_frames_keeps_nobody_waiting(roomy: TestClient, model: str) -> None:
     """It was read, and its 27 MB of answer were made, in the event loop: for 0.3 s."""
-    body = packed(np.full((FRAMES, 3, 16, 2), 7, np.float32))
+    body = packed(frames=np.full((FRAMES, 3, 16, 2), 7, np.float32))
     assert len(body) <= TINY_BYTES
     url = f"/lift?model={model}&refine=off"
-    assert roomy.post(url, content=packed(np.zeros((1, 3, 16, 2))), headers=BYTES).is_success
+    assert roomy.post(url, content=packed(frames=np.zeros((1, 3, 16, 2))), headers=BYTES).is_success
     before = busy(roomy)
     response = roomy.post(url, content=body, headers=BYTES)
     assert response.status_code == 200, response.text
     assert busy(roomy) - before < 0.02
+
+
+def test_a_packed_file_may_unpack_to_four_times_itself(roomy: TestClient) -> None:
+    """Little that unpacks to much would fill the memory, at no cost to who sends it."""
+    rng = np.random.default_rng(0)
+    keypoints = np.full((FRAMES * 3, 3, 16, 2), 7, np.float32)  # 20 MiB
+    for share, taken in ((0, False), (0.2, False), (0.3, True)):
+        noisy = keypoints[: int(share * len(keypoints))]
+        noisy[:] = rng.uniform(0, 900, noisy.shape)
+        answer = roomy.post("/datasets", content=packed(keypoints=keypoints), headers=BYTES)
+        if taken:
+            assert answer.status_code == 201, answer.text
+            assert roomy.delete(answer.headers["location"]).is_success
+        else:
+            assert "numpy.savez" in problem(answer, 413, "body_too_large")
 
 
 def test_a_few_nulls_of_many_views_keep_nobody_waiting(roomy: TestClient, model: str) -> None:
@@ -78,7 +93,7 @@ def test_an_answer_is_bounded_as_bodies_are(
     api: TestClient, roomy: TestClient, model: str, capture: SyntheticCapture
 ) -> None:
     """More is for workers; bytes take less than JSON."""
-    body = packed(np.full((FRAMES * 3, 3, 16, 2), 7, np.float32))
+    body = to_npz(frames=np.full((FRAMES * 3, 3, 16, 2), 7, np.float32))
     url = f"/lift?model={model}&refine=off"
     detail = problem(roomy.post(url, content=body, headers=BYTES), 422, "invalid_input", "/frames")
     assert "POST /lifts" in detail
