@@ -133,7 +133,9 @@ def settle_points(
     costs, tried_costs = np.empty(points.shape[1]), np.empty(points.shape[1])
     _write_costs(sight, noise, costs)
     damping = np.full(points.shape[1], POINT_DAMPING)
-    for _ in range(steps):
+    for step in range(steps):
+        if step:
+            sight = sight_of(rig, points, seen)
         tried = np.empty(points.shape)
         _step(sight, noise, damping, tried)
         tried_sight = sight_of(rig, tried, seen)
@@ -141,7 +143,6 @@ def settle_points(
         better = tried_costs <= costs
         points, costs = np.where(better, tried, points), np.where(better, tried_costs, costs)
         damping = np.where(better, damping / 10, damping * 10)
-        sight = sight_of(rig, points, seen)
     return points
 
 

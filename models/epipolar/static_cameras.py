@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.numerics.compiled import compiled, inner
+from models.numerics.medians import median_of
 
 Float64 = NDArray[np.float64]
 
@@ -65,16 +66,33 @@ def sight_of(rig: StaticCameras, points: Float64, seen: SeenPoints) -> Sight:
     cameras[:, CENTRE:BENDS], cameras[:, BENDS:TURN] = rig.centres, rig.radial
     cameras[:, TURN:SHIFT] = rig.rotations.reshape(views, -1)
     cameras[:, SHIFT:] = rig.translations
-    depths = rig.rotations[:, 2] @ points + rig.translations[:, 2:]
-    medians = np.array(
-        [
-            np.median(row[w]) if w.any() else 1.0
-            for row, w in zip(depths, (seen.weights > 0) & np.isfinite(depths), strict=True)
-        ]
-    )
-    usual = np.where(medians > 0, medians, np.nan)[:, None] * [NEAR, FAR]
     points, images, weights = map(np.ascontiguousarray, (points, *seen))
-    return Sight(cameras, usual, points, images, weights)
+    sight = Sight(cameras, np.empty((views, 2)), points, images, weights)
+    _write_limits(sight, sight.depths)
+    return sight
+
+
+@compiled
+def _write_limits(sight: Sight, out: Float64) -> None:
+    """Write the depths (K, 2) between which a point counts; NaN if most are behind the camera."""
+    views, count = sight.weights.shape
+    depths, points = np.empty(count), sight.points
+    for k in range(views):
+        camera, seen = sight.cameras[k], 0
+        for m in range(count):
+            depth = _depth_of(camera, points[0, m], points[1, m], points[2, m])
+            if sight.weights[k, m] > 0 and math.isfinite(depth):
+                depths[seen] = depth
+                seen += 1
+        median = median_of(depths[:seen]) if seen else 1.0
+        out[k, 0], out[k, 1] = NEAR * median, FAR * median
+        if median <= 0:
+            out[k] = np.nan
+
+
+@inner
+def _depth_of(camera: Float64, x: float, y: float, z: float) -> float:
+    return float(camera[11] * x + camera[12] * y + camera[13] * z + camera[16])
 
 
 def distances_of(rig: StaticCameras, points: Float64, seen: SeenPoints) -> Float64:
@@ -120,7 +138,7 @@ def image_of(sight: Sight, k: int, m: int, out: Float64) -> bool:
     """
     camera = sight.cameras[k]
     x, y, z = sight.points[0, m], sight.points[1, m], sight.points[2, m]
-    depth = camera[11] * x + camera[12] * y + camera[13] * z + camera[16]
+    depth = _depth_of(camera, x, y, z)
     if not (sight.depths[k, 0] < depth < sight.depths[k, 1]):
         return False
     a = (camera[5] * x + camera[6] * y + camera[7] * z + camera[14]) / depth
