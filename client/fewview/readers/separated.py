@@ -222,10 +222,10 @@ def _plain_numbers(lines: list[str], table: Table, numbers: Sequence[int]) -> Fl
         empty = line.startswith(separator) and not line.strip(separator)
         if empty or '"' in line or line.count(separator) != gaps:
             return None
-    for filled in (_filled, _respelled):
+    for spelled in (None, _filled, _respelled):
         try:
             read = np.loadtxt(
-                [filled(line, separator) for line in lines],
+                lines if spelled is None else [spelled(line, separator) for line in lines],
                 delimiter=separator,
                 comments=None,
                 usecols=numbers,
