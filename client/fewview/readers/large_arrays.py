@@ -3,7 +3,8 @@
 An hour of four cameras at 100 frames per second takes gigabytes. An array of more than `LARGE`
 bytes is therefore a map of a file without a name, which is gone as soon as nobody uses the array,
 however the process ends. Whatever is done with all of it is done in blocks of frames: the pages
-that were touched leave the process after each, and stay with the system while it has room.
+that were touched leave the process after each, and stay with the system while it has room. A
+process that is forked shares these arrays: its parent sees what it changes.
 
 Processes that read files of strangers may only write into the folder of an upload; there `TMPDIR`
 is this folder, and the limit of their addresses counts these maps as it counts other memory.
