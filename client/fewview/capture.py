@@ -62,8 +62,12 @@ class Capture:
 
     def observed(self) -> NDArray[np.bool_]:
         """Return which keypoints (N, K, P) were observed."""
-        seen = located(self.keypoints)
-        return seen if self.confidence is None else seen & (self.confidence > 0)
+        return self.observed_in(slice(None))
+
+    def observed_in(self, block: slice) -> NDArray[np.bool_]:
+        """Return which keypoints (B, K, P) of a block of frames were observed."""
+        seen = located(self.keypoints[block])
+        return seen if self.confidence is None else seen & (self.confidence[block] > 0)
 
     def seconds(self) -> Float64 | None:
         """Return when frames were taken, (N,) or (N, K) in seconds, by times or rate; or None."""

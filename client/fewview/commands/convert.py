@@ -56,7 +56,12 @@ def summary(capture: "Capture") -> dict[str, Any]:
         None without), ``cameras`` with ``name``, ``image_size`` and ``gaps`` (the share of
         keypoints that it does not show), and ``notes``.
     """
-    seen = capture.observed().mean(axis=(0, 2)) if capture.frames else [0.0] * capture.views
+    from fewview.readers.large_arrays import blocks  # noqa: PLC0415
+
+    seen = [0] * capture.views
+    for block in blocks(capture.keypoints, capture.confidence):
+        seen += capture.observed_in(block).sum(axis=(0, 2))
+    most = max(1, capture.frames * capture.keypoints.shape[2])
     names = capture.view_names or tuple(f"view {v + 1}" for v in range(capture.views))
     sizes = capture.image_sizes or (None,) * capture.views
     times = capture.times
@@ -70,8 +75,12 @@ def summary(capture: "Capture") -> dict[str, Any]:
         "fps": capture.fps,
         "times": None if times is None else [float(times.min()), float(times.max())],
         "cameras": [
-            {"name": name, "image_size": size and list(size), "gaps": round(1 - float(share), 4)}
-            for name, size, share in zip(names, sizes, seen, strict=True)
+            {
+                "name": name,
+                "image_size": size and list(size),
+                "gaps": round(1 - float(count) / most, 4),
+            }
+            for name, size, count in zip(names, sizes, seen, strict=True)
         ],
         "notes": list(capture.notes),
     }
@@ -105,12 +114,11 @@ def in_words(understood: dict[str, Any]) -> str:
 
 def _write(capture: "Capture", path: Path) -> None:
     """Write the npz beside its place, then put it there: it is whole or not there."""
-    import numpy as np  # noqa: PLC0415
+    from fewview.readers.large_arrays import save  # noqa: PLC0415
 
     part = path.with_name(f".{path.name}.part")
     try:
-        with part.open("wb") as file:
-            np.savez(file, allow_pickle=False, **capture.arrays())
+        save(part, capture.arrays())
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)

@@ -9,6 +9,7 @@ import numpy as np
 from fewview.capture import Float32, Float64, located
 from fewview.errors import FormatError
 from fewview.readers.headers import Label, plain
+from fewview.readers.large_arrays import blocks, built, taken
 from fewview.readers.names import frame_number, natural
 from fewview.readers.skeletons import SKELETONS
 from fewview.readers.views import Int64, View, bounded
@@ -55,7 +56,7 @@ def views_of_columns(
     views = []
     for camera in cameras:
         mine = [place for place, label in enumerate(labels) if label.camera == camera]
-        part = values if len(cameras) == 1 else values[:, mine]
+        part = values if len(cameras) == 1 else taken(values, mine, axis=1)
         views.append(view_of_labels(camera or name, [labels[i] for i in mine], part, numbers, what))
     return views
 
@@ -75,15 +76,15 @@ def view_of_labels(
         points.sort(key=natural)
     shape = (len(values), len(people), len(points), 3)
     bounded(shape, what)
-    out = np.full(shape, np.nan, np.float32)
     place = {person: i for i, person in enumerate(people)}
     point = {keypoint: i for i, keypoint in enumerate(points)}
-    measured = False
-    for column, label in enumerate(labels):
-        if label.axis in COORDINATES and label.keypoint in point:
-            axis = COORDINATES[label.axis]
-            out[:, place[label.person], point[label.keypoint], axis] = values[:, column]
-            measured |= axis == 2
+    columns = [
+        (column, place[label.person], point[label.keypoint], COORDINATES[label.axis])
+        for column, label in enumerate(labels)
+        if label.axis in COORDINATES and label.keypoint in point
+    ]
+    measured = any(axis == 2 for *_, axis in columns)
+    out = _laid_out(values, columns, shape)
     view = View(
         name,
         out[..., :2],
@@ -96,7 +97,36 @@ def view_of_labels(
     if not depths:
         return view
     axes = {label.axis for label in labels}
-    return without_depth(view, values[:, depths], what, visible="visibility" in axes)
+    return without_depth(view, taken(values, depths, axis=1), what, visible="visibility" in axes)
+
+
+def _laid_out(
+    values: Float32 | Float64, columns: Sequence[tuple[int, ...]], shape: tuple[int, ...]
+) -> Float32:
+    """Return an array (N, M, P, 3) with these columns (N, C) at their places, NaN elsewhere.
+
+    Parameters
+    ----------
+    columns
+        A column and its person, keypoint and coordinate, each.
+    """
+    index = np.array([column for column, *_ in columns])
+    places = np.ravel_multi_index(tuple(np.array([where for _, *where in columns]).T), shape[1:])
+    whole = np.arange(int(np.prod(shape[1:])))
+    if (
+        values.dtype == np.float32
+        and values.shape[1] == len(whole)
+        and np.array_equal(index, whole)
+        and np.array_equal(places, whole)
+    ):
+        return values.astype(np.float32, copy=False).reshape(shape)  # as they are
+
+    def part(block: slice) -> Float32:
+        rows = np.full((block.stop - block.start, len(whole)), np.nan, np.float32)
+        rows[:, places] = values[block][:, index]
+        return rows.reshape(-1, *shape[1:])
+
+    return built(part, values)
 
 
 def without_depth(
@@ -116,10 +146,14 @@ def without_depth(
     FormatError
         If the depth makes the points 3D.
     """
-    if not np.any(np.nan_to_num(depths)):
+    if not any(np.any(np.nan_to_num(depths[block])) for block in blocks(depths)):
         return view
-    known = view.keypoints[located(view.keypoints)]
-    shares = len(known) > 0 and np.mean((known >= 0) & (known <= 1)) > INSIDE
+    count = inside = 0
+    for block in blocks(view.keypoints):
+        known = view.keypoints[block][located(view.keypoints[block])]
+        count += known.size
+        inside += int(((known >= 0) & (known <= 1)).sum())
+    shares = inside > INSIDE * count
     names = view.keypoint_names
     landmarks = (
         view.keypoints.shape[2] in MANY_OF_MEDIAPIPE

@@ -8,9 +8,10 @@ import numpy as np
 
 from fewview.capture import Capture, Float32, located
 from fewview.errors import FormatError
+from fewview.readers.large_arrays import blocks, built
 from fewview.readers.skeletons import edges_of, skeleton_of
 from fewview.readers.timing import together
-from fewview.readers.views import Edges, Int64, View, bounded, unseen
+from fewview.readers.views import Edges, Int64, View, bounded, unseen, with_keypoints
 from fewview.reading_options import Align
 
 SLIGHTLY_ABOVE = 1.1  # peaks of heatmaps that are interpolated
@@ -22,46 +23,61 @@ def cleaned(view: View, min_confidence: float) -> tuple[View, list[str]]:
 
     Its arrays are those of `view`, which are changed: a copy of an hour takes half a gigabyte.
     """
-    keypoints, confidence, notes = np.require(view.keypoints, requirements="W"), None, []
-    if view.confidence is not None:
-        confidence = np.require(view.confidence, np.float32, "W")
-    if not view.pixels_from_zero:
-        nowhere = unseen(keypoints)
-        sure = 1.0 if confidence is None else np.nan_to_num(confidence)
-        placeholders = nowhere & (np.asarray(sure) > 0)
-        if placeholders.any():
-            notes.append(
-                f"{view.name}: {int(placeholders.sum())} keypoints at (0, 0) or (-1, -1) are gaps"
-            )
-        keypoints[nowhere] = np.nan
-    gaps = ~located(keypoints)
+    keypoints, notes = np.require(view.keypoints, requirements="W"), []
+    confidence = view.confidence
     if confidence is not None:
-        confidence[~np.isfinite(confidence)] = 1
-        confidence[gaps] = 0
-        highest = float(confidence.max(initial=0.0))
-        odd = confidence > SLIGHTLY_ABOVE
-        if odd.any() and odd.sum() < FEW * (confidence > 0).sum():
-            notes.append(
-                f"{view.name}: {int(odd.sum())} confidences above 1, up to {highest:.4g}, were "
-                "clipped to 1"
-            )
-        elif odd.any():
-            notes.append(
-                f"{view.name}: confidences go up to {highest:.4g}, so they were divided by it"
-            )
-            confidence /= np.float32(highest)
-        elif highest > 1:
-            notes.append(f"{view.name}: confidences up to {highest:.3f} were clipped to 1")
-        np.clip(confidence, 0, 1, out=confidence)
-        weak = (confidence < min_confidence) & (confidence > 0)
-        if weak.any():
-            notes.append(
-                f"{view.name}: {int(weak.sum())} detections below {min_confidence:g} are gaps"
-            )
-        gaps |= (confidence <= 0) | weak
-        confidence[gaps] = 0
-    keypoints[gaps] = np.nan
+        confidence = np.require(confidence, np.float32, "W")
+    placeholders, odd, positive, highest, divisor = 0, 0, 0, 0.0, 1.0
+    for block in blocks(keypoints, confidence):
+        here, sure = keypoints[block], None if confidence is None else confidence[block]
+        if not view.pixels_from_zero:
+            nowhere = unseen(here)
+            placeholders += int((nowhere if sure is None else nowhere & (sure > 0)).sum())
+            here[nowhere] = np.nan
+        gaps = ~located(here)
+        here[gaps] = np.nan
+        if sure is not None:
+            sure[~np.isfinite(sure)] = 1
+            sure[gaps] = 0
+            highest = max(highest, float(sure.max(initial=0.0)))
+            odd += int((sure > SLIGHTLY_ABOVE).sum())
+            positive += int((sure > 0).sum())
+    if placeholders:
+        notes.append(f"{view.name}: {placeholders} keypoints at (0, 0) or (-1, -1) are gaps")
+    if odd and odd < FEW * positive:
+        notes.append(
+            f"{view.name}: {odd} confidences above 1, up to {highest:.4g}, were clipped to 1"
+        )
+    elif odd:
+        divisor = highest
+        notes.append(f"{view.name}: confidences go up to {highest:.4g}, so they were divided by it")
+    elif highest > 1:
+        notes.append(f"{view.name}: confidences up to {highest:.3f} were clipped to 1")
+    if confidence is not None:
+        if highest > 1:
+            _scaled(confidence, divisor)
+        weak = _weak_left_out(keypoints, confidence, min_confidence)
+        if weak:
+            notes.append(f"{view.name}: {weak} detections below {min_confidence:g} are gaps")
     return replace(view, keypoints=keypoints, confidence=confidence), notes
+
+
+def _scaled(confidence: Float32, divisor: float) -> None:
+    """Divide confidences, and clip them to 1."""
+    for block in blocks(confidence):
+        confidence[block] = np.minimum(confidence[block] / np.float32(divisor), 1)
+
+
+def _weak_left_out(keypoints: Float32, confidence: Float32, least: float) -> int:
+    """Make gaps of keypoints with less confidence, or none; return how many had some."""
+    weak = 0
+    for block in blocks(keypoints, confidence):
+        sure = confidence[block]
+        gaps = (sure <= 0) | (sure < least)
+        weak += int((gaps & (sure > 0)).sum())
+        sure[gaps] = 0
+        keypoints[block][gaps] = np.nan
+    return weak
 
 
 def combined(views: Sequence[View], *, align: Align, one_file: bool = False) -> Capture:
@@ -85,21 +101,11 @@ def combined(views: Sequence[View], *, align: Align, one_file: bool = False) -> 
             raise FormatError(f"{view.name}: `fps` is {view.fps}, not above 0", option="fps")
     rows, numbers, times, fps = together(views, align, notes, one_file=one_file)
     first = views[0]
-    shape = (len(rows), len(views), first.keypoints.shape[2])
-    bounded((*shape, 2), "the views together")
-    keypoints = np.full((*shape, 2), np.nan, np.float32)
-    confidence = np.zeros(shape, np.float32)
-    for v, view in enumerate(views):
-        there = rows[:, v] >= 0
-        keypoints[there, v] = view.keypoints[rows[there, v], 0]
-        if view.confidence is not None:
-            confidence[there, v] = view.confidence[rows[there, v], 0]
-        else:
-            confidence[:, v] = located(keypoints[:, v])
+    keypoints, confidence = _side_by_side(views, rows)
     sizes = tuple(view.image_size for view in views)
     return Capture(
         keypoints,
-        confidence if any(view.confidence is not None for view in views) else None,
+        confidence,
         _truth(views, rows),
         times,
         first.keypoint_names,
@@ -110,6 +116,42 @@ def combined(views: Sequence[View], *, align: Align, one_file: bool = False) -> 
         tuple(notes),
         None if (numbers == np.arange(len(numbers))).all() else numbers,
     )
+
+
+def _side_by_side(views: Sequence[View], rows: Int64) -> tuple[Float32, Float32 | None]:
+    """Return keypoints (N, K, P, 2) and confidences (N, K, P), None if no view has any.
+
+    Parameters
+    ----------
+    rows
+        (N, K) which frame of each view stands in each, -1 for none.
+    """
+    shape = (*rows.shape, views[0].keypoints.shape[2])
+    bounded((*shape, 2), "the views together")
+
+    def keypoints_of(block: slice) -> Float32:
+        out = np.full((*rows[block].shape, *shape[2:], 2), np.nan, np.float32)
+        for v, view in enumerate(views):
+            there = rows[block, v] >= 0
+            out[there, v] = view.keypoints[rows[block, v][there], 0]
+        return out
+
+    def confidence_of(block: slice) -> Float32:
+        out = np.zeros((*rows[block].shape, *shape[2:]), np.float32)
+        for v, view in enumerate(views):
+            there = rows[block, v] >= 0
+            own = rows[block, v][there]
+            if view.confidence is not None:
+                out[there, v] = view.confidence[own, 0]
+            else:
+                out[there, v] = located(view.keypoints[own, 0])
+        return out
+
+    points, given = [view.keypoints for view in views], [view.confidence for view in views]
+    keypoints = built(keypoints_of, rows, *points)
+    if not any(each is not None for each in given):
+        return keypoints, None
+    return keypoints, built(confidence_of, rows, *points, *given)
 
 
 def named(views: Sequence[View], skeleton: str | None, notes: list[str]) -> list[View]:
@@ -179,9 +221,7 @@ def _only_keypoints(view: View, common: list[str]) -> View:
     if view.edges is not None:
         edges = tuple((place[a], place[b]) for a, b in view.edges if a in place and b in place)
     return replace(
-        view,
-        keypoints=view.keypoints[:, :, index],
-        confidence=None if view.confidence is None else view.confidence[:, :, index],
+        with_keypoints(view, index),
         points3d=None if view.points3d is None else view.points3d[:, index],
         keypoint_names=tuple(common),
         edges=edges,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from fewview.capture import Float32, located
 from fewview.errors import FormatError
 from fewview.placing import row_medians
+from fewview.readers.large_arrays import blocks, built
 from fewview.readers.matching import SURE, Track, same_people
 from fewview.readers.timing import common_numbers
 from fewview.readers.views import Int64, View
@@ -85,24 +86,27 @@ def _counted(views: Sequence[View]) -> bool:
 
 def seen(view: View) -> NDArray[np.float64]:
     """Return how much of each person (N, M) is seen: the sum of confidences."""
-    observed: NDArray[np.bool_] = np.all(np.isfinite(view.keypoints), axis=-1)
-    if view.confidence is None:
-        return np.asarray(observed.sum(-1), np.float64)
-    weight = np.clip(np.nan_to_num(view.confidence, nan=1.0), 0, 1)
-    total: NDArray[np.float64] = np.where(observed, weight, 0.0).sum(-1, dtype=np.float64)
+    total = np.empty(view.keypoints.shape[:2])
+    for block in blocks(view.keypoints, view.confidence):
+        observed = located(view.keypoints[block])
+        if view.confidence is None:
+            total[block] = observed.sum(-1)
+        else:
+            weight = np.clip(np.nan_to_num(view.confidence[block], nan=1.0), 0, 1)
+            total[block] = np.where(observed, weight, 0.0).sum(-1, dtype=np.float64)
     return total
 
 
 def _by_name(views: Sequence[View], person: Person) -> tuple[list[View], list[str]]:
     """Pick somebody who has a name, the same in all views: the one seen most if it is left open."""
+    if person == "auto" and all(view.keypoints.shape[1] == 1 for view in views):
+        return list(views), []
     totals: dict[str, float] = {}
     for view in views:
         for name, much in zip(view.people or (), seen(view).sum(0), strict=True):
             totals[name] = totals.get(name, 0.0) + float(much)
     names = list(totals)
     if person == "auto":
-        if all(view.keypoints.shape[1] == 1 for view in views):
-            return list(views), []
         name = max(names, key=lambda each: totals[each])
     elif isinstance(person, str) and person in names:
         name = person
@@ -133,13 +137,18 @@ def _only(view: View, people: tuple[str, ...], name: str) -> View:
 
 def _with(view: View, places: Int64, name: str) -> View:
     """Return the view with who is at these places (N,), NaN where -1."""
-    frames, absent = np.arange(len(places)), places < 0
-    keypoints = view.keypoints[frames, places][:, None]
-    keypoints[absent] = np.nan
-    confidence = None if view.confidence is None else view.confidence[frames, places][:, None]
-    if confidence is not None:
-        confidence[absent] = np.nan
-    return replace(view, keypoints=keypoints, confidence=confidence, people=(name,))
+
+    def of_one(array: Float32) -> Float32:
+        def part(block: slice) -> Float32:
+            here = places[block]
+            own = array[block][np.arange(len(here)), here]
+            own[here < 0] = np.nan
+            return own[:, None]
+
+        return built(part, array)
+
+    confidence = None if view.confidence is None else of_one(view.confidence)
+    return replace(view, keypoints=of_one(view.keypoints), confidence=confidence, people=(name,))
 
 
 def _matched(views: Sequence[View], person: Person) -> tuple[list[View], list[str]]:

@@ -7,11 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from fewview.capture import Capture, located
+from fewview.capture import Capture, Float32, located
 from fewview.errors import FormatError
 from fewview.readers.archives import workplace
 from fewview.readers.combining import cleaned, combined, named
 from fewview.readers.finding import AnyPath, sources_at
+from fewview.readers.large_arrays import blocks
 from fewview.readers.names import distinct_parts
 from fewview.readers.people import pick
 from fewview.readers.registry import views_of
@@ -170,7 +171,11 @@ def _sized(views: list[View], given: list[Size | None]) -> list[View]:
         )
     out = []
     for view, size, share in zip(views, sizes, shares, strict=True):
-        keypoints = view.keypoints * np.array(size, np.float32) if share else view.keypoints
+        keypoints = view.keypoints
+        if share:
+            keypoints = np.require(keypoints, requirements="W")
+            for block in blocks(keypoints):
+                keypoints[block] *= np.array(size, np.float32)
         out.append(replace(view, keypoints=keypoints, image_size=size))
     return out
 
@@ -183,15 +188,25 @@ def _are_shares(view: View) -> bool:
     FormatError
         If they are counted from the middle of the image, as OpenPose can.
     """
-    far = (view.keypoints > SHARES) & (view.keypoints < np.inf)
-    if view.pixels_from_zero or far.any():
+    if view.pixels_from_zero:
         return False
-    there = view.keypoints[~unseen(view.keypoints) & located(view.keypoints)]
-    if not len(there) or there.min() < -SHARES:
+    least = np.inf
+    for block in blocks(view.keypoints):
+        here = view.keypoints[block]
+        if ((here > SHARES) & (here < np.inf)).any():
+            return False
+        least = min(least, float(_there(here).min(initial=np.inf)))
+    if least == np.inf or least < -SHARES:
         return False
-    if np.median(there) < MIDDLE and there.min() < -MIDDLE:
+    if least < -MIDDLE and np.median(_there(view.keypoints)) < MIDDLE:
         raise FormatError(
             f"{view.name}: coordinates lie between -1 and 1, which are no pixels: write pixels "
             "(OpenPose: --keypoint_scale 0)"
         )
     return True
+
+
+def _there(keypoints: Float32) -> Float32:
+    """Return the keypoints (F, 2) that were found, of any (..., 2)."""
+    found: Float32 = keypoints[~unseen(keypoints) & located(keypoints)]
+    return found

@@ -11,6 +11,7 @@ import numpy as np
 
 from fewview.capture import Float32
 from fewview.errors import FormatError
+from fewview.readers.large_arrays import gathered
 from fewview.readers.sources import Source
 from fewview.readers.views import Int64
 
@@ -170,19 +171,23 @@ def read_columns(
     """
     known: list[dict[str, int]] = [{} for _ in texts]
     codes = [array("q") for _ in texts]
-    parts = [np.empty((0, len(numbers)), np.float32)]
-    try:
+
+    def parts() -> Iterator[Float32]:
+        yield np.empty((0, len(numbers)), np.float32)
         for rows, part in _chunks(table, texts, numbers, ragged=ragged):
             for column, (words, code) in enumerate(zip(known, codes, strict=True)):
                 code.extend(words.setdefault(row[column].strip(), len(words)) for row in rows)
-            parts.append(part)
+            yield part
+
+    try:
+        values = gathered(parts())
     except (ValueError, csv.Error) as error:
         if isinstance(error, FormatError):
             raise
         raise FormatError(f"{table.source}: not a table of numbers ({error})") from error
     return (
         [Words(tuple(w), np.array(c, np.int64)) for w, c in zip(known, codes, strict=True)],
-        np.concatenate(parts),
+        values,
     )
 
 
@@ -217,10 +222,10 @@ def _plain_numbers(lines: list[str], table: Table, numbers: Sequence[int]) -> Fl
         empty = line.startswith(separator) and not line.strip(separator)
         if empty or '"' in line or line.count(separator) != gaps:
             return None
-    for filled in (_filled, _respelled):
+    for spelled in (None, _filled, _respelled):
         try:
             read = np.loadtxt(
-                [filled(line, separator) for line in lines],
+                lines if spelled is None else [spelled(line, separator) for line in lines],
                 delimiter=separator,
                 comments=None,
                 usecols=numbers,

@@ -7,15 +7,15 @@ behind. In a mirrored image, or with y upwards, one of the two is wrong.
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fewview.capture import Capture, Float64
+from fewview.capture import Capture, Float32, Float64
+from fewview.readers.large_arrays import blocks
 from fewview.readers.matching import epipolar_misfit
-from fewview.readers.views import View
+from fewview.readers.views import View, with_keypoints
 
 HEADS = ("nose", "head", "eye", "ear", "neck", "snout", "chin", "mouth", "forehead")
 FEET = ("ankle", "foot", "heel", "toe", "paw", "hoof")
@@ -37,22 +37,22 @@ def put_right(
     """
     out = []
     for index, view in enumerate(views):
-        keypoints = view.keypoints
+        keypoints = view.keypoints  # read for this capture alone: changed in place
         for axis, turned, what in ((1, y == "up", "y"), (0, index in mirrored, "x")):
             if turned:
-                keypoints = keypoints.copy()
                 last = _last(view, axis)
-                keypoints[..., axis] = last - keypoints[..., axis]
+                for block in blocks(keypoints):
+                    keypoints[block][..., axis] = last - keypoints[block][..., axis]
                 notes.append(f"{view.name}: {what} is {last:g} minus what the file has")
-        out.append(replace(view, keypoints=keypoints))
+        out.append(view)
     for index in mirrored:
         other = next((v for v in range(len(out)) if v not in mirrored), None)
         order = opposite_names(out[index].keypoint_names or ())
         if order is not None and (other is None or _fits_exchanged(out[index], out[other], order)):
-            view = out[index]
-            confidence = None if view.confidence is None else view.confidence[:, :, order]
-            out[index] = replace(view, keypoints=view.keypoints[:, :, order], confidence=confidence)
-            notes.append(f"{view.name}: left and right were exchanged, as its image is mirrored")
+            out[index] = with_keypoints(out[index], order)
+            notes.append(
+                f"{out[index].name}: left and right were exchanged, as its image is mirrored"
+            )
     return out
 
 
@@ -81,7 +81,14 @@ def _last(view: View, axis: int) -> float:
     """Return the last pixel of an axis: of the image, or that is seen if its size is unknown."""
     if view.image_size is not None:
         return view.image_size[axis] - 1.0
-    return float(np.ceil(np.nanmax(view.keypoints[..., axis], initial=0)))
+    most = max(
+        (
+            np.nanmax(view.keypoints[block][..., axis], initial=0)
+            for block in blocks(view.keypoints)
+        ),
+        default=0.0,
+    )
+    return float(np.ceil(most))
 
 
 def doubts_of_sides(capture: Capture) -> list[str]:
@@ -120,7 +127,6 @@ def _names_hold(capture: Capture, view: int) -> float | None:
     opposite = opposite_names(names)
     if opposite is None:
         return None
-    shown = np.where(capture.observed()[:, view, :, None], capture.keypoints[:, view], np.nan)
     left = [k for k, parts in enumerate(words) if parts & {"left", "l"} and opposite[k] != k]
     toes_there = [k for k, word in enumerate(words) if "toe" in word or {"foot", "index"} <= word]
     heels_there = {
@@ -130,22 +136,30 @@ def _names_hold(capture: Capture, view: int) -> float | None:
     pairs = [(toe, heel) for toe, heel in feet if heel is not None]
     if not left or not pairs:
         return None
-    toes, heels = (shown[:, list(each), 1] for each in zip(*pairs, strict=True))
-    across = _means(shown[:, left, 0] - shown[:, opposite[left], 0])
-    below = _means(toes - heels)
+    toes, heels = map(list, zip(*pairs, strict=True))
+    across, below, heights = np.empty((3, capture.frames))
+    for block in blocks(capture.keypoints, capture.confidence):
+        shown = _shown(capture, block, view)
+        across[block] = _means(shown[:, left, 0] - shown[:, opposite[left], 0])
+        below[block] = _means(shown[:, toes, 1] - shown[:, heels, 1])
+        y = shown[..., 1]
+        heights[block] = np.fmax.reduce(y, axis=1) - np.fmin.reduce(y, axis=1)
     known = np.isfinite(below) & np.isfinite(across)
     if known.sum() < FEWEST:
         return None
-    heights = np.fmax.reduce(shown[known, :, 1], axis=1) - np.fmin.reduce(
-        shown[known, :, 1], axis=1
-    )
-    turned = across[known].std() > TURNING * float(np.median(heights))
+    turned = across[known].std() > TURNING * float(np.median(heights[known]))
     if not turned or not below[known].std() > 0:
         return None
     return float(np.corrcoef(across[known], below[known])[0, 1])
 
 
-def _means(values: Float64) -> Float64:
+def _shown(capture: Capture, block: slice, view: int | slice = slice(None)) -> Float32:
+    """Return the keypoints of a block of frames, NaN where they were not observed."""
+    observed = capture.observed_in(block)[:, view, ..., None]
+    return np.where(observed, capture.keypoints[block, view], np.float32(np.nan))
+
+
+def _means(values: Float32) -> Float64:
     """Return the mean of each row (N,) over what is known of it, NaN of nothing."""
     known = np.isfinite(values)
     total = np.where(known, values, 0).sum(1)
@@ -188,8 +202,9 @@ def _heights(capture: Capture, words: Sequence[str]) -> Float64 | None:
     ]
     if not mine:
         return None
-    y = np.where(capture.observed(), capture.keypoints[..., 1], np.nan)[:, :, mine]
-    known = np.isfinite(y).any(-1)
-    out = np.full(known.shape, np.nan)
-    out[known] = np.nanmedian(y[known], axis=-1)
+    out = np.full((capture.frames, capture.views), np.nan)
+    for block in blocks(capture.keypoints, capture.confidence):
+        y = _shown(capture, block)[:, :, mine, 1]
+        known = np.isfinite(y).any(-1)
+        out[block][known] = np.nanmedian(y[known], axis=-1)
     return out

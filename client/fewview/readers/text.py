@@ -55,7 +55,7 @@ def lines_of(path: Path, encoding: str) -> Iterator[str]:
     errors = "replace" if encoding == WESTERN else "strict"
     first = True
     try:
-        with path.open(encoding=encoding, errors=errors) as file:
+        with path.open(encoding=encoding, errors=errors, buffering=CHUNK) as file:
             while line := file.readline(LONGEST_LINE):
                 if len(line) == LONGEST_LINE:
                     raise FormatError(

@@ -1,13 +1,14 @@
 """What a reader hands on: one camera's detections, of all people, as the file has them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fewview.capture import Float32, Float64
 from fewview.errors import FormatError
+from fewview.readers.large_arrays import taken
 
 Edges = tuple[tuple[int, int], ...]
 Int64 = NDArray[np.int64]
@@ -102,6 +103,12 @@ def bounded(shape: Sequence[int], what: str) -> None:
     size = int(np.prod(np.array(shape, float)))
     if size > MAX_NUMBERS:
         raise FormatError(f"{what}: {size:,} numbers {tuple(shape)} are too many; cut it in parts")
+
+
+def with_keypoints(view: View, index: Sequence[int] | NDArray[np.intp]) -> View:
+    """Return the view with the keypoints and confidences of these places among its P."""
+    confidence = None if view.confidence is None else taken(view.confidence, index, axis=2)
+    return replace(view, keypoints=taken(view.keypoints, index, axis=2), confidence=confidence)
 
 
 def unseen(keypoints: Float32) -> NDArray[np.bool_]:

@@ -16,6 +16,7 @@ import httpx2
 import numpy as np
 import pytest
 from fewview.errors import FormatError
+from fewview.readers.large_arrays import LARGE
 from fewview.reading_options import ReadingOptions
 from starlette.testclient import TestClient
 
@@ -316,6 +317,23 @@ def test_files_of_strangers_are_not_imported(
     table(tmp_path / "numpy.py", LEFT)
     monkeypatch.setattr(sys, "path", ["", *sys.path])  # as of `python -c`
     assert read_apart(tmp_path, ["numpy.py"], ReadingOptions(), max_bytes=2**20).frames == 12
+
+
+def test_large_arrays_lie_in_the_folder_of_the_upload(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary, folder = tmp_path / "temporary", tmp_path / "folder"
+    temporary.mkdir()
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    frames = 1 + LARGE // (24 * 4)  # of 24 numbers
+    names = ",".join(f"{axis}{k}" for k in range(8) for axis in ("x", "y", "confidence"))
+    rows = ",".join(["5", "7", "1"] * 8) + "\n"
+    (folder / "a.csv").write_text(f"{names}\n{rows * frames}")
+    found = read_apart(folder, ["a.csv"], ReadingOptions(), max_bytes=2**30)
+    assert found.keypoints.shape == (frames, 1, 8, 2)
+    assert (found.keypoints == (5, 7)).all()
+    assert {path.name for path in folder.iterdir()} == {"a.csv", "out"}
 
 
 def test_what_was_unpacked_goes_even_if_reading_hangs(

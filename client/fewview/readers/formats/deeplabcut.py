@@ -14,6 +14,7 @@ from fewview.capture import Float32, Float64
 from fewview.errors import FormatError
 from fewview.readers.columns import row_numbers, views_of_columns
 from fewview.readers.headers import LEVELS, Label, axis_of, parted, stacked_columns
+from fewview.readers.large_arrays import rows_of, taken
 from fewview.readers.pandas_h5 import read_table
 from fewview.readers.separated import Table, Words, read_columns, table_of
 from fewview.readers.sources import Source
@@ -99,7 +100,7 @@ def read_csv(source: Source) -> list[View]:
     numbers = np.arange(len(values))
     if texts:
         numbers, kept = _numbers(texts[0], str(source))
-        values = values[kept]
+        values = rows_of(values, kept)
     return _views(source, columns.labels, values, numbers)
 
 
@@ -124,7 +125,7 @@ def _views(
     notes: tuple[str, ...] = ()
     if animals and others and not animals & set(others):
         kept = [i for i, label in enumerate(labels) if label.person != UNIQUE]
-        labels, values = [labels[i] for i in kept], values[:, kept]
+        labels, values = [labels[i] for i in kept], taken(values, kept, axis=1)
         notes = (f"{', '.join(others)} left out, as they belong to no animal",)
     views = views_of_columns(_name(source), labels, values, numbers, str(source))
     return [replace(view, times=times, notes=(*view.notes, *notes)) for view in views]

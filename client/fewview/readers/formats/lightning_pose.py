@@ -8,7 +8,7 @@ from dataclasses import replace
 from fewview.readers.formats import deeplabcut
 from fewview.readers.separated import table_of
 from fewview.readers.sources import Source
-from fewview.readers.views import View
+from fewview.readers.views import View, with_keypoints
 
 SCORERS = ("heatmap", "ensemble", "eks", "lightning")
 VIEWS = ("top", "bot", "bottom", "side", "mirror", "cam", "view")
@@ -43,10 +43,8 @@ def read(source: Source) -> list[View]:
         index = [names.index(f"{name}_{suffix}") for name in mine]
         out.append(
             replace(
-                view,
+                with_keypoints(view, index),
                 name=suffix,
-                keypoints=view.keypoints[:, :, index],
-                confidence=None if view.confidence is None else view.confidence[:, :, index],
                 keypoint_names=tuple(mine),
                 notes=(*view.notes, f"keypoints named ..._{suffix} were taken for this view"),
             )

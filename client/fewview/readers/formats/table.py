@@ -17,6 +17,7 @@ from fewview.errors import FormatError
 from fewview.readers.clocks import seconds_in
 from fewview.readers.columns import bounded_columns, row_numbers, views_of_columns
 from fewview.readers.headers import Columns, Label, columns_of, mapped_columns
+from fewview.readers.large_arrays import blocks, built, rows_of
 from fewview.readers.names import natural
 from fewview.readers.separated import Table, Words, read_columns, table_of
 from fewview.readers.sources import Source
@@ -81,7 +82,7 @@ def _read(source: Source, table: Table, columns: Columns) -> list[View]:
     for code, name in sorted(enumerate(cameras.words), key=lambda each: natural(each[1])):
         mine = cameras.codes == code
         own = {role: replace(words, codes=words.codes[mine]) for role, words in given.items()}
-        for view in _views(source, list(labels.values()), values[mine], own, clock):
+        for view in _views(source, list(labels.values()), rows_of(values, mine), own, clock):
             called = view.name or _stem(name) or source.name
             views.append(replace(view, name=called, notes=(*view.notes, *notes)))
     return views
@@ -95,7 +96,7 @@ def _stem(name: str) -> str:
 def _views(
     source: Source,
     columns: list[Label],
-    values: Float32 | Float64,
+    values: Float32,
     given: dict[str, Words],
     clock: str,
 ) -> list[View]:
@@ -116,8 +117,7 @@ def _views(
     shape = (len(numbers), len(people.words), len(points.words), len(columns))
     bounded(shape, str(source))
     bounded_columns(len(people.words) * len(points.words) * len(columns), str(source))
-    table = np.full(shape, np.nan)
-    table[frames, people.codes, points.codes] = values
+    table = _pivoted(values, shape, frames, people.codes, points.codes)
     labels: list[Label] = []
     listed = bool(twice)
     for person in people.words:
@@ -129,8 +129,29 @@ def _views(
                     (f"{person}{place[1]}", place[2]) if place else (person, column.keypoint)
                 )
                 labels.append(column._replace(person=who, keypoint=point or what))
-    views = views_of_columns("", labels, table.reshape(len(table), -1), numbers, str(source))
+    views = views_of_columns("", labels, table, numbers, str(source))
     return [replace(view, people=None if listed else view.people, times=times) for view in views]
+
+
+def _pivoted(
+    values: Float32, shape: tuple[int, ...], frames: Int64, people: Int64, points: Int64
+) -> Float32:
+    """Return the rows (R, C) at their frames, people and points, as (N, M * P * C), NaN elsewhere.
+
+    Parameters
+    ----------
+    shape
+        N, M, P and C.
+    frames, people, points
+        (R,) of each row.
+    """
+    if shape[1:3] == (1, 1) and np.array_equal(frames, np.arange(shape[0])):
+        return values  # a row for each frame, in order
+    every = np.arange(shape[0])
+    table = built(lambda block: np.full((len(every[block]), *shape[1:]), np.nan, np.float32), every)
+    for block in blocks(values, table):
+        table[frames[block], people[block], points[block]] = values[block]
+    return table.reshape(len(table), -1)
 
 
 def _turns(cell: Int64) -> Int64:

@@ -10,6 +10,7 @@ import numpy as np
 from fewview.errors import FormatError
 from fewview.readers.columns import view_of_labels, without_depth
 from fewview.readers.headers import Label
+from fewview.readers.large_arrays import blocks, taken
 from fewview.readers.separated import Table, cells, read_columns
 from fewview.readers.sources import Source
 from fewview.readers.views import View
@@ -54,10 +55,13 @@ def read(source: Source) -> list[View]:
     flat = [place for place, label in enumerate(labels.values()) if label.axis != "z"]
     kept = [label for label in labels.values() if label.axis != "z"]
     numbers = _whole(frames.rows(), source)
-    view = view_of_labels(source.name, kept, table_values[:, flat], numbers, str(source))
+    view = view_of_labels(
+        source.name, kept, taken(table_values, flat, axis=1), numbers, str(source)
+    )
     depths = [place for place, label in enumerate(labels.values()) if label.axis == "z"]
-    view = without_depth(view, table_values[:, depths], str(source))
-    if header.get("Units") in METRIC and not np.nanmax(np.abs(view.keypoints), initial=0) > METRES:
+    view = without_depth(view, taken(table_values, depths, axis=1), str(source))
+    far = (np.any(np.abs(view.keypoints[block]) > METRES) for block in blocks(view.keypoints))
+    if header.get("Units") in METRIC and not any(far):
         raise FormatError(
             f"{source}: a TRC file of metres in a plane; give the one of pixels (Sports2D's *_px_*)"
         )
