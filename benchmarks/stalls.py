@@ -80,7 +80,7 @@ def measure(running: Service, api: int, watch: "Watch", case: Case) -> Row:
     return {
         "case": case.name,
         "longest wait ms": 1000 * longest,
-        "memory / body": growth / max(size, LEAST_BYTES),
+        "memory / body": growth / max(size, LEAST_BYTES) if size else 0.0,  # else the answer's
         "growth MiB": growth / 2**20,
         "body MiB": size / 2**20,
         "s": seconds,
