@@ -131,13 +131,20 @@ class ReadingOptions:
         Raises
         ------
         FormatError
-            If there is no view of a name.
+            If there is no view of a name, or one is named twice.
         """
         given: Sequence[str] | str | None = getattr(self, option)
         if given is None:
             return None
         names = given.split(",") if isinstance(given, str) else given
-        return [_place(name, views, option) for name in names]
+        places = [_place(name, views, option) for name in names]
+        for place in places:
+            if places.count(place) > 1:
+                raise FormatError(
+                    f"{option}: {views[place]!r} is named twice; name each camera once",
+                    option=option,
+                )
+        return places
 
 
 def _of_views(

@@ -1,13 +1,13 @@
-"""Arrays that are larger than what memory is for: in files, and worked on block by block.
+"""Large arrays: they lie in temporary files, and are worked on block by block.
 
-An hour of four cameras at 100 frames per second takes gigabytes. An array of more than `LARGE`
-bytes is therefore a map of a file without a name, which is gone as soon as nobody uses the array,
-however the process ends. Whatever is done with all of it is done in blocks of frames: the pages
-that were touched leave the process after each, and stay with the system while it has room. A
-process that is forked shares these arrays: its parent sees what it changes.
+An hour of four cameras at 100 frames per second takes gigabytes. So an array of more than `LARGE`
+bytes is a memory map of a file without a name. The file is gone as soon as nobody uses the array,
+however the process ends. All frames are worked on in blocks. After each block, the process releases
+the pages that it touched, and the system keeps them while it has memory. A forked process shares
+these arrays with its parent, which sees what it changes.
 
-Processes that read files of strangers may only write into the folder of an upload; there `TMPDIR`
-is this folder, and the limit of their addresses counts these maps as it counts other memory.
+Processes that read untrusted files may only write into the folder of an upload. There `TMPDIR` is
+this folder, and the limit of their address space counts these maps, too.
 """
 
 import errno
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from fewview.errors import FormatError
 
 LARGE = 2**26  # bytes
-BLOCK = 2**21  # bytes that are worked on at a time: so many stay in a core's cache
+BLOCK = 2**21  # bytes that are worked on at a time, which fit into a core's cache
 Array = NDArray[Any]
 Some = TypeVar("Some", bound=Array)
 
@@ -36,7 +36,7 @@ class _OwnMap(mmap.mmap):
 
 
 def gathered(parts: Iterable[Array]) -> Array:
-    """Return an array (N, ...) of all parts (B, ...), one below the other; it may be changed.
+    """Return an array (N, ...) of all parts (B, ...) in their order; it may be changed.
 
     Raises
     ------

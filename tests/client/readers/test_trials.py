@@ -112,6 +112,9 @@ def test_cameras_are_chosen_by_name(tmp_path: Path) -> None:
     assert starts(capture) == [2, 0]
     with pytest.raises(FormatError, match="no camera 'cam4'; there are cam1, cam2, cam3"):
         fewview.read(tmp_path, cameras="cam4")
+    for option in ({"cameras": "cam1,cam3,cam1"}, {"mirror": ["cam1", "cam1"]}):
+        with pytest.raises(FormatError, match="'cam1' is named twice"):
+            fewview.read(tmp_path, **option)
 
 
 def test_sizes_are_given_by_name(tmp_path: Path) -> None:
