@@ -10,16 +10,19 @@ from store.records import DatasetRecord, FitRecord, LiftRecord
 from worker.settings import QueueName
 
 GPU_MULTIPLICATIONS = 200_000_000  # in a step: about what a core does while a GPU is given its work
+KEYPOINT_MULTIPLICATIONS = 1000  # as long as a core takes for a keypoint, beside the network
 
 
 def gpu_pays(config: FitConfig, views: int, keypoints: int) -> bool:
     """Return whether a GPU takes such training steps faster than a processor core.
 
     For small dictionaries, starting a step on a GPU takes longer than the whole step on a CPU.
+    `benchmarks/devices.py` measures both.
     """
     from models.network.priors.registry import outline  # noqa: PLC0415 (torch takes seconds)
 
-    frame = views * outline(config, keypoints).multiplications()
+    network = outline(config, keypoints).multiplications()
+    frame = views * (network + KEYPOINT_MULTIPLICATIONS * keypoints)
     return frame * config.batch_size >= GPU_MULTIPLICATIONS
 
 
