@@ -35,6 +35,7 @@ CameraCode = TypeAliasType(
         "known_length_disagrees",
         "camera_moved",
         "focal_not_observable",
+        "lenses_limit_accuracy",
         "handedness_not_observable",
         "views_opposite",
         "noise_high",
@@ -187,6 +188,13 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " is estimated with a wide standard deviation, and distances along the view are as"
         " uncertain.",
         "Give the focal length (`calibration`), or film the subject nearer and in more places.",
+    ),
+    "lenses_limit_accuracy": Entry(
+        "warning",
+        "The cameras, and not the noise of the keypoints, limit the accuracy: two views determine"
+        " their focal lengths so roughly that structures are as uncertain as"
+        " `error_by_lenses_of_height` indicates, more than the keypoints allow.",
+        "Give the focal lengths or a calibration (`calibration`), or add a third view.",
     ),
     "handedness_not_observable": Entry(
         "warning",
