@@ -31,7 +31,7 @@ Int64 = NDArray[np.int64]
 FRAMES = 40  # at most, that are examined
 ITERATIONS = 30  # of adjusting the poses
 HEIGHT = 4.0  # root-mean-square radii: about the height of a person
-STRAY = 0.9  # quantile of changes of lengths from which they count as no larger
+STRAY = 0.9  # quantile of changes and scatters of lengths, beyond which they count as no larger
 STEADIEST = 1e-4  # of a log length: none is known to be steadier
 TIMES_NOISE = 3.0  # the effect of noise, from which lenses limit the accuracy
 SLACK = 0.001  # of the height: smaller errors of structures do not matter
@@ -147,9 +147,9 @@ def _allowed(bones: BoneLengths, ends: Float64) -> Float64:
     most = np.quantile(np.abs(changes), STRAY, axis=1, keepdims=True)
     changes = changes.clip(-most, most)
     scatter = np.broadcast_to(bones.scatter, known.shape)[known]
-    found = max(float(np.mean(scatter**2 - LEAST_SCATTER**2)), STEADIEST**2)
-    caused = changes @ changes.T / changes.shape[1]
-    return np.asarray(np.linalg.inv(np.eye(len(ends)) + caused / found))
+    squared = np.square(scatter.clip(max=np.quantile(scatter, STRAY))) - LEAST_SCATTER**2
+    caused = changes @ changes.T / changes.shape[1] / max(float(squared.mean()), STEADIEST**2)
+    return np.asarray(np.linalg.inv(np.eye(len(ends)) + caused))
 
 
 def _disturbed(seen: _Seen, points: Float64) -> Float64:

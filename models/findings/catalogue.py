@@ -191,10 +191,11 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "lenses_limit_accuracy": Entry(
         "warning",
-        "The cameras, and not the noise of the keypoints, limit the accuracy: two views determine"
-        " their focal lengths so roughly that structures are as uncertain as"
-        " `error_by_lenses_of_height` indicates, more than the keypoints allow.",
-        "Give the focal lengths or a calibration (`calibration`), or add a third view.",
+        "Two views determine their focal lengths only roughly. This limits the accuracy of the"
+        " structures, not the noise of the keypoints: their mean errors are about so large, as"
+        " shares of the subject's height (`error_by_lenses_of_height`,"
+        " `error_by_noise_of_height`).",
+        "Give the focal lengths (`calibration`), or add a third view.",
     ),
     "handedness_not_observable": Entry(
         "warning",
