@@ -59,10 +59,11 @@ def lens_findings(
     """Yield a finding if the lenses of two static views limit the accuracy, and not the keypoints.
 
     `deviations` (K, VIEW) are those of the cameras. Of three views or more, errors of lenses come
-    from the noise itself, and there is no finding.
+    from the noise itself, and there is no finding, nor where poses are given.
     """
     unsure = deviations[:, FOCAL] > 0
-    if len(unsure) != 2 or not solution.rig.static.all() or not unsure.any():
+    pair = len(unsure) == 2 and solution.rig.static.all() and solution.given_poses is None
+    if not pair or not unsure.any():
         return
     by_lenses, by_noise = lens_effect(problem, solution, deviations[:, FOCAL])
     if by_lenses > TIMES_NOISE * by_noise + SLACK:
