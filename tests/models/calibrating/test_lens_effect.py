@@ -63,7 +63,7 @@ def test_the_predicted_error_of_a_clean_pair_agrees_with_the_true_one(number: in
     assert draw is not None
     row = measure(draw, by_geometry, None)
     assert row.findings == ("lenses_limit_accuracy",)
-    weights = np.isfinite(draw.keypoints).all(-1).astype(np.float64)
+    weights = np.asarray(np.isfinite(draw.keypoints).all(-1), np.float64)
     problem = problem_of(np.nan_to_num(draw.keypoints), weights, draw.sizes, FitConfig())
     found = finished(geometry_of(problem, [0, 1]))
     assert found is not None
