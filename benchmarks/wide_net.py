@@ -27,12 +27,14 @@ from numpy.typing import NDArray
 from benchmarks.drawn_captures import Draw, draw_capture
 from benchmarks.figures import print_table
 from models.calibrating.handedness import certainty
-from models.calibrating.keypoint_rig import focal_deviations, geometry_of
+from models.calibrating.keypoint_rig import focal_deviations, geometry_of, start_from_geometry
+from models.calibrating.lens_effect import lens_findings
 from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import problem_of
 from models.capture.metrics import pa_mpjpe, procrustes_by_size
 from models.epipolar.robust_points import robust_points
 from models.epipolar.static_cameras import SeenPoints, StaticCameras
+from models.findings.advice import noticed
 from models.lifting.lift import LiftedFrames
 from models.numerics.steps import finished
 from models.numerics.threads import use_threads
@@ -49,6 +51,7 @@ ABOUT_CAMERAS = (  # findings that warn of the cameras
     "focal_not_observable",
     "handedness_not_observable",
     "lenses_extreme",
+    "lenses_limit_accuracy",
     "views_opposite",
 )
 
@@ -82,8 +85,7 @@ class Row(NamedTuple):
 def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
-    numbers = arguments.only or range(*arguments.draws)
-    jobs = [(number, arguments) for number in numbers]
+    jobs = [(number, arguments) for number in arguments.only or range(*arguments.draws)]
     rows = []
     with get_context("spawn").Pool(arguments.processes, _quiet) as pool:
         for row in pool.imap(_measured, jobs):
@@ -142,23 +144,24 @@ class Answer(NamedTuple):
 def by_geometry(draw: Draw) -> Answer:
     """Find cameras without the network, and triangulate with them."""
     weights: Float64 = np.all(np.isfinite(draw.keypoints), -1).astype(np.float64)
-    pixels: Float64 = np.nan_to_num(draw.keypoints)
-    problem = problem_of(pixels, weights, draw.sizes, FitConfig())
+    problem = problem_of(np.nan_to_num(draw.keypoints), weights, draw.sizes, FitConfig())
     found = finished(geometry_of(problem, list(range(draw.keypoints.shape[1]))))
     if found is not None and len(found.static) == 2 and found.static.all():
         found = finished(scan_lenses(problem, found))
     if found is None:
         return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ("nothing",))
-    rig = found.best.rig
+    rig, static = found.best.rig, bool(found.static.all())
+    started = start_from_geometry(problem, found) if static else None
+    findings = () if started is None else noticed(lens_findings, problem, *started)
     return Answer(
         found.best.points,
-        bool(found.static.all()),
+        static,
         certainty([found.log_odds]),
         rig.rotations,
         np.exp(rig.log_focals) * problem.side,
         focal_deviations(problem, found),
         float("nan"),
-        (),
+        tuple(finding.code for finding in findings),
     )
 
 
@@ -170,14 +173,13 @@ def by_fit(draw: Draw) -> Answer:
     cameras = prior.cameras
     if cameras is None:
         return _without_cameras(draw, lift.points3d.astype(np.float64), codes, _reach(draw, lift))
-    sds = cameras.focal_sds / cameras.focals.mean(1)
     return Answer(
         lift.points3d.astype(np.float64),
         bool(cameras.static.all()),
         cameras.handedness_certainty,
         np.where(cameras.static[:, None, None], cameras.rotations, np.nan),
         cameras.focals.mean(1),
-        sds,
+        cameras.focal_sds / cameras.focals.mean(1),
         _reach(draw, lift),
         codes,
     )
@@ -186,9 +188,8 @@ def by_fit(draw: Draw) -> Answer:
 def _without_cameras(
     draw: Draw, points: Float64, findings: tuple[str, ...], reach: float = float("nan")
 ) -> Answer:
-    views = draw.keypoints.shape[1]
-    unknown = np.full(views, np.nan)
-    rotations = np.full((views, 3, 3), np.nan)
+    rotations = np.full((draw.keypoints.shape[1], 3, 3), np.nan)
+    unknown = rotations[:, 0, 0]
     return Answer(points, False, 0.0, rotations, unknown, unknown.copy(), reach, findings)
 
 
@@ -375,8 +376,7 @@ def _share(what: str, rows: list[Row], good: list[Row]) -> dict[str, Any]:
 
 def _line(row: Row) -> str:
     def figures() -> Iterator[str]:
-        yield f"{row.number}"
-        yield f"x{row.ratio:.2f}"
+        yield f"{row.number} | x{row.ratio:.2f}"
         yield f"error {100 * row.error:.3g} % (true cameras {100 * row.bound:.3g})"
         if np.isfinite(row.oracle):
             yield f"oracle x{max(row.oracle - SLACK, 0) / max(row.bound, 1e-9):.2f}"

@@ -28,6 +28,7 @@ from models.calibrating.given_order import as_meant
 from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.keypoint_rig import geometry_of
+from models.calibrating.lens_effect import lens_findings
 from models.calibrating.lens_prior import other_lenses, rig_prior
 from models.calibrating.problem import (
     CLEAR,
@@ -375,4 +376,5 @@ def _result(
         handedness_certainty=certain,
     )
     of_cameras = noticed(camera_findings, found, problem.images, problem.size)
-    return replace(found, findings=(*findings, *of_cameras))
+    of_lenses = noticed(lens_findings, problem, best, sds)
+    return replace(found, findings=(*findings, *of_cameras, *of_lenses))

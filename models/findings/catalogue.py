@@ -35,6 +35,7 @@ CameraCode = TypeAliasType(
         "known_length_disagrees",
         "camera_moved",
         "focal_not_observable",
+        "lenses_limit_accuracy",
         "handedness_not_observable",
         "views_opposite",
         "noise_high",
@@ -187,6 +188,14 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " is estimated with a wide standard deviation, and distances along the view are as"
         " uncertain.",
         "Give the focal length (`calibration`), or film the subject nearer and in more places.",
+    ),
+    "lenses_limit_accuracy": Entry(
+        "warning",
+        "Two views determine their focal lengths only roughly. This limits the accuracy of the"
+        " structures, not the noise of the keypoints: their mean errors are about so large, as"
+        " shares of the subject's height (`error_by_lenses_of_height`,"
+        " `error_by_noise_of_height`).",
+        "Give the focal lengths (`calibration`), or add a third view.",
     ),
     "handedness_not_observable": Entry(
         "warning",

@@ -1,0 +1,176 @@
+"""How much the uncertainty of the lenses of two static views changes structures.
+
+Each focal length is moved by its standard deviation, with the poses adjusted and the points
+located anew. What changes beyond a similarity of each frame is the error that follows from the
+lens. Lengths within the subject that stay constant limit it. It is compared with what the noise of
+the keypoints does to the same points.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.bone_lengths import LEAST_SCATTER, UNKNOWN, BoneLengths, find_bone_lengths
+from models.bundle.problem import FOCAL, points_in_cameras
+from models.calibrating.keypoint_rig import LEAST_KNOWN
+from models.calibrating.problem import CalibrationProblem, Solution
+from models.capture.metrics import procrustes_by_size
+from models.epipolar.pairs import Beliefs
+from models.epipolar.rig_adjustment import LEAST_NOISE, adjust_rig
+from models.epipolar.rig_search import refocused
+from models.epipolar.robust_points import robust_points
+from models.epipolar.static_cameras import SeenPoints, StaticCameras, distances_of
+from models.findings.finding import Finding
+from models.optics.lenses.projection import project
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+
+FRAMES = 40  # at most, that are examined
+ITERATIONS = 30  # of adjusting the poses
+HEIGHT = 4.0  # root-mean-square radii: about the height of a person
+STRAY = 0.9  # quantile of changes and scatters of lengths, beyond which they count as no larger
+STEADIEST = 1e-4  # of a log length: none is known to be steadier
+TIMES_NOISE = 3.0  # the effect of noise, from which lenses limit the accuracy
+SLACK = 0.001  # of the height: smaller errors of structures do not matter
+
+
+class LensEffect(NamedTuple):
+    """Errors of structures: mean distances as shares of the subject's height."""
+
+    by_lenses: float  # for focal lengths that are off by a standard deviation
+    by_noise: float  # of the keypoints
+
+
+class _Seen(NamedTuple):
+    """The keypoints that both views see, as of cameras without distortion."""
+
+    rig: StaticCameras
+    points: SeenPoints
+    noise: Float64  # (2,) sides
+    shown: NDArray[np.bool_]  # (n, P) which keypoints of the frames these are
+
+
+def lens_findings(
+    problem: CalibrationProblem, solution: Solution, deviations: Float64
+) -> Iterator[Finding]:
+    """Yield a finding if the lenses of two static views limit the accuracy, and not the keypoints.
+
+    `deviations` (K, VIEW) are those of the cameras. Of three views or more, errors of lenses come
+    from the noise itself, and there is no finding, nor where poses are given.
+    """
+    unsure = deviations[:, FOCAL] > 0
+    pair = len(unsure) == 2 and solution.rig.static.all() and solution.given_poses is None
+    if not pair or not unsure.any():
+        return
+    by_lenses, by_noise = lens_effect(problem, solution, deviations[:, FOCAL])
+    if by_lenses > TIMES_NOISE * by_noise + SLACK:
+        yield Finding.of(
+            "lenses_limit_accuracy",
+            views=() if unsure.all() else np.flatnonzero(unsure),
+            error_by_lenses_of_height=by_lenses,
+            error_by_noise_of_height=by_noise,
+        )
+
+
+def lens_effect(problem: CalibrationProblem, solution: Solution, focal_sds: Float64) -> LensEffect:
+    """Return what errors of two log focal lengths, and of keypoints, do to structures."""
+    usable = np.flatnonzero((problem.weights > 0).all(1).sum(1) >= LEAST_KNOWN)
+    frames = usable[np.unique(np.linspace(0, len(usable) - 1, FRAMES).astype(np.int64))]
+    seen = _seen(problem, solution, frames)
+    points = robust_points(seen.rig, seen.points, seen.noise)
+    middle = _structures(seen, points)
+    centred = middle - np.nanmean(middle, 1, keepdims=True)
+    height = HEIGHT * np.nanmedian(np.sqrt(np.nanmean(np.square(centred).sum(-1), 1)))
+    ends = np.array(
+        [
+            [
+                procrustes_by_size(_structures(seen, _moved(seen, points, sign * step)), middle)
+                for sign in (1, -1)
+            ]
+            for step in np.diag(focal_sds)[focal_sds > 0]
+        ]
+    )  # (F, 2, n, P, 3)
+    bones = find_bone_lengths(solution.scene.points, problem.measured)
+    covariance = _allowed(bones._replace(measured=bones.measured[frames]), ends)
+    changes = (ends[:, 0] - ends[:, 1]) / 2
+    squared = 0.0
+    for variance, axis in zip(*np.linalg.eigh(covariance), strict=True):
+        squared += variance * _mean_length(np.tensordot(axis, changes, 1)) ** 2
+    noisy = procrustes_by_size(_structures(seen, _disturbed(seen, points)), middle)
+    return LensEffect(float(np.sqrt(squared) / height), _mean_length(noisy - middle) / height)
+
+
+def _seen(problem: CalibrationProblem, solution: Solution, frames: Int64) -> _Seen:
+    """Undo the lenses at the estimated points."""
+    rig, side = solution.rig, problem.side
+    held = points_in_cameras(solution.scene.of(frames), rig)  # (n, 2, P, 3)
+    focals = rig.lenses.focals.mean(1)
+    straight = focals[:, None, None] * held[..., :2] / held[..., 2:]
+    images = (straight + problem.keypoints[frames] - project(held, rig.lenses)) / side
+    weights = problem.weights[frames] * np.isfinite(images).all(-1)
+    shown = (weights > 0).all(1)  # (n, P)
+    none = np.zeros((2, 2))
+    return _Seen(
+        StaticCameras(np.log(focals / side), none, none, rig.rotations, rig.translations),
+        SeenPoints(
+            images.transpose(1, 3, 0, 2)[..., shown], weights.transpose(1, 0, 2)[..., shown]
+        ),
+        np.full(2, max(solution.measured_noise / side, LEAST_NOISE)),
+        shown,
+    )
+
+
+def _moved(seen: _Seen, points: Float64, step: Float64) -> Float64:
+    """Return the points (3, M) after a step of the log focal lengths, with the poses adjusted."""
+    rig = refocused(seen.rig, points, seen.rig.log_focals + step)
+    none = np.zeros((2, 2))
+    held = Beliefs(np.exp(rig.log_focals), none, none, np.zeros((2, 2, 2)), alike=False)
+    start = robust_points(rig, seen.points, seen.noise)
+    cameras = adjust_rig(rig, start, seen.points, held, iterations=ITERATIONS)
+    return robust_points(cameras.rig, seen.points, cameras.noise)
+
+
+def _allowed(bones: BoneLengths, ends: Float64) -> Float64:
+    """Return the covariance (F, F) of steps of lenses that constant lengths allow.
+
+    Without lengths it is 1. The scatter of lengths that `ends` (F, 2, n, P, 3) of the steps cause
+    is held against the scatter that there is, as a single observation: errors of lengths repeat in
+    all frames and bones.
+    """
+    known = bones.measured & (bones.scatter < UNKNOWN)
+    if not known.any():
+        return np.eye(len(ends))
+    offsets = np.array([[bones.offsets(end) for end in each] for each in np.nan_to_num(ends)])
+    changes = (offsets[:, 0] - offsets[:, 1])[:, known] / 2  # (F, n)
+    most = np.quantile(np.abs(changes), STRAY, axis=1, keepdims=True)
+    changes = changes.clip(-most, most)
+    scatter = np.broadcast_to(bones.scatter, known.shape)[known]
+    squared = np.square(scatter.clip(max=np.quantile(scatter, STRAY))) - LEAST_SCATTER**2
+    caused = changes @ changes.T / changes.shape[1] / max(float(squared.mean()), STEADIEST**2)
+    return np.asarray(np.linalg.inv(np.eye(len(ends)) + caused))
+
+
+def _disturbed(seen: _Seen, points: Float64) -> Float64:
+    """Return the points (3, M) with as much noise again.
+
+    Of the four coordinates of a point three are fitted, so the distance that is left is distributed
+    as the error of one coordinate.
+    """
+    rng, (images, weights) = np.random.default_rng(0), seen.points
+    left = np.sqrt(np.square(distances_of(seen.rig, points, seen.points)).sum(0))
+    errors = rng.choice(left, images.shape) * rng.choice([-1, 1], images.shape)
+    return robust_points(seen.rig, SeenPoints(images + errors, weights), seen.noise)
+
+
+def _structures(seen: _Seen, points: Float64) -> Float64:
+    """Arrange points (3, M) as structures (n, P, 3), NaN where they are not seen."""
+    structures = np.full((*seen.shown.shape, 3), np.nan)
+    structures[seen.shown] = points.T
+    return structures
+
+
+def _mean_length(changes: Float64) -> float:
+    return float(np.nanmean(np.linalg.norm(changes, axis=-1)))
