@@ -17,7 +17,7 @@ def room_of(lift: Lift, cameras: Cameras, capture: Capture) -> tuple[Room | None
     tuple
         The room, None if no frame has a perspective pose; and notes about it.
     """
-    static = [view.index for view in cameras.views if view.resting]
+    static = [view.index for view in cameras.views if view.static]
     reference = static[0] if static else 0
     reasons: list[str] = []
     for up in ("auto", None):

@@ -196,7 +196,7 @@ def _by_rotations(
     joined = _largest_component(relative, len(moving.rig.groups))
     if len(joined) < 2:
         return None
-    return RigCandidate("from rotations", _at_rest(moving, relative, joined, seen), joined, groups)
+    return RigCandidate("from rotations", _joined(moving, relative, joined, seen), joined, groups)
 
 
 def _believing(problem: CalibrationProblem, candidate: RigCandidate) -> CalibrationProblem:
@@ -345,7 +345,7 @@ def _largest_component(relative: RelativePoses, views: int) -> list[int]:
     return [k for k in range(views) if label[k] == largest]
 
 
-def _at_rest(moving: Solution, relative: RelativePoses, members: list[int], seen: Bool) -> Solution:
+def _joined(moving: Solution, relative: RelativePoses, members: list[int], seen: Bool) -> Solution:
     """Join `members` of the moving solution to one group; the others stay separate."""
     rig, scene = moving.rig, moving.scene
     rotations, translations = rig.rotations.copy(), rig.translations.copy()

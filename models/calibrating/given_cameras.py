@@ -126,7 +126,7 @@ def poses_disagree(
 def _disagrees(
     views: list[int], as_given: Solution, without: Solution, numbers: dict[str, float]
 ) -> Finding:
-    noises = {"noise_as_told": as_given.measured_noise, "noise": without.measured_noise}
+    noises = {"noise_as_given": as_given.measured_noise, "noise": without.measured_noise}
     finding = Finding.of("calibration_disagrees", views=views)
     return finding.with_evidence(noises | numbers)
 
@@ -147,7 +147,7 @@ def in_words(findings: tuple[Finding, ...]) -> str:
 
 
 def _lens_off(
-    problem: CalibrationProblem, _told: Solution, found: Solution, view: int, _unit: float
+    problem: CalibrationProblem, _given: Solution, found: Solution, view: int, _unit: float
 ) -> dict[str, float]:
     given, ours = problem.reference.lenses, found.rig.lenses
     return {

@@ -101,7 +101,7 @@ def as_meant(
     evidence = {
         "inverted": float(best.inverted),
         "graphics_axes": float(best.graphics),
-        "off_as_told_px": off,
+        "off_as_given_px": off,
         "off_px": least,
     }
     if best.order != given.order:

@@ -74,7 +74,7 @@ def camera_report(calibration: SelfCalibration) -> CameraReport:
     arrangement = "static" if static.all() else "mixed" if static.any() else "moving"
     rotation_sds = np.degrees(np.linalg.norm(deviations[:, LENS : LENS + 3], axis=-1))
 
-    def at_rest(values: Float64) -> Float64:
+    def of_static(values: Float64) -> Float64:
         there = static.reshape(-1, *[1] * (values.ndim - 1))
         return np.where(there, values, np.nan)
 
@@ -90,10 +90,10 @@ def camera_report(calibration: SelfCalibration) -> CameraReport:
         distortions=lenses.distortion.copy(),
         distortion_sds=deviations[:, RADIAL:LENS].copy(),
         static=static,
-        rotations=at_rest(rig.rotations),
-        rotation_sds=at_rest(rotation_sds),
-        translations=at_rest(unit * rig.translations),
-        translation_sds=at_rest(unit * deviations[:, LENS + 3 :]),
+        rotations=of_static(rig.rotations),
+        rotation_sds=of_static(rotation_sds),
+        translations=of_static(unit * rig.translations),
+        translation_sds=of_static(unit * deviations[:, LENS + 3 :]),
         reprojection_errors=calibration.reprojection_errors.copy(),
         noise=calibration.noise,
         handedness_certainty=calibration.handedness_certainty,

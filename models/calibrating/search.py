@@ -124,7 +124,7 @@ def _against_declared_static(static: Solution, found: Solution) -> tuple[Finding
         Finding.of(
             "rig_declared_but_moving",
             views=views,
-            noise_at_rest=static.measured_noise,
+            noise_if_static=static.measured_noise,
             noise=found.measured_noise,
         ),
     )

@@ -113,13 +113,13 @@ def _lift_untrained(name: PriorName) -> None:
 
 
 def _fit_film() -> None:
-    noisy = noisy_film_at_rest()
+    noisy = static_noisy_film()
     config = FitConfig(steps=STEPS, batch_size=8, cameras="static", synchronise="off")
     fit(noisy, config, edges=np.array(EDGES), times=np.arange(len(noisy)) / 50).lift(noisy)
 
 
 def _mend_limbs() -> None:
-    noisy = noisy_film_at_rest()
+    noisy = static_noisy_film()
     seen = as_observations(noisy)
     outliers = learn_outliers(seen)
     if outliers is not None:
@@ -137,7 +137,7 @@ PARTS: tuple[Callable[[], None], ...] = (
 )
 
 
-def noisy_film_at_rest() -> NDArray[np.float64]:
+def static_noisy_film() -> NDArray[np.float64]:
     """Return keypoints (N, 2, P, 2) of a figure filmed by two static cameras, with noise.
 
     It goes through some poses and back again.

@@ -192,7 +192,7 @@ class Trainer:
             state.loss = _running_mean(state.loss, loss, newest)
             state.reprojection_error = _running_mean(state.reprojection_error, error, newest)
             state.step += 1
-            self._plan_rest()
+            self._plan_what_is_left()
             state.clock.count_step(state.step)
             curve_every = math.ceil(state.schedule.steps / CURVE_ROWS)
             if state.step % curve_every == 0 or self.stopped_by is not None:
@@ -301,7 +301,7 @@ class Trainer:
         """Seconds that the fit may take."""
         return math.inf if self.config.budget_s is None else self.config.budget_s
 
-    def _plan_rest(self) -> None:
+    def _plan_what_is_left(self) -> None:
         """Plan the remaining steps again if time is short or the fit stopped improving."""
         if self.step % PLAN_EVERY == 0:
             self._plan_within_budget()

@@ -17,7 +17,7 @@ FoundArrangement = TypeAliasType(
 )
 
 EXAMPLE_FINDING = Finding.of(
-    "calibration_disagrees", views=[0], noise=1.9, noise_as_told=7.3, focal_ratio=1.21
+    "calibration_disagrees", views=[0], noise=1.9, noise_as_given=7.3, focal_ratio=1.21
 ).model_dump(mode="json")
 UNKNOWN = (
     "This model was fitted without refinement (refine: off), or by an older Fewview, or to "
@@ -34,7 +34,7 @@ class FoundView(BaseModel):
 
     index: int = Field(description="Which view of the fit; what `views` of `POST /lift` counts.")
     camera: LiftedLensName
-    resting: bool = Field(description="Whether it is static relative to the other static cameras.")
+    static: bool = Field(description="Whether it is static relative to the other static cameras.")
     focal: Vector2 | None = Field(description="Focal length along x and y, pixels.")
     focal_sd: float | None = Field(description="Pixels.")
     principal_point: Vector2 | None = Field(description="(x, y), pixels.")
@@ -75,7 +75,7 @@ class ModelCameras(BaseModel):
                     {
                         "index": 0,
                         "camera": "perspective",
-                        "resting": True,
+                        "static": True,
                         "focal": [1104.5, 1104.5],
                         "focal_sd": 6.2,
                         "principal_point": [640.0, 512.0],
@@ -91,7 +91,7 @@ class ModelCameras(BaseModel):
                     {
                         "index": 1,
                         "camera": "perspective",
-                        "resting": False,
+                        "static": False,
                         "focal": [1098.1, 1098.1],
                         "focal_sd": 11.0,
                         "principal_point": [640.0, 512.0],
@@ -146,7 +146,7 @@ class ModelCameras(BaseModel):
             {
                 "index": view,
                 "camera": found.camera_models[view],
-                "resting": bool(found.static[view]),
+                "static": bool(found.static[view]),
                 "focal": _known(found.focals[view]),
                 "focal_sd": _known(found.focal_sds[view]),
                 "principal_point": _known(found.principal_points[view]),

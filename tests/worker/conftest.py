@@ -165,7 +165,7 @@ def work_horse(worker: "subprocess.Popen[bytes]") -> int:
 def is_alive(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):  # it has gone, before or after opening
         return False
 
 

@@ -209,7 +209,7 @@ class FoundCamera:
     ----------
     index
         Which view of the fit.
-    resting
+    static
         Whether it is static relative to the other static cameras.
     focal, principal_point
         (2,) pixels.
@@ -226,7 +226,7 @@ class FoundCamera:
 
     index: int
     camera: str
-    resting: bool
+    static: bool
     focal: Float64 | None
     principal_point: Float64 | None
     distortion: Float64 | None

@@ -68,7 +68,7 @@ def _row(view: "FoundCamera") -> tuple[str, ...]:
     return (
         str(view.index),
         view.camera,
-        "static" if view.resting else "moving",
+        "static" if view.static else "moving",
         _numbers(view.focal, 1),
         _numbers(view.principal_point, 1),
         _numbers(None if view.distortion is None else view.distortion[:2], 3),

@@ -60,8 +60,8 @@ export async function loadPoints(fit: Fit): Promise<{ points: Float32Array; inOn
 
 /** Returns what is loaded in the best frame of reference that there is. */
 function inBestFrame<T>(cameras: ModelCameras, load: (query: string) => Promise<T>): Promise<Placed<T>> {
-  const resting = cameras.views.some((view) => view.resting && view.rotation);
-  return inFrame(resting ? "level" : "view", load);
+  const anyStatic = cameras.views.some((view) => view.static && view.rotation);
+  return inFrame(anyStatic ? "level" : "view", load);
 }
 
 interface Placed<T> {

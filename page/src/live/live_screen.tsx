@@ -127,8 +127,8 @@ export default function LiveScreen() {
 /** Returns all that a stream needs to be shown. */
 async function prepared(model: ModelSummary, dataset: string, rate: number | undefined): Promise<Running> {
   const [file, cameras] = await Promise.all([remoteCapture(dataset), getCameras(model.id)]);
-  const resting = cameras.views.some((view) => view.resting && view.rotation);
-  const frame: Frame = !resting ? "view" : model.fit_id ? "level" : "camera";
+  const anyStatic = cameras.views.some((view) => view.static && view.rotation);
+  const frame: Frame = !anyStatic ? "view" : model.fit_id ? "level" : "camera";
   const posed = file.capture.viewNames.map((_, view) => cameras.views.some(({ index }) => index === view));
   const { frame: shown, extent } = await extentOfFit(model, frame, file.capture);
   const perSecond = rate ?? rateOf(file.capture).rate;

@@ -87,7 +87,7 @@ function CameraTable() {
                 )}
               </th>
               <td>
-                {view.camera.replaceAll("_", " ")}, {view.resting ? "static" : "moving"}
+                {view.camera.replaceAll("_", " ")}, {view.static ? "static" : "moving"}
               </td>
               <td>
                 {view.focal ? `${Math.round(view.focal[0])} px` : "–"}

@@ -87,7 +87,7 @@ def test_the_view_whose_calibration_is_off_is_named(
     found = calibrated(rig, harmed(calibration(rig), kind, view, change))
     assert [finding.code for finding in found.findings] == ["calibration_disagrees"]
     assert found.findings[0].views == (view,)
-    assert found.findings[0].evidence["noise_as_told"] > 1.3 * found.noise
+    assert found.findings[0].evidence["noise_as_given"] > 1.3 * found.noise
     assert f"[{view}]" in found.reason
     # The others' stay what they are, and with them the frame of reference and the unit.
     cameras = camera_report(found)
@@ -204,7 +204,7 @@ def test_cameras_declared_static_that_move_are_obeyed_and_reported(rig: RigCaptu
     assert camera_report(found).arrangement == "static"
     (finding,) = [f for f in found.findings if f.code == "rig_declared_but_moving"]
     assert finding.views == (2,)
-    assert finding.evidence["noise_at_rest"] > 2 * finding.evidence["noise"]
+    assert finding.evidence["noise_if_static"] > 2 * finding.evidence["noise"]
     assert codes(calibrated(rig, [None] * VIEWS, cameras="static")) <= set()
 
 

@@ -265,7 +265,7 @@ def test_a_bumped_camera_is_named_and_its_calibration_not_used(static: RigCaptur
     (finding,) = found.findings
     assert finding.code == "calibration_disagrees"
     assert finding.views == (2,)
-    assert finding.evidence["noise_as_told"] > 1.5 * finding.evidence["noise"]
+    assert finding.evidence["noise_as_given"] > 1.5 * finding.evidence["noise"]
     cameras = camera_report(found)
     assert cameras.arrangement == "static"
     turns = static.rotations[0]

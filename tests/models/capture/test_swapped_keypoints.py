@@ -37,7 +37,7 @@ class Swapped(NamedTuple):
     planted: Bool  # (N, K, P)
 
 
-def capture_at_rest() -> Float64:
+def static_capture() -> Float64:
     """Return keypoints (N, K, P, 2) with some noise, before static cameras."""
     made = synthetic_capture(frames=FRAMES, views=VIEWS, seed=1)
     points = np.concatenate((made.points3d, np.ones((*made.points3d.shape[:2], 1))), -1)
@@ -61,7 +61,7 @@ def swap(clean: Float64) -> Swapped:
 
 @pytest.fixture(scope="module")
 def swapped() -> Swapped:
-    return swap(capture_at_rest())
+    return swap(static_capture())
 
 
 @pytest.fixture(scope="module")

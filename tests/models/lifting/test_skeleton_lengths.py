@@ -131,12 +131,12 @@ def test_limbs_of_noisy_lifts_keep_their_lengths(
 ) -> None:
     # The weights of known structures in noisy frames were learnt with lengths held, too.
     held, loose = (without(p, "structures").lift(noisy.keypoints) for p in (prior, plain))
-    at_rest = (held.camera_models > 0).all(1) & (held.findings & RIG_NOT_USED == 0)
-    assert at_rest.mean() > 0.6
-    truth = noisy.points3d[at_rest]
+    in_rig = (held.camera_models > 0).all(1) & (held.findings & RIG_NOT_USED == 0)
+    assert in_rig.mean() > 0.6
+    truth = noisy.points3d[in_rig]
     errors, scatter = [], []
     for lift in (held, loose):
-        points = lift.points3d[at_rest]
+        points = lift.points3d[in_rig]
         errors.append(pa_mpjpe(points, truth, reflection="never").mean)
         scatter.append((lengths(points).std(0) / lengths(points).mean(0)).mean())
     assert errors[0] < 0.93 * errors[1]

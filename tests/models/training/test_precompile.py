@@ -14,7 +14,7 @@ from models.numerics.compiled import signatures
 from models.numerics.threads import use_threads
 from models.settings.calibration import KnownLength
 from models.settings.config import Arrangement, FitConfig, Refine
-from models.training.precompile import PROCESSES, compile_all, noisy_film_at_rest
+from models.training.precompile import PROCESSES, compile_all, static_noisy_film
 from models.training.trainer import Trainer, fit
 from tests.sharing import made_once
 from worker.process import python
@@ -57,7 +57,7 @@ def fit_resume_and_lift(refine: Refine, cameras: Arrangement) -> None:
 
 
 def fit_noisy_film(*, timed: bool) -> None:
-    noisy = noisy_film_at_rest()[::-1]
+    noisy = static_noisy_film()[::-1]
     config = FitConfig(steps=40, batch_size=32, cameras="static")
     times = np.arange(len(noisy)) / 30 if timed else None
     prior = fit(noisy, config, edges=[[0, 1], [1, 2]], times=times)

@@ -70,7 +70,7 @@ def seen_from(arrays: Arrays, n: int, k: int) -> NDArray[np.float64]:
     return np.asarray(points[n] @ turn[n, k].T + arrays["translations"][n, k])
 
 
-def test_points_are_where_the_cameras_at_rest_see_them(
+def test_points_are_where_the_static_cameras_see_them(
     http: httpx2.Client, resting: str, rig: list[Camera]
 ) -> None:
     """One, two or three views of a frame; the camera of each knows where it stands."""

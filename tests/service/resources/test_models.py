@@ -109,7 +109,7 @@ def test_the_cameras_that_were_found(
     assert (first["focal"], first["focal_sd"]) == ([900.0, 910.0], 0.0)
     assert first["rotation"] == np.eye(3).tolist()
     assert (first["translation"], first["translation_sd"]) == ([0, 1, 2], [0.1, 0.1, 0.2])
-    assert second["resting"] is False
+    assert second["static"] is False
     assert second["rotation"] is second["rotation_sd"] is None
     assert second["translation"] is second["translation_sd"] is None
     assert second["reprojection_error"] == 2.5
@@ -154,7 +154,7 @@ def test_the_cameras_of_a_capture_are_found(live: Live, capture: SyntheticCaptur
         assert view["camera"] == "perspective"
         assert view["focal"][0] > 0
         assert view["focal_sd"] >= 0
-        assert (view["rotation"] is None) is not view["resting"]
+        assert (view["rotation"] is None) is not view["static"]
     weights = live.http.get(f"/models/{fit['model_id']}/weights").content
     copy = live.http.post("/models", content=weights, headers=BYTES).json()["id"]
     assert live.get(f"/models/{copy}/cameras") == found | {"model": copy}
