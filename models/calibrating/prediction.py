@@ -84,8 +84,10 @@ def predicts_better(asked: CalibrationProblem, first: Float64, other: Float64) -
     noise = common_noise([first, other], asked.side)
     gain = surprise(first, asked.weights, noise) - surprise(other, asked.weights, noise)
     known = gain[np.isfinite(gain)]
-    chance = float(known.std()) / math.sqrt(max(len(known), 1))
-    return bool(len(known) and known.mean() > LIKELY * chance)
+    if not len(known):
+        return False
+    chance = float(known.std()) / math.sqrt(len(known))
+    return bool(known.mean() > LIKELY * chance)
 
 
 def typical_distance(distances: Float64) -> float:

@@ -27,6 +27,10 @@ def keypoints_of(case: str) -> Float64:  # noqa: PLR0911, PLR0912 - a branch per
     match case:
         case "4 keypoints":
             return keypoints[:, :, [1, 6, 9, 12]]
+        case "4 noisy keypoints":
+            return make_rig_capture(AZIMUTHS, frames=5, noise=20, hidden=0).keypoints[
+                :, :, [1, 6, 9, 12]
+            ]
         case "one view":
             return keypoints[:, :1]
         case "identical views":
@@ -63,7 +67,13 @@ def keypoints_of(case: str) -> Float64:  # noqa: PLR0911, PLR0912 - a branch per
 
 CASES = (
     *("1 frame", "2 frames", "3 frames", "15 frames", "4 keypoints", "one view"),
-    *("identical views", "views that share no frame", "an empty view", "an empty frame"),
+    *(
+        "4 noisy keypoints",
+        "identical views",
+        "views that share no frame",
+        "an empty view",
+        "an empty frame",
+    ),
     *("7 views", "133 keypoints", "a keypoint never seen", "a coordinate that is no number"),
     *("half of the keypoints hidden", "nothing but noise", "one pose throughout"),
     *("exact keypoints", "absurd outliers"),
