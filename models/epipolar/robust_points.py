@@ -156,6 +156,7 @@ def costs_of(rig: StaticCameras, points: Float64, seen: SeenPoints, noise: Float
 @compiled
 def _write_costs(sight: Sight, noise: Float64, out: Float64) -> None:
     views, seen = len(noise), np.empty(5)
+    logs = 2 * np.log(noise)
     for m in range(len(out)):
         out[m] = 0.0
         for k in range(views):
@@ -164,9 +165,8 @@ def _write_costs(sight: Sight, noise: Float64, out: Float64) -> None:
                 visible = image_of(sight, k, m, seen)
                 distance = distance_in(sight, k, m, seen) if visible else BLIND
                 squared = (distance / noise[k]) ** 2
-                out[m] += weight * (
-                    (FREEDOM + 2) / 2 * np.log1p(squared / FREEDOM) + 2 * np.log(noise[k])
-                )
+                robust = (FREEDOM + 2) / 2 * np.log1p(squared / FREEDOM)
+                out[m] += weight * (robust + logs[k])
 
 
 @compiled
