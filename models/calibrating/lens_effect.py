@@ -76,7 +76,10 @@ def lens_findings(
 
 
 def lens_effect(problem: CalibrationProblem, solution: Solution, focal_sds: Float64) -> LensEffect:
-    """Return what errors of two log focal lengths, and of keypoints, do to structures."""
+    """Return what errors of two log focal lengths, and of keypoints, do to structures.
+
+    `focal_sds` (2,) are the standard deviations of the logs, 0 for a length that was given.
+    """
     usable = np.flatnonzero((problem.weights > 0).all(1).sum(1) >= LEAST_KNOWN)
     frames = usable[np.unique(np.linspace(0, len(usable) - 1, FRAMES).astype(np.int64))]
     seen = _seen(problem, solution, frames)
