@@ -55,6 +55,8 @@ OPERATIONS = 300_000_000  # in one iteration: half a second
 WORSE = 1.2  # times the previous noise: with more, adjusted cameras are not used
 UNSURE = 0.15  # of the log focal length: shapes determine it as well
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
+LENS_FRAMES = 100  # at most, that show whether geometry needs another camera model
+EXACT = 2 * LEAST_MEASURED  # of the image's side: keypoints with less noise are exact
 
 
 class CalibrationTask(NamedTuple):
@@ -121,7 +123,8 @@ def self_calibrate(
     problem, config, misread, noisy, edges = task
     arranged = yield from search(problem, answers, config)
     share = _share_left(arranged, noisy)
-    refined = yield from _refined(arranged, share, noisy, edges)
+    likely = yield from _with_likely_lenses(arranged, share)
+    refined = yield from _refined(likely, noisy, edges)
     if noisy is not None and refined.kept is None and _leaves_lenses_to_shapes(refined):
         # With two views, shapes fit many lenses. Another search with a stronger prior of lenses is
         # a second start, and the result if detected keypoints do not decide.
@@ -169,10 +172,9 @@ def calibrate_by_geometry(
     if settled is None:
         return None
     arranged = settled.arranged
-    refined = yield from _refined(arranged, _share_left(arranged, noisy), noisy, edges)
-    part, best, kept, reason = refined
-    if part is not arranged.checked.problem:  # other lenses are better, and may change the cameras
-        return None
+    if (yield from _needs_other_lenses(arranged, _share_left(arranged, noisy))):
+        return None  # they may change the cameras
+    part, best, kept, reason = yield from _refined(_as_arranged(arranged), noisy, edges)
     sds = deviations(part, best) if kept is None else kept
     if best.noise <= LEAST_NOISE * part.side:
         best, sds = yield from _exact(arranged, best, sds)
@@ -216,20 +218,26 @@ class _Refined(NamedTuple):
     reason: str
 
 
-def _refined(
-    arranged: Arranged, share: float, noisy: NoisyFrames | None, edges: Int64 | None
-) -> Steps[_Refined]:
-    """Try other camera models, keypoints as they were detected, and bones, one after another."""
-    refined = _Refined(*(yield from _with_likely_lenses(arranged, share)))
+def _as_arranged(arranged: Arranged) -> _Refined:
+    """Return cameras before any refinement."""
+    checked = arranged.checked
+    return _Refined(checked.problem, checked.solution, arranged.kept, arranged.reason)
+
+
+def _refined(refined: _Refined, noisy: NoisyFrames | None, edges: Int64 | None) -> Steps[_Refined]:
+    """Use keypoints as they were detected, then bones."""
     # Two settled views have lenses from the evidence of shapes; only a skeleton adds information.
-    settled = refined.kept is not None and len(refined.kept) == 2
-    if noisy is not None and (not settled or (edges is not None and len(edges) > 0)):
+    pair = refined.kept is not None and len(refined.kept) == 2
+    if noisy is not None and (not pair or (edges is not None and len(edges) > 0)):
         refined = (yield from _by_detected(refined, noisy, edges)) or refined
     problem, best = refined.problem, refined.best
+    settled = refined.kept is not None
     # Lengths of bones decide the lenses of two views, also where the image is far larger than the
-    # subject and lens models leave more than the noise.
+    # subject and lens models leave more than the noise. Where geometry settled more views, they
+    # correct only what lens models leave: they bend cameras as soon as there is noise.
     noise = best.measured_noise if settled else best.noise
-    if noise > CLEAR * problem.size or (refined.kept is not None and noisy is not None):
+    most = EXACT * problem.side if settled and not pair else CLEAR * problem.size
+    if noise > most or (settled and noisy is not None):
         return refined
     try:
         best = yield from _by_clear(refined)
@@ -243,8 +251,7 @@ def _refined(
 def _by_clear(refined: _Refined) -> Steps[Solution]:
     """Adjust cameras and shapes to clear keypoints, and to constant lengths."""
     problem, best = refined.problem, refined.best
-    if refined.kept is not None:
-        # With clear keypoints, repeated shapes determine more than two radial coefficients.
+    if refined.kept is not None and len(refined.kept) == 2:
         best = yield from learn(problem, best)
     if find_bone_lengths(best.scene.points, problem.measured).steady:
         # The lens under which shapes are most alike need not be the true one, and with two views it
@@ -271,12 +278,19 @@ def _as_meant(
     return config.model_copy(update={"calibration": tuple(meant)}), findings
 
 
-def _with_likely_lenses(
-    arranged: Arranged, share: float
-) -> Steps[tuple[CalibrationProblem, Solution, Float64 | None, str]]:
-    """Try the camera models that the lenses look like; return also `kept` of `Arranged`."""
-    problem, best, kept = arranged.checked.problem, arranged.checked.solution, arranged.kept
-    rival, reason, others = best, arranged.reason, other_lenses(problem, best)
+def _needs_other_lenses(arranged: Arranged, share: float) -> Steps[bool]:
+    """Whether another camera model explains some of the frames better."""
+    problem, solution = arranged.checked.problem, arranged.checked.solution
+    frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, LENS_FRAMES).astype(np.int64))
+    part = arranged.checked._replace(problem=problem.of(frames), solution=solution.of(frames))
+    likely = yield from _with_likely_lenses(arranged._replace(checked=part), share)
+    return likely.problem is not part.problem
+
+
+def _with_likely_lenses(arranged: Arranged, share: float) -> Steps[_Refined]:
+    """Try the camera models that the lenses look like, and take the one that explains best."""
+    problem, best, kept, reason = _as_arranged(arranged)
+    rival, others = best, other_lenses(problem, best)
     if others and kept is not None:  # the rival is learnt in the same way
         rival = yield from learn(problem, best)
     for name, tried_problem, tried_start in others:
@@ -285,7 +299,7 @@ def _with_likely_lenses(
         if gain > BETTER_LENS:
             problem, best, rival, kept = tried_problem, trial, trial, None
             reason = f"{reason}; {name} lenses explain the keypoints better"
-    return problem, best, kept, reason
+    return _Refined(problem, best, kept, reason)
 
 
 def _by_detected(
