@@ -30,7 +30,7 @@ Float64 = NDArray[np.float64]
 NEAREST_DEPTH = 1e-2  # units of the structure: no camera sees points nearer to it or behind it
 # Levenberg-Marquardt: share of the diagonal that is added to it, and when to stop.
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e9
-CONVERGED = 1e-7  # relative decrease of the cost
+CONVERGED = 1e-6  # relative decrease of the cost
 
 
 @inner

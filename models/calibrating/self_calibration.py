@@ -30,6 +30,7 @@ from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.lens_effect import lens_findings
 from models.calibrating.lens_prior import other_lenses, rig_prior
+from models.calibrating.lens_scan import TOO_SURE
 from models.calibrating.problem import (
     CLEAR,
     CalibrationProblem,
@@ -291,6 +292,8 @@ def _with_likely_lenses(arranged: Arranged, share: float) -> Steps[_Refined]:
     """Try the camera models that the lenses look like, and take the one that explains best."""
     problem, best, kept, reason = _as_arranged(arranged)
     rival, others = best, other_lenses(problem, best)
+    if len(problem.poses) == 2:  # shapes alone distinguish their lenses
+        share /= TOO_SURE**2
     if others and kept is not None:  # the rival is learnt in the same way
         rival = yield from learn(problem, best)
     for name, tried_problem, tried_start in others:
