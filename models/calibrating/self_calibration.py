@@ -227,12 +227,14 @@ def _as_arranged(arranged: Arranged) -> _Refined:
 
 def _refined(refined: _Refined, noisy: NoisyFrames | None, edges: Int64 | None) -> Steps[_Refined]:
     """Use keypoints as they were detected, then bones."""
-    # Two settled views have lenses from the evidence of shapes; only a skeleton adds information.
-    pair = refined.kept is not None and len(refined.kept) == 2
-    if noisy is not None and (not pair or (edges is not None and len(edges) > 0)):
-        refined = (yield from _by_detected(refined, noisy, edges)) or refined
-    problem, best = refined.problem, refined.best
+    # Geometry has used keypoints as they were detected. Two settled views have lenses from the
+    # evidence of shapes: a skeleton adds information.
     settled = refined.kept is not None
+    pair = settled and len(refined.best.rig.groups) == 2
+    if noisy is not None and (not settled or (pair and edges is not None and len(edges) > 0)):
+        refined = (yield from _by_detected(refined, noisy, edges)) or refined
+        settled = refined.kept is not None
+    problem, best = refined.problem, refined.best
     # Lengths of bones decide the lenses of two views, also where the image is far larger than the
     # subject and lens models leave more than the noise. Where geometry settled more views, they
     # correct only what lens models leave: they bend cameras as soon as there is noise.
