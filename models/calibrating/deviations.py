@@ -4,9 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.bone_lengths import find_bone_lengths
-from models.bundle.problem import LENS, VIEW, Rig
+from models.bundle.problem import FOCAL, LENS, VIEW, Rig
 from models.bundle.shared_likelihood import SharedLikelihood, likelihood_of_shared
 from models.calibrating.lens_prior import rig_prior
+from models.calibrating.lens_scan import BIAS
 from models.calibrating.problem import CLEAR, CalibrationProblem, Solution
 
 Float64 = NDArray[np.float64]
@@ -47,7 +48,11 @@ def deviations(problem: CalibrationProblem, solution: Solution) -> Float64:
     sds = np.sqrt(_variances(likelihood, held, reported))
     noisy = solution.measured_noise > CLEAR * problem.size and not solution.with_bones
     pulled = noisy & (rig.members[rig.groups] == 2)  # (K,)
-    return sds.reshape(-1, VIEW) * np.where(pulled, PULLED, 1.0)[:, None]
+    sds = sds.reshape(-1, VIEW) * np.where(pulled, PULLED, 1.0)[:, None]
+    pulled &= np.isinf(problem.lens_sds[:, FOCAL])
+    bias = BIAS * solution.measured_noise / problem.size
+    sds[:, FOCAL] = np.where(pulled, np.hypot(sds[:, FOCAL], bias), sds[:, FOCAL])
+    return sds
 
 
 def _variances(likelihood: SharedLikelihood, held: Float64, reported: Float64) -> Float64:

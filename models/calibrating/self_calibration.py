@@ -220,7 +220,7 @@ class _Refined(NamedTuple):
 
 
 def _as_arranged(arranged: Arranged) -> _Refined:
-    """Return cameras before any refinement."""
+    """Return cameras as they were arranged, before any refinement."""
     checked = arranged.checked
     return _Refined(checked.problem, checked.solution, arranged.kept, arranged.reason)
 
@@ -248,7 +248,7 @@ def _refined(refined: _Refined, noisy: NoisyFrames | None, edges: Int64 | None) 
         if refined.kept is None:
             raise
         return refined
-    return refined._replace(best=best, kept=None)
+    return refined if best is refined.best else refined._replace(best=best, kept=None)
 
 
 def _by_clear(refined: _Refined) -> Steps[Solution]:
