@@ -81,9 +81,10 @@ def test_what_a_key_has_opened_ends_with_it(
 ) -> None:
     """Streams, silent or not, followed jobs, and a stream that has not begun."""
     store: Store = api.app.state.store  # type: ignore[attr-defined]
-    expires_at = time.time() + 3 if how == "expired" else None
-    record, token = access_keys.create(store, name="ends", scopes=SCOPES, expires_at=expires_at)
     _, lasting = access_keys.create(store, name="lasts", scopes=["lift"])
+    expires_at = time.time() + 3 if how == "expired" else None
+    # Created last: where this key is known, the other one is, too.
+    record, token = access_keys.create(store, name="ends", scopes=SCOPES, expires_at=expires_at)
     mine, others = bearer(token), bearer(lasting)
     wait_for(lambda: closed.get("/datasets", headers=mine).status_code == 200, "the key")
     body = {"dataset_id": make_dataset(api)["id"], "config": CONFIG}
