@@ -49,6 +49,7 @@ def deviations(problem: CalibrationProblem, solution: Solution) -> Float64:
     noisy = solution.measured_noise > CLEAR * problem.size and not solution.with_bones
     pulled = noisy & (rig.members[rig.groups] == 2)  # (K,)
     sds = sds.reshape(-1, VIEW) * np.where(pulled, PULLED, 1.0)[:, None]
+    # Shapes alone then give their lenses, and noise biases these as it does those of a scan.
     pulled &= np.isinf(problem.lens_sds[:, FOCAL])
     bias = BIAS * solution.measured_noise / problem.size
     sds[:, FOCAL] = np.where(pulled, np.hypot(sds[:, FOCAL], bias), sds[:, FOCAL])
