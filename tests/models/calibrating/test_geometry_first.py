@@ -75,6 +75,20 @@ def test_three_static_cameras_are_settled_with_their_deviations() -> None:
     assert np.abs(scores).max() < 4
 
 
+def test_bones_do_not_bend_a_rig_that_noise_leaves_open() -> None:
+    """Half a pixel of noise, where constant lengths prefer focal lengths that are 10 % off."""
+    draw = draw_capture(76)
+    assert draw is not None
+    pixels = np.nan_to_num(draw.keypoints)
+    weights = np.all(np.isfinite(draw.keypoints), -1).astype(np.float64)
+    task = task_of(pixels, weights, FitConfig(), draw.sizes, detected=pixels)
+    settled = finished(calibrate_by_geometry(finished(with_geometry(task))))
+    assert settled is not None
+    off = np.log(settled[0].rig.lenses.focals.mean(1) / draw.focals)
+    assert np.abs(off).max() < 0.03
+    assert np.abs(off / settled[0].deviations[:, 0]).max() < 3
+
+
 def test_structures_follow_exact_keypoints_seen_from_far_away() -> None:
     capture = make_rig_capture(
         [0.0, 80.0, -120.0, 170.0], frames=40, noise=0.0, hidden=0.0, distance=14.0
