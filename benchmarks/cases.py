@@ -77,7 +77,7 @@ def noise(bench: Bench, seed: int) -> None:
             own = tuple(range(len(views)))
             ways: list[tuple[str, bool, dict[str, Any]]] = [(ALONE, False, {})]
             if bench.times is not None:
-                ways.append((f"{ALONE}, times told", True, {}))
+                ways.append((f"{ALONE}, times given", True, {}))
             if sigma and bench.full and views == bench.pair:
                 ways.append((f"{ALONE}, declared moving", False, {"cameras": "moving"}))
             for how, timed, changes in ways:

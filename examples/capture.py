@@ -43,7 +43,7 @@ class Capture:
         return len(self.keypoints)
 
     def frames(self, which: slice | NDArray[np.int64]) -> "Capture":
-        """Return some of the frames, and all that is said of the capture."""
+        """Return some of the frames, with everything else that the capture has."""
         return replace(
             self,
             keypoints=self.keypoints[which],

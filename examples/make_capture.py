@@ -52,7 +52,7 @@ HARD_ENDINGS = ("toes", "hand", "fingers", "thumb")
 
 
 class Detections(NamedTuple):
-    """What the detector says of N frames of K views of P keypoints."""
+    """The detector's keypoints in N frames of K views."""
 
     keypoints: Float64  # (N, K, P, 2) pixels, NaN where it found nothing
     confidence: Float64  # (N, K, P) in [0, 1], 0 where it found nothing

@@ -1,8 +1,8 @@
 """A capture loop: `python stream.py MODEL < keypoints.npy`.
 
 Lifts frame by frame as cameras take them, and prints of each its number and its points, x y z
-after x y z. In place of a file, a frame is what your detector says: (K, P, 2) pixels, NaN where not
-observed. The service is where FEWVIEW_URL says, else http://127.0.0.1:8000.
+after x y z. In place of a file, a frame is what your detector finds: (K, P, 2) pixels, NaN where
+not observed. FEWVIEW_URL is the address of the service, by default http://127.0.0.1:8000.
 """
 
 import io

@@ -21,6 +21,7 @@ from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import CalibrationProblem, Solution
 from models.calibrating.search import Arranged
 from models.epipolar.static_rig import StaticRig
+from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 
@@ -53,7 +54,7 @@ def settle_by_geometry(
         return None
     whole, deviations = started
     grouped = problem._replace(lens_groups=lens_kinds(problem, found))
-    frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, most).astype(np.int64))
+    frames = evenly_spread(len(problem.keypoints), most)
     kept = grouped.of(frames)._replace(kept=np.ones(views, bool))
     solution = yield from learn(kept, whole.of(frames))
     free = kept._replace(kept=np.zeros(views, bool))

@@ -23,6 +23,7 @@ from models.epipolar.rig_search import refocused
 from models.epipolar.robust_points import robust_points
 from models.epipolar.static_cameras import SeenPoints, StaticCameras, distances_of
 from models.findings.finding import Finding
+from models.numerics.sampling import evenly_spread
 from models.optics.lenses.projection import project
 
 Float64 = NDArray[np.float64]
@@ -81,7 +82,7 @@ def lens_effect(problem: CalibrationProblem, solution: Solution, focal_sds: Floa
     `focal_sds` (2,) are the standard deviations of the logs, 0 for a length that was given.
     """
     usable = np.flatnonzero((problem.weights > 0).all(1).sum(1) >= LEAST_KNOWN)
-    frames = usable[np.unique(np.linspace(0, len(usable) - 1, FRAMES).astype(np.int64))]
+    frames = usable[evenly_spread(len(usable), FRAMES)]
     seen = _seen(problem, solution, frames)
     points = robust_points(seen.rig, seen.points, seen.noise)
     middle = _structures(seen, points)

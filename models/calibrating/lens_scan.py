@@ -37,6 +37,7 @@ from models.epipolar.robust_points import robust_points, robust_structures
 from models.epipolar.static_cameras import CAMERA, FREEDOM, LENS, SeenPoints, distances_of
 from models.epipolar.static_rig import StaticRig, StaticScene
 from models.epipolar.view_graph import SharedPoints
+from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
@@ -137,7 +138,7 @@ def scan_lenses(problem: CalibrationProblem, found: StaticRig) -> Steps[StaticRi
     numpy.linalg.LinAlgError
         Where shapes cannot be learnt.
     """
-    frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, FRAMES).astype(np.int64))
+    frames = evenly_spread(len(problem.keypoints), FRAMES)
     sight = _sight(problem, found, frames)
     noise = np.full(2, found.noise)
     points = robust_points(found.best.rig, sight.points, noise)

@@ -27,6 +27,7 @@ from models.calibrating.lens_scan import (
     TOO_SURE,
 )
 from models.calibrating.problem import CalibrationProblem, Solution
+from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
@@ -71,7 +72,7 @@ def scan_moving_lenses(problem: CalibrationProblem, solution: Solution) -> Steps
         Where shapes cannot be learnt.
     """
     views = len(problem.poses)
-    frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, FRAMES).astype(np.int64))
+    frames = evenly_spread(len(problem.keypoints), FRAMES)
     kept = problem._replace(kept=np.ones(views, bool))
     part, usual = kept.of(frames), problem.reference.lenses.focals
     start = np.log(solution.rig.lenses.focals / usual).mean(1)

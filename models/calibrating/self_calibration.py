@@ -45,6 +45,7 @@ from models.calibrating.search import Arranged, search
 from models.findings.advice import noticed
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
+from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 
@@ -285,7 +286,7 @@ def _as_meant(
 def _needs_other_lenses(arranged: Arranged, share: float) -> Steps[bool]:
     """Whether another camera model explains some of the frames better."""
     problem, solution = arranged.checked.problem, arranged.checked.solution
-    frames = np.unique(np.linspace(0, len(problem.keypoints) - 1, LENS_FRAMES).astype(np.int64))
+    frames = evenly_spread(len(problem.keypoints), LENS_FRAMES)
     part = arranged.checked._replace(problem=problem.of(frames), solution=solution.of(frames))
     likely = yield from _with_likely_lenses(arranged._replace(checked=part), share)
     return likely.problem is not part.problem

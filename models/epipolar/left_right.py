@@ -23,6 +23,7 @@ from models.epipolar.view_pairs import (
     frame_costs,
     point_costs,
 )
+from models.numerics.sampling import evenly_spread
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -53,7 +54,7 @@ class LeftRightSwapped(NamedTuple):
 def find_left_right(seen: SeenFrames, matrices: Matrices) -> LeftRightSwapped | None:
     """Find the view in which left and right are exchanged compared with the others, if any."""
     frames, views = seen.there.shape[:2]
-    kept = np.unique(np.linspace(0, frames - 1, min(frames // 2, SAMPLE)).astype(np.intp))
+    kept = evenly_spread(frames, min(frames // 2, SAMPLE))
     sample, unseen = seen.part(kept), np.ones(frames, np.bool_)
     unseen[kept] = False
     alike = unlikeness(sample)
@@ -152,7 +153,7 @@ def _partners(seen: SeenFrames, view: int, matrices: Matrices, allowed: Bool) ->
     """Choose which keypoints of a view to exchange, among the allowed pairs (P, P)."""
     p, q = np.nonzero(np.triu(allowed))
     most = max(LEAST_TABLE, TABLE // (max(len(p), 1) * len(matrices)))
-    few = seen.part(np.unique(np.linspace(0, len(seen.there) - 1, most).astype(np.intp)))
+    few = seen.part(evenly_spread(len(seen.there), most))
     gains = np.zeros((len(few.there), len(p)))
     for a, b in matrices:
         other = b if view == a else a

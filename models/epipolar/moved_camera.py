@@ -23,6 +23,7 @@ from models.epipolar.view_pairs import (
     fit_pairs,
     frame_costs,
 )
+from models.numerics.sampling import evenly_spread
 
 Float64 = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ class MovedCamera(NamedTuple):
 def find_moved_camera(seen: SeenFrames, matrices: Matrices) -> MovedCamera | None:
     """Find the view that was moved and the first frame after the move; None if it is uncertain."""
     frames = len(seen.there)
-    kept = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLE)).astype(np.intp))
+    kept = evenly_spread(frames, SAMPLE)
     if len(kept) < 4 * LEAST_SIDE or not matrices:
         return None
     at = _likely_frame(seen.part(kept), matrices)

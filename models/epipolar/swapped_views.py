@@ -24,6 +24,7 @@ from models.epipolar.view_pairs import (
     frame_costs,
     total_cost,
 )
+from models.numerics.sampling import evenly_spread
 
 Float64 = NDArray[np.float64]
 Order = NDArray[np.intp]
@@ -70,7 +71,7 @@ def find_swapped_views(seen: SeenFrames, pairs: Pairs, plain: Matrices) -> Reord
     `plain` are the matrices of the frames as they are.
     """
     frames, views = seen.there.shape[:2]
-    kept = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLE)).astype(np.intp))
+    kept = evenly_spread(frames, SAMPLE)
     sample = seen.part(kept).thinned(SAMPLED_KEYPOINTS)
     straight = np.tile(np.arange(views), (frames, 1))
     matrices = _search(sample, pairs, np.random.default_rng(0))
@@ -98,7 +99,7 @@ def _search(sample: SeenFrames, pairs: Pairs, rng: np.random.Generator) -> Matri
     length = max(START_FRAMES, frames // 16)
     if frames < 2 * length or _clear(sample, first[1]):
         return _majority(sample, first[1])
-    few = sample.part(np.unique(np.linspace(0, frames - 1, START_SAMPLE).astype(np.intp)))
+    few = sample.part(evenly_spread(frames, START_SAMPLE))
     begins = np.linspace(0, frames - length, START_RUNS).astype(int)
     starts = [np.arange(begin, begin + length) for begin in begins]
     starts += [rng.choice(frames, START_FRAMES, replace=False) for _ in range(STARTS)]

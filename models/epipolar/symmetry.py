@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.view_pairs import SeenFrames
+from models.numerics.sampling import evenly_spread
 
 Float64 = NDArray[np.float64]
 Partners = NDArray[np.intp]  # (P,) with which keypoint each changes places; itself if with none
@@ -23,7 +24,7 @@ def unlikeness(seen: SeenFrames) -> Float64:
     Infinity where two keypoints are certainly not left and right of each other.
     """
     frames, _, count = seen.there.shape
-    few = seen.part(np.unique(np.linspace(0, frames - 1, FRAMES).astype(np.intp)))
+    few = seen.part(evenly_spread(frames, FRAMES))
     pixels = few.pixels.reshape(-1, count, 2)
     shown = few.there.reshape(-1, count)
     apart = np.linalg.norm(pixels[:, :, None] - pixels[:, None], axis=-1)  # (M, P, P)

@@ -1,4 +1,4 @@
-"""What is usual of the frames of a fit, so that lifts can tell which frames are unlike them."""
+"""What is usual of the frames of a fit, so that lifts can find frames that are unlike them."""
 
 import numpy as np
 import torch
@@ -33,7 +33,7 @@ def learn_usual(prior: FittedPrior, data: Data, unseen: Data) -> Usual:
 
 
 def _misfit_limits(prior: FittedPrior, data: Data) -> list[float]:
-    """Return the limits with one view, two, ... as far as there are frames to tell them."""
+    """Return the limits with one view, two, ... as far as there are frames that show them."""
     every = max(1, -(-len(data.weights) // MOST_FRAMES))
     frames = torch.arange(0, len(data.weights), every)
     pixels, weights = data.pixels(frames), data.weights[frames]
