@@ -35,6 +35,7 @@ Int64 = NDArray[np.int64]
 
 STEP, FINE = 0.25, 0.0625  # of a log focal length, over the range and about the best
 FINE_STEPS = 3  # to either side of the best
+HOPELESS = 300.0  # evidence that a walk has lost since its best trial, with which it ends
 UNLIKE = 10.0  # least difference of log posteriors in favour of unlike lenses
 SURE = 3.0  # and its least size in standard deviations over frames
 CLIMBS = (0.25, 0.25, 0.1)  # steps of a log focal length, one round each
@@ -117,8 +118,11 @@ def _unlike(at: Float64) -> float:
 def _walk(
     problem: CalibrationProblem, first: MovingTrial, step: float, *, within: tuple[float, float]
 ) -> Steps[list[MovingTrial]]:
-    """Change all focal lengths step by step, each trial from the one before, within the range."""
-    trials, near = [], first
+    """Change all focal lengths step by step, each trial from the one before, within the range.
+
+    The walk ends early where no peak as high as its best trial can follow.
+    """
+    trials, near, best = [], first, first
     least, most = within
     while (near.at.mean() + step > least) if step < 0 else (near.at.mean() + step < most):
         try:
@@ -126,6 +130,10 @@ def _walk(
         except np.linalg.LinAlgError:
             break
         trials.append(near)
+        ours, theirs = _evidence([best, near]).sum(1)
+        if ours - theirs > HOPELESS:
+            break
+        best = best if ours > theirs else near
     return trials
 
 
