@@ -18,7 +18,9 @@ from models.calibrating.bagging import bagged_shares, filled, share_of_informati
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.lens_prior import FOCAL_SDS
 from models.calibrating.lens_scan import (
+    BIAS,
     FRAMES,
+    LEAST_DEVIATION,
     LEAST_INFORMATION,
     LEAST_NOISE,
     LONGEST,
@@ -102,6 +104,9 @@ def scan_moving_lenses(problem: CalibrationProblem, solution: Solution) -> Steps
     begun = _refocused(solution, best.at - start)
     begun = begun._replace(shapes=best.solution.shapes, noise=best.solution.noise)
     learnt = yield from learn(kept, begun)
+    # What models of shapes leave, and what noise biases, as in the scan of two static views.
+    bias = BIAS * learnt.measured_noise / problem.size
+    sds[:, FOCAL] = np.hypot(sds[:, FOCAL], np.hypot(LEAST_DEVIATION, bias))
     return MovingLenses(learnt, sds, groups)
 
 
@@ -217,8 +222,7 @@ def _common_deviation(trials: list[MovingTrial], best: MovingTrial) -> float:
     widths = np.gradient(places) if len(places) > 1 else np.ones(1)
     prior = np.array([_alike(trial.at) for trial in trials])
     shares = bagged_shares(_evidence(trials), prior, widths)
-    variance = float(shares @ np.square(places - best.at.mean()))
-    return float(np.sqrt(variance + FINE**2 / 12))
+    return float(np.sqrt(shares @ np.square(places - best.at.mean())))
 
 
 def _peak(problem: CalibrationProblem, best: MovingTrial) -> Steps[tuple[MovingTrial, Float64]]:
@@ -261,5 +265,4 @@ def _about(
     sizes = np.sqrt(np.maximum(curvature, LEAST_INFORMATION) / scores.diagonal().clip(TINY))
     inverse = np.linalg.inv(sizes[:, None] * scores * sizes + held * np.eye(views))
     covariance = inverse + inverse @ scores @ inverse
-    deviations = np.sqrt(covariance.diagonal() + FINE**2 / 12)
-    return gradients.sum(1) - held * best.at, inverse, deviations
+    return gradients.sum(1) - held * best.at, inverse, np.sqrt(covariance.diagonal())
