@@ -12,6 +12,10 @@ from models.calibrating.problem import CalibrationProblem
 Float64 = NDArray[np.float64]
 
 RESAMPLED = 200  # times that frames are drawn with replacement
+# Squared distance of two numbers from usual ones, in their deviations: a twentieth of all distances
+# is larger (chi-squared, two degrees of freedom).
+FAR_OFF = 5.99
+BISECTIONS = 60
 
 
 def filled(evidence: Float64) -> Float64:
@@ -51,6 +55,27 @@ def at_most(information: Float64, widest: Float64) -> Float64:
     known, axes = np.linalg.eigh(root.T @ information @ root)
     back = np.linalg.solve(root.T, axes)
     return np.asarray((back * np.minimum(known, 1.0)) @ back.T)
+
+
+def reconciled(information: Float64, off: Float64, usual: Float64, more: Float64) -> Float64:
+    """Limit information (2, 2) on two numbers whose estimates are `off` (2,) the usual ones.
+
+    Far off these it is likelier that the evidence misleads. `usual` (2, 2) is the covariance of
+    true numbers. As much of the covariance `more` (2, 2) is added to that of the estimates as makes
+    the distance unsurprising (Paule and Mandel, *Consensus values and weighting factors*, 1982).
+    """
+    covariance = np.linalg.inv(information)
+
+    def surprising(share: float) -> bool:
+        return float(off @ np.linalg.solve(covariance + usual + share * more, off)) > FAR_OFF
+
+    low, high = 0.0, 0.0
+    while surprising(high):
+        high = 2 * high + 1
+    for _ in range(BISECTIONS if high > 0 else 0):
+        middle = (low + high) / 2
+        low, high = (middle, high) if surprising(middle) else (low, middle)
+    return np.asarray(np.linalg.inv(covariance + high * more), np.float64)
 
 
 def share_of_information(problem: CalibrationProblem, noise: float) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.frame_evidence import log_evidence
-from models.calibrating.bagging import at_most, bagged_shares, filled, share_of_information
+from models.calibrating import bagging
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.keypoint_rig import (
     lens_beliefs,
@@ -162,7 +162,7 @@ def _sight(problem: CalibrationProblem, found: StaticRig, frames: NDArray[np.int
     shared = SharedPoints.of(images, problem.weights, np.random.default_rng(0))
     chosen = shared.chosen([0, 1], POINTS)
     sample = shared.seen([0, 1], POINTS)
-    worth = share_of_information(problem, found.noise * problem.side)
+    worth = bagging.share_of_information(problem, found.noise * problem.side)
     return _Sight(
         problem.of(frames)._replace(weights=weights * robust.transpose(1, 0, 2)),
         images[frames],
@@ -270,6 +270,7 @@ def _likelihood(
     by which sums over frames scatter more (the design effect: Kish, *Survey Sampling*, 1965). In no
     direction is the variance less than that of the trials that would be the best if other frames
     had been seen, and of what noise biases. The pull away from the prior's mean shrinks likewise.
+    Lenses that are far off the usual ones are believed less.
     """
     values, vectors = np.linalg.eigh(sight.worth * around.curvature)
     values = values.clip(LEAST_INFORMATION)
@@ -281,12 +282,16 @@ def _likelihood(
     tried = [*trials, around.trials[0]]
     offsets = np.array([trial.at - around.trials[0].at for trial in tried])
     places = np.array([trial.at for trial in tried]) - _expected(sight.beliefs)
-    evidence = sight.worth * filled(np.array([trial.evidence for trial in tried]))
-    shares = bagged_shares(evidence, -np.square(places / PRIOR_SDS).sum(1) / 2)
+    evidence = sight.worth * bagging.filled(np.array([trial.evidence for trial in tried]))
+    shares = bagging.bagged_shares(evidence, -np.square(places / PRIOR_SDS).sum(1) / 2)
     widest = (offsets.T * shares) @ offsets + (sight.bias**2 + TINY) * np.eye(2)
-    limited = at_most(information, widest)
+    limited = bagging.at_most(information, widest)
     share = limited @ (vectors / values) @ vectors.T  # of the evidence that is believed
-    return limited, limited @ top + share @ ((top - _expected(sight.beliefs)) / PRIOR_SDS**2)
+    expected = _expected(sight.beliefs)
+    vector = limited @ top + share @ ((top - expected) / PRIOR_SDS**2)
+    off = np.linalg.solve(limited, vector) - expected
+    believed = bagging.reconciled(limited, off, np.diag(PRIOR_SDS**2), FROM_LOGS @ FROM_LOGS.T)
+    return believed, believed @ (expected + off)
 
 
 def _next(sight: _Sight, at: Float64, near: Trial) -> Steps[Trial]:
