@@ -57,25 +57,24 @@ def at_most(information: Float64, widest: Float64) -> Float64:
     return np.asarray((back * np.minimum(known, 1.0)) @ back.T)
 
 
-def reconciled(information: Float64, off: Float64, usual: Float64, more: Float64) -> Float64:
+def reconciled(information: Float64, off: Float64, usual: Float64) -> Float64:
     """Limit information (2, 2) on two numbers whose estimates are `off` (2,) the usual ones.
 
     Far off these it is likelier that the evidence misleads. `usual` (2, 2) is the covariance of
-    true numbers. As much of the covariance `more` (2, 2) is added to that of the estimates as makes
-    the distance unsurprising (Paule and Mandel, *Consensus values and weighting factors*, 1982).
+    true numbers. Both estimates get as much more variance as makes the distance unsurprising (Paule
+    and Mandel, *Consensus values and weighting factors*, 1982).
     """
     covariance = np.linalg.inv(information)
 
-    def surprising(share: float) -> bool:
-        return float(off @ np.linalg.solve(covariance + usual + share * more, off)) > FAR_OFF
+    def surprising(variance: float) -> bool:
+        both = covariance + usual + variance * np.eye(2)
+        return float(off @ np.linalg.solve(both, off)) > FAR_OFF
 
-    low, high = 0.0, 0.0
-    while surprising(high):
-        high = 2 * high + 1
-    for _ in range(BISECTIONS if high > 0 else 0):
+    low, high = 0.0, float(off @ off)
+    for _ in range(BISECTIONS if surprising(0.0) else 0):
         middle = (low + high) / 2
         low, high = (middle, high) if surprising(middle) else (low, middle)
-    return np.asarray(np.linalg.inv(covariance + high * more), np.float64)
+    return np.asarray(np.linalg.inv(covariance + low * np.eye(2)), np.float64)
 
 
 def share_of_information(problem: CalibrationProblem, noise: float) -> float:

@@ -46,7 +46,7 @@ def rig_prior(problem: CalibrationProblem, rig: Rig, *, given_poses: GivenPoses 
         these = np.flatnonzero(unknown[:, number])
         index = VIEW * these + number
         covariance = group_covariance(problem.lens_groups[these], together, alone)
-        precision[np.ix_(index, index)] = np.linalg.inv(covariance) / problem.independent_share
+        precision[np.ix_(index, index)] = np.linalg.inv(covariance)
         free[index] = True
     for number in (CENTRE_X, CENTRE_Y):
         these = np.flatnonzero(unknown[:, number])

@@ -270,7 +270,6 @@ def _likelihood(
     by which sums over frames scatter more (the design effect: Kish, *Survey Sampling*, 1965). In no
     direction is the variance less than that of the trials that would be the best if other frames
     had been seen, and of what noise biases. The pull away from the prior's mean shrinks likewise.
-    Lenses that are far off the usual ones are believed less.
     """
     values, vectors = np.linalg.eigh(sight.worth * around.curvature)
     values = values.clip(LEAST_INFORMATION)
@@ -287,11 +286,7 @@ def _likelihood(
     widest = (offsets.T * shares) @ offsets + (sight.bias**2 + TINY) * np.eye(2)
     limited = bagging.at_most(information, widest)
     share = limited @ (vectors / values) @ vectors.T  # of the evidence that is believed
-    expected = _expected(sight.beliefs)
-    vector = limited @ top + share @ ((top - expected) / PRIOR_SDS**2)
-    off = np.linalg.solve(limited, vector) - expected
-    believed = bagging.reconciled(limited, off, np.diag(PRIOR_SDS**2), FROM_LOGS @ FROM_LOGS.T)
-    return believed, believed @ (expected + off)
+    return limited, limited @ top + share @ ((top - _expected(sight.beliefs)) / PRIOR_SDS**2)
 
 
 def _next(sight: _Sight, at: Float64, near: Trial) -> Steps[Trial]:
@@ -389,11 +384,17 @@ def _believed(
 ) -> tuple[Float64, Float64]:
     """Return the posterior of the log focal lengths: mean (2,) and covariance.
 
-    One kind of lens is a priori as likely as two; undecided, the covariance spans both answers.
+    One kind of lens is a priori as likely as two; undecided, the covariance spans both answers. It
+    is wider where lenses are far off the usual ones: then it is likelier that shapes mislead.
     """
     chosen = lens_kinds(problem, found)
     kinds = [np.zeros(2, np.int64), np.arange(2)] if problem.cameras_alike == "auto" else [chosen]
     priors = [group_covariance(groups, *FOCAL_SDS) for groups in kinds]
     own = group_covariance(chosen, *FOCAL_SDS)
     logs, _ = posterior_of_kinds(found.focals, expected, own)
-    return logs, covariance_over_kinds(found.focals, expected, priors, logs)
+    information, vector = found.focals
+    likeliest = np.linalg.solve(information, vector)
+    usual = group_covariance(np.arange(2), *FOCAL_SDS)
+    believed = bagging.reconciled(information, likeliest - expected, usual)
+    doubted = FocalLikelihood(believed, believed @ likeliest)
+    return logs, covariance_over_kinds(doubted, expected, priors, logs)

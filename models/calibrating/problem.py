@@ -68,9 +68,6 @@ class CalibrationProblem(NamedTuple):
     cameras_alike: Alike
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
     kept: NDArray[np.bool_]  # (K,) whose cameras are held as in a solution
-    # Effective share of independent observations, 0 to 1. It is below 1 if noise was removed, which
-    # correlates errors. The prior of lenses is divided by it.
-    independent_share: float = 1.0
     geometry: Geometry | None = None  # of all views, once it was sought
 
     @property

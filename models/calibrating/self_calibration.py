@@ -124,18 +124,8 @@ def self_calibrate(
     """
     problem, config, misread, noisy, edges = task
     arranged = yield from search(problem, answers, config)
-    share = _share_left(arranged, noisy)
-    likely = yield from _with_likely_lenses(arranged, share)
-    refined = yield from _refined(likely, noisy, edges)
-    if noisy is not None and refined.kept is None and _leaves_lenses_to_shapes(refined):
-        # With two views, shapes fit many lenses. Another search with a stronger prior of lenses is
-        # a second start, and the result if detected keypoints do not decide.
-        firm = yield from search(problem._replace(independent_share=share), answers, config)
-        if firm.checked.solution.rig.static.all():
-            refined = refined._replace(best=firm.checked.solution)
-            adjusted = yield from _by_detected(refined, noisy, edges)
-            refined = adjusted or refined
-    problem, best, kept, reason = refined
+    likely = yield from _with_likely_lenses(arranged, _share_left(arranged, noisy))
+    problem, best, kept, reason = yield from _refined(likely, noisy, edges)
     sds = deviations(problem, best)
     if kept is not None:
         sds = np.where(np.isfinite(kept), kept, sds)
@@ -263,13 +253,6 @@ def _by_clear(refined: _Refined) -> Steps[Solution]:
         # is not. With a wrong lens, bones grow and shrink as they turn.
         best = yield from learn(problem, best, with_bones=True)
     return best
-
-
-def _leaves_lenses_to_shapes(refined: _Refined) -> bool:
-    """Whether there are two static views without given focal lengths."""
-    problem, best = refined.problem, refined.best
-    unknown = np.isinf(problem.lens_sds[:, FOCAL]).all()
-    return bool(unknown and len(best.rig.groups) == 2 and best.rig.static.all())
 
 
 def _as_meant(

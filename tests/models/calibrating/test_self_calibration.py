@@ -12,7 +12,12 @@ from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.problem import Scene
 from models.calibrating.handedness import NothingFoundError
 from models.calibrating.result import CameraReport, SelfCalibration, camera_report
-from models.calibrating.self_calibration import self_calibrate, task_of
+from models.calibrating.self_calibration import (
+    calibrate_by_geometry,
+    self_calibrate,
+    task_of,
+    with_geometry,
+)
 from models.capture.metrics import pa_mpjpe
 from models.numerics.steps import finished
 from models.settings.calibration import Camera, Intrinsics, KnownLength
@@ -102,12 +107,14 @@ def degrees_apart(a: Float64, b: Float64) -> float:
     return float(np.degrees(Rotation.from_matrix(a @ b.T).magnitude()))
 
 
-def check_lenses(cameras: CameraReport, focal: float = FOCAL) -> None:
-    """Focal lengths are right to some per cent, and no further off than they say."""
+def check_lenses(
+    cameras: CameraReport, focal: float = FOCAL, *, largest_relative_sd: float = 0.06
+) -> None:
+    """Focal lengths are right to some per cent, and no further off than their deviations allow."""
     off = np.abs(cameras.focals - focal).max(1)
     assert (off < 0.06 * focal).all()
     assert (off < 4 * cameras.focal_sds).all()
-    assert (cameras.focal_sds < 0.06 * focal).all()
+    assert (cameras.focal_sds < largest_relative_sd * focal).all()
 
 
 def test_a_few_keypoints_far_off_do_not_say_how_noisy_the_others_are(static: RigCapture) -> None:
@@ -150,7 +157,8 @@ def test_moving_cameras_are_found_to_move(moving: RigCapture) -> None:
     assert np.isnan(cameras.rotations).all()
     assert np.isnan(cameras.translations).all()
     assert np.isnan(cameras.rotation_sds).all()
-    check_lenses(cameras)
+    # Shapes bend in more ways than models of them do, which counts for 8 %.
+    check_lenses(cameras, largest_relative_sd=0.1)
     assert error(moving, scene) < 0.02
     rotations = scene.rotations
     off = [
@@ -313,25 +321,23 @@ def test_a_distorted_lens_is_found() -> None:
 
 
 def test_noisy_cameras_that_face_each_other_have_lenses_near_the_usual() -> None:
-    """Rays to a point are nearly one there; what suits shapes is 9 % off."""
+    """Rays to a point are nearly one there, so geometry alone does not determine lenses."""
     facing = make_rig_capture([0.0, 175.0], frames=120, noise=0, hidden=0, seed=4)
     exact = facing.keypoints
     noise, left = (np.random.default_rng(seed).standard_normal(exact.shape) for seed in (5, 6))
     detected = exact + 12 * noise
     clear = exact + 0.1 * (exact.mean(0) - exact) + 2 * left  # pulled, as by removing noise
-    found, _ = finished(
-        self_calibrate(
-            task_of(
-                clear,
-                facing.weights,
-                FitConfig(),
-                [IMAGE_SIZE] * 2,
-                detected=detected,
-                noisy=NoisyFrames(clear, detected, facing.weights, 12.0),
-            ),
-            facing.answers(),
-        )
+    task = task_of(
+        clear,
+        facing.weights,
+        FitConfig(),
+        [IMAGE_SIZE] * 2,
+        detected=detected,
+        noisy=NoisyFrames(clear, detected, facing.weights, 12.0),
     )
+    settled = finished(calibrate_by_geometry(finished(with_geometry(task))))
+    assert settled is not None
+    found, _ = settled
     assert found.static.all()
     np.testing.assert_allclose(found.rig.lenses.focals, FOCAL, rtol=0.06)
 
