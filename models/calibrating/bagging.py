@@ -12,9 +12,9 @@ from models.calibrating.problem import CalibrationProblem
 Float64 = NDArray[np.float64]
 
 RESAMPLED = 200  # times that frames are drawn with replacement
-# Squared distance of two numbers from usual ones, in their deviations: a twentieth of all distances
-# is larger (chi-squared, two degrees of freedom).
-FAR_OFF = 5.99
+# Squared distance of two numbers from usual ones, in their deviations. A fortieth of all distances
+# are larger (chi-squared, two degrees of freedom).
+FAR_OFF = 7.38
 BISECTIONS = 60
 
 

@@ -394,7 +394,6 @@ def _believed(
     logs, _ = posterior_of_kinds(found.focals, expected, own)
     information, vector = found.focals
     likeliest = np.linalg.solve(information, vector)
-    usual = group_covariance(np.arange(2), *FOCAL_SDS)
-    believed = bagging.reconciled(information, likeliest - expected, usual)
+    believed = bagging.reconciled(information, likeliest - expected, np.mean(priors, axis=0))
     doubted = FocalLikelihood(believed, believed @ likeliest)
     return logs, covariance_over_kinds(doubted, expected, priors, logs)

@@ -53,7 +53,7 @@ def test_what_is_far_off_the_usual_is_believed_less() -> None:
     deviation, usual, off = 0.1, 0.3, 1.5
     information = np.eye(2) / deviation**2
     believed = reconciled(information, np.array([off, 0.0]), usual**2 * np.eye(2))
-    more = off**2 / chi2.isf(0.05, 2) - deviation**2 - usual**2
+    more = off**2 / chi2.isf(0.025, 2) - deviation**2 - usual**2
     np.testing.assert_allclose(believed, np.eye(2) / (deviation**2 + more), rtol=1e-3)
 
 
