@@ -27,26 +27,29 @@ def log_evidence(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> Flo
     matter. NaN where a frame cannot be explained.
     """
     scene, costs = adjust_frames(views, rig, prior, scene, iterations=ITERATIONS)
-    numbers = 2 * (views.weights > 0).sum((1, 2))  # (N,)
+    explained = np.flatnonzero(np.isfinite(costs))  # others have points behind cameras
+    views, prior, scene = views.of(explained), prior.of(explained), scene.of(explained)
+    numbers = 2 * (views.weights > 0).sum((1, 2))  # (n,)
     degrees = (numbers - POSE * rig.group_count).clip(1)
     logs = np.log(np.where(views.weights > 0, views.weights, 1.0)).sum((1, 2))
-    structure = prior.means[0].size
-    depths = points_in_cameras(scene, rig)[..., 2].mean(2)  # (N, K)
+    depths = points_in_cameras(scene, rig)[..., 2].mean(2)  # (n, K)
     focals = rig.lenses.focals.mean(1)
     places = 2 * np.log(focals) - 3 * np.log(depths.clip(TINY))
     places = (places / rig.members[rig.groups]).sum(1)  # the mean of each group
     equations = normal_equations(views, rig, prior, scene, shared=False)
-    fits = -(FREEDOM + degrees) / 2 * np.log1p(costs / FREEDOM)
-    evidence = fits + logs + places - _log_determinants(equations) / 2
-    evidence -= structure * np.log(prior.scale * prior.spread)
-    return np.where(np.isfinite(evidence), evidence, np.nan)
+    fits = -(FREEDOM + degrees) / 2 * np.log1p(costs[explained] / FREEDOM)
+    found = fits + logs + places - _log_determinants(equations) / 2
+    found -= prior.basis.shape[0] * np.log(prior.scale * prior.spread)
+    evidence = np.full(len(costs), np.nan)
+    evidence[explained] = np.where(np.isfinite(found), found, np.nan)
+    return evidence
 
 
 def _log_determinants(equations: NormalEquations) -> Float64:
     """Log determinants (N,) of frames' normal equations; NaN of those not positive definite."""
     blocks, coupling = equations.points, equations.coupling  # (N, P, 3, 3), (N, P, 3, R)
     carried = np.linalg.solve(blocks, coupling)
-    flat = (len(blocks), -1, coupling.shape[-1])
+    flat = (len(blocks), 3 * blocks.shape[1], coupling.shape[-1])
     schur = equations.rest - coupling.reshape(flat).mT @ carried.reshape(flat)
     signs, logs = np.linalg.slogdet(schur)
     of_points = np.linalg.slogdet(blocks).logabsdet.sum(1)

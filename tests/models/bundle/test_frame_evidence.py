@@ -91,3 +91,19 @@ def test_what_lies_behind_a_camera_has_none() -> None:
     behind = problem.scene._replace(translations=-problem.scene.translations)
     found = log_evidence(problem.views, problem.rig, problem.prior, behind)
     assert np.isnan(found).all()
+
+
+def test_a_frame_with_a_point_in_the_plane_of_a_camera_alone_has_none() -> None:
+    """Its normal equations may be singular, which is no matter of the other frames."""
+    problem = make(off=0.2)
+    scene, rig = problem.scene, problem.rig
+    expected = log_evidence(problem.views, rig, problem.prior, scene)
+    depths = points_in_cameras(scene, rig)[0, ..., 2]
+    for view, keypoint in np.ndindex(depths.shape):
+        translations = scene.translations.copy()
+        step = (depths[view, keypoint] - 1e-10) * rig.rotations[view, 2]
+        translations[0, rig.groups[view]] -= step
+        touching = scene._replace(translations=translations)
+        found = log_evidence(problem.views, rig, problem.prior, touching)
+        assert np.isnan(found[0])
+        np.testing.assert_array_equal(found[1:], expected[1:])
