@@ -47,10 +47,13 @@ def log_evidence(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> Flo
 
 def _log_determinants(equations: NormalEquations) -> Float64:
     """Log determinants (N,) of frames' normal equations; NaN of those not positive definite."""
-    blocks, coupling = equations.points, equations.coupling  # (N, P, 3, 3), (N, P, 3, R)
-    carried = np.linalg.solve(blocks, coupling)
-    flat = (len(blocks), 3 * blocks.shape[1], coupling.shape[-1])
-    schur = equations.rest - coupling.reshape(flat).mT @ carried.reshape(flat)
-    signs, logs = np.linalg.slogdet(schur)
-    of_points = np.linalg.slogdet(blocks).logabsdet.sum(1)
-    return np.where(signs > 0, logs + of_points, np.nan)
+    of_points = np.linalg.slogdet(equations.points)  # (N, P)
+    definite = np.flatnonzero((of_points.sign > 0).all(1))
+    blocks, coupling = equations.points[definite], equations.coupling[definite]
+    flat = (len(definite), 3 * blocks.shape[1], coupling.shape[-1])
+    carried = np.linalg.solve(blocks, coupling).reshape(flat)
+    schur = np.linalg.slogdet(equations.rest[definite] - coupling.reshape(flat).mT @ carried)
+    logs = schur.logabsdet + of_points.logabsdet[definite].sum(1)
+    found = np.full(len(equations.points), np.nan)
+    found[definite] = np.where(schur.sign > 0, logs, np.nan)
+    return found
