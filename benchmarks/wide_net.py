@@ -34,7 +34,6 @@ from models.calibrating.problem import problem_of
 from models.capture.metrics import pa_mpjpe, procrustes_by_size
 from models.epipolar.robust_points import robust_points
 from models.epipolar.static_cameras import SeenPoints, StaticCameras
-from models.findings.advice import noticed
 from models.lifting.lift import LiftedFrames
 from models.numerics.steps import finished
 from models.numerics.threads import use_threads
@@ -152,7 +151,7 @@ def by_geometry(draw: Draw) -> Answer:
         return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ("nothing",))
     rig, static = found.best.rig, bool(found.static.all())
     started = start_from_geometry(problem, found) if static else None
-    findings = () if started is None else noticed(lens_findings, problem, *started)
+    findings = () if started is None else finished(lens_findings(problem, *started))
     return Answer(
         found.best.points,
         static,

@@ -6,7 +6,6 @@ lens. Lengths within the subject that stay constant limit it. It is compared wit
 the keypoints does to the same points.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +23,7 @@ from models.epipolar.robust_points import robust_points
 from models.epipolar.static_cameras import SeenPoints, StaticCameras, distances_of
 from models.findings.finding import Finding
 from models.numerics.sampling import evenly_spread
+from models.numerics.steps import Steps
 from models.optics.lenses.projection import project
 
 Float64 = NDArray[np.float64]
@@ -56,8 +56,8 @@ class _Seen(NamedTuple):
 
 def lens_findings(
     problem: CalibrationProblem, solution: Solution, deviations: Float64
-) -> Iterator[Finding]:
-    """Yield a finding if the lenses of two static views limit the accuracy, and not the keypoints.
+) -> Steps[tuple[Finding, ...]]:
+    """Return a finding if the lenses of two static views limit the accuracy, not the keypoints.
 
     `deviations` (K, VIEW) are those of the cameras. Of three views or more, errors of lenses come
     from the noise itself, and there is no finding, nor where poses are given.
@@ -65,18 +65,22 @@ def lens_findings(
     unsure = deviations[:, FOCAL] > 0
     pair = len(unsure) == 2 and solution.rig.static.all() and solution.given_poses is None
     if not pair or not unsure.any():
-        return
-    by_lenses, by_noise = lens_effect(problem, solution, deviations[:, FOCAL])
-    if by_lenses > TIMES_NOISE * by_noise + SLACK:
-        yield Finding.of(
-            "lenses_limit_accuracy",
-            views=() if unsure.all() else np.flatnonzero(unsure),
-            error_by_lenses_of_height=by_lenses,
-            error_by_noise_of_height=by_noise,
-        )
+        return ()
+    by_lenses, by_noise = yield from lens_effect(problem, solution, deviations[:, FOCAL])
+    if by_lenses <= TIMES_NOISE * by_noise + SLACK:
+        return ()
+    finding = Finding.of(
+        "lenses_limit_accuracy",
+        views=() if unsure.all() else np.flatnonzero(unsure),
+        error_by_lenses_of_height=by_lenses,
+        error_by_noise_of_height=by_noise,
+    )
+    return (finding,)
 
 
-def lens_effect(problem: CalibrationProblem, solution: Solution, focal_sds: Float64) -> LensEffect:
+def lens_effect(
+    problem: CalibrationProblem, solution: Solution, focal_sds: Float64
+) -> Steps[LensEffect]:
     """Return what errors of two log focal lengths, and of keypoints, do to structures.
 
     `focal_sds` (2,) are the standard deviations of the logs, 0 for a length that was given.
@@ -88,15 +92,13 @@ def lens_effect(problem: CalibrationProblem, solution: Solution, focal_sds: Floa
     middle = _structures(seen, points)
     centred = middle - np.nanmean(middle, 1, keepdims=True)
     height = HEIGHT * np.nanmedian(np.sqrt(np.nanmean(np.square(centred).sum(-1), 1)))
-    ends = np.array(
-        [
-            [
-                procrustes_by_size(_structures(seen, _moved(seen, points, sign * step)), middle)
-                for sign in (1, -1)
-            ]
-            for step in np.diag(focal_sds)[focal_sds > 0]
-        ]
-    )  # (F, 2, n, P, 3)
+    moved = []
+    for step in np.diag(focal_sds)[focal_sds > 0]:
+        for signed in (step, -step):
+            yield
+            at = _structures(seen, _moved(seen, points, signed))
+            moved.append(procrustes_by_size(at, middle))
+    ends = np.array(moved).reshape(-1, 2, *middle.shape)  # (F, 2, n, P, 3)
     bones = find_bone_lengths(solution.scene.points, problem.measured)
     covariance = _allowed(bones._replace(measured=bones.measured[frames]), ends)
     changes = (ends[:, 0] - ends[:, 1]) / 2

@@ -42,7 +42,7 @@ from models.calibrating.problem import (
 )
 from models.calibrating.result import SelfCalibration
 from models.calibrating.search import Arranged, search
-from models.findings.advice import noticed
+from models.findings.advice import attempt_steps, noticed
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
 from models.numerics.sampling import evenly_spread
@@ -129,7 +129,7 @@ def self_calibrate(
     sds = deviations(problem, best)
     if kept is not None:
         sds = np.where(np.isfinite(kept), kept, sds)
-    found = _result(
+    found = yield from _result(
         problem,
         best,
         sds,
@@ -173,7 +173,7 @@ def calibrate_by_geometry(
     if arranged.kept is not None:
         # Other focal lengths, of the scan or of other kinds of lens, are nearly as likely.
         sds = np.maximum(sds, arranged.kept)
-    found = _result(part, best, sds, reason, arranged.certain, None, misread, config)
+    found = yield from _result(part, best, sds, reason, arranged.certain, None, misread, config)
     return found, structures_of_all(problem, best, settled.start)
 
 
@@ -358,7 +358,7 @@ def _result(
     unit: float | None,
     findings: tuple[Finding, ...],
     config: FitConfig,
-) -> SelfCalibration:
+) -> Steps[SelfCalibration]:
     if config.known_length is not None:
         unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
         findings += contradiction
@@ -380,5 +380,5 @@ def _result(
         handedness_certainty=certain,
     )
     of_cameras = noticed(camera_findings, found, problem.images, problem.size)
-    of_lenses = noticed(lens_findings, problem, best, sds)
+    of_lenses = yield from attempt_steps(lens_findings(problem, best, sds), ())
     return replace(found, findings=(*findings, *of_cameras, *of_lenses))

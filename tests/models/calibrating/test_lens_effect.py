@@ -45,15 +45,15 @@ def true_solution(
 
 
 def effect(problem: CalibrationProblem, solution: Solution, sd: float = UNSURE) -> LensEffect:
-    return lens_effect(problem, solution, np.full(2, sd))
+    return finished(lens_effect(problem, solution, np.full(2, sd)))
 
 
 def findings(
     problem: CalibrationProblem, solution: Solution, sds: tuple[float, ...] = (UNSURE, UNSURE)
-) -> list[Finding]:
+) -> tuple[Finding, ...]:
     deviations = np.zeros((len(sds), VIEW))
     deviations[:, FOCAL] = sds
-    return list(lens_findings(problem, solution, deviations))
+    return finished(lens_findings(problem, solution, deviations))
 
 
 @pytest.mark.parametrize("number", [27, 114])
@@ -69,7 +69,7 @@ def test_the_predicted_error_of_a_clean_pair_agrees_with_the_true_one(number: in
     assert found is not None
     started = start_from_geometry(problem, finished(scan_lenses(problem, found)))
     assert started is not None
-    (finding,) = lens_findings(problem, *started)
+    (finding,) = finished(lens_findings(problem, *started))
     predicted = finding.evidence["error_by_lenses_of_height"]
     assert row.error / 3 < predicted < 3 * row.error
     assert finding.evidence["error_by_noise_of_height"] < 1e-4
