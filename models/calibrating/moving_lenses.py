@@ -37,7 +37,7 @@ Int64 = NDArray[np.int64]
 
 STEP, FINE = 0.25, 0.0625  # of a log focal length, over the range and about the best
 FINE_STEPS = 3  # to either side of the best
-HOPELESS = 300.0  # evidence that a walk has lost since its best trial, with which it ends
+HOPELESS = 300.0  # nats: so much less log evidence than its best trial has ends a walk
 UNLIKE = 10.0  # least difference of log posteriors in favour of unlike lenses
 SURE = 3.0  # and its least size in standard deviations over frames
 CLIMBS = (0.25, 0.25, 0.1)  # steps of a log focal length, one round each
@@ -125,7 +125,7 @@ def _walk(
 ) -> Steps[list[MovingTrial]]:
     """Change all focal lengths step by step, each trial from the one before, within the range.
 
-    The walk ends early where no peak as high as its best trial can follow.
+    The walk ends early once the evidence has fallen by `HOPELESS` since its best trial.
     """
     trials, near, best = [], first, first
     least, most = within
