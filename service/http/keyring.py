@@ -64,6 +64,7 @@ class Keyring:
             Callers whose tokens are not in the records, by the digests of these.
         """
         self._store, self._fixed = store, fixed
+        self._reading = threading.Lock()  # what was read last is kept, not what was read first
         self._callers = self._read()
         self._closed = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="keyring", daemon=True)
@@ -90,7 +91,8 @@ class Keyring:
 
     def look(self) -> None:
         """Read the keys now, after a change that this process has made."""
-        self._callers = self._read()
+        with self._reading:
+            self._callers = self._read()
 
     def _read(self) -> dict[str, Caller]:
         return {
