@@ -1,8 +1,7 @@
 """Keys: every route of the OpenAPI document, for whoever may use it and for whoever may not."""
 
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import orjson
@@ -10,7 +9,6 @@ import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
 
 from models.capture.synthetic import SyntheticCapture
-from service.http.keyring import Caller, Keyring
 from store import access_keys
 from store.access_keys import SCOPES
 from store.database import Store
@@ -193,48 +191,6 @@ def test_a_stream_is_watched_with_a_key_that_reads(
         ):
             pass
         assert denied.value.status_code == status
-
-
-class Gate(Mapping[str, Caller]):
-    """No fixed callers. Who reads them first after `opened` is cleared waits for it."""
-
-    def __init__(self) -> None:
-        self.reached, self.opened = threading.Event(), threading.Event()
-        self.opened.set()
-
-    def __getitem__(self, digest: str) -> Caller:
-        raise KeyError(digest)
-
-    def __len__(self) -> int:
-        return 0
-
-    def __iter__(self) -> Iterator[str]:
-        if not self.opened.is_set() and not self.reached.is_set():
-            self.reached.set()
-            self.opened.wait(10)
-        return iter(())
-
-
-def test_a_reader_that_began_before_a_revocation_does_not_bring_the_key_back(
-    api: TestClient,
-) -> None:
-    store: Store = api.app.state.store  # type: ignore[attr-defined]
-    record, token = access_keys.create(store, name="test", scopes=SCOPES)
-    gate = Gate()
-    keyring = Keyring(store, gate)
-    keyring.close()  # its own thread reads no more
-    assert keyring.find(token) is not None
-    gate.opened.clear()
-    early, late = (threading.Thread(target=keyring.look) for _ in range(2))
-    early.start()
-    assert gate.reached.wait(10)
-    access_keys.revoke(store, record.id)
-    late.start()
-    late.join(0.2)
-    gate.opened.set()
-    early.join(10)
-    late.join(10)
-    assert keyring.find(token) is None
 
 
 BODIES: dict[tuple[str, str], dict[str, Any]] = {
