@@ -144,11 +144,10 @@ def by_geometry(draw: Draw) -> Answer:
     """Find cameras without the network, and triangulate with them."""
     weights: Float64 = np.all(np.isfinite(draw.keypoints), -1).astype(np.float64)
     problem = problem_of(np.nan_to_num(draw.keypoints), weights, draw.sizes, FitConfig())
-    found = finished(geometry_of(problem, list(range(draw.keypoints.shape[1]))))
-    if found is not None and len(found.static) == 2 and found.static.all():
-        found = finished(scan_lenses(problem, found))
+    found = finished(geometry_of(problem, declared=False))
     if found is None:
         return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ("nothing",))
+    found = finished(scan_lenses(problem, found))
     rig, static = found.best.rig, bool(found.static.all())
     started = start_from_geometry(problem, found) if static else None
     findings = () if started is None else finished(lens_findings(problem, *started))

@@ -157,6 +157,15 @@ def points_in_cameras(scene: Scene, rig: Rig) -> Float64:
     return points
 
 
+def views_apart(scene: Scene, rig: Rig) -> Scene:
+    """Return the same scene with a group for each view, in units of each frame's structure."""
+    sizes = np.exp(scene.sizes)[:, rig.groups, None]
+    held = scene.translations[:, rig.groups]  # (N, K, 3)
+    shifts = np.einsum("kij,nkj->nki", rig.rotations, held) + rig.translations
+    rotations = rig.rotations @ scene.rotations[:, rig.groups]
+    return Scene(scene.points, rotations, shifts / sizes, np.zeros(shifts.shape[:2]))
+
+
 @inner
 def views_of_frame(views: Views, n: int) -> Views:
     """Return keypoints and weights of frame n: (K, P, 2) and (K, P)."""

@@ -10,12 +10,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import FOCAL, Scene
+from models.bundle.problem import FOCAL, Scene, moving_rig, views_apart
 from models.bundle.scene_adjustment import adjust_frames
 from models.bundle.shape_model import align
 from models.calibrating.doubts import check_given
 from models.calibrating.expectation_maximisation import about_model, learn, regauge
-from models.calibrating.handedness import DECIDED, Corners, certainty, volume
+from models.calibrating.handedness import (
+    DECIDED,
+    Corners,
+    NothingFoundError,
+    by_volume,
+    certainty,
+    choose_handedness,
+    odds_for,
+)
 from models.calibrating.keypoint_rig import lens_kinds, start_from_geometry
 from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import CalibrationProblem, Solution
@@ -28,7 +36,6 @@ from models.settings.config import FitConfig
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
-EXPLAINED = 0.15  # of the subject's size: with more noise, cameras are estimated with shapes
 ITERATIONS = 15  # of adjusting the structures of all frames
 
 
@@ -44,8 +51,8 @@ def settle_by_geometry(
 ) -> Steps[Settled | None]:
     """Take the static cameras of the geometry, and learn shapes from `most` of the frames.
 
-    None where geometry does not decide: cameras that move, given poses, a handedness that keypoints
-    leave open, given lenses that keypoints contradict.
+    None where geometry does not decide: cameras that move, given poses, given lenses that keypoints
+    contradict.
     """
     views = len(problem.poses)
     found, certain = yield from _static_rig(problem, config.corners)
@@ -73,32 +80,38 @@ def _static_rig(
     problem: CalibrationProblem, corners: Corners | None
 ) -> Steps[tuple[StaticRig | None, float]]:
     """Find static cameras and the certainty of their handedness; None if anything is undecided."""
-    views, geometry = len(problem.poses), problem.geometry
-    found = None if geometry is None else geometry.rig
-    known = np.isfinite(problem.lens_sds[:, FOCAL])
-    if found is None or not found.static.all() or (views == 2 and known.sum() == 1):
+    found = None if problem.geometry is None else problem.geometry.rig
+    if found is None or not found.static.all():
         return None, 0.0
-    found, certain = _handed(found, corners)
-    if certain < DECIDED or found.noise * problem.side > EXPLAINED * problem.size:
-        return None, certain
-    if views == 2 and not known.any():
-        found = yield from scan_lenses(problem, found)
+    known = np.isfinite(problem.lens_sds[:, FOCAL])
+    if len(known) == 2 and known.sum() == 1:
+        return None, 0.0
+    if corners is not None:
+        certain, found = 1.0, by_volume(found, corners)
+    else:
+        certain, found = yield from _handed(problem, found)
+    found = yield from scan_lenses(problem, found)
     return found, certain
 
 
-def _handed(found: StaticRig, corners: Corners | None) -> tuple[StaticRig, float]:
-    """Return the rig, or its mirror image, and the certainty of its handedness.
+def _handed(problem: CalibrationProblem, found: StaticRig) -> Steps[tuple[float, StaticRig]]:
+    """Return the more certain one of the rig and its mirror image, and how certain it is.
 
-    The volume of four keypoints decides, if they are given.
+    Where the rig leaves the handedness open, perspective within single views counts, too: poses of
+    their own for all views of all frames, from those of the rig.
     """
-    if corners is None:
-        return found, certainty([found.log_odds])
-    known = np.isfinite(found.best.points[:, corners]).all((1, 2))
-    if not known.any():
-        return found, 0.0
-    if volume(found.best.points[known], corners) < 0:
-        found = found._replace(best=found.mirror, mirror=found.best, log_odds=-found.log_odds)
-    return found, 1.0
+    certain = certainty([found.log_odds])
+    started = start_from_geometry(problem, found)
+    if certain > DECIDED or started is None:
+        return certain, found
+    start, _ = started
+    moving = problem._replace(reference=moving_rig(start.rig.lenses))
+    try:
+        handed = yield from choose_handedness(moving, views_apart(start.scene, start.rig), None)
+    except NothingFoundError:
+        return certain, found
+    certain = certainty([found.log_odds, odds_for(start, handed)])
+    return (certain, found) if certain >= 0.5 else (1 - certain, found.mirrored())
 
 
 def structures_of_all(problem: CalibrationProblem, learnt: Solution, start: Solution) -> Scene:

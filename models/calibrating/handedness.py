@@ -14,6 +14,7 @@ from models.bundle.scene_adjustment import adjust_frames
 from models.bundle.shape_model import align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, uncertainty
 from models.calibrating.problem import CalibrationProblem, Solution
+from models.epipolar.static_rig import StaticRig
 from models.network.settling import mirror_images
 from models.numerics.medians import lower_median
 from models.numerics.steps import Steps
@@ -51,6 +52,17 @@ def same_handedness(points: Float64, others: Float64) -> bool:
         aligned, _ = align(sign * points, centred)
         distances.append(np.square(aligned - centred).sum((1, 2)))
     return bool((distances[0] < distances[1]).mean() > 0.5)
+
+
+def by_volume(found: StaticRig, corners: Corners) -> StaticRig:
+    """Return the rig, or its mirror image if four keypoints have a negative volume in most frames.
+
+    Frames count that show all four; without any, the rig stays.
+    """
+    known = np.isfinite(found.best.points[:, corners]).all((1, 2))
+    if not known.any() or volume(found.best.points[known], corners) > 0:
+        return found
+    return found.mirrored()
 
 
 def choose_handedness(
@@ -94,6 +106,12 @@ def choose_handedness(
     shapes = learn_shapes(best.points[unsure.frames], unsure.covariances, floor=LEAST_SPREAD)
     solution = Solution(rig, best, prior, shapes, noise, noise)
     return Handed(solution, log_odds)
+
+
+def odds_for(solution: Solution, handed: Handed) -> Float64:
+    """Return the log odds (N,) of a solution's handedness from moving cameras."""
+    alike = same_handedness(solution.scene.points, handed.solution.scene.points)
+    return handed.log_odds if alike else -handed.log_odds
 
 
 def certainty(evidence: list[Float64]) -> float:

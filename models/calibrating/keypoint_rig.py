@@ -53,63 +53,22 @@ LEAST_VIEWS = 3  # that determine lenses: two explain almost all keypoints with 
 LEAST_KNOWN = 4  # points that determine a structure's pose
 
 
-class KeypointRig(NamedTuple):
-    """Static cameras from keypoints alone, and the starts from them."""
-
-    start: Solution
-    mirror: Solution  # of the other handedness
-    members: list[int]  # the static views
-    noise: float  # pixels
-    log_odds: Float64  # (N,) of each frame, for the start and against its mirror image
-    lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
-    deviations: Float64  # (K, VIEW) standard deviations, infinite for views that are not static
-
-
-def rig_from_keypoints(
-    problem: CalibrationProblem, moving: Solution, among: list[int]
-) -> Steps[KeypointRig | None]:
-    """Find static cameras `among` some views; the others move as in `moving`.
-
-    None where no two static cameras explain the keypoints.
-    """
-    found = yield from geometry_of(problem, among)
-    if found is None:
-        return None
-    members = [int(k) for k in np.flatnonzero(found.static)]
-    noise = max(found.noise * problem.side, moving.noise)
-
-    best, mirror = _structures(found.best.points), _structures(found.mirror.points)
-    if best is None or mirror is None:
-        return None
-
-    def start_of(rig: StaticCameras, structures: _Structures) -> Solution:
-        lenses = _lenses(problem, moving.rig, rig, found.static)
-        start = _start(moving, rig, members, lenses, structures)
-        return start._replace(noise=noise, measured_noise=noise)
-
-    return KeypointRig(
-        start_of(found.best.rig, best),
-        start_of(found.mirror.rig, mirror),
-        members,
-        found.noise * problem.side,
-        found.log_odds,
-        # Of two views geometry alone does not show which lenses are alike.
-        lens_kinds(problem, found) if len(members) >= LEAST_VIEWS else problem.lens_groups,
-        _deviations(problem, found, best.unit),
-    )
-
-
 def start_from_geometry(
-    problem: CalibrationProblem, found: StaticRig
+    problem: CalibrationProblem, found: StaticRig, moving: Solution | None = None
 ) -> tuple[Solution, Float64] | None:
-    """Return the start from static cameras alone, and their standard deviations (K, VIEW).
+    """Return the start from static cameras, and their standard deviations (K, VIEW).
 
-    None without structures.
+    Views that are not static are as in `moving`, which is needed if there are any. None without
+    structures.
     """
     structures = _structures(found.best.points)
     if structures is None:
         return None
-    start = _static_start(problem, found.best.rig, structures, found.noise * problem.side)
+    noise = found.noise * problem.side
+    if moving is None:
+        start = _static_start(problem, found.best.rig, structures, noise)
+    else:
+        start = _start(problem, moving, found, structures, max(noise, moving.noise))
     return start, _deviations(problem, found, structures.unit)
 
 
@@ -135,20 +94,22 @@ def _static_start(
     return Solution(placed_rig, scene, prior, shapes, noise, noise)
 
 
-def geometry_of(problem: CalibrationProblem, among: list[int]) -> Steps[StaticRig | None]:
-    """Find static cameras `among` some views from keypoints alone; None where none explain them.
+def geometry_of(problem: CalibrationProblem, *, declared: bool) -> Steps[StaticRig | None]:
+    """Find the static cameras from keypoints alone; None where no two explain them.
 
-    The rig is in sides of the longest image. If all views are asked for and the problem has their
-    geometry, it is returned.
+    The rig is in sides of the longest image. If the problem has it, it is returned, unless cameras
+    move in it that are `declared` static.
     """
-    if problem.geometry is not None and len(among) == len(problem.poses):
-        return problem.geometry.rig
+    if problem.geometry is not None:
+        found = problem.geometry.rig
+        if not declared or (found is not None and found.static.all()):
+            return found
     # Two views determine each other worse than noise disturbs them: clean keypoints are better.
-    keypoints = problem.detected if len(among) >= LEAST_VIEWS else problem.keypoints
+    keypoints = problem.detected if len(problem.poses) >= LEAST_VIEWS else problem.keypoints
     images, sizes = straight_images(problem, keypoints)
-    asked = np.isin(np.arange(len(sizes)), among)
-    weights = problem.weights * asked[:, None]
-    found = yield from find_static_rig(images, weights, lens_beliefs(problem), sizes)
+    found = yield from find_static_rig(
+        images, problem.weights, lens_beliefs(problem), sizes, declared=declared
+    )
     return found
 
 
@@ -340,14 +301,16 @@ def _structures(points: Float64) -> _Structures | None:
 
 
 def _start(
+    problem: CalibrationProblem,
     moving: Solution,
-    found: StaticCameras,
-    members: list[int],
-    lenses: Lenses,
+    found: StaticRig,
     structures: _Structures,
+    noise: float,
 ) -> Solution:
-    """Combine cameras, structures and the moving views into a solution."""
-    rig, held, placed = _in_first_camera(found, members, lenses, structures)
+    """Combine static cameras, structures and the moving views into a solution."""
+    members = [int(k) for k in np.flatnonzero(found.static)]
+    lenses = _lenses(problem, moving.rig, found.best.rig, found.static)
+    rig, held, placed = _in_first_camera(found.best.rig, members, lenses, structures)
     views = len(rig.groups)
     scene = moving.scene
     if not same_handedness(scene.points, structures.points):
@@ -364,7 +327,7 @@ def _start(
     joined.rotations[:, 0], joined.translations[:, 0] = held, placed
     joined.sizes[:, 0] = np.log(structures.scales / structures.unit)
     shapes, prior = _shapes(structures.points)
-    return moving._replace(rig=rig, scene=joined, prior=prior, shapes=shapes)
+    return Solution(rig, joined, prior, shapes, noise, noise)
 
 
 def _in_first_camera(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.frame_evidence import log_evidence
+from models.bundle.problem import FOCAL
 from models.calibrating import bagging
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.keypoint_rig import (
@@ -131,13 +132,16 @@ class _Around(NamedTuple):
 def scan_lenses(problem: CalibrationProblem, found: StaticRig) -> Steps[StaticRig]:
     """Return two static cameras with the focal lengths under which shapes are most alike.
 
-    `found` are the cameras from geometry alone, and their handedness.
+    `found` are the cameras from geometry alone, and their handedness. They stay as they are if
+    there are three or more, or if a focal length is given.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         Where shapes cannot be learnt.
     """
+    if found.static.tolist() != [True, True] or np.isfinite(problem.lens_sds[:, FOCAL]).any():
+        return found
     frames = evenly_spread(len(problem.keypoints), FRAMES)
     sight = _sight(problem, found, frames)
     noise = np.full(2, found.noise)
@@ -203,7 +207,7 @@ def _peak(sight: _Sight, cameras: AdjustedRig) -> Steps[_Peak]:
         step = _step(sight, around)
         if np.abs(step).max() < FINE:
             break
-        moved = yield from _next(sight, best.at + step, best)
+        moved = yield from _tried(sight, best.at + step, best.cameras)
         better = max([*around.trials, moved], key=_posterior)
         if better is best:
             break
@@ -241,7 +245,7 @@ def _walk(
     trials: list[Trial] = []
     for place in places:
         try:
-            tried = yield from _next(sight, place, near)
+            tried = yield from _tried(sight, place, near.cameras)
         except np.linalg.LinAlgError:
             break
         trials.append(tried)
@@ -253,11 +257,11 @@ def _walk(
 
 def _around(sight: _Sight, middle: Trial) -> Steps[_Around]:
     """Try focal lengths beside those of a trial."""
-    right = yield from _next(sight, middle.at + FINE * RIGHT, middle)
-    left = yield from _next(sight, middle.at - FINE * RIGHT, middle)
-    up = yield from _next(sight, middle.at + FINE * UP, middle)
-    down = yield from _next(sight, middle.at - FINE * UP, middle)
-    both = yield from _next(sight, middle.at + FINE * (RIGHT + UP), middle)
+    right = yield from _tried(sight, middle.at + FINE * RIGHT, middle.cameras)
+    left = yield from _tried(sight, middle.at - FINE * RIGHT, middle.cameras)
+    up = yield from _tried(sight, middle.at + FINE * UP, middle.cameras)
+    down = yield from _tried(sight, middle.at - FINE * UP, middle.cameras)
+    both = yield from _tried(sight, middle.at + FINE * (RIGHT + UP), middle.cameras)
     return _Around([middle, right, left, up, down, both])
 
 
@@ -289,13 +293,8 @@ def _likelihood(
     return limited, limited @ top + share @ ((top - _expected(sight.beliefs)) / PRIOR_SDS**2)
 
 
-def _next(sight: _Sight, at: Float64, near: Trial) -> Steps[Trial]:
-    """Try focal lengths from a trial near them."""
-    return (yield from _tried(sight, at, near.cameras))
-
-
 def _tried(sight: _Sight, at: Float64, near: AdjustedRig) -> Steps[Trial]:
-    """Adjust the cameras and learn shapes, with focal lengths held.
+    """Adjust cameras that were tried near them and learn shapes, with focal lengths held.
 
     In each trial shapes are learnt anew, for equally many rounds, so that none has an advantage.
     """
@@ -363,7 +362,7 @@ def _settled(
     likelihood = FocalLikelihood(information, FROM_LOGS.T @ peak.vector)
     found = found._replace(focals=likelihood)
     logs, covariance = _believed(problem, found, np.log(sight.beliefs.focals))
-    last = yield from _next(sight, FROM_LOGS @ logs, peak.trial)
+    last = yield from _tried(sight, FROM_LOGS @ logs, peak.trial.cameras)
     beliefs = _held(sight.beliefs, logs)
     cameras = last.cameras
     deviations = certainty_of(cameras, sight.points, beliefs, sight.clusters).deviations

@@ -54,9 +54,9 @@ class MovingLenses(NamedTuple):
 
 
 class MovingTrial(NamedTuple):
-    """A trial of focal lengths."""
+    """A trial of focal lengths of M moving cameras."""
 
-    at: Float64  # (K,) logs of the focal lengths over the usual ones
+    at: Float64  # (M,) logs of the focal lengths over the usual ones
     solution: Solution
     evidence: Float64  # (N,) of each frame, weighted
 
@@ -67,19 +67,19 @@ Prior = Callable[[Float64], float]  # log density of the focal lengths of a tria
 def scan_moving_lenses(problem: CalibrationProblem, solution: Solution) -> Steps[MovingLenses]:
     """Return moving cameras with the focal lengths under which shapes are most alike.
 
-    `solution` has views that all move. Lenses keep their distortion.
+    Given focal lengths and static cameras of the `solution` stay. Lenses keep their distortion.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         Where shapes cannot be learnt.
     """
-    views = len(problem.poses)
+    views, everything = scanned_views(problem, solution), len(problem.poses)
     frames = evenly_spread(len(problem.keypoints), FRAMES)
-    kept = problem._replace(kept=np.ones(views, bool))
+    kept = problem._replace(kept=np.ones(everything, bool))
     part, usual = kept.of(frames), problem.reference.lenses.focals
-    start = np.log(solution.rig.lenses.focals / usual).mean(1)
-    first = yield from _tried(part, start, start, solution.of(frames))
+    start = np.log(solution.rig.lenses.focals / usual).mean(1)[views]
+    first = yield from _tried(part, start, MovingTrial(start, solution.of(frames), np.empty(0)))
     trials = [first]
     for step in (STEP, -STEP):
         trials += yield from _walk(part, first, step, within=(SHORTEST, LONGEST))
@@ -88,26 +88,32 @@ def scan_moving_lenses(problem: CalibrationProblem, solution: Solution) -> Steps
         middle, reach = best.at.mean(), FINE_STEPS * FINE
         trials += yield from _walk(part, best, step, within=(middle - reach, middle + reach))
     best, groups = _best(trials, _alike), problem.lens_groups
-    sds = np.full((views, VIEW), np.inf)
-    sds[:, FOCAL] = _common_deviation(trials, best)
-    if problem.cameras_alike is not True and views > 1:
+    off = np.full(len(views), _common_deviation(trials, best))
+    if problem.cameras_alike is not True and everything > 1:
         other = yield from _climb(part, best, CLIMBS[0])
         if problem.cameras_alike is False or _clearly_better(other, best):
             for step in CLIMBS[1:]:
                 other = yield from _climb(part, other, step)
-            groups = np.arange(views)
-            best, sds[:, FOCAL] = yield from _peak(part, other)
+            groups = groups.copy()
+            groups[views] = everything + np.arange(len(views))
+            best, off = yield from _peak(part, other)
         else:  # deviations that span both answers
             half_log_share = -np.logaddexp(0.0, -_gain(other, best)) / 2
             apart = np.exp(half_log_share) * (other.at - best.at)
-            sds[:, FOCAL] = np.hypot(sds[:, FOCAL], apart)
-    begun = _refocused(solution, best.at - start)
+            off = np.hypot(off, apart)
+    begun = _refocused(problem, solution, best.at - start)
     begun = begun._replace(shapes=best.solution.shapes, noise=best.solution.noise)
     learnt = yield from learn(kept, begun)
     # What models of shapes leave, and what noise biases, as in the scan of two static views.
     bias = BIAS * learnt.measured_noise / problem.size
-    sds[:, FOCAL] = np.hypot(sds[:, FOCAL], np.hypot(LEAST_DEVIATION, bias))
+    sds = np.full((everything, VIEW), np.inf)
+    sds[views, FOCAL] = np.hypot(off, np.hypot(LEAST_DEVIATION, bias))
     return MovingLenses(learnt, sds, groups)
+
+
+def scanned_views(problem: CalibrationProblem, solution: Solution) -> Int64:
+    """Return the views that move and whose focal lengths are not given."""
+    return np.flatnonzero(~solution.rig.static & np.isinf(problem.lens_sds[:, FOCAL]))
 
 
 def _alike(at: Float64) -> float:
@@ -131,7 +137,7 @@ def _walk(
     least, most = within
     while (near.at.mean() + step > least) if step < 0 else (near.at.mean() + step < most):
         try:
-            near = yield from _next(problem, near.at + step, near)
+            near = yield from _tried(problem, near.at + step, near)
         except np.linalg.LinAlgError:
             break
         trials.append(near)
@@ -150,7 +156,7 @@ def _climb(problem: CalibrationProblem, best: MovingTrial, step: float) -> Steps
                 at = best.at.copy()
                 at[view] += signed
                 try:
-                    tried = yield from _next(problem, at, best)
+                    tried = yield from _tried(problem, at, best)
                 except np.linalg.LinAlgError:
                     break
                 fewer = np.isfinite(tried.evidence).sum() < np.isfinite(best.evidence).sum()
@@ -160,17 +166,10 @@ def _climb(problem: CalibrationProblem, best: MovingTrial, step: float) -> Steps
     return best
 
 
-def _next(problem: CalibrationProblem, at: Float64, near: MovingTrial) -> Steps[MovingTrial]:
-    """Try focal lengths from a trial near them."""
-    return (yield from _tried(problem, at, near.at, near.solution))
-
-
-def _tried(
-    problem: CalibrationProblem, at: Float64, start: Float64, near: Solution
-) -> Steps[MovingTrial]:
-    """Learn shapes with held focal lengths, from a solution with those at `start`."""
+def _tried(problem: CalibrationProblem, at: Float64, near: MovingTrial) -> Steps[MovingTrial]:
+    """Learn shapes with held focal lengths, from a trial of others."""
     yield
-    begun = _refocused(near, at - start)
+    begun = _refocused(problem, near.solution, at - near.at)
     solution = yield from learn(problem, begun, rounds=ROUNDS, least_noise=LEAST_NOISE)
     views = problem.views(solution.noise)
     evidence = log_evidence(views, solution.rig, solution.prior, solution.scene)
@@ -178,14 +177,15 @@ def _tried(
     return MovingTrial(at, solution, share * evidence)
 
 
-def _refocused(solution: Solution, steps: Float64) -> Solution:
-    """Lengthen each focal length by a log (K,), and move its camera away by the same factor."""
-    factors, rig, scene = np.exp(steps), solution.rig, solution.scene
-    lenses = rig.lenses._replace(focals=factors[:, None] * rig.lenses.focals)
-    translations = scene.translations.copy()  # (N, G, 3), each group one view
-    translations[:, rig.groups, 2] *= factors
+def _refocused(problem: CalibrationProblem, solution: Solution, steps: Float64) -> Solution:
+    """Lengthen focal lengths by logs (M,), and move these cameras away by the same factors."""
+    views, rig, scene = scanned_views(problem, solution), solution.rig, solution.scene
+    focals, translations = rig.lenses.focals.copy(), scene.translations.copy()  # (N, G, 3)
+    focals[views] *= np.exp(steps)[:, None]
+    translations[:, rig.groups[views], 2] *= np.exp(steps)  # each a group of its own
     return solution._replace(
-        rig=rig._replace(lenses=lenses), scene=scene._replace(translations=translations)
+        rig=rig._replace(lenses=rig.lenses._replace(focals=focals)),
+        scene=scene._replace(translations=translations),
     )
 
 
@@ -228,14 +228,14 @@ def _common_deviation(trials: list[MovingTrial], best: MovingTrial) -> float:
 def _peak(problem: CalibrationProblem, best: MovingTrial) -> Steps[tuple[MovingTrial, Float64]]:
     """Find the top of the posterior of unlike lenses, by Newton's method.
 
-    Returns also standard deviations (K,) of the log focal lengths there.
+    Returns also standard deviations (M,) of the log focal lengths there.
     """
     slope, inverse, deviations = yield from _about(problem, best)
     for _ in range(PEAKS):
         step = (inverse @ slope).clip(-STEP, STEP)
         if np.abs(step).max() < FINE:
             break
-        tried = yield from _next(problem, best.at + step, best)
+        tried = yield from _tried(problem, best.at + step, best)
         if _best([best, tried], _unlike) is best:
             break
         best = tried
@@ -246,7 +246,7 @@ def _peak(problem: CalibrationProblem, best: MovingTrial) -> Steps[tuple[MovingT
 def _about(
     problem: CalibrationProblem, best: MovingTrial
 ) -> Steps[tuple[Float64, Float64, Float64]]:
-    """Return slope (K,), inverse information (K, K) and deviations (K,) of unlike lenses.
+    """Return slope (M,), inverse information (M, M) and deviations (M,) of unlike lenses.
 
     Curvatures are measured along each; correlations come from the gradients of frames, whose
     scatter also gives the sandwich estimator (Huber, 1967).
@@ -254,8 +254,8 @@ def _about(
     views = len(best.at)
     gradients, curvature = np.zeros((views, len(best.evidence))), np.zeros(views)
     for view, direction in enumerate(np.eye(views)):
-        up = yield from _next(problem, best.at + FINE * direction, best)
-        down = yield from _next(problem, best.at - FINE * direction, best)
+        up = yield from _tried(problem, best.at + FINE * direction, best)
+        down = yield from _tried(problem, best.at - FINE * direction, best)
         more, middle, less = _evidence([up, best, down])
         gradients[view] = (more - less) / (2 * FINE)
         curvature[view] = (2 * middle - more - less).sum() / FINE**2

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.initial_poses import WeakPerspectiveScene, starting_scene
-from models.bundle.problem import FOCAL
 from models.calibrating.arrangement import StaticViews, find_static
 from models.calibrating.doubts import Checked, check_given
 from models.calibrating.expectation_maximisation import learn
@@ -22,8 +21,10 @@ from models.calibrating.given_cameras import (
     poses_disagree,
 )
 from models.calibrating.handedness import certainty, choose_handedness
-from models.calibrating.moving_lenses import scan_moving_lenses
+from models.calibrating.keypoint_rig import geometry_of
+from models.calibrating.moving_lenses import scan_moving_lenses, scanned_views
 from models.calibrating.problem import CalibrationProblem, Solution
+from models.epipolar.static_rig import StaticRig
 from models.findings.advice import attempt_steps, noticed
 from models.findings.finding import Finding
 from models.numerics.steps import Steps
@@ -95,16 +96,15 @@ def _search(
         declared, hint = config.cameras == "static", config.corners
         static = yield from find_static(problem, handed, moving, declared=declared, hint=hint)
         if declared and static.solution.noise > DOUBTFUL_STATIC * moving.noise:
-            freely = yield from attempt_steps(
-                find_static(problem, handed, moving, declared=False, hint=hint), static
-            )
-            findings += noticed(_against_declared_static, static.solution, freely.solution)
+            freely = yield from geometry_of(problem, declared=False)
+            findings += _against_declared_static(freely, static.solution, moving)
     as_given, problem = static.solution, problem._replace(lens_groups=static.lens_groups)
     kept = static.kept
-    if not as_given.rig.static.any() and np.isinf(problem.lens_sds[:, FOCAL]).all():
+    if len(scanned_views(problem, as_given)):
         scanned = yield from attempt_steps(scan_moving_lenses(problem, as_given), None)
         if scanned is not None:
-            as_given, kept, groups = scanned
+            as_given, of_moving, groups = scanned
+            kept = of_moving if kept is None else np.minimum(kept, of_moving)
             problem = problem._replace(lens_groups=groups)
     checked = yield from check_given(problem, as_given)
     findings += noticed(disagreements, problem, as_given, checked)
@@ -115,16 +115,18 @@ def _search(
     return Arranged(as_given, checked, reason, certain, findings, kept=kept)
 
 
-def _against_declared_static(static: Solution, found: Solution) -> tuple[Finding, ...]:
-    """Yield the finding that cameras declared static move, if they were `found` to."""
-    views = np.flatnonzero(~found.rig.static).tolist()
-    if not views:
+def _against_declared_static(
+    freely: StaticRig | None, static: Solution, moving: Solution
+) -> tuple[Finding, ...]:
+    """Return the finding that cameras declared static move, if geometry shows that some do."""
+    views = range(len(static.rig.groups)) if freely is None else np.flatnonzero(~freely.static)
+    if not len(views):
         return ()
     return (
         Finding.of(
             "rig_declared_but_moving",
-            views=views,
+            views=[int(view) for view in views],
             noise_if_static=static.measured_noise,
-            noise=found.measured_noise,
+            noise=moving.measured_noise,
         ),
     )

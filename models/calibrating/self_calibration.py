@@ -17,7 +17,6 @@ from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.problem import FOCAL, POSE, VIEW, Scene
 from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
-from models.calibrating.arrangement import MORE_ROUNDS
 from models.calibrating.camera_findings import camera_findings
 from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
@@ -57,6 +56,8 @@ OPERATIONS = 300_000_000  # in one iteration: half a second
 WORSE = 1.2  # times the previous noise: with more, adjusted cameras are not used
 UNSURE = 0.15  # of the log focal length: shapes determine it as well
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
+MORE_ROUNDS = 2  # of learning, once cameras are adjusted to detected keypoints
+MOST_REPEATS, STEADY = 5, 0.01  # of learning; change of a log focal length that ends it
 LENS_FRAMES = 100  # at most, that show whether geometry needs another camera model
 EXACT = 2 * LEAST_MEASURED  # of the image's side: keypoints with less noise are exact
 
@@ -125,6 +126,8 @@ def self_calibrate(
     problem, config, misread, noisy, edges = task
     arranged = yield from search(problem, answers, config)
     likely = yield from _with_likely_lenses(arranged, _share_left(arranged, noisy))
+    if likely.problem is not arranged.checked.problem:
+        likely = yield from _converged(likely)
     problem, best, kept, reason = yield from _refined(likely, noisy, edges)
     sds = deviations(problem, best)
     if kept is not None:
@@ -144,10 +147,10 @@ def self_calibrate(
 
 def with_geometry(task: CalibrationTask) -> Steps[CalibrationTask]:
     """Return the task with the geometry of all views, unless poses or motion are given."""
-    problem, views = task.problem, len(task.problem.poses)
-    if problem.posed or task.config.cameras == "moving" or views < 2:
+    problem = task.problem
+    if problem.posed or task.config.cameras == "moving" or len(problem.poses) < 2:
         return task
-    found = yield from geometry_of(problem, list(range(views)))
+    found = yield from geometry_of(problem, declared=False)
     return task._replace(problem=problem._replace(geometry=Geometry(found)))
 
 
@@ -290,6 +293,16 @@ def _with_likely_lenses(arranged: Arranged, share: float) -> Steps[_Refined]:
             problem, best, rival, kept = tried_problem, trial, trial, None
             reason = f"{reason}; {name} lenses explain the keypoints better"
     return _Refined(problem, best, kept, reason)
+
+
+def _converged(likely: _Refined) -> Steps[_Refined]:
+    """Learn until focal lengths are steady, from a start that had another camera model."""
+    best = likely.best
+    for _ in range(MOST_REPEATS):
+        before, best = best, (yield from learn(likely.problem, best))
+        if np.abs(np.log(best.rig.lenses.focals / before.rig.lenses.focals)).max() < STEADY:
+            break
+    return likely._replace(best=best)
 
 
 def _by_detected(

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from models.epipolar.affine_rigs import affine_rigs
 from models.epipolar.assembly import ViewGraph, assemble
 from models.epipolar.pairs import Beliefs
 from models.epipolar.rig_adjustment import AdjustedRig, adjust_rig, cost_of
@@ -37,13 +38,14 @@ def likely_rigs(
     `few` points are used; `sizes` (K,) are the subject's in each view, in sides.
     """
     noise = float(np.median([poses.noise for poses in graph.values()]))
-    rigs = assemble(graph, few, max(noise, 1e-3))
+    assembled = [each.rig for each in assemble(graph, few, max(noise, 1e-3))]
+    rigs = affine_rigs(few, beliefs) + assembled
     if not rigs:
         return []
     least = min(LENS_NOISE, FIRST_NOISE * float(np.median(sizes)))
     free = replace(beliefs, alike=False)
     first = []
-    for rig in _distinct([rig.rig for rig in rigs], STARTS):
+    for rig in _distinct(rigs, STARTS):
         yield
         points = triangulate_points(rig, few)
         first.append(

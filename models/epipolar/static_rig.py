@@ -71,6 +71,10 @@ class StaticRig(NamedTuple):
     )
     motion: CameraMotion  # of the static views
 
+    def mirrored(self) -> "StaticRig":
+        """Return the rig with the other handedness as the best."""
+        return self._replace(best=self.mirror, mirror=self.best, log_odds=-self.log_odds)
+
     def of(self, frames: NDArray[np.int64]) -> "StaticRig":
         """Return the rig with the structures of some of the frames."""
         return self._replace(
@@ -81,7 +85,13 @@ class StaticRig(NamedTuple):
 
 
 def find_static_rig(
-    images: Float64, weights: Float64, beliefs: Beliefs, sizes: Float64, *, seed: int = 0
+    images: Float64,
+    weights: Float64,
+    beliefs: Beliefs,
+    sizes: Float64,
+    *,
+    declared: bool = False,
+    seed: int = 0,
 ) -> Steps[StaticRig | None]:
     """Find static cameras from the keypoints of N frames; yields now and then, to be stopped.
 
@@ -94,6 +104,8 @@ def find_static_rig(
         (N, K, P) confidences, 0 where not observed.
     sizes
         (K,) sides, root-mean-square radius of the subject in each view.
+    declared
+        Whether all views are declared static; otherwise those that move are left out.
 
     Returns
     -------
@@ -102,17 +114,17 @@ def find_static_rig(
     rng = np.random.default_rng(seed)
     scene = SharedPoints.of(images, weights, rng)
     graph = yield from relate_pairs(scene, beliefs, rng)
-    members = tied_views(graph, sizes)
+    members = list(range(len(sizes))) if declared else tied_views(graph, sizes)
     while len(members) > 1:
         chosen = yield from _adjusted(graph, scene, beliefs, sizes, members)
         if chosen is None:
             return None
-        out = _out_of_line(chosen.noise_alone, sizes[members])
+        out = None if declared else _out_of_line(chosen.noise_alone, sizes[members])
         if out is None:
             result = _result(chosen, images, weights, beliefs, members)
             least = MOVES if len(members) > 2 else MOVES_OF_TWO
             out = _most_moving(result.motion, least * sizes[members], sizes[members])
-            if out is None:
+            if out is None or declared:
                 return result
         members = [view for place, view in enumerate(members) if place != out]
         graph = {pair: poses for pair, poses in graph.items() if set(pair) <= set(members)}

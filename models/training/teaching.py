@@ -15,7 +15,7 @@ from torch import Tensor
 from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.known_structures import KnownStructures
-from models.bundle.problem import Scene, Views
+from models.bundle.problem import Scene, Views, views_apart
 from models.calibrating.handedness import NothingFoundError, same_handedness
 from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.result import SelfCalibration
@@ -95,19 +95,11 @@ class Teaching:
         self.state.cameras, self.state.found_at_step = "found", 0
         if not self._config.distillation:
             return
-        rig, sizes = calibration.rig, np.exp(scene.sizes)
-        translations = np.einsum("kij,ngj->nki", rig.rotations, scene.translations)
-        translations += rig.translations
-        self._teach(
-            calibration,
-            frames,
-            (self._data.weights[frames] > 0).any(-1),
-            (
-                torch.from_numpy(scene.points),
-                torch.from_numpy(rig.rotations @ scene.rotations),
-                torch.from_numpy(translations / sizes[..., None]),
-            ),
+        points, rotations, translations, _ = map(
+            torch.from_numpy, views_apart(scene, calibration.rig)
         )
+        there = (self._data.weights[frames] > 0).any(-1)
+        self._teach(calibration, frames, there, (points, rotations, translations))
 
     def make_teachers(self, step: int, *, most: int) -> Iterator[None]:
         """Make new teachers, after estimating the cameras if they are sought.

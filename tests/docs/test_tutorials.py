@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^<!-- (run|serve|output|save) ?(\S*) -->\n```\w+\n(.*?)^```", re.M | re.S)
 PROGRAMS = {"fewview": python("-m", "fewview.cli"), "python": python()}
 QUICK = {"steps": 40, "dictionary_sizes": "[16,8]", "batch_size": 16, "distillation": "false"}
-FRAMES = "60"
+FRAMES = "160"  # enough to be sure of how late a camera is
 USUAL = "127.0.0.1:8000"  # also of a WebSocket
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks.drawn_captures import draw_capture
 from benchmarks.wide_net import by_geometry, measure
+from models.bundle.problem import Scene
 from models.calibrating.handedness import volume
 from models.calibrating.result import SelfCalibration
 from models.calibrating.self_calibration import calibrate_by_geometry, task_of, with_geometry
@@ -18,23 +19,18 @@ from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, RigCapture, keypoint, mak
 DRAWS = (7, 41, 47, 77, 125, 154, 178, 220, 223, 226, 229, 235)
 
 
+def settled_in(
+    capture: RigCapture, config: FitConfig | None = None
+) -> tuple[SelfCalibration, Scene] | None:
+    """Return the cameras and structures that geometry alone finds."""
+    sizes = [IMAGE_SIZE] * len(capture.lenses)
+    task = task_of(capture.pixels, capture.weights, config or FitConfig(), sizes)
+    return finished(calibrate_by_geometry(finished(with_geometry(task))))
+
+
 def found_in(capture: RigCapture, config: FitConfig | None = None) -> SelfCalibration | None:
-    found = finished(
-        calibrate_by_geometry(
-            finished(
-                with_geometry(
-                    task_of(
-                        capture.pixels,
-                        capture.weights,
-                        config or FitConfig(),
-                        [IMAGE_SIZE] * len(capture.lenses),
-                        detected=capture.pixels,
-                    )
-                )
-            )
-        )
-    )
-    return None if found is None else found[0]
+    settled = settled_in(capture, config)
+    return None if settled is None else settled[0]
 
 
 @pytest.mark.parametrize("number", DRAWS)
@@ -93,25 +89,36 @@ def test_structures_follow_exact_keypoints_seen_from_far_away() -> None:
     capture = make_rig_capture(
         [0.0, 80.0, -120.0, 170.0], frames=40, noise=0.0, hidden=0.0, distance=14.0
     )
-    settled = finished(
-        calibrate_by_geometry(
-            finished(
-                with_geometry(
-                    task_of(
-                        capture.pixels,
-                        capture.weights,
-                        FitConfig(),
-                        [IMAGE_SIZE] * 4,
-                        detected=capture.pixels,
-                    )
-                )
-            )
-        )
-    )
+    settled = settled_in(capture)
     assert settled is not None
     _, scene = settled
     error = pa_mpjpe(scene.points, capture.points3d, reflection="never").mean
     assert error < 5e-5  # metres
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_static_cameras_with_hardly_any_perspective_are_found(seed: int) -> None:
+    """From so far away each pair of views fits many relative poses; three views fit one."""
+    far = make_rig_capture(
+        [0.0, 80.0, -120.0], frames=20, distance=60.0, lenses=(Lens(focal=16_000.0),), seed=seed
+    )
+    settled = settled_in(far)
+    assert settled is not None
+    found, scene = settled
+    assert found.static.all()
+    assert pa_mpjpe(scene.points, far.points3d, reflection="never").mean < 0.01  # metres
+
+
+def test_an_open_handedness_does_not_keep_cameras_from_being_settled() -> None:
+    far = make_rig_capture(
+        [0.0, 80.0, -120.0], frames=20, distance=60.0, lenses=(Lens(focal=16_000.0),), noise=8.0
+    )
+    settled = settled_in(far)
+    assert settled is not None
+    found, scene = settled
+    assert found.handedness_certainty < 0.99
+    assert "handedness_not_observable" in {finding.code for finding in found.findings}
+    assert pa_mpjpe(scene.points, far.points3d).mean < 0.06  # metres, whichever the hand
 
 
 def given(focal: float) -> dict[str, object]:

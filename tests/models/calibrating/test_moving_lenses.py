@@ -1,4 +1,4 @@
-"""Focal lengths of cameras that all move, from shapes alone."""
+"""Focal lengths of cameras that move, from shapes alone."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,9 @@ Float64 = NDArray[np.float64]
 USUAL = 1500.0  # pixels, nearly
 
 
-def errors(capture: RigCapture, focals: Float64) -> tuple[Float64, Float64]:
+def errors(
+    capture: RigCapture, focals: Float64, arrangement: str = "moving"
+) -> tuple[Float64, Float64]:
     """Return logs (K,) of the focal lengths over the true ones, also in standard deviations."""
     found, _ = finished(
         self_calibrate(
@@ -24,14 +26,14 @@ def errors(capture: RigCapture, focals: Float64) -> tuple[Float64, Float64]:
         )
     )
     cameras = camera_report(found)
-    assert cameras.arrangement == "moving"
+    assert cameras.arrangement == arrangement
     off = np.log(cameras.focals.mean(1) / focals)
     return off, off / (cameras.focal_sds / cameras.focals.mean(1))
 
 
-def check(capture: RigCapture, focals: Float64) -> None:
+def check(capture: RigCapture, focals: Float64, arrangement: str = "moving") -> None:
     """Focal lengths are near the true ones, and no further off than their deviations allow."""
-    off, scores = errors(capture, focals)
+    off, scores = errors(capture, focals, arrangement)
     assert np.abs(off).max() < 0.25
     assert np.abs(scores).max() < 4
 
@@ -66,6 +68,13 @@ def test_unlike_lenses_of_moving_cameras_are_found() -> None:
         noise=1.0,
     )
     check(capture, np.array(focals))
+
+
+def test_a_moving_camera_has_a_lens_of_its_own_beside_static_ones() -> None:
+    focals = [1500.0, 1500.0, 700.0]
+    lenses = tuple(Lens(focal=focal) for focal in focals)
+    capture = make_rig_capture([0.0, 80.0, -120.0], moving=(2,), lenses=lenses)
+    check(capture, np.array(focals), "mixed")
 
 
 @pytest.mark.parametrize(
