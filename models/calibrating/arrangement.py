@@ -15,6 +15,7 @@ from models.calibrating.keypoint_rig import (
 )
 from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import CLEAR, CalibrationProblem, Solution
+from models.epipolar.static_rig import StaticRig
 from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
@@ -49,15 +50,33 @@ def find_static(
     """
     found = yield from geometry_of(problem, declared=declared)
     started = None if found is None else start_from_geometry(problem, found, moving)
-    if found is None or started is None:
-        reason = "no two static cameras explain the keypoints"
-        return StaticViews(moving, reason, [handed.log_odds], problem.lens_groups)
-    if hint is not None:
-        found = by_volume(found, hint)
-    elif certainty([found.log_odds, odds_for(started[0], handed)]) < 0.5:
-        found = found.mirrored()
+    if found is not None and started is not None:
+        if hint is not None:
+            found = by_volume(found, hint)
+        elif certainty([found.log_odds, odds_for(started[0], handed)]) < 0.5:
+            found = found.mirrored()
+        try:
+            return (yield from _learnt(problem, handed, moving, found, declared=declared))
+        except np.linalg.LinAlgError:  # they are not determined
+            pass
+    reason = "no two static cameras explain the keypoints"
+    return StaticViews(moving, reason, [handed.log_odds], problem.lens_groups)
+
+
+def _learnt(
+    problem: CalibrationProblem,
+    handed: Handed,
+    moving: Solution,
+    found: StaticRig,
+    *,
+    declared: bool,
+) -> Steps[StaticViews]:
+    """Learn shapes and moving cameras with the static ones."""
     found = yield from scan_lenses(problem, found)
-    start, deviations = start_from_geometry(problem, found, moving) or started
+    started = start_from_geometry(problem, found, moving)
+    if started is None:
+        raise np.linalg.LinAlgError("no structure can be located")
+    start, deviations = started
     views = np.flatnonzero(found.static).tolist()
     kept, noise = None, found.noise * problem.side
     if len(views) >= LEAST_VIEWS:

@@ -65,33 +65,18 @@ def start_from_geometry(
     if structures is None:
         return None
     noise = found.noise * problem.side
-    if moving is None:
-        start = _static_start(problem, found.best.rig, structures, noise)
-    else:
-        start = _start(problem, moving, found, structures, max(noise, moving.noise))
+    start = _start(problem, found.best.rig, found.static, structures, noise)
+    if moving is not None:
+        start = _with_moving(start, moving, np.flatnonzero(~found.static))
     return start, _deviations(problem, found, structures.unit)
 
 
 def static_start(problem: CalibrationProblem, seen: StaticScene, noise: float) -> Solution | None:
     """Return the start from static cameras and points; `noise` in pixels."""
     structures = _structures(seen.points)
-    return None if structures is None else _static_start(problem, seen.rig, structures, noise)
-
-
-def _static_start(
-    problem: CalibrationProblem, rig: StaticCameras, structures: "_Structures", noise: float
-) -> Solution:
-    members = list(range(len(rig.log_focals)))
-    lenses = _lenses(problem, problem.reference, rig, np.ones(len(members), bool))
-    placed_rig, held, placed = _in_first_camera(rig, members, lenses, structures)
-    scene = Scene(
-        structures.points,
-        np.ascontiguousarray(held[:, None]),
-        np.ascontiguousarray(placed[:, None]),
-        np.log(structures.scales / structures.unit)[:, None],
-    )
-    shapes, prior = _shapes(structures.points)
-    return Solution(placed_rig, scene, prior, shapes, noise, noise)
+    if structures is None:
+        return None
+    return _start(problem, seen.rig, np.ones(len(problem.poses), bool), structures, noise)
 
 
 def geometry_of(problem: CalibrationProblem, *, declared: bool) -> Steps[StaticRig | None]:
@@ -174,17 +159,15 @@ def lens_kinds(problem: CalibrationProblem, found: StaticRig) -> NDArray[np.int6
     return groups
 
 
-def _lenses(
-    problem: CalibrationProblem, moving: Rig, rig: StaticCameras, static: NDArray[np.bool_]
-) -> Lenses:
-    """Return the estimated lenses of static views; given numbers stay."""
+def _lenses(problem: CalibrationProblem, rig: StaticCameras, static: NDArray[np.bool_]) -> Lenses:
+    """Return the lenses, estimated of static views; given numbers stay."""
     side, lenses = problem.side, problem.reference.lenses
     free = static[:, None] & (problem.lens_sds > 0)  # (K, LENS)
     distortion = lenses.distortion.copy()
     distortion[free[:, RADIAL], :2] = rig.radial[free[:, RADIAL]]
     focals = side * np.exp(rig.log_focals)[:, None]
     return lenses._replace(
-        focals=np.where(free[:, [FOCAL]], focals, moving.lenses.focals),
+        focals=np.where(free[:, [FOCAL]], focals, lenses.focals),
         centres=lenses.centres + np.where(free[:, [CENTRE_X]], side * rig.centres, 0.0),
         distortion=distortion,
     )
@@ -302,32 +285,47 @@ def _structures(points: Float64) -> _Structures | None:
 
 def _start(
     problem: CalibrationProblem,
-    moving: Solution,
-    found: StaticRig,
+    rig: StaticCameras,
+    static: NDArray[np.bool_],
     structures: _Structures,
     noise: float,
 ) -> Solution:
-    """Combine static cameras, structures and the moving views into a solution."""
-    members = [int(k) for k in np.flatnonzero(found.static)]
-    lenses = _lenses(problem, moving.rig, found.best.rig, found.static)
-    rig, held, placed = _in_first_camera(found.best.rig, members, lenses, structures)
-    views = len(rig.groups)
-    scene = moving.scene
-    if not same_handedness(scene.points, structures.points):
-        scene = mirrored(scene)
-    _, similarity = align(scene.points, structures.points)
-    others = regauge(scene, structures.points, similarity, moving.rig)
-    firsts = [members[0], *(k for k in range(views) if k not in members)]
-    joined = Scene(
+    """Combine static cameras and structures into a solution, without the other views' poses."""
+    members = [int(k) for k in np.flatnonzero(static)]
+    lenses = _lenses(problem, rig, static)
+    placed_rig, held, placed = _in_first_camera(rig, members, lenses, structures)
+    scene = Scene(
         structures.points,
-        others.rotations[:, firsts],
-        others.translations[:, firsts],
-        np.zeros((len(placed), len(firsts))),
+        np.ascontiguousarray(held[:, None]),
+        np.ascontiguousarray(placed[:, None]),
+        np.log(structures.scales / structures.unit)[:, None],
     )
-    joined.rotations[:, 0], joined.translations[:, 0] = held, placed
-    joined.sizes[:, 0] = np.log(structures.scales / structures.unit)
     shapes, prior = _shapes(structures.points)
-    return Solution(rig, joined, prior, shapes, noise, noise)
+    return Solution(placed_rig, scene, prior, shapes, noise, noise)
+
+
+def _with_moving(start: Solution, moving: Solution, others: Int64) -> Solution:
+    """Add lenses and poses of the `others`, which are groups 1, 2, ... of the start's rig."""
+    rig, theirs, scene = start.rig, moving.rig.lenses, moving.scene
+    focals = rig.lenses.focals.copy()
+    focals[others] = theirs.focals[others]
+    if not same_handedness(scene.points, start.scene.points):
+        scene = mirrored(scene)
+    _, similarity = align(scene.points, start.scene.points)
+    scene = regauge(scene, start.scene.points, similarity, moving.rig)
+    joined = Scene(
+        start.scene.points,
+        np.concatenate((start.scene.rotations, scene.rotations[:, others]), 1),
+        np.concatenate((start.scene.translations, scene.translations[:, others]), 1),
+        np.pad(start.scene.sizes, ((0, 0), (0, len(others)))),
+    )
+    noise = max(start.noise, moving.noise)
+    return start._replace(
+        rig=rig._replace(lenses=rig.lenses._replace(focals=focals)),
+        scene=joined,
+        noise=noise,
+        measured_noise=noise,
+    )
 
 
 def _in_first_camera(

@@ -44,7 +44,6 @@ from models.calibrating.search import Arranged, search
 from models.findings.advice import attempt_steps, noticed
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
-from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 
@@ -58,7 +57,6 @@ UNSURE = 0.15  # of the log focal length: shapes determine it as well
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
 MORE_ROUNDS = 2  # of learning, once cameras are adjusted to detected keypoints
 MOST_REPEATS, STEADY = 5, 0.01  # of learning; change of a log focal length that ends it
-LENS_FRAMES = 100  # at most, that show whether geometry needs another camera model
 EXACT = 2 * LEAST_MEASURED  # of the image's side: keypoints with less noise are exact
 
 
@@ -126,8 +124,6 @@ def self_calibrate(
     problem, config, misread, noisy, edges = task
     arranged = yield from search(problem, answers, config)
     likely = yield from _with_likely_lenses(arranged, _share_left(arranged, noisy))
-    if likely.problem is not arranged.checked.problem:
-        likely = yield from _converged(likely)
     problem, best, kept, reason = yield from _refined(likely, noisy, edges)
     sds = deviations(problem, best)
     if kept is not None:
@@ -167,13 +163,12 @@ def calibrate_by_geometry(
     if settled is None:
         return None
     arranged = settled.arranged
-    if (yield from _needs_other_lenses(arranged, _share_left(arranged, noisy))):
-        return None  # they may change the cameras
-    part, best, kept, reason = yield from _refined(_as_arranged(arranged), noisy, edges)
+    likely = yield from _with_likely_lenses(arranged, _share_left(arranged, noisy))
+    part, best, kept, reason = yield from _refined(likely, noisy, edges)
     sds = deviations(part, best) if kept is None else kept
     if best.noise <= LEAST_NOISE * part.side:
         best, sds = yield from _exact(arranged, best, sds)
-    if arranged.kept is not None:
+    if likely.kept is not None and arranged.kept is not None:
         # Other focal lengths, of the scan or of other kinds of lens, are nearly as likely.
         sds = np.maximum(sds, arranged.kept)
     found = yield from _result(part, best, sds, reason, arranged.certain, None, misread, config)
@@ -269,15 +264,6 @@ def _as_meant(
     return config.model_copy(update={"calibration": tuple(meant)}), findings
 
 
-def _needs_other_lenses(arranged: Arranged, share: float) -> Steps[bool]:
-    """Whether another camera model explains some of the frames better."""
-    problem, solution = arranged.checked.problem, arranged.checked.solution
-    frames = evenly_spread(len(problem.keypoints), LENS_FRAMES)
-    part = arranged.checked._replace(problem=problem.of(frames), solution=solution.of(frames))
-    likely = yield from _with_likely_lenses(arranged._replace(checked=part), share)
-    return likely.problem is not part.problem
-
-
 def _with_likely_lenses(arranged: Arranged, share: float) -> Steps[_Refined]:
     """Try the camera models that the lenses look like, and take the one that explains best."""
     problem, best, kept, reason = _as_arranged(arranged)
@@ -292,17 +278,18 @@ def _with_likely_lenses(arranged: Arranged, share: float) -> Steps[_Refined]:
         if gain > BETTER_LENS:
             problem, best, rival, kept = tried_problem, trial, trial, None
             reason = f"{reason}; {name} lenses explain the keypoints better"
+    if problem is not arranged.checked.problem:
+        best = yield from _until_steady(problem, best)
     return _Refined(problem, best, kept, reason)
 
 
-def _converged(likely: _Refined) -> Steps[_Refined]:
-    """Learn until focal lengths are steady, from a start that had another camera model."""
-    best = likely.best
+def _until_steady(problem: CalibrationProblem, solution: Solution) -> Steps[Solution]:
+    """Learn until focal lengths are steady: the first start had another camera model."""
     for _ in range(MOST_REPEATS):
-        before, best = best, (yield from learn(likely.problem, best))
-        if np.abs(np.log(best.rig.lenses.focals / before.rig.lenses.focals)).max() < STEADY:
+        before, solution = solution, (yield from learn(problem, solution))
+        if np.abs(np.log(solution.rig.lenses.focals / before.rig.lenses.focals)).max() < STEADY:
             break
-    return likely._replace(best=best)
+    return solution
 
 
 def _by_detected(
