@@ -22,7 +22,6 @@ from models.numerics.threads import empty_aligned, in_slices
 from models.optics.lenses.projection import differentiate_into
 
 Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
 
 NEAREST = 1e-3  # units in front of a camera
 TINY = 1e-12

@@ -8,7 +8,6 @@ seconds, as accurately as any later step. Lenses of two views are scanned by the
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from models.bundle.problem import FOCAL, Scene, moving_rig, views_apart
 from models.bundle.scene_adjustment import adjust_frames
@@ -32,9 +31,6 @@ from models.epipolar.static_rig import StaticRig
 from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps
 from models.settings.config import FitConfig
-
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
 
 ITERATIONS = 15  # of adjusting the structures of all frames
 

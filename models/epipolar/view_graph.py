@@ -13,7 +13,6 @@ from models.epipolar.static_cameras import SeenPoints
 from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 MOST_POINTS = 3000  # of a pair of views that are related
 NOISY_POINTS = 9000  # of a sample

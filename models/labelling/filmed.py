@@ -17,7 +17,6 @@ from models.optics.lenses.projection import Lenses, project
 
 Array = NDArray[Any]
 Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
 

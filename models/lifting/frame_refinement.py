@@ -36,7 +36,6 @@ from models.numerics.matrices import total
 from models.optics.lenses.projection import Lenses
 
 Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int8 = NDArray[np.int8]
 

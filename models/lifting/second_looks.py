@@ -20,7 +20,6 @@ from models.network.priors.prior import Weights
 from models.network.settling import SettlingPolicy
 from models.numerics.threads import in_slices
 
-Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 Int8 = NDArray[np.int8]
 

@@ -1,7 +1,7 @@
 """Compiled settling of a frame, for lifts and fits; `settling` explains it."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from models.optics.weak_perspective import (
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
-Floats = NDArray[Any]  # of 32 or 64 bits
 
 STIFFNESS = 0.05  # pull to the network's structure, where one view seen head-on pulls with about 1
 DECISIVE = 0.8  # a frame leaves the handedness of the fit if its error falls below this share

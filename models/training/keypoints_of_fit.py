@@ -25,7 +25,6 @@ from models.training.synchronising import InStep
 
 WORTH_REPORTING = 0.005  # share of the keypoints of a view that are outliers
 
-Float32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
