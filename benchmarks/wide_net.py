@@ -196,6 +196,8 @@ def _reach(draw: Draw, lift: LiftedFrames) -> float:
     furthest = 0.0
     for k in range(draw.keypoints.shape[1]):
         there = lift.camera_models[:, k] > 0  # perspective
+        if not there.any():
+            continue
         rotations, shifts = lift.rotations[there, k], lift.translations[there, k, None]
         held = (lift.points3d[there] @ rotations.mT + shifts).astype(np.float64)
         lenses = Lenses(
