@@ -17,11 +17,12 @@ from models.calibrating.keypoint_rig import (
 from models.calibrating.lens_scan import scan_lenses
 from models.calibrating.problem import CLEAR, CalibrationProblem, Solution
 from models.epipolar.static_rig import StaticRig
+from models.findings.advice import attempt_steps
 from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
 
-MORE_NOISE = 1.4  # times the noise of moving cameras: with less, small motions are no motions
+MORE_NOISE = 1.4  # times the noise of moving cameras: with more, cameras are not static
 LENS_ERRORS = 1e-3  # of the image's side: noise that lens models may add
 
 
@@ -48,28 +49,34 @@ def find_static(
 ) -> Steps[StaticViews]:
     """Find which views are static relative to each other, and estimate their poses.
 
-    Views that are `declared` static are joined in any case. Otherwise they are those that geometry
-    finds, or all, if this leaves little more noise than moving cameras do: errors that a detector
-    repeats look like a small motion, and static cameras are determined far better.
+    Views are static if they are `declared` to be, or if geometry finds that all are. Otherwise all
+    are tried together, and then those that geometry finds static. They count as static if they
+    leave little more noise than moving cameras do: errors that a detector repeats look like a small
+    motion, and static cameras are determined far better.
 
     The `hint` are four keypoints that determine the handedness (see `choose_handedness`); `handed`
     is the solution from which the `moving` one was learnt.
     """
     found = yield from geometry_of(problem, declared=declared)
-    seems_to_move = found is None or not found.static.all()
-    if seems_to_move and not declared and len(problem.poses) >= LEAST_VIEWS:
-        every = yield from geometry_of(problem, declared=True)
+    certain = declared or (found is not None and bool(found.static.all()))
+    if not certain and len(problem.poses) >= LEAST_VIEWS:
+        every = yield from attempt_steps(geometry_of(problem, declared=True), None)
         static = yield from _joined(problem, handed, moving, every, hint)
-        most = math.hypot(MORE_NOISE * moving.measured_noise, LENS_ERRORS * problem.side)
-        if static is not None and static.solution.measured_noise < most:
+        if static is not None and _quiet(problem, static.solution, moving):
             return static
     static = yield from _joined(problem, handed, moving, found, hint)
-    if static is None:
-        reason = "no two static cameras explain the keypoints"
+    if static is None or not (certain or _quiet(problem, static.solution, moving)):
+        reason = "no two static cameras explain the keypoints as well as moving ones"
         return StaticViews(moving, reason, [handed.log_odds], problem.lens_groups)
     if declared:
         static = static._replace(reason=f"the cameras were declared static; {static.reason}")
     return static
+
+
+def _quiet(problem: CalibrationProblem, static: Solution, moving: Solution) -> bool:
+    """Whether static cameras leave little more noise than moving ones."""
+    most = math.hypot(MORE_NOISE * moving.measured_noise, LENS_ERRORS * problem.side)
+    return static.measured_noise < most
 
 
 def _joined(

@@ -24,7 +24,7 @@ MIRROR = np.diag([1.0, 1.0, -1.0])
 def affine_rigs(seen: SeenPoints, beliefs: Beliefs) -> list[StaticCameras]:
     """Return a rig from scaled orthographic cameras, and its mirror image.
 
-    None if there are two views, or too few points that all see, or if views share their axis.
+    Neither if there are two views, or too few points that all see, or if views share their axis.
     Images are factorised into cameras and points (Poelman and Kanade, *A paraperspective
     factorization method for shape and motion recovery*, 1997).
     """
@@ -32,7 +32,8 @@ def affine_rigs(seen: SeenPoints, beliefs: Beliefs) -> list[StaticCameras]:
     if len(seen.weights) < LEAST_VIEWS or complete.sum() < LEAST_POINTS:
         return []
     axes, centres = _factorised(seen.images[..., complete])
-    to_metric = _to_metric(axes / np.linalg.norm(axes, axis=(1, 2), keepdims=True))
+    lengths = np.linalg.norm(axes, axis=(1, 2), keepdims=True)
+    to_metric = _to_metric(axes / lengths) if lengths.all() else None
     if to_metric is None:
         return []
     axes = axes @ to_metric  # (K, 2, 3)

@@ -37,6 +37,8 @@ def likely_rigs(
 
     `few` points are used; `sizes` (K,) are the subject's in each view, in sides.
     """
+    if not graph:
+        return []
     noise = float(np.median([poses.noise for poses in graph.values()]))
     assembled = [each.rig for each in assemble(graph, few, max(noise, 1e-3))]
     rigs = affine_rigs(few, beliefs) + assembled
