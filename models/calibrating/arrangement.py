@@ -1,4 +1,4 @@
-"""Which cameras are static relative to each other, by the geometry of the keypoints alone."""
+"""Which cameras are static relative to each other: those that geometry finds, or all."""
 
 import math
 from typing import NamedTuple
@@ -90,8 +90,9 @@ def _joined(
     started = None if found is None else start_from_geometry(problem, found, moving)
     if found is None or started is None:
         return None
-    if hint is not None:
-        found = by_volume(found, hint)
+    as_given = None if hint is None else by_volume(found, hint)
+    if as_given is not None:
+        found = as_given
     elif certainty([found.log_odds, odds_for(started[0], handed)]) < 0.5:
         found = found.mirrored()
     try:

@@ -75,15 +75,16 @@ def settle_by_geometry(
 def _static_rig(
     problem: CalibrationProblem, corners: Corners | None
 ) -> Steps[tuple[StaticRig | None, float]]:
-    """Find static cameras and the certainty of their handedness; None if anything is undecided."""
+    """Find static cameras and the certainty of their handedness; None if there are none."""
     found = None if problem.geometry is None else problem.geometry.rig
     if found is None or not found.static.all():
         return None, 0.0
     known = np.isfinite(problem.lens_sds[:, FOCAL])
     if len(known) == 2 and known.sum() == 1:
         return None, 0.0
-    if corners is not None:
-        certain, found = 1.0, by_volume(found, corners)
+    as_given = None if corners is None else by_volume(found, corners)
+    if as_given is not None:
+        certain, found = 1.0, as_given
     else:
         certain, found = yield from _handed(problem, found)
     found = yield from scan_lenses(problem, found)
@@ -97,8 +98,8 @@ def _handed(problem: CalibrationProblem, found: StaticRig) -> Steps[tuple[float,
     their own for all views of all frames, from those of the rig.
     """
     certain = certainty([found.log_odds])
-    started = start_from_geometry(problem, found)
-    if certain > DECIDED or started is None:
+    started = None if certain > DECIDED else start_from_geometry(problem, found)
+    if started is None:
         return certain, found
     start, _ = started
     moving = problem._replace(reference=moving_rig(start.rig.lenses))

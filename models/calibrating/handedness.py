@@ -54,15 +54,15 @@ def same_handedness(points: Float64, others: Float64) -> bool:
     return bool((distances[0] < distances[1]).mean() > 0.5)
 
 
-def by_volume(found: StaticRig, corners: Corners) -> StaticRig:
+def by_volume(found: StaticRig, corners: Corners) -> StaticRig | None:
     """Return the rig, or its mirror image if four keypoints have a negative volume in most frames.
 
-    Frames count that show all four; without any, the rig stays.
+    Frames count that show all four. None if there are none.
     """
     known = np.isfinite(found.best.points[:, corners]).all((1, 2))
-    if not known.any() or volume(found.best.points[known], corners) > 0:
-        return found
-    return found.mirrored()
+    if not known.any():
+        return None
+    return found if volume(found.best.points[known], corners) > 0 else found.mirrored()
 
 
 def choose_handedness(

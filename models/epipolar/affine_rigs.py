@@ -24,9 +24,9 @@ MIRROR = np.diag([1.0, 1.0, -1.0])
 def affine_rigs(seen: SeenPoints, beliefs: Beliefs) -> list[StaticCameras]:
     """Return a rig from scaled orthographic cameras, and its mirror image.
 
-    Neither if there are two views, or too few points that all see, or if views share their axis.
-    Images are factorised into cameras and points (Poelman and Kanade, *A paraperspective
-    factorization method for shape and motion recovery*, 1997).
+    The list is empty if there are two views, or too few points that all of them see, or if views
+    share their axis. Images are factorised into cameras and points (Poelman and Kanade, *A
+    paraperspective factorization method for shape and motion recovery*, 1997).
     """
     complete = (seen.weights > 0).all(0)
     if len(seen.weights) < LEAST_VIEWS or complete.sum() < LEAST_POINTS:

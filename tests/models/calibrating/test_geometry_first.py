@@ -121,6 +121,17 @@ def test_an_open_handedness_does_not_keep_cameras_from_being_settled() -> None:
     assert pa_mpjpe(scene.points, far.points3d).mean < 0.06  # metres, whichever the hand
 
 
+def test_a_given_handedness_that_no_frame_shows_decides_nothing() -> None:
+    far = make_rig_capture(
+        [0.0, 80.0, -120.0], frames=20, distance=60.0, lenses=(Lens(focal=16_000.0),), noise=8.0
+    )
+    corners = tuple(keypoint(name) for name in ("pelvis", "left_hip", "neck", "head"))
+    far.keypoints[:, 1:, corners[3]] = np.nan  # one view alone sees it
+    found = found_in(far, FitConfig.model_validate({"handedness": corners}))
+    assert found is not None
+    assert found.handedness_certainty < 0.99
+
+
 def given(focal: float) -> dict[str, object]:
     """Return a calibration of a lens alone."""
     return {"intrinsics": {"fx": focal, "fy": focal}}
