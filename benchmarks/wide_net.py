@@ -144,7 +144,7 @@ def by_geometry(draw: Draw) -> Answer:
     """Find cameras without the network, and triangulate with them."""
     weights: Float64 = np.all(np.isfinite(draw.keypoints), -1).astype(np.float64)
     problem = problem_of(np.nan_to_num(draw.keypoints), weights, draw.sizes, FitConfig())
-    found = finished(geometry_of(problem, declared=False))
+    found = finished(geometry_of(problem, declared=False)).rig
     if found is None:
         return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ("nothing",))
     found = finished(scan_lenses(problem, found))

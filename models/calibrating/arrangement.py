@@ -50,18 +50,19 @@ def find_static(
     """Find which views are static relative to each other, and estimate their poses.
 
     Views are static if they are `declared` to be, or if geometry finds that all are. Otherwise all
-    are tried together, and then those that geometry finds static. They count as static if they
-    leave little more noise than moving cameras do: errors that a detector repeats look like a small
-    motion, and static cameras are determined far better.
+    are tried together, unless two of them certainly move, and then those that geometry finds
+    static. They count as static if they leave little more noise than moving cameras do: errors that
+    a detector repeats look like a small motion, and static cameras are determined far better.
 
     The `hint` are four keypoints that determine the handedness (see `choose_handedness`); `handed`
     is the solution from which the `moving` one was learnt.
     """
-    found = yield from geometry_of(problem, declared=declared)
+    geometry = yield from geometry_of(problem, declared=declared)
+    found = geometry.rig
     certain = declared or (found is not None and bool(found.static.all()))
-    if not certain and len(problem.poses) >= LEAST_VIEWS:
-        every = yield from attempt_steps(geometry_of(problem, declared=True), None)
-        static = yield from _joined(problem, handed, moving, every, hint)
+    if not (certain or geometry.moves) and len(problem.poses) >= LEAST_VIEWS:
+        every = yield from attempt_steps(geometry_of(problem, declared=True), geometry)
+        static = yield from _joined(problem, handed, moving, every.rig, hint)
         if static is not None and _quiet(problem, static.solution, moving):
             return static
     static = yield from _joined(problem, handed, moving, found, hint)

@@ -37,7 +37,7 @@ from models.calibrating.problem import CalibrationProblem, Solution, grouped
 from models.epipolar.pairs import Beliefs
 from models.epipolar.rig_certainty import FocalLikelihood
 from models.epipolar.static_cameras import StaticCameras
-from models.epipolar.static_rig import StaticRig, StaticScene, find_static_rig
+from models.epipolar.static_rig import Geometry, StaticRig, StaticScene, find_static_rig
 from models.numerics.rotations import nearest_rotations
 from models.numerics.steps import Steps
 from models.optics.lenses.projection import Lenses, project
@@ -79,23 +79,25 @@ def static_start(problem: CalibrationProblem, seen: StaticScene, noise: float) -
     return _start(problem, seen.rig, np.ones(len(problem.poses), bool), structures, noise)
 
 
-def geometry_of(problem: CalibrationProblem, *, declared: bool) -> Steps[StaticRig | None]:
-    """Find the static cameras from keypoints alone; None where no two explain them.
+def geometry_of(problem: CalibrationProblem, *, declared: bool) -> Steps[Geometry]:
+    """Find the static cameras from keypoints alone, in sides of the longest image.
 
-    The rig is in sides of the longest image. If the problem has it, it is returned, unless cameras
-    move in it that are `declared` static.
+    If the problem has its geometry, it is returned, unless cameras move in it that are `declared`
+    static.
     """
-    if problem.geometry is not None:
-        found = problem.geometry.rig
-        if not declared or (found is not None and found.static.all()):
-            return found
+    known = problem.geometry
+    if known is not None and (not declared or (known.rig and known.rig.static.all())):
+        return known
     # Two views determine each other worse than noise disturbs them: clean keypoints are better.
     keypoints = problem.detected if len(problem.poses) >= LEAST_VIEWS else problem.keypoints
     images, sizes = straight_images(problem, keypoints)
-    found = yield from find_static_rig(
-        images, problem.weights, lens_beliefs(problem), sizes, declared=declared
+    graph = None if known is None else known.graph
+    beliefs = lens_beliefs(problem)
+    return (
+        yield from find_static_rig(
+            images, problem.weights, beliefs, sizes, declared=declared, graph=graph
+        )
     )
-    return found
 
 
 def _deviations(problem: CalibrationProblem, found: StaticRig, unit: float) -> Float64:

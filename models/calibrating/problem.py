@@ -21,7 +21,7 @@ from models.bundle.problem import (
 )
 from models.bundle.shape_model import ShapeModel
 from models.calibrating.image_sizes import Images, ImageSizes, images_of
-from models.epipolar.static_rig import StaticRig
+from models.epipolar.static_rig import Geometry
 from models.numerics.rotations import rotations_from_vectors
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, index_of, project
 from models.settings.calibration import Alike, Camera
@@ -39,16 +39,6 @@ class Pose(NamedTuple):
 
     rotation: Float64  # (3, 3)
     translation: Float64  # (3,) in the user's unit
-
-
-class Geometry(NamedTuple):
-    """What keypoints alone show of all cameras together."""
-
-    rig: StaticRig | None  # None: no static cameras explain them
-
-    def of(self, frames: NDArray[np.int64]) -> "Geometry":
-        """Return the geometry of some of the frames."""
-        return Geometry(self.rig and self.rig.of(frames))
 
 
 class CalibrationProblem(NamedTuple):

@@ -97,7 +97,7 @@ def _search(
         static = yield from find_static(problem, handed, moving, declared=declared, hint=hint)
         if declared and static.solution.noise > DOUBTFUL_STATIC * moving.noise:
             freely = yield from geometry_of(problem, declared=False)
-            findings += _against_declared_static(freely, static.solution, moving)
+            findings += _against_declared_static(freely.rig, static.solution, moving)
     as_given, problem = static.solution, problem._replace(lens_groups=static.lens_groups)
     kept = static.kept
     if len(scanned_views(problem, as_given)):

@@ -33,7 +33,6 @@ from models.calibrating.lens_scan import TOO_SURE
 from models.calibrating.problem import (
     CLEAR,
     CalibrationProblem,
-    Geometry,
     Solution,
     problem_of,
     reprojection_distances,
@@ -147,7 +146,7 @@ def with_geometry(task: CalibrationTask) -> Steps[CalibrationTask]:
     if problem.posed or task.config.cameras == "moving" or len(problem.poses) < 2:
         return task
     found = yield from geometry_of(problem, declared=False)
-    return task._replace(problem=problem._replace(geometry=Geometry(found)))
+    return task._replace(problem=problem._replace(geometry=found))
 
 
 def calibrate_by_geometry(

@@ -20,6 +20,8 @@ ROUNDS = 8
 SAMPLES, SAMPLED_POINTS = 48, 9  # small samples that are tried as a start, and their size
 JUDGING_POINTS = 256  # by which they are judged
 TINY = 1e-12
+MOST_OFFSET = 3.0  # standard deviations, so that outliers do not decide
+LEAST_SHOWN = 3  # keypoints of a frame
 
 
 class Fundamental(NamedTuple):
@@ -111,6 +113,24 @@ def sampson_distances(matrix: Float64, x: Float64, y: Float64) -> Float64:
 def robust_scale(distances: Float64) -> float:
     """Return the standard deviation of a Gaussian with the median of these absolute distances."""
     return NORMAL * float(np.median(np.abs(distances)))
+
+
+def common_offsets(distances: Float64, frames: NDArray[np.int64]) -> float:
+    """Return how much more frames' mean distances vary than independent ones would; about 1.
+
+    If cameras move, a frame has a geometry of its own, and all its keypoints are off together.
+    `distances` (M,) are signed, in standard deviations, of these `frames` (M,). 0 if no frame has
+    enough of them.
+    """
+    offsets = distances.clip(-MOST_OFFSET, MOST_OFFSET)
+    counts = np.bincount(frames)
+    enough = counts > LEAST_SHOWN
+    if not enough.any():
+        return 0.0
+    sums, squares = np.bincount(frames, offsets)[enough], np.bincount(frames, offsets**2)[enough]
+    shared = np.square(sums) / counts[enough]
+    within = (squares - shared) / (counts[enough] - 1)
+    return float(shared.mean() / max(within.mean(), TINY))
 
 
 def student_weights(distances: Float64, scale: float | Float64) -> Float64:

@@ -95,6 +95,12 @@ class RelativePoses(NamedTuple):
     costs: Float64  # (S,) mean robust cost of the Sampson distances under one noise
     noise: float  # sides, robust standard deviation of the best one's
 
+    @property
+    def fundamental(self) -> Float64:
+        """The fundamental matrix (3, 3) of the best solution, for correspondences in sides."""
+        essentials = essential_of(self.rotations[:1], self.translations[:1])
+        return np.asarray(_in_sides(essentials, np.log(self.focals[:1]))[0])
+
 
 def relate(
     x: Float64, y: Float64, focals: Float64, sds: Float64, rng: np.random.Generator

@@ -29,6 +29,7 @@ from models.epipolar.view_graph import (
     NO_RIG,
     NOISY_POINTS,
     SharedPoints,
+    moving_pairs,
     relate_pairs,
     tied_views,
 )
@@ -84,6 +85,18 @@ class StaticRig(NamedTuple):
         )
 
 
+class Geometry(NamedTuple):
+    """What keypoints alone show of all cameras together."""
+
+    rig: StaticRig | None  # None: no two static cameras explain them
+    graph: ViewGraph  # relative poses of pairs of views
+    moves: bool  # whether two of the cameras certainly move relative to each other
+
+    def of(self, frames: NDArray[np.int64]) -> "Geometry":
+        """Return the geometry with the structures of some of the frames."""
+        return self._replace(rig=self.rig and self.rig.of(frames))
+
+
 def find_static_rig(
     images: Float64,
     weights: Float64,
@@ -91,8 +104,9 @@ def find_static_rig(
     sizes: Float64,
     *,
     declared: bool = False,
+    graph: ViewGraph | None = None,
     seed: int = 0,
-) -> Steps[StaticRig | None]:
+) -> Steps[Geometry]:
     """Find static cameras from the keypoints of N frames; yields now and then, to be stopped.
 
     Parameters
@@ -106,29 +120,38 @@ def find_static_rig(
         (K,) sides, root-mean-square radius of the subject in each view.
     declared
         Whether all views are declared static; otherwise those that move are left out.
+    graph
+        The relative poses of pairs of views, if they are known.
 
     Returns
     -------
-    None if no two views share enough, or static cameras do not explain the keypoints.
+    The geometry, without a rig if no two views share enough, or if static cameras do not explain
+    the keypoints.
     """
     rng = np.random.default_rng(seed)
     scene = SharedPoints.of(images, weights, rng)
-    graph = yield from relate_pairs(scene, beliefs, rng)
-    members = list(range(len(sizes))) if declared else tied_views(graph, sizes)
+    if graph is None:
+        graph = yield from relate_pairs(scene, beliefs, rng)
+    moving = moving_pairs(scene, graph, sizes)
+    if declared:
+        members = list(range(len(sizes)))
+    else:
+        graph_of_static = {pair: poses for pair, poses in graph.items() if pair not in moving}
+        members = tied_views(graph_of_static, sizes)
+    found = Geometry(None, graph, bool(moving))
     while len(members) > 1:
         chosen = yield from _adjusted(graph, scene, beliefs, sizes, members)
         if chosen is None:
-            return None
+            return found
         out = None if declared else _out_of_line(chosen.noise_alone, sizes[members])
         if out is None:
             result = _result(chosen, images, weights, beliefs, members)
             least = MOVES if len(members) > 2 else MOVES_OF_TWO
             out = _most_moving(result.motion, least * sizes[members], sizes[members])
             if out is None or declared:
-                return result
+                return found._replace(rig=result)
         members = [view for place, view in enumerate(members) if place != out]
-        graph = {pair: poses for pair, poses in graph.items() if set(pair) <= set(members)}
-    return None
+    return found
 
 
 class _Chosen(NamedTuple):

@@ -15,6 +15,7 @@ from models.epipolar.fundamental import (
     FREEDOM,
     LEAST_POINTS,
     Fundamental,
+    common_offsets,
     fit_fundamental,
     sampson_distances,
 )
@@ -33,8 +34,6 @@ ASTRAY = 0.1  # of keypoints that may lie anywhere
 # unless all is so little (of a view's radius) that lenses explain it.
 MOST_COMMON, LITTLE_NOISE = 2.5, 0.05
 AGREEING = 0.6  # of the pairs: a view that moves does not hide that others are static
-MOST_OFFSET = 3.0  # standard deviations, so that outliers do not decide
-LEAST_SHOWN = 3  # keypoints of a frame
 TINY = 1e-9
 DEPENDENCE = 0.5  # of a log likelihood ratio that counts: pairs of views share their noise
 MOST_NOISE = 0.25  # of a view's radius: beyond it, no one geometry explains the frames
@@ -169,15 +168,8 @@ def are_static(seen: SeenFrames, matrices: Matrices) -> bool:
     for (a, b), found in matrices.items():
         both = seen.there[:, a] & seen.there[:, b]
         x, y = seen.pixels[:, a].reshape(-1, 2), seen.pixels[:, b].reshape(-1, 2)
-        distances = sampson_distances(found.matrix, x, y).reshape(both.shape) / found.scale
-        offsets = np.where(both, np.clip(distances, -MOST_OFFSET, MOST_OFFSET), 0)
-        counts = both.sum(1)
-        enough = counts > LEAST_SHOWN
-        if not enough.any():
-            continue
-        sums, squares = offsets.sum(1)[enough], np.square(offsets).sum(1)[enough]
-        within = (squares - np.square(sums) / counts[enough]) / (counts[enough] - 1)
-        common.append(float((np.square(sums) / counts[enough]).mean() / max(within.mean(), TINY)))
+        offsets = sampson_distances(found.matrix, x, y)[both.ravel()] / found.scale
+        common.append(common_offsets(offsets, np.nonzero(both)[0]))
         noises.append(found.scale / seen.radius)
     if not noises or np.median(noises) > MOST_NOISE:
         return False

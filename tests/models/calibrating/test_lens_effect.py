@@ -65,7 +65,7 @@ def test_the_predicted_error_of_a_clean_pair_agrees_with_the_true_one(number: in
     assert row.findings == ("lenses_limit_accuracy",)
     weights = np.asarray(np.isfinite(draw.keypoints).all(-1), np.float64)
     problem = problem_of(np.nan_to_num(draw.keypoints), weights, draw.sizes, FitConfig())
-    found = finished(geometry_of(problem, declared=False))
+    found = finished(geometry_of(problem, declared=False)).rig
     assert found is not None
     started = start_from_geometry(problem, finished(scan_lenses(problem, found)))
     assert started is not None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from models.epipolar.fundamental import fit_fundamental, sampson_distances
+from models.epipolar.fundamental import common_offsets, fit_fundamental, sampson_distances
 from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]
@@ -56,3 +56,13 @@ def test_two_wrong_correspondences_in_five_do_not_lead_it_astray() -> None:
     found = fit_fundamental(noisy_x, noisy_y)
     assert np.median(np.abs(sampson_distances(found.matrix, x, y))) < 1.0
     assert found.scale < 6
+
+
+def test_offsets_that_frames_have_in_common_are_measured() -> None:
+    """The expected ratio is 1 + n s^2 for offsets of n keypoints of deviation s, in common."""
+    rng, frames = np.random.default_rng(3), np.repeat(np.arange(4000), 9)
+    noise = 0.3 * rng.standard_normal(len(frames))
+    assert common_offsets(noise, frames) == pytest.approx(1.0, abs=0.1)
+    shared = 0.6 * rng.standard_normal(4000)
+    assert common_offsets(noise + shared[frames], frames) == pytest.approx(1 + 9 * 4, rel=0.1)
+    assert common_offsets(noise[:9], np.arange(9)) == 0.0

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
-from models.epipolar.static_rig import StaticRig, find_static_rig
+from models.epipolar.static_rig import Geometry, StaticRig, find_static_rig
 from models.numerics.steps import finished
 from tests.models.rigs import IMAGE_SIZE, Lens, RigCapture, make_rig_capture
 
@@ -15,6 +15,10 @@ UNLIKE = (Lens(focal=700), Lens(focal=1300), Lens(focal=2000))
 
 
 def found_in(capture: RigCapture) -> StaticRig | None:
+    return geometry_in(capture).rig
+
+
+def geometry_in(capture: RigCapture) -> Geometry:
     views = len(capture.lenses)
     centres = np.array(IMAGE_SIZE) / 2
     radii = capture.pixels - capture.pixels.mean(2, keepdims=True)
@@ -87,6 +91,14 @@ def test_two_views_that_move_are_no_rig() -> None:
     static = found_in(make_rig_capture([0.0, 80.0], frames=60))
     assert static is not None
     assert static.static.all()
+
+
+def test_certain_motion_is_seen_in_pairs_and_noise_is_no_motion() -> None:
+    angles = [0.0, 80.0, -120.0]
+    assert geometry_in(make_rig_capture(angles, frames=60, moving=(0, 1, 2))).moves
+    assert geometry_in(make_rig_capture(angles, frames=60, moving=(1,), noise=3.0)).moves
+    for noise in (0.0, 6.0, 25.0):
+        assert not geometry_in(make_rig_capture(angles, frames=60, noise=noise)).moves
 
 
 def test_clear_keypoints_give_exact_cameras() -> None:
