@@ -34,6 +34,7 @@ from models.calibrating.problem import problem_of
 from models.capture.metrics import pa_mpjpe, procrustes_by_size
 from models.epipolar.robust_points import robust_points
 from models.epipolar.static_cameras import SeenPoints, StaticCameras
+from models.findings.finding import Finding
 from models.lifting.lift import LiftedFrames
 from models.numerics.steps import finished
 from models.numerics.threads import use_threads
@@ -137,7 +138,7 @@ class Answer(NamedTuple):
     focals: Float64  # (K,) pixels
     focal_sds: Float64  # (K,) of their logs
     reach: float  # as in `Row`
-    findings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def by_geometry(draw: Draw) -> Answer:
@@ -146,7 +147,7 @@ def by_geometry(draw: Draw) -> Answer:
     problem = problem_of(np.nan_to_num(draw.keypoints), weights, draw.sizes, FitConfig())
     found = finished(geometry_of(problem, declared=False)).rig
     if found is None:
-        return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ("nothing",))
+        return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ())
     found = finished(scan_lenses(problem, found))
     rig, static = found.best.rig, bool(found.static.all())
     started = start_from_geometry(problem, found) if static else None
@@ -159,7 +160,7 @@ def by_geometry(draw: Draw) -> Answer:
         np.exp(rig.log_focals) * problem.side,
         focal_deviations(problem, found),
         float("nan"),
-        tuple(finding.code for finding in findings),
+        findings,
     )
 
 
@@ -167,10 +168,10 @@ def by_fit(draw: Draw) -> Answer:
     """Fit with the default configuration and lift the frames of the fit."""
     prior = fit(draw.keypoints, FitConfig(), image_sizes=draw.sizes)
     lift = prior.lift(draw.keypoints)
-    codes = tuple(sorted({finding.code for finding in prior.findings}))
     cameras = prior.cameras
     if cameras is None:
-        return _without_cameras(draw, lift.points3d.astype(np.float64), codes, _reach(draw, lift))
+        points = lift.points3d.astype(np.float64)
+        return _without_cameras(draw, points, prior.findings, _reach(draw, lift))
     return Answer(
         lift.points3d.astype(np.float64),
         bool(cameras.static.all()),
@@ -179,12 +180,12 @@ def by_fit(draw: Draw) -> Answer:
         cameras.focals.mean(1),
         cameras.focal_sds / cameras.focals.mean(1),
         _reach(draw, lift),
-        codes,
+        prior.findings,
     )
 
 
 def _without_cameras(
-    draw: Draw, points: Float64, findings: tuple[str, ...], reach: float = float("nan")
+    draw: Draw, points: Float64, findings: tuple[Finding, ...], reach: float = float("nan")
 ) -> Answer:
     rotations = np.full((draw.keypoints.shape[1], 3, 3), np.nan)
     unknown = rotations[:, 0, 0]
@@ -238,7 +239,7 @@ def measure(draw: Draw, found: Callable[[Draw], Answer], oracle: Path | None) ->
         _turn(draw, answer.rotations),
         _inferred(draw, answer.points, asked, once),
         answer.reach,
-        answer.findings,
+        tuple(sorted({finding.code for finding in answer.findings})),
         seconds,
     )
 

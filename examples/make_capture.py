@@ -30,7 +30,7 @@ ASTRAY = 0.01  # share of keypoints that were mistaken for something nearby
 ASTRAY_DISTANCE = (20.0, 60.0)  # pixels
 HIDDEN = 0.02  # share of keypoints without a detection
 HIDDEN_VIEW = 0.05  # share of views of a frame without any: the actor was not found
-HARD = 1.8  # how much more often and farther hands and toes are missed than the rest
+HARD = 1.8  # how much more often and farther hands and toes are missed than the others
 PIXEL_STEP = 1 / 16  # keypoints are rounded to this, which halves the file
 
 # The joints of the Acclaim skeleton that the source's forward kinematics gives, in its order.

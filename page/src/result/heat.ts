@@ -5,7 +5,7 @@ import { LEFT_OUT, UNSEEN, type KeypointErrors } from "../science/errors.ts";
 
 type Rgb = [number, number, number];
 
-/** From no error to a large one: lightness alone tells them apart, whatever colours one sees. */
+/** From no error to a large one: lightness alone distinguishes them, whatever colours one sees. */
 const LIGHT: Rgb[] = [
   [240, 243, 246],
   [247, 234, 217],

@@ -11,7 +11,7 @@ export function unitOf(config: Config): string {
   return hasUnit(config) ? "unit of the calibration" : "no unit: no length was given";
 }
 
-/** Tells whether lengths were given to a fit: one of the subject, or the poses of two cameras. */
+/** Returns whether lengths were given to a fit: one of the subject, or the poses of two cameras. */
 export function hasUnit(config: Config): boolean {
   const posed = (config.calibration ?? []).filter((camera) => camera?.translation);
   return Boolean(config.known_length) || posed.length > 1;

@@ -66,11 +66,11 @@ function useFrames(loader: Result["loader"], player: Player) {
   useEffect(() => {
     let timer: ReturnType<typeof setTimeout> | undefined;
     const stopPart = loader.onPart(() => {
-      const tell = () => {
+      const report = () => {
         timer = undefined;
         setState(({ version }) => ({ version: version + 1, done: loader.done, trouble: false }));
       };
-      timer ??= setTimeout(tell, PAUSE_MS);
+      timer ??= setTimeout(report, PAUSE_MS);
     });
     loader.onTrouble(() => setState((before) => ({ ...before, trouble: true })));
     const stopPlayer = player.onChange(() => loader.want(player.frame));

@@ -24,7 +24,7 @@ export function middleOf({ points, keypoints, frames }: Take, frame: number): Ve
   return count > 0 ? sum.divideScalar(count) : null;
 }
 
-/** Tells whether a subject walks so far that to show all of its path would make it small. */
+/** Returns whether a subject walks so far that to show all of its path would make it small. */
 export function walks(path: Box, size: number): boolean {
   return Math.max(path.high[0] - path.low[0], path.high[2] - path.low[2]) > 1.1 * size;
 }

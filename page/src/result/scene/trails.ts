@@ -82,7 +82,7 @@ function isStep(points: Float32Array, a: number, b: number, jump: number): boole
   return dx * dx + dy * dy + dz * dz < jump * jump; // false for NaN
 }
 
-/** Returns the keypoints whose trails tell most: the ends of chains of bones. */
+/** Returns the keypoints whose trails show most: the ends of chains of bones. */
 export function endsOf(take: Take): number[] {
   const degree = new Array<number>(take.keypoints).fill(0);
   for (const [a, b] of take.edges) {
