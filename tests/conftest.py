@@ -38,6 +38,11 @@ def postgresql() -> Iterator[PostgreSQL]:
         yield served
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    # Compiling takes a minute that no process can share: at the end, the others would wait for it.
+    items.sort(key=lambda item: item.path.name != "test_precompile.py")
+
+
 def pytest_collection_finish() -> None:
     gc.freeze()
     gc.enable()
