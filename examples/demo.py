@@ -273,8 +273,8 @@ def to_json(values: Float32) -> Any:
 def accuracies(fitted: Result, new: Result, threshold: float) -> dict[str, Any]:
     """Compare with the truth, if there is one, up to rotation, position and size of each frame.
 
-    Weak perspective cannot distinguish a structure from its mirror image. Whether all structures are
-    mirrored is one bit of the fit: it is read off the fitted frames and holds for the unseen.
+    Weak perspective cannot distinguish a structure from its mirror image. Whether all structures
+    are mirrored is one bit of the fit: it is read off the fitted frames and holds for the unseen.
     """
     figures: dict[str, Any] = dict.fromkeys(
         ("pa_mpjpe", "pa_mpjpe_unseen", "pck", "pck_unseen", "pck_threshold", "mirrored")
