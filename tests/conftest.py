@@ -49,5 +49,8 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
+    # pytest looks for garbage five times as it ends: once is enough.
+    gc.collect()
+    gc.freeze()
     if not hasattr(session.config, "workerinput"):  # of xdist: once a run
         forget_older_fits()

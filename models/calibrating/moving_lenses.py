@@ -24,7 +24,6 @@ from models.calibrating.lens_scan import (
     LEAST_INFORMATION,
     LEAST_NOISE,
     LONGEST,
-    ROUNDS,
     SHORTEST,
     TOO_SURE,
 )
@@ -35,6 +34,7 @@ from models.numerics.steps import Steps
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
+ROUNDS = 3  # of learning shapes
 STEP, FINE = 0.25, 0.0625  # of a log focal length, over the range and about the best
 FINE_STEPS = 3  # to either side of the best
 HOPELESS = 300.0  # nats: so much less log evidence than its best trial has ends a walk

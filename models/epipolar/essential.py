@@ -67,19 +67,29 @@ def five_point(x: Float64, y: Float64) -> Essentials:
 
 def _constraints(linear: Float64) -> Float64:
     """Return det E = 0 and 2 E E^T E = tr(E E^T) E of E (B, 3, 3, 4), coefficients (B, 10, 20)."""
-    gram = np.einsum("bikp,bjkq,pqr->bijr", linear, linear, _LINEAR_TIMES, optimize=True)
+    gram = _product(linear, linear.swapaxes(1, 2), _LINEAR_TIMES)
     trace = np.einsum("biir->br", gram)
     gram = 2 * gram - trace[:, None, None] * np.eye(3)[:, :, None]
-    cubic = np.einsum("bikp,bkjq,pqr->bijr", gram, linear, _QUADRATIC_TIMES, optimize=True)
-    minors = [
-        np.einsum("bp,bq,pqr->br", linear[:, 1, i], linear[:, 2, j], _LINEAR_TIMES, optimize=True)
-        - np.einsum("bp,bq,pqr->br", linear[:, 1, j], linear[:, 2, i], _LINEAR_TIMES, optimize=True)
-        for i, j in ((1, 2), (2, 0), (0, 1))
-    ]
-    determinant = np.einsum(
-        "bkp,bkq,pqr->br", np.stack(minors, 1), linear[:, 0], _QUADRATIC_TIMES, optimize=True
-    )
-    return np.concatenate((cubic.reshape(len(linear), 9, -1), determinant[:, None]), 1)
+    cubic = _product(gram, linear, _QUADRATIC_TIMES)
+    # The determinant is the first row times the cross product of the second and the third.
+    pairs = _product(linear[:, 1, :, None], linear[:, 2, None], _LINEAR_TIMES)  # (B, 3, 3, 10)
+    minors = [pairs[:, i, j] - pairs[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    determinant = _product(np.stack(minors, 1)[:, None], linear[:, 0, :, None], _QUADRATIC_TIMES)
+    return np.concatenate((cubic.reshape(len(linear), 9, -1), determinant[:, 0]), 1)
+
+
+def _product(left: Float64, right: Float64, table: Float64) -> Float64:
+    """Multiply matrices of polynomials, (B, I, K, P) and (B, K, J, Q), of monomials in `table`.
+
+    `table` (P, Q, R) says which monomial is the product of two; returns (B, I, J, R).
+    """
+    batch, rows, inner, terms = left.shape
+    _, _, columns, others = right.shape
+    first = left.transpose(0, 1, 3, 2).reshape(batch, rows * terms, inner)
+    products = first @ right.reshape(batch, inner, columns * others)
+    products = products.reshape(batch, rows, terms, columns, others).swapaxes(2, 3)
+    flat = products.reshape(batch, rows, columns, terms * others)
+    return np.asarray(flat @ table.reshape(terms * others, -1), np.float64)
 
 
 def _multiplication(reduced: Float64) -> Float64:
