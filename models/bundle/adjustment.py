@@ -70,10 +70,10 @@ class Adjusted(NamedTuple):
     scene: Scene
 
 
-def move_scene(scene: Scene, points_step: Float64, rest_step: Float64) -> Scene:
+def move_scene(scene: Scene, points_step: Float64, others_step: Float64) -> Scene:
     """Apply steps of the points (N, P, 3) and of the other unknowns (N, R) to a scene."""
     frames, groups = scene.sizes.shape
-    pose = rest_step[:, : POSE * groups].reshape(frames, groups, POSE)
+    pose = others_step[:, : POSE * groups].reshape(frames, groups, POSE)
     return Scene(
         scene.points + points_step,
         rotations_from_vectors(pose[..., :3]) @ scene.rotations,
@@ -187,8 +187,8 @@ def _solved(
     step[rig_prior.free] = free_step
     # As one product: the shared numbers are few, the points are many.
     points_step = reduced.points + _times(reduced.points_by_shared, free_step)
-    rest_step = reduced.rest + _times(reduced.rest_by_shared, free_step)
-    return move_rig(rig, step), move_scene(scene, points_step, rest_step)
+    others_step = reduced.others + _times(reduced.others_by_shared, free_step)
+    return move_rig(rig, step), move_scene(scene, points_step, others_step)
 
 
 def _times(matrices: Float64, vector: Float64) -> Float64:

@@ -35,8 +35,8 @@ class Reduced(NamedTuple):
     right: Float64  # (N, T) right-hand side: minus half of the gradient
     points: Float64  # (N, P, 3) step of the points with the shared numbers held
     points_by_shared: Float64  # (N, P, 3, T) its derivative by the shared numbers
-    rest: Float64  # (N, R) step of the poses and components, likewise
-    rest_by_shared: Float64  # (N, R, T)
+    others: Float64  # (N, R) step of the poses and components, likewise
+    others_by_shared: Float64  # (N, R, T)
 
 
 def eliminate_frames(
@@ -72,7 +72,7 @@ def _eliminate_frames(
     out: Reduced,
 ) -> None:
     count, columns = equations.coupling.shape[1], len(kept)
-    size, shared = out.rest_by_shared.shape[1], out.rest_by_shared.shape[2]
+    size, shared = out.others_by_shared.shape[1], out.others_by_shared.shape[2]
     own, inverses = make_equations(count, columns), np.empty((count, 3, 3))
     complement, right = np.empty((columns, columns)), np.empty(columns)
     factor, answers = np.empty((size, size)), np.empty((shared + 1, size))
@@ -91,7 +91,7 @@ def _eliminate_frames(
             copy(complement[size + a, :size] if a < shared else right[:size], answers[a])
             cholesky_solve(factor, answers[a])
         _reduce(complement, right, answers, frame)
-        back_substitute(own, inverses, frame.rest, frame.points)
+        back_substitute(own, inverses, frame.others, frame.points)
         _points_by_shared(own, inverses, frame)
 
 
@@ -102,8 +102,8 @@ def _reduced_of_frame(reduced: Reduced, n: int) -> Reduced:
         reduced.right[n],
         reduced.points[n],
         reduced.points_by_shared[n],
-        reduced.rest[n],
-        reduced.rest_by_shared[n],
+        reduced.others[n],
+        reduced.others_by_shared[n],
     )
 
 
@@ -113,8 +113,8 @@ def _say_nothing(frame: Reduced) -> None:
     fill(frame.right, 0)
     fill(frame.points, 0)
     fill(frame.points_by_shared, 0)
-    fill(frame.rest, 0)
-    fill(frame.rest_by_shared, 0)
+    fill(frame.others, 0)
+    fill(frame.others_by_shared, 0)
 
 
 @inner
@@ -123,9 +123,9 @@ def _keep(source: NormalEquations, kept: NDArray[np.int64], out: NormalEquations
     copy(source.points, out.points)
     copy(source.points_right, out.points_right)
     for a in range(len(kept)):
-        out.rest_right[a] = source.rest_right[kept[a]]
+        out.others_right[a] = source.others_right[kept[a]]
         for b in range(len(kept)):
-            out.rest[a, b] = source.rest[kept[a], kept[b]]
+            out.others[a, b] = source.others[kept[a], kept[b]]
         for p in range(len(source.points)):
             for i in range(3):
                 out.coupling[p, i, a] = source.coupling[p, i, kept[a]]
@@ -134,23 +134,23 @@ def _keep(source: NormalEquations, kept: NDArray[np.int64], out: NormalEquations
 @inner
 def _reduce(complement: Float64, right: Float64, answers: Float64, frame: Reduced) -> None:
     """Write the frame's own step and the equations of the shared, from the solved (T + 1, R)."""
-    size, shared = len(frame.rest), len(frame.right)
-    rest = answers[shared]
-    copy(rest, frame.rest)
+    size, shared = len(frame.others), len(frame.right)
+    others = answers[shared]
+    copy(others, frame.others)
     for a in range(shared):
         link = complement[size + a]  # (R + T,)
-        frame.right[a] = right[size + a] - _dot(link, rest)
+        frame.right[a] = right[size + a] - _dot(link, others)
         for b in range(a + 1):
             frame.information[a, b] = link[size + b] - _dot(link, answers[b])
             frame.information[b, a] = frame.information[a, b]
         for b in range(size):
-            frame.rest_by_shared[b, a] = -answers[a, b]
+            frame.others_by_shared[b, a] = -answers[a, b]
 
 
 @inner
 def _points_by_shared(own: NormalEquations, inverses: Float64, frame: Reduced) -> None:
     """Write the derivative of the points' step by the shared: inverse blocks times the coupling."""
-    size, shared = len(frame.rest), len(frame.right)
+    size, shared = len(frame.others), len(frame.right)
     pull = np.empty((3, shared))
     for p in range(len(frame.points)):
         for i in range(3):
@@ -159,7 +159,7 @@ def _points_by_shared(own: NormalEquations, inverses: Float64, frame: Reduced) -
                 row[a] = -own.coupling[p, i, size + a]
             for b in range(size):
                 coupling = own.coupling[p, i, b]
-                answer = frame.rest_by_shared[b]
+                answer = frame.others_by_shared[b]
                 for a in range(shared):
                     row[a] -= coupling * answer[a]
         for i in range(3):

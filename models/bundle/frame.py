@@ -79,14 +79,14 @@ def cost_of(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> float:
 
 
 @inner
-def apply_step(scene: Scene, points_step: Float64, rest_step: Float64, out: Scene) -> None:
+def apply_step(scene: Scene, points_step: Float64, others_step: Float64, out: Scene) -> None:
     """Write the unknowns after steps of the points (P, 3) and of the poses (7 G or more)."""
     rotation = np.empty((3, 3))
     for p in range(len(points_step)):
         for i in range(3):
             out.points[p, i] = scene.points[p, i] + points_step[p, i]
     for g in range(len(scene.sizes)):
-        step = rest_step[POSE * g : POSE * (g + 1)]
+        step = others_step[POSE * g : POSE * (g + 1)]
         rotation_from_vector_into(step[0], step[1], step[2], rotation)
         product(rotation, scene.rotations[g], out.rotations[g])
         for i in range(3):

@@ -32,9 +32,9 @@ class NormalEquations(NamedTuple):
 
     points: Float64  # (P, 3, 3) blocks on the diagonal
     coupling: Float64  # (P, 3, C) of the points and the other unknowns
-    rest: Float64  # (C, C)
+    others: Float64  # (C, C)
     points_right: Float64  # (P, 3) right-hand side: minus half of the gradient
-    rest_right: Float64  # (C,)
+    others_right: Float64  # (C,)
 
 
 @inner
@@ -55,9 +55,9 @@ def equations_of_frame(equations: NormalEquations, n: int) -> NormalEquations:
     return NormalEquations(
         equations.points[n],
         equations.coupling[n],
-        equations.rest[n],
+        equations.others[n],
         equations.points_right[n],
-        equations.rest_right[n],
+        equations.others_right[n],
     )
 
 
@@ -127,7 +127,7 @@ def linearise(
 ) -> None:
     """Write the normal equations; if `out` has columns for them, also those of the rig."""
     own = POSE * len(scene.sizes) + prior.basis.shape[1]  # columns of the frame alone
-    shared = len(out.rest_right) > own
+    shared = len(out.others_right) > own
     columns = POSE + (VIEW if shared else 0)  # that one keypoint depends on
     block, right = np.empty((columns, columns)), np.empty(columns)
     _linearise_priors(rig, prior, scene, out)
@@ -139,10 +139,10 @@ def linearise(
         _linearise_view(views, rig, scene, k, pose_at, view_at, block, right, out)
         for a in range(columns):
             row = pose_at + a if a < POSE else view_at + a - POSE
-            out.rest_right[row] += right[a]
+            out.others_right[row] += right[a]
             for b in range(columns):
                 column = pose_at + b if b < POSE else view_at + b - POSE
-                out.rest[row, column] += block[a, b]
+                out.others[row, column] += block[a, b]
 
 
 @inner
@@ -150,8 +150,8 @@ def _linearise_priors(rig: Rig, prior: ShapePrior, scene: Scene, out: NormalEqua
     """Write the equations of the shape prior and of the sizes alone."""
     fill(out.points, 0)
     fill(out.coupling, 0)
-    fill(out.rest, 0)
-    fill(out.rest_right, 0)
+    fill(out.others, 0)
+    fill(out.others_right, 0)
     components, components_at = prior.basis.shape[1], POSE * len(scene.sizes)
     _, weight = whiten(scene.points, prior, out.points_right)
     for p in range(len(scene.points)):
@@ -162,11 +162,11 @@ def _linearise_priors(rig: Rig, prior: ShapePrior, scene: Scene, out: NormalEqua
                 out.coupling[p, i, components_at + q] = -weight * prior.basis[3 * p + i, q]
     for q in range(components):
         for r in range(components):
-            out.rest[components_at + q, components_at + r] = weight * prior.inner[q, r]
+            out.others[components_at + q, components_at + r] = weight * prior.inner[q, r]
     for g in range(len(scene.sizes)):
         at = POSE * g + SIZE
-        out.rest[at, at] = rig.size_precision[g]
-        out.rest_right[at] = -rig.size_precision[g] * scene.sizes[g]
+        out.others[at, at] = rig.size_precision[g]
+        out.others_right[at] = -rig.size_precision[g] * scene.sizes[g]
 
 
 @inner
@@ -311,10 +311,10 @@ def eliminate(
     size = len(right)
     block, carried = np.empty((3, 3)), np.empty((3, size))
     for a in range(size):
-        right[a] = equations.rest_right[a]
+        right[a] = equations.others_right[a]
         for b in range(a + 1):
-            reduced[a, b] = equations.rest[a, b]
-        reduced[a, a] += damping * equations.rest[a, a] + TINY
+            reduced[a, b] = equations.others[a, b]
+        reduced[a, a] += damping * equations.others[a, a] + TINY
     for p in range(len(inverses)):
         copy(equations.points[p], block)
         for i in range(3):
@@ -336,15 +336,15 @@ def eliminate(
 
 @inner
 def back_substitute(
-    equations: NormalEquations, inverses: Float64, rest_step: Float64, points_step: Float64
+    equations: NormalEquations, inverses: Float64, others_step: Float64, points_step: Float64
 ) -> None:
     """Write the step of the points (P, 3) from that of the other unknowns."""
     left = np.empty(3)
     for p in range(len(points_step)):
         for i in range(3):
             total = equations.points_right[p, i]
-            for a in range(len(rest_step)):
-                total -= equations.coupling[p, i, a] * rest_step[a]
+            for a in range(len(others_step)):
+                total -= equations.coupling[p, i, a] * others_step[a]
             left[i] = total
         for i in range(3):
             points_step[p, i] = (

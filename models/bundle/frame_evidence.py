@@ -52,7 +52,7 @@ def _log_determinants(equations: NormalEquations) -> Float64:
     blocks, coupling = equations.points[definite], equations.coupling[definite]
     flat = (len(definite), 3 * blocks.shape[1], coupling.shape[-1])
     carried = np.linalg.solve(blocks, coupling).reshape(flat)
-    schur = np.linalg.slogdet(equations.rest[definite] - coupling.reshape(flat).mT @ carried)
+    schur = np.linalg.slogdet(equations.others[definite] - coupling.reshape(flat).mT @ carried)
     logs = schur.logabsdet + of_points.logabsdet[definite].sum(1)
     found = np.full(len(equations.points), np.nan)
     found[definite] = np.where(schur.sign > 0, logs, np.nan)

@@ -85,7 +85,7 @@ def _growth(reduced: Reduced, scene: Scene) -> Float64:
     along = centred / np.square(centred).sum((1, 2), keepdims=True)
     structures = np.einsum("npi,npif->f", along, reduced.points_by_shared) / len(along)
     groups = scene.sizes.shape[1]
-    sizes = reduced.rest_by_shared[:, POSE - 1 : POSE * groups : POSE].mean(0)  # (G, F)
+    sizes = reduced.others_by_shared[:, POSE - 1 : POSE * groups : POSE].mean(0)  # (G, F)
     growth: Float64 = structures + sizes
     return growth
 
@@ -114,11 +114,11 @@ def _learnt_shapes(reduced: Reduced, prior: ShapePrior, scene: Scene) -> Float64
     along = axes.T @ changes  # (F, Q, 3 P)
     within = along @ axes  # (F, Q, Q)
     # The model follows changes of its components, and the size of the isotropic part.
-    rest = (changes.trace(axis1=1, axis2=2) - within.trace(axis1=1, axis2=2))[:, None]
+    others = (changes.trace(axis1=1, axis2=2) - within.trace(axis1=1, axis2=2))[:, None]
     beside = max(size - away.shape[1] - axes.shape[1], 1)
     flat_along, flat_within = (a.reshape(len(a), -1) for a in (along, within))
     products = 2 * flat_along @ flat_along.T - flat_within @ flat_within.T
-    lost: Float64 = frames * (mean.T @ mean + (products + rest @ rest.T / beside) / 2)
+    lost: Float64 = frames * (mean.T @ mean + (products + others @ others.T / beside) / 2)
     return lost
 
 
@@ -147,7 +147,7 @@ def _scores_of_keypoints(
             moved = move_scene(
                 scene,
                 sign * reduced.points_by_shared[..., number],
-                sign * reduced.rest_by_shared[..., number],
+                sign * reduced.others_by_shared[..., number],
             )
             other = move_rig(rig, step)
             sides.append(project(points_in_cameras(moved, other), other.lenses))

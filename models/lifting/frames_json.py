@@ -39,8 +39,8 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
         texts = [text.replace(_NO_POINT, b"null") for text in texts]
     return [
         (_ANSWERED if fine else _NOT_IN_ROOM if b"not_in_room" in found else _UNANSWERED)
-        % {b"points": text, b"seen": seen, b"odd": odd, b"findings": found, b"views": rest}
-        for fine, text, seen, odd, found, rest in zip(
+        % {b"points": text, b"seen": seen, b"odd": odd, b"findings": found, b"views": shown}
+        for fine, text, seen, odd, found, shown in zip(
             answered.tolist(),
             texts,
             _seen(arrays),

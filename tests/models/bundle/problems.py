@@ -237,7 +237,7 @@ def linearised(problem: CalibrationProblem, *, shared: bool) -> NormalEquations:
 
 def dense(normal: NormalEquations, frame: int) -> tuple[Float64, Float64]:
     """Matrix and right-hand side of one frame: points, then poses, components, what is shared."""
-    rest = normal.rest.shape[-1]
+    rest = normal.others.shape[-1]
     matrix = np.zeros((3 * POINTS + rest,) * 2)
     for p in range(POINTS):
         mine = slice(3 * p, 3 * p + 3)
@@ -245,8 +245,8 @@ def dense(normal: NormalEquations, frame: int) -> tuple[Float64, Float64]:
     coupling = normal.coupling[frame].reshape(3 * POINTS, rest)
     matrix[: 3 * POINTS, 3 * POINTS :] = coupling
     matrix[3 * POINTS :, : 3 * POINTS] = coupling.T
-    matrix[3 * POINTS :, 3 * POINTS :] = normal.rest[frame]
-    pull = np.concatenate((normal.points_right[frame].ravel(), normal.rest_right[frame]))
+    matrix[3 * POINTS :, 3 * POINTS :] = normal.others[frame]
+    pull = np.concatenate((normal.points_right[frame].ravel(), normal.others_right[frame]))
     return matrix, pull
 
 

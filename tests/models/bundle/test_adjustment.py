@@ -124,17 +124,17 @@ def test_a_frame_without_what_is_shared_has_the_same_equations() -> None:
     problem = make()
     size = POSE * 2 + COMPONENTS
     whole, own = linearised(problem, shared=True), linearised(problem, shared=False)
-    assert own.rest.shape == (FRAMES, size, size)
-    np.testing.assert_allclose(whole.rest[:, :size, :size], own.rest)
+    assert own.others.shape == (FRAMES, size, size)
+    np.testing.assert_allclose(whole.others[:, :size, :size], own.others)
     np.testing.assert_allclose(whole.coupling[..., :size], own.coupling)
-    np.testing.assert_allclose(whole.rest_right[:, :size], own.rest_right)
+    np.testing.assert_allclose(whole.others_right[:, :size], own.others_right)
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.3])
 def test_eliminating_the_points_first_solves_the_dense_equations(damping: float) -> None:
     problem = make()
     normal = linearised(problem, shared=False)
-    size = normal.rest.shape[-1]
+    size = normal.others.shape[-1]
     inverse, reduced, right = np.empty((POINTS, 3, 3)), np.empty((size, size)), np.empty(size)
     for frame in (0, 2):  # without the moving camera, the second frame leaves its pose open
         own = NormalEquations(*(a[frame] for a in normal))
@@ -225,7 +225,7 @@ def test_a_frame_without_definite_equations_says_nothing_and_stays() -> None:
     free, damping = problem.rig_prior.free, 1e-3
     equations = linearised(problem, shared=True)
     plain = eliminate_frames(equations, free, damping)
-    equations.rest[1] *= -1
+    equations.others[1] *= -1
     odd = eliminate_frames(equations, free, damping)
     for before, after in zip(plain, odd, strict=True):
         np.testing.assert_array_equal(after[[0, 2]], before[[0, 2]])

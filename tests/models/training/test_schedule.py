@@ -17,7 +17,7 @@ from models.training.schedule import PERSPECTIVE_REFRESHES, Schedule
 from models.training.trainer import Progress, Trainer, fit
 from tests.sharing import fitted_once
 
-# The cameras move here; looking for rest would take most of the time.
+# The cameras move here; looking for static cameras would take most of the time.
 QUICK = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8, cameras="moving")
 ENDLESS = QUICK.model_copy(update={"steps": 1_000_000, "budget_s": 1.0})
 

@@ -19,7 +19,7 @@ RING = [0.0, 70.0, 160.0]
 FRAMES = 200
 MOMENTS = np.arange(20.0, 20 + FRAMES)[:, None]
 TIMES = 1.7e9 + np.arange(FRAMES) / 50
-# Looking for rest would take most of the time, and has nothing to do with clocks.
+# Looking for static cameras would take most of the time, and has nothing to do with clocks.
 QUICK = FitConfig(dictionary_sizes=(16, 8), steps=3, batch_size=8, cameras="moving")
 
 

@@ -43,7 +43,7 @@ CONFIGS = {
         {"prior": "mlp", "mlp": {"width": 4, "blocks": 0, "code": 1}}
     ),
 }
-# The cameras move here; looking for rest would take most of the time, and is the same for all.
+# The cameras move here; to look for static ones takes time, and is the same for all.
 DEFAULTS = [FitConfig(prior=name, steps=40, batch_size=16, cameras="moving") for name in PRIORS]
 KEYPOINTS = 11
 
