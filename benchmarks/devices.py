@@ -62,7 +62,7 @@ def measure(keypoints: int, sizes: list[int], frames: int, steps: int) -> Row:
     config = FitConfig(dictionary_sizes=sizes, batch_size=frames)
     drawn = batch(frames, keypoints)
     seconds, loss = train(prior_of(config, keypoints), drawn, torch.device("cpu"), steps)
-    pays = gpu_pays(config, VIEWS, keypoints)
+    pays = gpu_pays(config, frames, VIEWS, keypoints)
     row: Row = {
         "keypoints": keypoints,
         "dictionary": "-".join(map(str, sizes)),

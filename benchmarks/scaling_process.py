@@ -71,7 +71,7 @@ def time_all(
             ways[what, size] = lifting(prior, keypoints, TAKEN[what])
             frames[what, size] = BATCH
         ways[FIT, size] = stepping(captures[size], prior.config)
-        frames[FIT, size] = FEW_STEPS * prior.config.batch_size
+        frames[FIT, size] = FEW_STEPS * prior.config.batch_of(len(captures[size].keypoints))
     answer: Costs = {}
     for key, times in take_turns(ways, seconds).items():
         what, size = key

@@ -168,12 +168,11 @@ def by_fit(draw: Draw) -> Answer:
     """Fit with the default configuration and lift the frames of the fit."""
     prior = fit(draw.keypoints, FitConfig(), image_sizes=draw.sizes)
     lift = prior.lift(draw.keypoints)
-    cameras = prior.cameras
+    cameras, points = prior.cameras, lift.points3d.astype(np.float64)
     if cameras is None:
-        points = lift.points3d.astype(np.float64)
         return _without_cameras(draw, points, prior.findings, _reach(draw, lift))
     return Answer(
-        lift.points3d.astype(np.float64),
+        points,
         bool(cameras.static.all()),
         cameras.handedness_certainty,
         np.where(cameras.static[:, None, None], cameras.rotations, np.nan),

@@ -155,8 +155,7 @@ def _device(settings: WorkerSettings, capture: Capture, config: FitConfig) -> st
     """Choose where to train."""
     if settings.fit_device != "auto":
         return settings.fit_device
-    _, views, keypoints, _ = capture.keypoints.shape
-    pays = gpu_pays(config, views, keypoints)
+    pays = gpu_pays(config, *capture.keypoints.shape[:3])
     return "cuda" if pays and torch.cuda.is_available() else "cpu"
 
 

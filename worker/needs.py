@@ -13,7 +13,7 @@ GPU_MULTIPLICATIONS = 200_000_000  # in a step: about what a core does while a G
 KEYPOINT_MULTIPLICATIONS = 1000  # as long as a core takes for a keypoint, beside the network
 
 
-def gpu_pays(config: FitConfig, views: int, keypoints: int) -> bool:
+def gpu_pays(config: FitConfig, frames: int, views: int, keypoints: int) -> bool:
     """Return whether a GPU takes such training steps faster than a processor core.
 
     For small dictionaries, starting a step on a GPU takes longer than the whole step on a CPU.
@@ -23,7 +23,7 @@ def gpu_pays(config: FitConfig, views: int, keypoints: int) -> bool:
 
     network = outline(config, keypoints).multiplications()
     frame = views * (network + KEYPOINT_MULTIPLICATIONS * keypoints)
-    return frame * config.batch_size >= GPU_MULTIPLICATIONS
+    return frame * config.batch_of(frames) >= GPU_MULTIPLICATIONS
 
 
 def queue_for(store: Store, record: FitRecord | LiftRecord) -> QueueName:
@@ -35,4 +35,5 @@ def queue_for(store: Store, record: FitRecord | LiftRecord) -> QueueName:
         config = FitConfig.model_validate(record.config)
     except (NotFoundError, ValidationError):  # which the fit will report
         return "fits"
-    return "gpu-fits" if gpu_pays(config, dataset.views, dataset.keypoints) else "fits"
+    pays = gpu_pays(config, dataset.frames, dataset.views, dataset.keypoints)
+    return "gpu-fits" if pays else "fits"

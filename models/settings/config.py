@@ -30,6 +30,8 @@ Index = Annotated[int, Field(ge=0)]
 LEARNING_RATES = ", ".join(
     f"{its.learning_rate:g} for `{name}`" for name, its in PRIOR_SETTINGS.items()
 )
+LEAST_BATCH, MOST_BATCH = 32, 64  # frames in one step, unless `batch_size` is given
+BATCHES = 8  # of which a small capture consists
 WARM_STEPS = 1100  # of a fit that starts from a model, unless `steps` is given
 
 
@@ -66,7 +68,15 @@ class FitConfig(BaseModel):
         " before the first step, two thirds of them are taken, of few frames a third, but no"
         " fewer than 1000.",
     )
-    batch_size: int = Field(default=64, ge=1, le=512, description="Frames in one step.")
+    batch_size: int | None = Field(
+        default=None,
+        ge=1,
+        le=512,
+        description=(
+            f"Frames in one step. Null: an eighth of the frames of the fit, but {LEAST_BATCH} at"
+            f" least and {MOST_BATCH} at most."
+        ),
+    )
     learning_rate: float | None = Field(
         default=None,
         validate_default=True,
@@ -208,6 +218,11 @@ class FitConfig(BaseModel):
                     f" leave {settings.sizes} out, or set prior to {name!r}"
                 )
         return self
+
+    def batch_of(self, frames: int) -> int:
+        """Return how many frames one step of a fit to so many `frames` takes."""
+        chosen = min(max(frames // BATCHES, LEAST_BATCH), MOST_BATCH)
+        return min(self.batch_size or chosen, frames)
 
     @property
     def corners(self) -> tuple[int, int, int, int] | None:

@@ -134,7 +134,7 @@ class Trainer:
         if config.early_stopping and len(held_out):
             self._holdout = Holdout(unseen, config.seed)
         self._data = Data.of(observations, frames)
-        self._batches = Batches(self._data, size=config.batch_size, seed=config.seed)
+        self._batches = Batches(self._data, size=config.batch_of(len(frames)), seed=config.seed)
         self._network = make_prior(config, observations.keypoints.shape[2])
         self._network.initialise(config.seed)
         if start is not None:
