@@ -220,9 +220,8 @@ class FitConfig(BaseModel):
         return self
 
     def batch_of(self, frames: int) -> int:
-        """Return how many frames one step of a fit to so many `frames` takes."""
-        chosen = min(max(frames // BATCHES, LEAST_BATCH), MOST_BATCH)
-        return min(self.batch_size or chosen, frames)
+        """Return how many frames one step of a fit to so many `frames` takes, if it has them."""
+        return self.batch_size or min(max(frames // BATCHES, LEAST_BATCH), MOST_BATCH)
 
     @property
     def corners(self) -> tuple[int, int, int, int] | None:

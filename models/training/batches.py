@@ -48,11 +48,11 @@ class Data(NamedTuple):
 
 
 class Batches:
-    """Batches of `size` frames that depend on the seed, the step and the teachers only."""
+    """Batches of `size` frames, or all, that depend on seed, step and teachers only."""
 
     def __init__(self, data: Data, *, size: int, seed: int) -> None:
         self._data = data
-        self._size = size
+        self._size = min(size, len(data.keypoints))
         self._seed = seed
         self._epoch: tuple[int, NDArray[np.int64]] | None = None  # the last one and its order
 
