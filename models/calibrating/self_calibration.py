@@ -264,7 +264,11 @@ def _as_meant(
 
 
 def _with_likely_lenses(arranged: Arranged, share: float) -> Steps[_Refined]:
-    """Try the camera models that the lenses look like, and take the one that explains best."""
+    """Try the camera models that the lenses look like, and take the one that explains best.
+
+    Focal lengths of two noisy views drift as they are learnt on and on. So a camera model is taken
+    only if it has no more noise at the end either.
+    """
     problem, best, kept, reason = _as_arranged(arranged)
     rival, others = best, other_lenses(problem, best)
     if len(problem.poses) == 2:  # shapes alone distinguish their lenses
@@ -272,13 +276,17 @@ def _with_likely_lenses(arranged: Arranged, share: float) -> Steps[_Refined]:
     if others and kept is not None:  # the rival is learnt in the same way
         rival = yield from learn(problem, best)
     for name, tried_problem, tried_start in others:
-        trial = yield from learn(tried_problem, tried_start)
-        gain = _log_posterior(tried_problem, trial, share) - _log_posterior(problem, rival, share)
-        if gain > BETTER_LENS:
+        try:
+            trial = yield from learn(tried_problem, tried_start)
+            before = _log_posterior(problem, rival, share)
+            if not _log_posterior(tried_problem, trial, share) > before + BETTER_LENS:
+                continue
+            trial = yield from _until_steady(tried_problem, trial)
+        except np.linalg.LinAlgError:  # the keypoints do not determine such lenses
+            continue
+        if trial.measured_noise <= rival.measured_noise:
             problem, best, rival, kept = tried_problem, trial, trial, None
             reason = f"{reason}; {name} lenses explain the keypoints better"
-    if problem is not arranged.checked.problem:
-        best = yield from _until_steady(problem, best)
     return _Refined(problem, best, kept, reason)
 
 
