@@ -36,7 +36,7 @@ def assemble(graph: ViewGraph, seen: SeenPoints, noise: float) -> list[Assembled
         for s in range(len(poses.costs))
     ]
     rigs = []
-    for _, _, pair, s in sorted(seeds)[: SEEDS * 2]:
+    for _, _, pair, s in sorted(seeds)[:SEEDS]:
         rig = _grow(graph, seen, noise, pair, s)
         if rig is not None:
             rigs.append(rig)

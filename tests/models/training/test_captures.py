@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.drawn_captures import draw_capture
 from models.capture.metrics import pa_mpjpe
 from models.capture.observations import as_observations
 from models.capture.outliers import OutlierJudge, learn_outliers
 from models.settings.config import FitConfig
 from models.settings.keypoints import OUTLIER
-from models.training.trainer import fit
+from models.training.trainer import Trainer, fit
 
 ROOT = Path(__file__).parents[3]
 CAPTURES = Path(os.environ.get("FEWVIEW_CAPTURES", ROOT / "../shared/data"))
@@ -60,3 +61,18 @@ def test_right_keypoints_of_few_views_are_no_outliers(human36m: dict[str, NDArra
     assert model is not None
     probabilities = OutlierJudge(model, range(4)).probabilities(seen)
     assert (probabilities > OUTLIER).sum() < 0.002 * np.isfinite(probabilities).sum()
+
+
+@pytest.mark.parametrize("number", [45, 90])
+def test_lenses_of_two_views_that_bend_inwards_are_no_fisheyes(number: int) -> None:
+    """A fisheye seems likelier at first for one; for the other none can be learnt at all."""
+    draw = draw_capture(number, CAPTURES)
+    if draw is None:
+        pytest.skip(f"{CAPTURES} does not have its motion; set FEWVIEW_CAPTURES")
+    trainer = Trainer(draw.keypoints, FitConfig(), image_sizes=draw.sizes)
+    next(progress for progress in trainer.run() if progress.step)
+    cameras = trainer.result().cameras
+    assert cameras is not None
+    assert cameras.arrangement == "static"
+    assert set(cameras.camera_models) == {"perspective"}
+    assert np.abs(np.log(cameras.focals.mean(1) / draw.focals)).max() < 0.15
