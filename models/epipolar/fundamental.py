@@ -119,14 +119,14 @@ def common_offsets(distances: Float64, frames: NDArray[np.int64]) -> float:
     """Return how much more frames' mean distances vary than independent ones would; about 1.
 
     If cameras move, a frame has a geometry of its own, and all its keypoints are off together.
-    `distances` (M,) are signed, in standard deviations, of these `frames` (M,). 0 if no frame has
+    `distances` (M,) are signed, in standard deviations, of these `frames` (M,). NaN if no frame has
     enough of them.
     """
     offsets = distances.clip(-MOST_OFFSET, MOST_OFFSET)
     counts = np.bincount(frames)
     enough = counts > LEAST_SHOWN
     if not enough.any():
-        return 0.0
+        return np.nan
     sums, squares = np.bincount(frames, offsets)[enough], np.bincount(frames, offsets**2)[enough]
     shared = np.square(sums) / counts[enough]
     within = (squares - shared) / (counts[enough] - 1)

@@ -169,8 +169,10 @@ def are_static(seen: SeenFrames, matrices: Matrices) -> bool:
         both = seen.there[:, a] & seen.there[:, b]
         x, y = seen.pixels[:, a].reshape(-1, 2), seen.pixels[:, b].reshape(-1, 2)
         offsets = sampson_distances(found.matrix, x, y)[both.ravel()] / found.scale
-        common.append(common_offsets(offsets, np.nonzero(both)[0]))
-        noises.append(found.scale / seen.radius)
+        ratio = common_offsets(offsets, np.nonzero(both)[0])
+        if np.isfinite(ratio):
+            common.append(ratio)
+            noises.append(found.scale / seen.radius)
     if not noises or np.median(noises) > MOST_NOISE:
         return False
     agree = (np.array(common) < MOST_COMMON) | (np.array(noises) < LITTLE_NOISE)

@@ -65,4 +65,4 @@ def test_offsets_that_frames_have_in_common_are_measured() -> None:
     assert common_offsets(noise, frames) == pytest.approx(1.0, abs=0.1)
     shared = 0.6 * rng.standard_normal(4000)
     assert common_offsets(noise + shared[frames], frames) == pytest.approx(1 + 9 * 4, rel=0.1)
-    assert common_offsets(noise[:9], np.arange(9)) == 0.0
+    assert np.isnan(common_offsets(noise[:9], np.arange(9)))
