@@ -43,6 +43,7 @@ from models.calibrating.search import Arranged, search
 from models.findings.advice import attempt_steps, noticed
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
+from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 
@@ -50,6 +51,7 @@ Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
 MOST_FRAMES, LEAST_FRAMES = 400, 20  # that are used
+FEW_FRAMES = 80  # on which other camera models are tried first
 OPERATIONS = 300_000_000  # in one iteration: half a second
 WORSE = 1.2  # times the previous noise: with more, adjusted cameras are not used
 UNSURE = 0.15  # of the log focal length: shapes determine it as well
@@ -207,12 +209,6 @@ class _Refined(NamedTuple):
     reason: str
 
 
-def _as_arranged(arranged: Arranged) -> _Refined:
-    """Return cameras as they were arranged, before any refinement."""
-    checked = arranged.checked
-    return _Refined(checked.problem, checked.solution, arranged.kept, arranged.reason)
-
-
 def _refined(refined: _Refined, noisy: NoisyFrames | None, edges: Int64 | None) -> Steps[_Refined]:
     """Use keypoints as they were detected, then bones."""
     # Geometry has used keypoints as they were detected. Two settled views have lenses from the
@@ -246,8 +242,7 @@ def _by_clear(refined: _Refined) -> Steps[Solution]:
         # From bones alone the six pairs of human36m end a third worse.
         best = yield from learn(problem, best)
     if find_bone_lengths(best.scene.points, problem.measured).steady:
-        # The lens under which shapes are most alike need not be the true one, and with two views it
-        # is not. With a wrong lens, bones grow and shrink as they turn.
+        # With a wrong lens bones grow and shrink as they turn, even if shapes are most alike.
         best = yield from learn(problem, best, with_bones=True)
     return best
 
@@ -266,28 +261,42 @@ def _as_meant(
 def _with_likely_lenses(arranged: Arranged, share: float) -> Steps[_Refined]:
     """Try the camera models that the lenses look like, and take the one that explains best.
 
-    Focal lengths of two noisy views drift as they are learnt on and on. So a camera model is taken
-    only if it has no more noise at the end either.
+    Lenses of two noisy views drift as they are learnt on and on: it must have no more noise then.
     """
-    problem, best, kept, reason = _as_arranged(arranged)
-    rival, others = best, other_lenses(problem, best)
+    (problem, best, _), kept, reason = arranged.checked, arranged.kept, arranged.reason
     if len(problem.poses) == 2:  # shapes alone distinguish their lenses
         share /= TOO_SURE**2
-    if others and kept is not None:  # the rival is learnt in the same way
-        rival = yield from learn(problem, best)
-    for name, tried_problem, tried_start in others:
+    few, every = (evenly_spread(len(problem.keypoints), most) for most in (FEW_FRAMES, MOST_FRAMES))
+    promising = BETTER_LENS / 2 * len(few) / len(every)  # half of what so many frames should show
+    for name, tried_problem, tried_start in other_lenses(problem, best):
+        found = (problem, best), (tried_problem, tried_start)
         try:
-            trial = yield from learn(tried_problem, tried_start)
-            before = _log_posterior(problem, rival, share)
-            if not _log_posterior(tried_problem, trial, share) > before + BETTER_LENS:
+            if len(few) < len(every) and (yield from _gain(*found, share, few))[0] < promising:
+                continue
+            gain, rival, trial = yield from _gain(*found, share, every)
+            if gain < BETTER_LENS:
                 continue
             trial = yield from _until_steady(tried_problem, trial)
         except np.linalg.LinAlgError:  # the keypoints do not determine such lenses
             continue
         if trial.measured_noise <= rival.measured_noise:
-            problem, best, rival, kept = tried_problem, trial, trial, None
+            problem, best, kept = tried_problem, trial, None
             reason = f"{reason}; {name} lenses explain the keypoints better"
     return _Refined(problem, best, kept, reason)
+
+
+def _gain(
+    ours: tuple[CalibrationProblem, Solution],
+    theirs: tuple[CalibrationProblem, Solution],
+    share: float,
+    frames: Int64,
+) -> Steps[tuple[float, Solution, Solution]]:
+    """Learn two camera models from some frames; return the second's gain in log posterior, too."""
+    problem, tried = ours[0].of(frames), theirs[0].of(frames)
+    rival = yield from learn(problem, ours[1].of(frames))
+    trial = yield from learn(tried, theirs[1].of(frames))
+    gain = _log_posterior(tried, trial, share) - _log_posterior(problem, rival, share)
+    return gain, rival, trial
 
 
 def _until_steady(problem: CalibrationProblem, solution: Solution) -> Steps[Solution]:
