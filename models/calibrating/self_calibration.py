@@ -261,7 +261,7 @@ def _as_meant(
 def _with_likely_lenses(arranged: Arranged, share: float) -> Steps[_Refined]:
     """Try the camera models that the lenses look like, and take the one that explains best.
 
-    Lenses of two noisy views drift as they are learnt on and on: it must have no more noise then.
+    Lenses of two noisy views drift as they are learnt on: then another model is not taken.
     """
     (problem, best, _), kept, reason = arranged.checked, arranged.kept, arranged.reason
     if len(problem.poses) == 2:  # shapes alone distinguish their lenses

@@ -81,7 +81,7 @@ def _constraints(linear: Float64) -> Float64:
 def _product(left: Float64, right: Float64, table: Float64) -> Float64:
     """Multiply matrices of polynomials, (B, I, K, P) and (B, K, J, Q), of monomials in `table`.
 
-    `table` (P, Q, R) says which monomial is the product of two; returns (B, I, J, R).
+    `table` (P, Q, R) is 1 where a monomial is the product of two; returns (B, I, J, R).
     """
     batch, rows, inner, terms = left.shape
     _, _, columns, others = right.shape

@@ -65,6 +65,12 @@ def test_a_start_from_a_model_takes_its_prior_over(source: FitConfig) -> None:
     assert (suited.learning_rate, suited.steps) == (source.learning_rate, WARM_STEPS)
 
 
+@pytest.mark.parametrize(("frames", "batch"), [(3, 32), (255, 32), (400, 50), (5000, 64)])
+def test_a_batch_has_an_eighth_of_the_frames_unless_it_is_given(frames: int, batch: int) -> None:
+    assert FitConfig().batch_of(frames) == batch
+    assert FitConfig(batch_size=7).batch_of(frames) == 7
+
+
 def test_a_configuration_cannot_be_changed() -> None:
     with pytest.raises(ValidationError):
         FitConfig().steps = 3  # type: ignore[misc]
