@@ -8,6 +8,7 @@ of its peak, together with its scatter between frames, gives the uncertainty of 
 
 import math
 from dataclasses import replace
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -193,14 +194,14 @@ def _peak(sight: _Sight, cameras: AdjustedRig) -> Steps[_Peak]:
     trials = [first]
     for side in (places[places > at[0]], places[places < at[0]][::-1]):
         trials += yield from _walk(sight, first, [np.array([place, at[1]]) for place in side])
-    best = max(trials, key=_posterior)
+    best = max(trials, key=attrgetter("posterior"))
     if sight.problem.cameras_alike is not True:
         ratios = np.arange(RATIO_STEP, MOST_RATIO, RATIO_STEP)
         found = [best]
         for side in (1, -1):
             walk = [best.at + side * ratio * UP for ratio in ratios]
             found += yield from _walk(sight, best, walk, uphill=True)
-        best = max(found, key=_posterior)
+        best = max(found, key=attrgetter("posterior"))
         trials += found[1:]
     for _ in range(PEAKS):
         around = yield from _around(sight, best)
@@ -208,7 +209,7 @@ def _peak(sight: _Sight, cameras: AdjustedRig) -> Steps[_Peak]:
         if np.abs(step).max() < FINE:
             break
         moved = yield from _tried(sight, best.at + step, best.cameras)
-        better = max([*around.trials, moved], key=_posterior)
+        better = max([*around.trials, moved], key=attrgetter("posterior"))
         if better is best:
             break
         best = better
@@ -217,10 +218,6 @@ def _peak(sight: _Sight, cameras: AdjustedRig) -> Steps[_Peak]:
         step = _step(sight, around)
     top = best.at + step.clip(-FINE, FINE)
     return _Peak(best, *_likelihood(sight, around, trials, top), around.moves)
-
-
-def _posterior(trial: Trial) -> float:
-    return trial.posterior
 
 
 def _step(sight: _Sight, around: _Around) -> Float64:

@@ -6,10 +6,13 @@ Student's t. They start at the best of many small samples (Fischler & Bolles, RA
 the least-squares solution, they fail if one correspondence in five is wrong.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from models.numerics.compiled import compiled
 
 Float64 = NDArray[np.float64]
 
@@ -91,9 +94,8 @@ def _reweighted(
     floor: float,
 ) -> tuple[Float64, Float64]:
     """Improve B matrices by reweighted least squares; return them and the scales of their noise."""
-    hx, hy = _homogeneous(x), _homogeneous(y)
     for _ in range(ROUNDS):
-        errors, gradients = _epipolar_errors(matrices, hx, hy)
+        errors, gradients = _epipolar_errors(matrices, x, y)
         distances = errors / gradients
         scales = _scales(distances, weights, floor)
         # Sampson's denominator makes algebraic distances those of pixels.
@@ -105,7 +107,7 @@ def _reweighted(
 
 def sampson_distances(matrix: Float64, x: Float64, y: Float64) -> Float64:
     """Signed Sampson distances (..., M) in pixels of x, y (..., M, 2) from F (..., 3, 3)."""
-    errors, gradients = _epipolar_errors(matrix, _homogeneous(x), _homogeneous(y))
+    errors, gradients = _epipolar_errors(matrix, x, y)
     distances: Float64 = errors / gradients
     return distances
 
@@ -203,25 +205,39 @@ def _start(
     vectors = np.linalg.eigh(sampled.mT @ sampled)[1][..., 0]
     tried = np.concatenate((everything[None], _in_pixels(vectors.reshape(-1, 3, 3), to_x, to_y)))
     judges = rng.integers(0, len(rows), JUDGING_POINTS) if len(x) > JUDGING_POINTS else slice(None)
-    hx, hy = _homogeneous(x[judges]), _homogeneous(y[judges])  # (J, 3)
-    lines_y, lines_x = hx @ tried.mT, hy @ tried  # (S + 1, J, 3)
-    slopes = np.square(lines_y[..., :2]).sum(-1) + np.square(lines_x[..., :2]).sum(-1)
-    squares = np.square((lines_y * hy).sum(-1)) / (slopes + TINY**2)  # of Sampson distances
-    best: Float64 = tried[int(np.median(squares, 1).argmin())]
+    distances = np.abs(sampson_distances(tried, x[judges], y[judges]))  # (S + 1, J)
+    best: Float64 = tried[int(np.median(distances, 1).argmin())]
     return best
 
 
-def _epipolar_errors(matrix: Float64, hx: Float64, hy: Float64) -> tuple[Float64, Float64]:
+def _epipolar_errors(matrix: Float64, x: Float64, y: Float64) -> tuple[Float64, Float64]:
     """Return y^T F x and the length of its gradient by the four pixel coordinates, (..., M) each.
 
-    Of homogeneous points hx, hy (..., M, 3). Sums are written out: NumPy's over so few numbers
-    take most of the time.
+    Of points x, y (..., M, 2) and matrices (..., 3, 3), each with the same leading axes or none.
     """
-    lines_y, lines_x = hx @ matrix.mT, hy @ matrix
-    products = lines_y * hy
-    errors: Float64 = products[..., 0] + products[..., 1] + products[..., 2]
-    np.square(lines_y, out=lines_y)
-    np.square(lines_x, out=lines_x)
-    slopes = (lines_y[..., 0] + lines_y[..., 1]) + (lines_x[..., 0] + lines_x[..., 1])
-    norms: Float64 = np.sqrt(slopes + TINY**2)
-    return errors, norms
+    shape = np.broadcast_shapes(matrix.shape[:-2], x.shape[:-2], y.shape[:-2]) + x.shape[-2:-1]
+    matrices, x, y = (
+        np.ascontiguousarray(a).reshape(math.prod(a.shape[:-2]), *a.shape[-2:])
+        for a in (matrix, x, y)
+    )
+    errors, norms = np.empty((2, max(len(matrices), len(x), len(y)), shape[-1]))
+    _write_epipolar_errors(matrices, x, y, errors, norms)
+    return errors.reshape(shape), norms.reshape(shape)
+
+
+@compiled
+def _write_epipolar_errors(
+    matrices: Float64, x: Float64, y: Float64, errors: Float64, norms: Float64
+) -> None:
+    for b in range(len(errors)):
+        f, own_x, own_y = matrices[b % len(matrices)], x[b % len(x)], y[b % len(y)]
+        for m in range(errors.shape[1]):
+            x0, x1, y0, y1 = own_x[m, 0], own_x[m, 1], own_y[m, 0], own_y[m, 1]
+            # F x, and the first two numbers of F^T y
+            line0 = f[0, 0] * x0 + f[0, 1] * x1 + f[0, 2]
+            line1 = f[1, 0] * x0 + f[1, 1] * x1 + f[1, 2]
+            line2 = f[2, 0] * x0 + f[2, 1] * x1 + f[2, 2]
+            back0 = f[0, 0] * y0 + f[1, 0] * y1 + f[2, 0]
+            back1 = f[0, 1] * y0 + f[1, 1] * y1 + f[2, 1]
+            errors[b, m] = y0 * line0 + y1 * line1 + line2
+            norms[b, m] = math.sqrt(line0**2 + line1**2 + back0**2 + back1**2 + TINY**2)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.essential import SAMPLE, decompose, five_point
-from models.epipolar.fundamental import FREEDOM, NORMAL
+from models.epipolar.fundamental import FREEDOM, NORMAL, sampson_distances
 from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]
@@ -137,18 +137,6 @@ def essential_of(rotations: Float64, translations: Float64) -> Float64:
     return np.cross(translations[:, None], rotations.mT).mT
 
 
-def sampson(matrices: Float64, x: Float64, y: Float64) -> Float64:
-    """Signed Sampson distances (H, M) of correspondences (M, 2) from matrices (H, 3, 3)."""
-    ones = np.ones((1, len(x)))
-    first, second = np.concatenate((x.T, ones)), np.concatenate((y.T, ones))
-    forward = matrices @ first  # (H, 3, M)
-    backward = matrices[:, :, :2].mT @ second  # (H, 2, M)
-    algebraic = (forward * second).sum(1)
-    squared = np.square(forward[:, :2]).sum(1) + np.square(backward).sum(1)
-    distances: Float64 = algebraic / np.sqrt(squared + 1e-24)
-    return distances
-
-
 def _hypotheses(
     x: Float64,
     y: Float64,
@@ -168,7 +156,7 @@ def _hypotheses(
         matrices.append(found)
         logs.append(np.tile(np.log((f, g)), (len(found), 1)))
     essentials, log_focals = np.concatenate(matrices), np.concatenate(logs)
-    distances = np.abs(sampson(_in_sides(essentials, log_focals), x[judges], y[judges]))
+    distances = np.abs(sampson_distances(_in_sides(essentials, log_focals), x[judges], y[judges]))
     scale = max(NORMAL * float(np.median(distances, 1).min()), LEAST_SCALE)
     costs = np.log1p(np.square(distances / scale) / FREEDOM).mean(1)
     best = np.argsort(costs, kind="stable")[: 10 * STARTS]
@@ -232,7 +220,7 @@ def _refine(
 
     def distances_of(parameters: Float64) -> Float64:
         essentials = essential_of(*_poses(parameters))
-        return sampson(_in_sides(essentials, parameters[:, 12:]), x, y)
+        return sampson_distances(_in_sides(essentials, parameters[:, 12:]), x, y)
 
     def costs_of(distances: Float64, parameters: Float64, scale: float) -> Float64:
         prior = (precision * np.square(parameters[:, 12:] - expected)).sum(1)

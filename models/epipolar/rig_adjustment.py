@@ -6,6 +6,7 @@ Coordinates of the images are pixels from the expected principal point in sides 
 unit of the points is free. Points come last in all arrays, so that everything runs along them.
 """
 
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -147,53 +148,62 @@ def _dot(first: Float64, other: Float64, a: int, b: int) -> float:
 
 
 class _Prior(NamedTuple):
-    cost: float  # minus twice the log density
+    """The cost of the lenses as a quadratic about their values."""
+
     gradient: Float64  # (K, 5) half that of the cost
     precision: Float64  # (K, 5, K, 5)
 
 
+def lens_cost(rig: StaticCameras, beliefs: Beliefs) -> float:
+    """Return minus twice the log density of the lenses under their prior."""
+    offsets, beyond = _lens_offsets(rig, beliefs)
+    cost = (offsets * (beliefs.precisions @ offsets[..., None])[..., 0]).sum()
+    cost += np.square(beyond / WALL_SD).sum()
+    if beliefs.alike:
+        cost += 2 * np.log1p(np.square(_unlike(rig.log_focals))).sum()
+    return float(cost)
+
+
 def lens_prior(rig: StaticCameras, beliefs: Beliefs) -> _Prior:
-    """Return the cost of the lenses under their prior, as a quadratic about their values."""
+    """Return the derivatives of `lens_cost`."""
     views = len(rig.log_focals)
-    offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, *rig.radial.T))
+    offsets, beyond = _lens_offsets(rig, beliefs)
     blocks = beliefs.precisions.copy()
     gradient = (blocks @ offsets[..., None])[..., 0].T
-    cost = float((gradient.T * offsets).sum())
-    low, high = LOG_WALLS
-    beyond = (offsets[0] - high).clip(0) + (offsets[0] - low).clip(max=0)
-    cost += float(np.square(beyond / WALL_SD).sum())
     gradient[:, 0] += beyond / WALL_SD**2
     blocks[0] += np.diag((beyond != 0) / WALL_SD**2)
+    if beliefs.alike:
+        weights = 2 / (1 + np.square(_unlike(rig.log_focals))) / ALIKE**2
+        centring = np.eye(views) - weights / weights.sum()
+        together = centring.T @ np.diag(weights) @ centring
+        blocks[0] += together
+        gradient[:, 0] += together @ rig.log_focals
     precision = np.zeros((views, LENS, views, LENS))
     for number in range(LENS):
         precision[:, number, :, number] = blocks[number]
-    if beliefs.alike:
-        together = _alike(rig.log_focals)
-        precision[:, 0, :, 0] += together.precision[:, 0, :, 0]
-        gradient[:, 0] += together.gradient[:, 0]
-        cost += together.cost
-    return _Prior(cost, gradient, precision)
+    return _Prior(gradient, precision)
 
 
-def _alike(log_focals: Float64) -> _Prior:
-    """Add the prior that focal lengths are often alike: Cauchy's distribution about the median."""
-    views = len(log_focals)
-    offsets = log_focals - np.median(log_focals)
-    squared = np.square(offsets / ALIKE)
-    weights = 2 / (1 + squared) / ALIKE**2
-    centring = np.eye(views) - weights / weights.sum()
-    precision = np.zeros((views, LENS, views, LENS))
-    precision[:, 0, :, 0] = centring.T @ np.diag(weights) @ centring
-    gradient = np.zeros((views, LENS))
-    gradient[:, 0] = precision[:, 0, :, 0] @ log_focals
-    return _Prior(float(2 * np.log1p(squared).sum()), gradient, precision)
+def _lens_offsets(rig: StaticCameras, beliefs: Beliefs) -> tuple[Float64, Float64]:
+    """Return offsets (5, K) from the prior's mean, and of focal lengths (K,) beyond the walls."""
+    offsets = np.stack((rig.log_focals - np.log(beliefs.focals), *rig.centres.T, *rig.radial.T))
+    low, high = LOG_WALLS
+    return offsets, (offsets[0] - high).clip(0) + (offsets[0] - low).clip(max=0)
+
+
+def _unlike(log_focals: Float64) -> Float64:
+    """Return offsets (K,) from the median; focal lengths are often alike (Cauchy's distribution).
+
+    They are in units of the scale of that distribution.
+    """
+    return np.asarray((log_focals - median(log_focals.tolist())) / ALIKE, np.float64)
 
 
 def cost_of(
     rig: StaticCameras, points: Float64, seen: SeenPoints, noise: Float64, beliefs: Beliefs
 ) -> float:
     """Return minus the log posterior of cameras and points (3, M), under a noise (K,) in sides."""
-    return float(costs_of(rig, points, seen, noise).sum()) + lens_prior(rig, beliefs).cost / 2
+    return float(costs_of(rig, points, seen, noise).sum()) + lens_cost(rig, beliefs) / 2
 
 
 def free_numbers(rig: StaticCameras, beliefs: Beliefs, *, lenses: bool) -> Bool:

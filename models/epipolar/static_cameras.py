@@ -19,6 +19,7 @@ CAMERA = 11  # numbers: log focal, principal point, radial coefficients, rotatio
 LENS = 5
 FREEDOM = 3.0  # of Student's t
 NEAR, FAR = 0.2, 5.0  # median depths between which a point counts
+TYPICAL = 128  # points that show it: twice as many at most
 BLIND = 1.0  # sides: the distance of a point that a camera cannot see; the largest there is
 # Places in a row of `Sight.cameras`.
 FOCAL, CENTRE, BENDS, TURN, SHIFT, NUMBERS = 0, 1, 3, 5, 14, 17
@@ -74,14 +75,18 @@ def sight_of(rig: StaticCameras, points: Float64, seen: SeenPoints) -> Sight:
 
 @compiled
 def _write_limits(sight: Sight, out: Float64) -> None:
-    """Write the depths (K, 2) between which a point counts; NaN if most are behind the camera."""
-    views, count = sight.weights.shape
-    depths, points = np.empty(count), sight.points
+    """Write the depths (K, 2) between which a point counts; NaN if most are behind the camera.
+
+    A sample of the points shows which depths are usual.
+    """
+    views, points = len(out), sight.points
+    depths = np.empty(2 * TYPICAL)
     for k in range(views):
         camera, seen = sight.cameras[k], 0
-        for m in range(count):
+        there = np.flatnonzero(sight.weights[k] > 0)
+        for m in there[:: max(1, len(there) // TYPICAL)]:
             depth = _depth_of(camera, points[0, m], points[1, m], points[2, m])
-            if sight.weights[k, m] > 0 and math.isfinite(depth):
+            if math.isfinite(depth):
                 depths[seen] = depth
                 seen += 1
         median = median_of(depths[:seen]) if seen else 1.0

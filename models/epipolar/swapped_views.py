@@ -6,12 +6,12 @@ the frames are exchanged, no single fit to all of them is right.
 """
 
 from itertools import combinations
+from operator import attrgetter, itemgetter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from models.epipolar.fundamental import Fundamental
 from models.epipolar.runs_of_frames import likely_frames
 from models.epipolar.view_pairs import (
     DEPENDENCE,
@@ -70,15 +70,12 @@ def find_swapped_views(seen: SeenFrames, pairs: Pairs, plain: Matrices) -> Reord
 
     `plain` are the matrices of the frames as they are.
     """
-    frames, views = seen.there.shape[:2]
-    kept = evenly_spread(frames, SAMPLE)
-    sample = seen.part(kept).thinned(SAMPLED_KEYPOINTS)
-    straight = np.tile(np.arange(views), (frames, 1))
+    sample = seen.part(evenly_spread(len(seen.there), SAMPLE)).thinned(SAMPLED_KEYPOINTS)
     matrices = _search(sample, pairs, np.random.default_rng(0))
-    order = _reorder(sample, matrices, straight[kept])
+    order = _reorder(sample, matrices)
     if not are_static(sample.reordered(order), matrices):
         return None
-    kinds, found, order = _kinds(order), [], straight.copy()
+    kinds, found, order = _kinds(order), [], _straight(seen)
     for kind in kinds:
         swapped = _judge(seen, matrices, kind)
         if swapped is not None:
@@ -93,8 +90,7 @@ def find_swapped_views(seen: SeenFrames, pairs: Pairs, plain: Matrices) -> Reord
 
 def _search(sample: SeenFrames, pairs: Pairs, rng: np.random.Generator) -> Matrices:
     """Return the matrices under which the sample, with views put back, is most likely."""
-    frames, views = sample.there.shape[:2]
-    straight = np.tile(np.arange(views), (frames, 1))
+    frames = len(sample.there)
     first = _settle(sample, pairs, fit_pairs(sample, pairs))
     length = max(START_FRAMES, frames // 16)
     if frames < 2 * length or _clear(sample, first[1]):
@@ -108,27 +104,16 @@ def _search(sample: SeenFrames, pairs: Pairs, rng: np.random.Generator) -> Matri
         matrices = fit_pairs(sample.part(start), pairs)
         if len(matrices) == len(pairs):
             tried.append(_turn(few, pairs, matrices))
-    best = sorted(tried, key=_cost)[:BEST_STARTS]
-    if not any(_rests(few, matrices) for _, matrices in best):
+    best = sorted(tried, key=itemgetter(0))[:BEST_STARTS]
+    if not any(are_static(_put_back(few, matrices), matrices) for _, matrices in best):
         return first[1]
     ended = [first] + [_settle(sample, pairs, matrices) for _, matrices in best]
-    matrices = _majority(sample, min(ended, key=_cost)[1])
-    back = sample.reordered(_reorder(sample, matrices, straight))
-    anew = fit_pairs(back, pairs)
-    return {pair: min(matrices.get(pair, found), found, key=_scale) for pair, found in anew.items()}
-
-
-def _cost(turn: tuple[float, Matrices]) -> float:
-    return turn[0]
-
-
-def _rests(sample: SeenFrames, matrices: Matrices) -> bool:
-    straight = np.tile(np.arange(sample.there.shape[1]), (len(sample.there), 1))
-    return are_static(sample.reordered(_reorder(sample, matrices, straight)), matrices)
-
-
-def _scale(found: Fundamental) -> float:
-    return found.scale
+    matrices = _majority(sample, min(ended, key=itemgetter(0))[1])
+    anew = fit_pairs(_put_back(sample, matrices), pairs)
+    return {
+        pair: min(matrices.get(pair, found), found, key=attrgetter("scale"))
+        for pair, found in anew.items()
+    }
 
 
 def _settle(sample: SeenFrames, pairs: Pairs, matrices: Matrices) -> tuple[float, Matrices]:
@@ -144,9 +129,7 @@ def _settle(sample: SeenFrames, pairs: Pairs, matrices: Matrices) -> tuple[float
 
 def _clear(sample: SeenFrames, matrices: Matrices) -> bool:
     """Whether nearly every frame certainly has its views in the order of most frames."""
-    order = _reorder(
-        sample, matrices, np.tile(np.arange(sample.there.shape[1]), (len(sample.there), 1))
-    )
+    order = _reorder(sample, matrices)
     margins = -DEPENDENCE * _gains(sample.reordered(order), matrices).max(1)
     usual = np.unique(order, axis=0, return_counts=True)[1].max() / len(order)
     return bool((margins > LEAST_FRAME_RATIO).mean() > CLEAR and usual > FEW_EXCHANGED)
@@ -154,16 +137,26 @@ def _clear(sample: SeenFrames, matrices: Matrices) -> bool:
 
 def _turn(sample: SeenFrames, pairs: Pairs, matrices: Matrices) -> tuple[float, Matrices]:
     """Put views back, and fit the matrices anew; return also the cost."""
-    straight = np.tile(np.arange(sample.there.shape[1]), (len(sample.there), 1))
-    back = sample.reordered(_reorder(sample, matrices, straight))
+    back = _put_back(sample, matrices)
     fitted = fit_pairs(back, pairs, matrices)
     return total_cost(back, fitted), fitted
 
 
-def _reorder(seen: SeenFrames, matrices: Matrices, order: Order) -> Order:
+def _put_back(sample: SeenFrames, matrices: Matrices) -> SeenFrames:
+    """Return the frames with their views in the most likely order."""
+    return sample.reordered(_reorder(sample, matrices))
+
+
+def _straight(seen: SeenFrames) -> Order:
+    """Return the order of views (N, K) as they are."""
+    frames, views = seen.there.shape[:2]
+    return np.tile(np.arange(views), (frames, 1))
+
+
+def _reorder(seen: SeenFrames, matrices: Matrices) -> Order:
     """Return the order of views (N, K) of every frame that exchanges of two views lead to."""
+    order = _straight(seen)
     frames, views = order.shape
-    order = order.copy()
     left = np.arange(frames)
     for _ in range(MOST_EXCHANGES):
         here = seen.part(left).reordered(order[left])
@@ -198,9 +191,7 @@ def _gains(seen: SeenFrames, matrices: Matrices) -> Float64:
 
 def _majority(sample: SeenFrames, matrices: Matrices) -> Matrices:
     """Make the order of views that most frames have the reference."""
-    views = sample.there.shape[1]
-    order = _reorder(sample, matrices, np.tile(np.arange(views), (len(sample.there), 1)))
-    kinds, counts = np.unique(order, axis=0, return_counts=True)
+    kinds, counts = np.unique(_reorder(sample, matrices), axis=0, return_counts=True)
     usual = kinds[counts.argmax()].tolist()
     renamed = {
         (min(usual[a], usual[b]), max(usual[a], usual[b])): between(
