@@ -1,9 +1,10 @@
 """How much the uncertainty of the lenses of two static views changes structures.
 
 Each focal length is moved by its standard deviation, with the poses adjusted and the points
-located anew. What changes beyond a similarity of each frame is the error that follows from the
-lens. Lengths within the subject that stay constant limit it. It is compared with what the noise of
-the keypoints does to the same points.
+located anew. So is each coordinate of a principal point where the size of the image is not known.
+What changes beyond a similarity of each frame is the error that follows from the lens. Lengths
+within the subject that stay constant limit it. It is compared with what the noise of the keypoints
+does to the same points.
 """
 
 from typing import NamedTuple
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.bone_lengths import LEAST_SCATTER, UNKNOWN, BoneLengths, find_bone_lengths
-from models.bundle.problem import FOCAL, points_in_cameras
+from models.bundle.problem import CENTRE_X, CENTRE_Y, FOCAL, points_in_cameras
 from models.calibrating.keypoint_rig import LEAST_KNOWN
 from models.calibrating.problem import CalibrationProblem, Solution
 from models.capture.metrics import procrustes_by_size
@@ -29,6 +30,7 @@ from models.optics.lenses.projection import project
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
+MOVED = [FOCAL, CENTRE_X, CENTRE_Y]  # numbers of a lens that are moved
 FRAMES = 40  # at most, that are examined
 ITERATIONS = 30  # of adjusting the poses
 HEIGHT = 4.0  # root-mean-square radii: about the height of a person
@@ -41,7 +43,7 @@ SLACK = 0.001  # of the height: smaller errors of structures do not matter
 class LensEffect(NamedTuple):
     """Errors of structures: mean distances as shares of the subject's height."""
 
-    by_lenses: float  # for focal lengths that are off by a standard deviation
+    by_lenses: float  # for lenses whose numbers are off by a standard deviation each
     by_noise: float  # of the keypoints
 
 
@@ -66,7 +68,7 @@ def lens_findings(
     pair = len(unsure) == 2 and solution.rig.static.all() and solution.given_poses is None
     if not pair or not unsure.any():
         return ()
-    by_lenses, by_noise = yield from lens_effect(problem, solution, deviations[:, FOCAL])
+    by_lenses, by_noise = yield from lens_effect(problem, solution, deviations)
     if by_lenses <= TIMES_NOISE * by_noise + SLACK:
         return ()
     finding = Finding.of(
@@ -79,11 +81,11 @@ def lens_findings(
 
 
 def lens_effect(
-    problem: CalibrationProblem, solution: Solution, focal_sds: Float64
+    problem: CalibrationProblem, solution: Solution, deviations: Float64
 ) -> Steps[LensEffect]:
-    """Return what errors of two log focal lengths, and of keypoints, do to structures.
+    """Return what errors of the lenses of two views, and of keypoints, do to structures.
 
-    `focal_sds` (2,) are the standard deviations of the logs, 0 for a length that was given.
+    `deviations` (2, VIEW) are those of the cameras, 0 for a number that was given.
     """
     usable = np.flatnonzero((problem.weights > 0).all(1).sum(1) >= LEAST_KNOWN)
     frames = usable[evenly_spread(len(usable), FRAMES)]
@@ -93,7 +95,7 @@ def lens_effect(
     centred = middle - np.nanmean(middle, 1, keepdims=True)
     height = HEIGHT * np.nanmedian(np.sqrt(np.nanmean(np.square(centred).sum(-1), 1)))
     moved = []
-    for step in np.diag(focal_sds)[focal_sds > 0]:
+    for step in _steps(problem, deviations):
         for signed in (step, -step):
             yield
             at = _structures(seen, _moved(seen, points, signed))
@@ -107,6 +109,18 @@ def lens_effect(
         squared += variance * _mean_length(np.tensordot(axis, changes, 1)) ** 2
     noisy = procrustes_by_size(_structures(seen, _disturbed(seen, points)), middle)
     return LensEffect(float(np.sqrt(squared) / height), _mean_length(noisy - middle) / height)
+
+
+def _steps(problem: CalibrationProblem, deviations: Float64) -> list[Float64]:
+    """Return steps (2, 3) of log focal lengths, and of principal points in sides.
+
+    Images of unknown sizes have one guess of their principal points, which is off for both views.
+    """
+    sds = deviations[:, MOVED] / [1.0, problem.side, problem.side]
+    sds[problem.images.known, 1:] = 0.0
+    focals = [np.where(np.arange(3) == 0, row[:, None] * sds, 0.0) for row in np.eye(2)]
+    centres = [np.where(np.arange(3) == axis, sds, 0.0) for axis in (1, 2)]
+    return [step for step in focals + centres if step.any()]
 
 
 def _seen(problem: CalibrationProblem, solution: Solution, frames: Int64) -> _Seen:
@@ -130,8 +144,12 @@ def _seen(problem: CalibrationProblem, solution: Solution, frames: Int64) -> _Se
 
 
 def _moved(seen: _Seen, points: Float64, step: Float64) -> Float64:
-    """Return the points (3, M) after a step of the log focal lengths, with the poses adjusted."""
-    rig = refocused(seen.rig, points, seen.rig.log_focals + step)
+    """Return the points (3, M) after a step of the lenses, with the poses adjusted.
+
+    The `step` (2, 3) is of log focal lengths, and of principal points in sides.
+    """
+    rig = refocused(seen.rig, points, seen.rig.log_focals + step[:, 0])
+    rig = rig._replace(centres=rig.centres + step[:, 1:])
     none = np.zeros((2, 2))
     held = Beliefs(np.exp(rig.log_focals), none, none, np.zeros((2, 2, 2)), alike=False)
     start = robust_points(rig, seen.points, seen.noise)

@@ -191,11 +191,12 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "lenses_limit_accuracy": Entry(
         "warning",
-        "Two views determine their focal lengths only roughly. This limits the accuracy of the"
+        "Two views determine their lenses only roughly. This limits the accuracy of the"
         " structures, not the noise of the keypoints: their mean errors are about so large, as"
         " shares of the subject's height (`error_by_lenses_of_height`,"
         " `error_by_noise_of_height`).",
-        "Give the focal lengths (`calibration`), or add a third view.",
+        "Give the focal lengths (`calibration`), give `image_sizes` that are missing, or add a"
+        " third view.",
     ),
     "handedness_not_observable": Entry(
         "warning",

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.drawn_captures import draw_capture
 from benchmarks.wide_net import by_geometry, measure
-from models.bundle.problem import FOCAL, VIEW
+from models.bundle.problem import CENTRE_X, CENTRE_Y, FOCAL, VIEW
 from models.calibrating.keypoint_rig import static_start
 from models.calibrating.lens_effect import LensEffect, lens_effect, lens_findings
 from models.calibrating.problem import CalibrationProblem, Solution, problem_of
@@ -44,7 +44,9 @@ def true_solution(
 
 
 def effect(problem: CalibrationProblem, solution: Solution, sd: float = UNSURE) -> LensEffect:
-    return finished(lens_effect(problem, solution, np.full(2, sd)))
+    deviations = np.zeros((2, VIEW))
+    deviations[:, FOCAL] = sd
+    return finished(lens_effect(problem, solution, deviations))
 
 
 def findings(
@@ -88,6 +90,20 @@ def test_keypoints_that_are_noisy_limit_the_accuracy_themselves() -> None:
 def test_lengths_that_stay_constant_leave_no_such_error() -> None:
     assert effect(*true_solution(rigid=True)).by_lenses < 0.1 * effect(*true_solution()).by_lenses
     assert not findings(*true_solution(rigid=True))
+
+
+def test_principal_points_count_where_the_size_of_the_image_is_not_known() -> None:
+    known, solution = true_solution()
+    guessed = known._replace(images=known.images._replace(known=np.zeros(2, np.bool_)))
+    deviations = np.zeros((2, VIEW))
+    deviations[:, FOCAL] = 0.01
+    deviations[:, [CENTRE_X, CENTRE_Y]] = 0.1 * known.side
+    alone, together = (
+        finished(lens_effect(problem, solution, deviations)).by_lenses
+        for problem in (known, guessed)
+    )
+    assert alone == effect(known, solution, 0.01).by_lenses
+    assert together > 5 * alone
 
 
 def test_lenses_that_are_given_do_not_limit_the_accuracy() -> None:
