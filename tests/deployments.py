@@ -5,10 +5,12 @@ of ``tests/store`` do so anyway, save where they say ``embedded_only``.
 """
 
 import shutil
+import sqlite3
 import tempfile
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from functools import cache
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -102,10 +104,27 @@ def postgresql_served() -> Iterator[PostgreSQL]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+@cache
+def _empty_records() -> bytes:
+    """Return SQLite's file of empty records, as Fewview makes it."""
+    with tempfile.TemporaryDirectory() as folder:
+        settings = StoreSettings(data_dir=Path(folder))
+        Store(settings).close()
+        file = Path(str(settings.resolved_database_url.database))
+        with closing(sqlite3.connect(file)) as records, records:
+            records.execute("DELETE FROM deployment")  # which is of that folder
+        return file.read_bytes()
+
+
 @contextmanager
 def deployed(request: pytest.FixtureRequest, folder: Path) -> Iterator[dict[str, Any]]:
-    """Give the settings of a new deployment: of the kind that the fixture's parameter names."""
+    """Give the settings of a new deployment: of the kind that the fixture's parameter names.
+
+    It has the tables of empty records. To make them takes longer than most tests.
+    """
     if getattr(request, "param", KINDS[0]) == "embedded":
+        embedded = StoreSettings(data_dir=folder)
+        Path(str(embedded.resolved_database_url.database)).write_bytes(_empty_records())
         yield {"data_dir": folder}
         return
     postgresql: PostgreSQL = request.getfixturevalue("postgresql")

@@ -25,6 +25,7 @@ from models.network.settling import SETTLE_ALL
 from models.numerics.compiled import signatures
 from models.numerics.threads import use_threads
 from models.optics.lenses.projection import COEFFICIENTS, PINHOLE, Lenses
+from models.settings.calibration import Camera, Intrinsics
 from models.settings.config import Arrangement, FitConfig, Refine
 from models.settings.priors import PriorName
 from models.training.trainer import fit
@@ -114,7 +115,10 @@ def _lift_untrained(name: PriorName) -> None:
 
 def _fit_film() -> None:
     noisy = static_noisy_film()
-    config = FitConfig(steps=STEPS, batch_size=8, cameras="static", synchronise="off")
+    lens = Camera(intrinsics=Intrinsics(fx=FOCAL))  # to look for it would take seconds
+    config = FitConfig(
+        steps=STEPS, batch_size=8, cameras="static", synchronise="off", calibration=(lens, lens)
+    )
     fit(noisy, config, edges=np.array(EDGES), times=np.arange(len(noisy)) / 50).lift(noisy)
 
 
