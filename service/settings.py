@@ -125,7 +125,7 @@ class Settings(WorkerSettings):
         0,
         ge=0,
         le=3600,
-        description="Time to go on answering after SIGTERM while readiness says `draining`, for a "
+        description="Time to go on answering after SIGTERM while readiness is `draining`, for a "
         "balancer to notice.",
     )
     grace_seconds: float = Field(

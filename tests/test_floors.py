@@ -191,7 +191,7 @@ def test_the_client_knows_no_floor_and_is_known_for_its_cameras_and_rooms_alone(
 
 
 @pytest.mark.parametrize("floor", FLOORS)
-def test_every_folder_says_what_lives_there(floor: str) -> None:
+def test_every_package_has_a_docstring(floor: str) -> None:
     for folder in {file.parent for file in (ROOT / floor).rglob("*.py")}:
         text = (folder / "__init__.py").read_text()
         assert ast.get_docstring(ast.parse(text)), f"{folder} needs a docstring in __init__.py"

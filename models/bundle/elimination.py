@@ -84,7 +84,7 @@ def _eliminate_frames(
             for b in range(a + 1):
                 factor[a, b] = complement[a, b]
         if not cholesky(factor):
-            _say_nothing(frame)
+            _leave_out(frame)
             continue
         # One right-hand side for each shared number, and the frame's own at the end.
         for a in range(shared + 1):
@@ -108,7 +108,7 @@ def _reduced_of_frame(reduced: Reduced, n: int) -> Reduced:
 
 
 @inner
-def _say_nothing(frame: Reduced) -> None:
+def _leave_out(frame: Reduced) -> None:
     fill(frame.information, 0)
     fill(frame.right, 0)
     fill(frame.points, 0)

@@ -8,7 +8,7 @@ from models.network.answers import Usual
 from models.training.batches import Data
 
 MOST_FRAMES = 300  # plenty for a quantile of 99 %
-LEAST_FRAMES = 20  # with some number of views, to say what is usual with these
+LEAST_FRAMES = 20  # that have some number of views, to learn what is usual with these
 MOST_VIEWS = 8  # with more, the misfit is as with so many
 USUAL_SHARE = 0.99
 # Beyond the usual by these factors is unlike it. Of poses that a capture did not show, but could

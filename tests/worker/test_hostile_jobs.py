@@ -121,7 +121,7 @@ def names_of_workers(redis: Redis) -> list[str]:
 
 
 @on_every_deployment
-def test_whatever_a_job_says_it_fails_alone(
+def test_a_hostile_job_fails_alone(
     store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
 ) -> None:
     queue = Queue("fits", connection=redis)

@@ -169,7 +169,7 @@ def test_a_job_may_start_from_a_model_and_be_short_of_time(
         np.testing.assert_allclose(weights[1][name], value, atol=1e-3)
 
 
-def test_a_fit_whose_model_is_gone_says_so(
+def test_a_fit_whose_model_is_gone_gives_that_reason(
     store: Store, redis: Redis, fit_here: FitHere, dataset_id: str, start_worker: StartWorker
 ) -> None:
     prior = fit_here(BRIEF)
@@ -227,7 +227,7 @@ def has_failed(job: Job) -> bool:
     return bool(job.is_failed)
 
 
-def test_jobs_that_can_never_run_say_why(
+def test_jobs_that_can_never_run_give_the_reason(
     store: Store,
     redis: Redis,
     dataset_id: str,

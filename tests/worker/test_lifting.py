@@ -348,7 +348,7 @@ def test_a_plain_producer_gets_a_lift(
         ({"config": {}}, "invalid_arguments", "config: unknown field: expected some of model_id"),
     ],
 )
-def test_a_job_that_can_never_run_says_why(
+def test_a_job_that_can_never_run_gives_the_reason(
     store: Store,
     redis: Redis,
     model_id: str,

@@ -33,7 +33,7 @@ class LensModel(Protocol):
     """The attributes of a camera model's file besides its compiled `bend` and `differentiate`."""
 
     NAME: LensName  # in a calibration, and in files
-    LIFTED_AS: LiftedLensName  # in what lifts say of their cameras
+    LIFTED_AS: LiftedLensName  # in what lifts return of their cameras
 
     def start_from_pinhole(self, distortion: Float64) -> Float64 | None:
         """Return coefficients (n, 8) with which to try this model, or None if it is unlikely.

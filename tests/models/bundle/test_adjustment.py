@@ -220,7 +220,7 @@ def test_covariances_are_the_inverse_of_the_dense_equations(*, heavy: bool, scal
         np.testing.assert_allclose(covariance, expected, rtol=0, atol=1e-4 * size)
 
 
-def test_a_frame_without_definite_equations_says_nothing_and_stays() -> None:
+def test_a_frame_without_definite_equations_stays_and_does_not_count() -> None:
     problem = make()
     free, damping = problem.rig_prior.free, 1e-3
     equations = linearised(problem, shared=True)

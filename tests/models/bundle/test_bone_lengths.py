@@ -57,7 +57,7 @@ def test_the_tree_is_the_lightest(figure: Float64) -> None:
     assert float(bones.scatter.sum()) == pytest.approx(weight, rel=0.02)
 
 
-def test_what_views_do_not_tell_has_no_say(figure: Float64) -> None:
+def test_lengths_that_views_do_not_determine_do_not_count(figure: Float64) -> None:
     """A third of the keypoints are anywhere; the measured ones find the bones of all."""
     rng = np.random.default_rng(2)
     measured = rng.random(figure.shape[:2]) > 0.3

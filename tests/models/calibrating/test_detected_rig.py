@@ -84,7 +84,7 @@ def test_exact_keypoints_give_the_exact_rig() -> None:
 
 
 @pytest.mark.parametrize("wrong", [0.85, 1.2])
-def test_two_views_and_a_skeleton_tell_the_focal_length_under_noise(
+def test_two_views_and_a_skeleton_determine_the_focal_length_under_noise(
     pair: RigCapture, wrong: float
 ) -> None:
     start = rig_of(pair, focal=wrong * TRUE_FOCAL, turned=5.0)
@@ -104,7 +104,7 @@ def test_clear_keypoints_in_their_place_lead_astray(pair: RigCapture) -> None:
     assert off[1] > 2 * off[0]
 
 
-def test_edges_that_stretch_tell_less(pair: RigCapture) -> None:
+def test_edges_that_stretch_are_less_informative(pair: RigCapture) -> None:
     figure = pair.points3d.copy()
     limbs = np.random.default_rng(4).uniform(0.4, 1.6, (len(figure), len(EDGES)))
     for number, (inner, outer) in enumerate(EDGES):
@@ -118,7 +118,7 @@ def test_edges_that_stretch_tell_less(pair: RigCapture) -> None:
     assert loose[0, FOCAL] > 1.5 * steady[0, FOCAL]
 
 
-def test_what_moves_and_what_is_not_seen_says_nothing(pair: RigCapture) -> None:
+def test_what_is_not_seen_does_not_count_for_the_lenses(pair: RigCapture) -> None:
     frames, start = frames_of(pair), rig_of(pair, focal=0.9 * TRUE_FOCAL)
     whole, _ = adjusted(pair, start, frames)
     head = keypoint("head")

@@ -168,7 +168,7 @@ def test_two_static_cameras_have_the_lenses_under_which_shapes_are_alike(
         ([0.0, 80.0, -120.0], (), {"cameras": "moving"}),
     ],
 )
-def test_the_rest_is_left_to_shapes(
+def test_all_other_captures_are_left_to_shapes(
     azimuths: list[float], moving: tuple[int, ...], config: dict[str, object]
 ) -> None:
     """Cameras that move, or are declared to."""

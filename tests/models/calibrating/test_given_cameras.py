@@ -170,7 +170,7 @@ def test_an_identity_freezes_nothing(rig: RigCapture) -> None:
             assert off < np.radians(1.5)
 
 
-def test_a_focal_length_alone_leaves_the_rest_to_be_found(rig: RigCapture) -> None:
+def test_with_a_focal_length_alone_everything_else_is_found(rig: RigCapture) -> None:
     found = calibrated(rig, [{"intrinsics": {"fx": FOCAL}}] * VIEWS)
     cameras = camera_report(found)
     assert found.findings == ()
@@ -181,7 +181,7 @@ def test_a_focal_length_alone_leaves_the_rest_to_be_found(rig: RigCapture) -> No
     assert (off < 4 * cameras.principal_point_sds + 1).all()
 
 
-def test_rodrigues_vectors_say_what_matrices_say(rig: RigCapture) -> None:
+def test_rodrigues_vectors_are_the_same_as_matrices(rig: RigCapture) -> None:
     given = calibration(rig)
     for entry in given:
         assert entry is not None
@@ -208,7 +208,7 @@ def test_cameras_declared_static_that_move_are_obeyed_and_reported(rig: RigCaptu
     assert codes(calibrated(rig, [None] * VIEWS, cameras="static")) <= set()
 
 
-def test_a_finding_says_it_in_a_line(rig: RigCapture) -> None:
+def test_a_finding_is_one_line(rig: RigCapture) -> None:
     found = calibrated(rig, bumped(calibration(rig), 1, 5, "y"))
     (finding,) = found.findings
     assert isinstance(finding, Finding)

@@ -35,7 +35,7 @@ def test_evidence_of_both_kinds_counts() -> None:
 
 
 @pytest.mark.parametrize("options", [False, True])
-def test_cameras_that_are_too_far_away_do_not_tell_the_hand(*, options: bool) -> None:
+def test_cameras_that_are_too_far_away_leave_the_handedness_open(*, options: bool) -> None:
     lens = Lens(focal=900_000)
     far = make_rig_capture([0.0, 80.0], frames=20, distance=3600, lenses=(lens,), noise=3)
     given = {"fx": lens.focal, "fy": lens.focal, "cx": 640, "cy": 512}

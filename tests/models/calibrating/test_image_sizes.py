@@ -39,7 +39,7 @@ def test_an_origin_that_is_no_corner_is_noticed(shift: float) -> None:
     np.testing.assert_allclose(images.middles, shift + 300, atol=10)
 
 
-def test_what_is_not_seen_says_nothing() -> None:
+def test_what_is_not_seen_does_not_count() -> None:
     keypoints = np.full((FRAMES, 1, POINTS, 2), 1e6)
     images = images_of(keypoints, np.zeros(keypoints.shape[:3]), None)
     assert np.isfinite(images.middles).all()

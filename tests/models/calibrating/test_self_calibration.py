@@ -117,7 +117,7 @@ def check_lenses(
     assert (cameras.focal_sds < largest_relative_sd * focal).all()
 
 
-def test_a_few_keypoints_far_off_do_not_say_how_noisy_the_others_are(static: RigCapture) -> None:
+def test_a_few_keypoints_far_off_do_not_raise_the_noise(static: RigCapture) -> None:
     rng = np.random.default_rng(5)
     keypoints = static.keypoints.copy()
     far = rng.random(keypoints.shape[:3]) < 0.02
@@ -370,7 +370,7 @@ def test_a_fisheye_lens_is_found() -> None:
     assert error(capture, scene) < 0.02
 
 
-def test_keypoints_that_say_nothing_are_named_as_such(static: RigCapture) -> None:
+def test_keypoints_behind_the_cameras_are_reported(static: RigCapture) -> None:
     answers = static.answers()
     behind = self_calibrate(
         task_of(static.pixels, static.weights, FitConfig(), None),

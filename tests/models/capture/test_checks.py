@@ -80,7 +80,7 @@ def test_a_corner_that_stands_for_not_found_in_all_views(unharmed: Float32) -> N
     assert (marked == gone).all()
 
 
-def test_a_keypoint_that_rests_in_the_middle_is_no_harm(unharmed: Float32) -> None:
+def test_a_keypoint_that_stays_in_the_middle_is_no_fault(unharmed: Float32) -> None:
     centred = unharmed - unharmed[:, :, :1]  # of the root, as some captures are
     centred = np.where(np.isnan(unharmed[:, :, :1]), unharmed - 600, centred) + 600
     assert not [f for f in capture_findings(centred) if f.code == "keypoint_frozen"]
@@ -113,7 +113,7 @@ def test_coordinates_that_are_no_pixels(unharmed: Float32) -> None:
     assert only(capture_findings(one), "coordinates_normalised").views == (1,)
 
 
-def test_images_smaller_than_the_keypoints_say(unharmed: Float32) -> None:
+def test_images_smaller_than_the_extent_of_the_keypoints_are_reported(unharmed: Float32) -> None:
     sizes = [IMAGE_SIZE, (640, 512), None]
     found = only(capture_findings(unharmed, image_sizes=sizes), "outside_image")
     assert found.views == (1,)

@@ -71,7 +71,7 @@ def test_one_of_the_views_is_denoised_by_itself(
     assert left < 0.6 * NOISE
 
 
-def test_gaps_stay_gaps_and_the_rest_is_denoised(clean: Float64, noisy: Float64) -> None:
+def test_gaps_stay_gaps_and_everything_else_is_denoised(clean: Float64, noisy: Float64) -> None:
     hidden = np.random.default_rng(3).random(clean.shape[:3]) < 0.2
     gappy = np.where(hidden[..., None], np.nan, noisy)
     model = learn_denoiser(as_observations(gappy))
@@ -137,7 +137,7 @@ def test_very_few_frames_are_left_alone(noisy: Float64) -> None:
     assert learn_denoiser(as_observations(noisy[: LEAST_FRAMES - 1])) is None
 
 
-def test_poses_that_come_back_tell_of_each_other() -> None:
+def test_poses_that_come_back_improve_each_other() -> None:
     """One Gaussian for all frames could not do better than its exact posterior."""
     rng = np.random.default_rng(6)
     modes = rng.normal(size=(5, MODES))[rng.integers(5, size=FRAMES)]

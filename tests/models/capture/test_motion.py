@@ -61,7 +61,7 @@ def test_times_need_not_be_even_and_frames_may_lack(model: MotionModel) -> None:
     assert left(model, NOISY[kept], CLEAN[kept], TIMES[kept]) < 0.3 * NOISE
 
 
-def test_gaps_stay_gaps_and_the_rest_is_smoothed() -> None:
+def test_gaps_stay_gaps_and_everything_else_is_smoothed() -> None:
     hidden = np.random.default_rng(5).random(CLEAN.shape[:3]) < 0.1
     gappy = np.where(hidden[..., None], np.nan, NOISY)
     model = learn_motion(as_observations(gappy), TIMES)

@@ -226,7 +226,7 @@ def test_frames_unlike_those_of_the_fit_have_none(model: OutlierModel, clean: Fl
     assert found_in(model, scattered).mean() < 0.01
 
 
-def test_few_frames_say_nothing(harmed: Harmed) -> None:
+def test_few_frames_are_not_judged(harmed: Harmed) -> None:
     assert learn_outliers(as_observations(harmed.keypoints[: LEAST_FRAMES - 1])) is None
 
 

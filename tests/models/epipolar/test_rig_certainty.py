@@ -63,7 +63,7 @@ def test_deviations_are_the_scatter_of_what_is_found() -> None:
     np.testing.assert_allclose(scatter, expected[1:, 5:8], rtol=0.6)
 
 
-def test_what_keypoints_say_of_focal_lengths_does_not_depend_on_beliefs() -> None:
+def test_the_likelihood_of_focal_lengths_does_not_depend_on_the_prior() -> None:
     rig, rng = make_rig(), np.random.default_rng(1)
     points = points_of(rng)
     clean = images_of(rig, points)

@@ -78,7 +78,7 @@ def test_a_view_that_moves_does_not_spoil_the_others() -> None:
     assert np.isnan(found.best.rig.rotations[1]).all()
 
 
-def test_nothing_rests_where_all_move() -> None:
+def test_no_camera_is_static_where_all_move() -> None:
     capture = make_rig_capture([0.0, 80.0, -120.0], frames=60, moving=(0, 1, 2))
     found = found_in(capture)
     # A pair can always be made to agree halfway; three views cannot.

@@ -128,7 +128,7 @@ def test_films_are_distinguished_from_shuffled_frames() -> None:
 
 
 @pytest.mark.parametrize("late", [(0, 12, 0, -12), (0, 10, 3, 0), (0, -12, 12, 5)])
-def test_short_captures_with_gaps_say_little_of_time(late: tuple[int, ...]) -> None:
+def test_short_captures_with_gaps_hardly_determine_offsets(late: tuple[int, ...]) -> None:
     """Views so late leave so few frames that no uncertainty can be estimated."""
     rng = np.random.default_rng(0)
     moments = np.arange(20.0, 70)[:, None] - np.array(late)

@@ -6,7 +6,7 @@ from models.findings.catalogue import CATALOGUE, CODES
 from models.findings.finding import MOST_RANGES, Finding, frame_ranges, merged
 
 
-def test_every_code_says_what_it_leads_to_and_what_to_do() -> None:
+def test_every_code_has_its_consequence_and_what_to_do() -> None:
     assert set(CATALOGUE) == set(CODES)
     for entry in CATALOGUE.values():
         assert entry.effect.endswith(".")

@@ -165,7 +165,7 @@ def test_a_stray_keypoint_is_left_out_and_marked(
     assert errors[0] < errors[1] + 0.001  # metres
 
 
-def test_of_two_views_of_a_keypoint_the_rest_of_the_frame_says_which_strays(
+def test_of_two_views_of_a_keypoint_the_other_keypoints_decide_which_is_stray(
     capture: RigCapture, unseen: NDArray[np.int64], prior: FittedPrior
 ) -> None:
     clear = capture.keypoints[unseen]

@@ -92,7 +92,7 @@ def test_no_capture_is_too_odd_for_a_finite_answer(case: str) -> None:
 
 
 @pytest.mark.parametrize("case", ["one view", "identical views", "views that share no frame"])
-def test_cameras_that_are_declared_static_may_tell_nothing_of_each_other(case: str) -> None:
+def test_cameras_declared_static_may_leave_each_other_undetermined(case: str) -> None:
     keypoints = keypoints_of(case)
     given = {"cameras": "static", "refine": "full"}
     prior = fit(keypoints, FitConfig.model_validate(QUICK | given))

@@ -38,7 +38,7 @@ def test_older_weights_lift_as_they_did(name: str, refine: Refine) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_older_weights_say_of_the_cameras_is_kept(name: str) -> None:
+def test_the_cameras_of_older_weights_are_kept(name: str) -> None:
     data = (FIXTURES / f"{name}.safetensors").read_bytes()
     prior = FittedPrior.from_bytes(data)
     if name == "plain":

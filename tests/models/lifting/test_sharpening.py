@@ -53,7 +53,7 @@ def error_of(prior: FittedPrior, keypoints: Float64, truth: Float64) -> float:
     return float(pa_mpjpe(prior.lift(keypoints).points3d, truth, reflection="never").mean)
 
 
-def test_poses_that_come_back_turned_tell_of_each_other(
+def test_poses_that_come_back_turned_improve_each_other(
     capture: RigCapture, prior: FittedPrior, plain: FittedPrior
 ) -> None:
     assert prior.denoises

@@ -159,7 +159,7 @@ def test_edges_change_nothing_where_keypoints_are_clear() -> None:
     assert with_edges.to_bytes() == without.to_bytes()
 
 
-def test_what_the_lengths_say_nothing_of_is_as_without(
+def test_what_lengths_do_not_determine_is_as_without_them(
     noisy: RigCapture, prior: FittedPrior, plain: FittedPrior
 ) -> None:
     """The network's answers, frames of one view, cameras unknown to the fit."""

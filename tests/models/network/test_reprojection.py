@@ -116,7 +116,7 @@ def _batch(frames: int, views: int, keypoints: int) -> Batch:
     )
 
 
-def test_the_objective_is_what_it_says_and_its_gradient_is_right() -> None:
+def test_the_objective_is_as_documented_and_its_gradient_is_right() -> None:
     batch = _batch(4, 3, 8)
     points = (batch.teachers + 0.4 * _drawn(4, 8, 3, seed=1)).requires_grad_()
     projected = _drawn(4, 3, 8, 2, seed=2).requires_grad_()

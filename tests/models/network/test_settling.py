@@ -167,7 +167,7 @@ def test_foreshortening_is_about_that_of_the_cameras(k: float) -> None:
     assert estimate_foreshortening(image, keypoints, weights, guesses) == pytest.approx(-found)
 
 
-def test_one_view_says_nothing_about_foreshortening() -> None:
+def test_one_view_does_not_determine_foreshortening() -> None:
     truth, rotations = structures(5, 8), rotations_of(5, 1)
     keypoints, weights = seen_by(truth, rotations, K), np.ones((5, 1, 8), np.float32)
     assert estimate_foreshortening(truth, keypoints, weights, rotations) == 0

@@ -82,7 +82,7 @@ def test_what_does_not_belong_together_is_refused(camera: dict[str, Any], messag
         Camera.model_validate(camera)
 
 
-def test_a_name_is_no_index_before_a_dataset_says_which() -> None:
+def test_a_name_is_no_index_without_a_dataset() -> None:
     length = KnownLength.model_validate({"keypoints": ["left_knee", 4], "length": 0.4})
     with pytest.raises(ValueError, match="got the name 'left_knee'"):
         _ = length.ends

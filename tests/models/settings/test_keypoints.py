@@ -64,7 +64,7 @@ def test_views_that_show_no_shape_are_not_usable(case: str) -> None:
         (np.zeros((1, 1, 6, 2)), np.full((1, 1, 6), 100.0), "lie in [0, 1], got 100 to 100; clip"),
     ],
 )
-def test_errors_say_what_came(keypoints: object, confidence: object, message: str) -> None:
+def test_errors_name_what_was_given(keypoints: object, confidence: object, message: str) -> None:
     if message == "expected":
         message = "(frames, views, keypoints) = (1, 1, 6)"
     with pytest.raises(ValueError, match=re.escape(message)):

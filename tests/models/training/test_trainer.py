@@ -127,7 +127,7 @@ def test_views_may_be_missing_reordered_or_more_than_in_the_fit(
     assert np.isfinite(single.points3d).all()
 
 
-def test_frames_without_an_answer_say_so(prior: FittedPrior, capture: SyntheticCapture) -> None:
+def test_frames_without_an_answer_are_marked(prior: FittedPrior, capture: SyntheticCapture) -> None:
     frames = capture.keypoints[:3].copy()
     frames[1] = np.nan
     frames[2, :, 3:] = np.nan

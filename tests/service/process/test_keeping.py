@@ -222,7 +222,7 @@ def test_the_next_backup_copies_what_is_new_and_mends_what_it_copied(
     assert "1 copied" in done("backup", *here, "--deep")
 
 
-def test_what_is_damaged_is_named_and_the_rest_kept(
+def test_what_is_damaged_is_named_and_everything_else_kept(
     store: Store, here: tuple[str, ...], tmp_path: Path
 ) -> None:
     harmed, lost = sorted(tmp_path.glob("data/objects/datasets/*/*"))[:2]

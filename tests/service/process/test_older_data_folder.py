@@ -91,7 +91,7 @@ def test_its_model_lifts_and_its_reconstruction_is_refined_otherwise(
     assert (weak["camera_models"] == 0).all()
 
 
-def test_a_failed_fit_still_says_why(served: Live) -> None:
+def test_a_failed_fit_still_gives_the_reason(served: Live) -> None:
     fit = named(served, "fits", "failed")
     found = served.get(fit)
     assert (found["status"], found["error"]["code"]) == ("failed", "unusable_capture")

@@ -47,7 +47,7 @@ def printed_by(name: str, language: str, folder: Path, data: bytes, *arguments: 
 
 
 @every_language
-def test_a_capture_loop_gets_what_lifts_say(
+def test_a_capture_loop_gets_what_lifts_return(
     http: httpx2.Client,
     model: str,
     capture: SyntheticCapture,

@@ -161,7 +161,7 @@ def test_a_frame_is_lifted_on_its_own(
                     )
 
 
-def test_frames_that_show_too_little_say_so(
+def test_frames_that_show_too_little_are_marked(
     api: TestClient, model: str, capture: SyntheticCapture
 ) -> None:
     good = frames_of(capture.keypoints[:1])[0]

@@ -101,7 +101,7 @@ def test_a_frame_has_its_place_whatever_it_comes_with(http: httpx2.Client, resti
     np.testing.assert_allclose(two["points3d"][0], all_at_once["points3d"][1], atol=0.02)
 
 
-def test_streams_and_json_say_the_same(http: httpx2.Client, resting: str) -> None:
+def test_streams_and_json_agree(http: httpx2.Client, resting: str) -> None:
     arrays = lifted(http, resting, "frame=room&up=0,-1,0")
     body = {"model": resting, "frames": frames_of(KEYPOINTS), "frame": "room", "up": [0, -1, 0]}
     answer = http.post("/lift", json=body).json()
@@ -139,7 +139,7 @@ def in_bytes(keypoints: Any = KEYPOINTS) -> dict[str, Any]:
     return {"content": to_safetensors(keypoints=keypoints), "headers": BYTES}
 
 
-def test_frames_without_a_place_say_so(http: httpx2.Client, resting: str) -> None:
+def test_frames_without_a_place_are_marked(http: httpx2.Client, resting: str) -> None:
     """In weak perspective a structure has no depth; a frame that shows nothing has no structure."""
     keypoints = KEYPOINTS.copy()
     keypoints[3] = np.nan

@@ -78,7 +78,7 @@ def test_views_and_confidence(http: httpx2.Client, model: str, capture: Syntheti
             np.testing.assert_allclose(answer["frame"]["points3d"], points, rtol=1e-3, atol=1e-4)
 
 
-def test_a_frame_that_shows_too_little_says_so(
+def test_a_frame_that_shows_too_little_is_marked(
     http: httpx2.Client, model: str, capture: SyntheticCapture
 ) -> None:
     nothing = np.full_like(capture.keypoints[0], np.nan)

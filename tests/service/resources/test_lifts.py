@@ -139,7 +139,7 @@ def test_too_many_waiting_lifts_are_refused(api: TestClient, model: str) -> None
         assert api.post(f"/lifts/{lift}/cancel").status_code == 202
 
 
-def test_a_failed_lift_says_why(api: TestClient, model: str, settings: Settings) -> None:
+def test_a_failed_lift_gives_the_reason(api: TestClient, model: str, settings: Settings) -> None:
     lift = post(api, model, make_dataset(api)["id"])
     store = Store(settings)
     helper = lift_chunks.join(lift["id"], lease_seconds=60)
