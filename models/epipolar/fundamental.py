@@ -229,6 +229,7 @@ def _epipolar_errors(matrix: Float64, x: Float64, y: Float64) -> tuple[Float64, 
 def _write_epipolar_errors(
     matrices: Float64, x: Float64, y: Float64, errors: Float64, norms: Float64
 ) -> None:
+    """Write both (B, M), of B matrices and points or of one for all."""
     for b in range(len(errors)):
         f, own_x, own_y = matrices[b % len(matrices)], x[b % len(x)], y[b % len(y)]
         for m in range(errors.shape[1]):

@@ -19,9 +19,9 @@ from models.epipolar.view_pairs import SeenFrames, chosen_pairs, fit_pairs, seen
 from models.findings.finding import Finding
 
 LEAST_FRAMES = 20
-MOST_HARMS = 3  # that one capture may have
+MOST_FAULTS = 3  # that one capture may have
 
-Harm = Reordered | LeftRightSwapped | MovedCamera
+Fault = Reordered | LeftRightSwapped | MovedCamera
 
 
 def order_findings(
@@ -40,8 +40,8 @@ def order_findings(
     late
         Views that are known to be out of step: they are not tested for having been moved.
     """
-    harms = _harms(seen_keypoints(keypoints, weights), late)
-    return tuple(finding for harm in harms for finding in _findings_of(harm, len(keypoints)))
+    faults = _faults(seen_keypoints(keypoints, weights), late)
+    return tuple(finding for fault in faults for finding in _findings_of(fault, len(keypoints)))
 
 
 def put_in_order(
@@ -61,10 +61,10 @@ def put_in_order(
         needs correction.
     """
     seen = seen_keypoints(keypoints, weights)
-    harms = _harms(seen, ())
-    for harm in harms:
-        seen = _without(harm, seen) if isinstance(harm, MovedCamera) else harm.seen
-    return (seen.pixels, seen.there.astype(np.float64)) if harms else None
+    faults = _faults(seen, ())
+    for fault in faults:
+        seen = _without(fault, seen) if isinstance(fault, MovedCamera) else fault.seen
+    return (seen.pixels, seen.there.astype(np.float64)) if faults else None
 
 
 def _without(moved: MovedCamera, seen: SeenFrames) -> SeenFrames:
@@ -75,21 +75,21 @@ def _without(moved: MovedCamera, seen: SeenFrames) -> SeenFrames:
     return seen._replace(there=there)
 
 
-def _harms(seen: SeenFrames, late: Sequence[int]) -> list[Harm]:
-    """Find one harm after the other, the one that explains most first."""
-    harms: list[Harm] = []
+def _faults(seen: SeenFrames, late: Sequence[int]) -> list[Fault]:
+    """Find one fault after the other, the one that explains most first."""
+    faults: list[Fault] = []
     if len(seen.there) < LEAST_FRAMES or seen.there.shape[1] < 2:
-        return harms
-    while len(harms) < MOST_HARMS and (harm := _worst(seen, late)) is not None:
-        harms.append(harm)
-        if isinstance(harm, MovedCamera):
+        return faults
+    while len(faults) < MOST_FAULTS and (fault := _worst(seen, late)) is not None:
+        faults.append(fault)
+        if isinstance(fault, MovedCamera):
             break  # frames before and after share no geometry with which to try the others
-        seen = harm.seen
-    return harms
+        seen = fault.seen
+    return faults
 
 
-def _worst(seen: SeenFrames, late: Sequence[int]) -> Harm | None:
-    """Return the harm that explains the frames best, if any does."""
+def _worst(seen: SeenFrames, late: Sequence[int]) -> Fault | None:
+    """Return the fault that explains the frames best, if any does."""
     pairs = chosen_pairs(seen)
     plain = fit_pairs(seen, pairs)
     if not plain:
@@ -99,12 +99,12 @@ def _worst(seen: SeenFrames, late: Sequence[int]) -> Harm | None:
     moved = find_moved_camera(seen, plain)
     if moved is not None and set(moved.views) & set(late):
         moved = None
-    harms = [harm for harm in (swapped, sided, moved) if harm is not None]
-    return max(harms, key=lambda harm: harm.gain, default=None)
+    faults = [fault for fault in (swapped, sided, moved) if fault is not None]
+    return max(faults, key=lambda fault: fault.gain, default=None)
 
 
-def _findings_of(harm: Harm, frames: int) -> list[Finding]:
-    if isinstance(harm, Reordered):
+def _findings_of(fault: Fault, frames: int) -> list[Finding]:
+    if isinstance(fault, Reordered):
         return [
             Finding.of(
                 "views_swapped",
@@ -113,27 +113,27 @@ def _findings_of(harm: Harm, frames: int) -> list[Finding]:
                 share=swapped.frames.mean(),
                 log_likelihood_ratio=swapped.ratio,
             )
-            for swapped in harm.found
+            for swapped in fault.found
         ]
-    if isinstance(harm, LeftRightSwapped):
-        moved = harm.partners != np.arange(len(harm.partners))
-        everywhere = bool(harm.frames.all())
+    if isinstance(fault, LeftRightSwapped):
+        moved = fault.partners != np.arange(len(fault.partners))
+        everywhere = bool(fault.frames.all())
         return [
             Finding.of(
                 "left_right_swapped",
-                views=harm.views,
-                frames=() if everywhere else harm.frames,
-                keypoints=harm.seen.keypoints[moved],
-                share=harm.frames.mean(),
-                log_likelihood_ratio=harm.gain,
+                views=fault.views,
+                frames=() if everywhere else fault.frames,
+                keypoints=fault.seen.keypoints[moved],
+                share=fault.frames.mean(),
+                log_likelihood_ratio=fault.gain,
             )
         ]
     return [
         Finding.of(
             "camera_moved",
-            views=harm.views,
-            frames=range(harm.first, frames),
-            first_frame=harm.first,
-            standard_errors=min(harm.sure, 1e6),
+            views=fault.views,
+            frames=range(fault.first, frames),
+            first_frame=fault.first,
+            standard_errors=min(fault.sure, 1e6),
         )
     ]

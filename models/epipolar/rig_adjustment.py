@@ -80,8 +80,8 @@ def adjust_rig(
             noise = noise_of(rig, points, seen, least_noise)
             cost = cost_of(rig, points, seen, noise, beliefs)
         tried_rig, tried = _step(rig, points, seen, noise, beliefs, free, damping)
-        tried = settle_points(tried_rig, tried, seen, noise)
-        tried_cost = cost_of(tried_rig, tried, seen, noise, beliefs)
+        tried, costs = settle_points(tried_rig, tried, seen, noise)
+        tried_cost = float(costs.sum()) + lens_cost(tried_rig, beliefs) / 2
         if tried_cost <= cost:
             gained = cost - tried_cost
             rig, points, cost = tried_rig, tried, tried_cost
@@ -160,7 +160,7 @@ def lens_cost(rig: StaticCameras, beliefs: Beliefs) -> float:
     cost = (offsets * (beliefs.precisions @ offsets[..., None])[..., 0]).sum()
     cost += np.square(beyond / WALL_SD).sum()
     if beliefs.alike:
-        cost += 2 * np.log1p(np.square(_unlike(rig.log_focals))).sum()
+        cost += 2 * np.log1p(np.square(_unlikeness(rig.log_focals))).sum()
     return float(cost)
 
 
@@ -173,7 +173,7 @@ def lens_prior(rig: StaticCameras, beliefs: Beliefs) -> _Prior:
     gradient[:, 0] += beyond / WALL_SD**2
     blocks[0] += np.diag((beyond != 0) / WALL_SD**2)
     if beliefs.alike:
-        weights = 2 / (1 + np.square(_unlike(rig.log_focals))) / ALIKE**2
+        weights = 2 / (1 + np.square(_unlikeness(rig.log_focals))) / ALIKE**2
         centring = np.eye(views) - weights / weights.sum()
         together = centring.T @ np.diag(weights) @ centring
         blocks[0] += together
@@ -191,7 +191,7 @@ def _lens_offsets(rig: StaticCameras, beliefs: Beliefs) -> tuple[Float64, Float6
     return offsets, (offsets[0] - high).clip(0) + (offsets[0] - low).clip(max=0)
 
 
-def _unlike(log_focals: Float64) -> Float64:
+def _unlikeness(log_focals: Float64) -> Float64:
     """Return offsets (K,) from the median; focal lengths are often alike (Cauchy's distribution).
 
     They are in units of the scale of that distribution.

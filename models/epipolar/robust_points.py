@@ -49,7 +49,7 @@ def robust_points(
         tried = costs_of(rig, guess, seen, noise)
         better = np.isfinite(guess).all(0) & (tried < costs)
         points, costs = np.where(better, guess, points), np.where(better, tried, costs)
-    return settle_points(rig, points, seen, noise, steps=ITERATIONS)
+    return settle_points(rig, points, seen, noise, steps=ITERATIONS)[0]
 
 
 def robust_structures(
@@ -128,8 +128,11 @@ def settle_points(
     noise: Float64,
     *,
     steps: int = POINT_STEPS,
-) -> Float64:
-    """Improve points (3, M) with fixed cameras, by Gauss-Newton steps that lower the cost."""
+) -> tuple[Float64, Float64]:
+    """Improve points (3, M) with fixed cameras, by Gauss-Newton steps that lower the cost.
+
+    Returns also the costs (M,) of the points, as `costs_of` does.
+    """
     sight = sight_of(rig, points, seen)
     costs, tried_costs = np.empty(points.shape[1]), np.empty(points.shape[1])
     _write_costs(sight, noise, costs)
@@ -147,7 +150,7 @@ def settle_points(
         if gained < SETTLED:
             break
         damping = np.where(better, damping / 10, damping * 10)
-    return points
+    return points, costs
 
 
 def costs_of(rig: StaticCameras, points: Float64, seen: SeenPoints, noise: Float64) -> Float64:

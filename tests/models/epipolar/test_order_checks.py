@@ -1,4 +1,4 @@
-"""Harms that are planted in captures with known cameras, and captures without any."""
+"""Faults that are planted in captures with known cameras, and captures without any."""
 
 import numpy as np
 import pytest
