@@ -32,7 +32,7 @@ PARALLEL = 1e-8  # squared sine of the angle below which two rays count as paral
 LEAST_ANGLE = 1e-4  # radians between a ray and a point, below which all rays count alike
 POINT_DAMPING = 1e-4
 TINY = 1e-12  # of a point's curvature: what keeps parallel rays solvable
-SETTLED = 1e-3  # nats of all points together: a step that gains less is the last
+SETTLED = 1e-3  # nats of all points together: a step of all that gains less is the last
 POINT_STEPS = 1  # of each point by itself, after a step of all
 
 
@@ -147,7 +147,7 @@ def settle_points(
         better = tried_costs <= costs
         gained = (costs - tried_costs)[better].sum()
         points, costs = np.where(better, tried, points), np.where(better, tried_costs, costs)
-        if gained < SETTLED:
+        if better.all() and gained < SETTLED:
             break
         damping = np.where(better, damping / 10, damping * 10)
     return points, costs

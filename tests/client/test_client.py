@@ -22,7 +22,8 @@ from fewview.room import to_room
 from safetensors.numpy import load_file
 
 from tests.client.conftest import Served, a_capture
-from tests.service.conftest import CONFIG, wait_for
+from tests.service.conftest import CONFIG
+from tests.waiting import wait_for
 
 T = TypeVar("T")
 FIXTURES = Path(__file__).parent.parent / "fixtures"

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from tests.client.conftest import Served
 from tests.processes import free_port
-from tests.service.conftest import wait_for
+from tests.waiting import wait_for
 
 Ran = subprocess.CompletedProcess[str]
 

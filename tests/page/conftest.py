@@ -20,7 +20,12 @@ from playwright.sync_api import Browser, BrowserContext, Page, Request, expect, 
 expect.set_options(timeout=30_000)  # other tests may keep the machine busy
 CHROMIUM = shutil.which("chromium")
 # Draws in three dimensions without a graphics card.
-SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
+SOFTWARE = (
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-gpu-rasterization",
+    "--no-sandbox",
+)
 
 
 @dataclass

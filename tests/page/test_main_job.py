@@ -8,7 +8,8 @@ import numpy as np
 from playwright.sync_api import FilePayload, Locator, Page, expect
 
 from tests.page.conftest import Watched, deeplabcut_files
-from tests.service.conftest import Live, wait_for
+from tests.service.conftest import Live
+from tests.waiting import wait_for
 
 # Drops files on an element, as a mouse that carries them does.
 DROP = """(zone, files) => {

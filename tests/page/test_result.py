@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from tests.models.walk import walk
 from tests.page.conftest import Watched
 from tests.page.stored import KEYPOINTS, LONG, MOMENTS, Stored
-from tests.service.conftest import Live, wait_for
+from tests.service.conftest import Live
+from tests.waiting import wait_for
 
 
 def test_static_cameras_are_shown_in_their_room_and_looked_through(

@@ -10,7 +10,8 @@ from playwright.sync_api import BrowserContext, WebSocketRoute, expect
 
 from tests.page.conftest import Watched, watch
 from tests.page.stored import KEYPOINTS, Stored
-from tests.service.conftest import BYTES, Live, to_npz, wait_for
+from tests.service.conftest import BYTES, Live, to_npz
+from tests.waiting import wait_for
 
 
 @pytest.fixture

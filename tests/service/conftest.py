@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import threading
-import time
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -35,6 +34,7 @@ from tests.fork_server import Popen
 from tests.processes import descendants, free_port, processes
 from tests.service.owner import OwnersClient
 from tests.sharing import fitted_once
+from tests.waiting import wait_for
 from worker.process import python, tied
 
 JSON = {"Content-Type": "application/json"}
@@ -97,14 +97,6 @@ def problem(response: httpx2.Response, status: int, code: str, pointer: str | No
     if pointer is not None:
         assert pointer in [item["pointer"] for item in body["errors"]], body
     return str(body["detail"])
-
-
-def wait_for(found: Callable[[], Any], what: str, seconds: float = 300) -> Any:
-    deadline = time.monotonic() + seconds
-    while not (value := found()):
-        assert time.monotonic() < deadline, f"waited {seconds} s for {what}"
-        time.sleep(0.03)
-    return value
 
 
 @pytest.fixture(scope="session")

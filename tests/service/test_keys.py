@@ -18,8 +18,8 @@ from tests.service.conftest import (
     JSON,
     frames_of,
     problem,
-    wait_for,
 )
+from tests.waiting import wait_for
 
 # What a route needs, by the begin of its path or else its method.
 NEEDS = {

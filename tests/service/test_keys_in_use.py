@@ -33,12 +33,12 @@ from tests.service.conftest import (
     make_dataset,
     problem,
     served,
-    wait_for,
 )
 from tests.service.http.test_limits import Chunks
 from tests.service.http.test_peers import NOBODY
 from tests.service.owner import OwnersClient
 from tests.service.test_keys import OF_METHODS, WITHOUT_DOCUMENT, bearer
+from tests.waiting import wait_for
 from worker.process import tied
 
 # Sends requests as a user, and prints their statuses.

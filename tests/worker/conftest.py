@@ -4,7 +4,6 @@ import hashlib
 import os
 import signal
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,7 @@ from tests.deployments import deployed
 from tests.fork_server import Popen
 from tests.processes import free_port, tied
 from tests.sharing import fitted_once
+from tests.waiting import wait_for
 from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
 
@@ -128,13 +128,6 @@ def queue(store: Store, redis: Redis, dataset_id: str, config: dict[str, Any]) -
     fit = fits.create(store, dataset_id=dataset_id, name="f", config=config)
     enqueue(open_queue(redis), fit)
     return fit
-
-
-def wait_for(condition: Callable[[], bool], what: str, seconds: float = 120) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {seconds} s for {what}"
-        time.sleep(0.02)
 
 
 def wait_until(store: Store, fit_id: str, *statuses: str, seconds: float = 120) -> FitRecord:

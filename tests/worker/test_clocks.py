@@ -14,11 +14,11 @@ from store import fits, lookup
 from store.database import Store
 from store.records import FitRecord
 from tests.processes import tied
+from tests.waiting import wait_for
 from tests.worker.conftest import (
     LONG,
     SHORT_LEASE,
     StartWorker,
-    wait_for,
     wait_for_step,
 )
 from worker.queue import enqueue, open_queue

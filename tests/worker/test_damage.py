@@ -8,7 +8,8 @@ from store.database import Store
 from store.datasets import CaptureDescription
 from store.records import LiftRecord
 from tests.damage import flip, truncate
-from tests.worker.conftest import CONFIG, FitHere, StartWorker, wait_for, wait_until
+from tests.waiting import wait_for
+from tests.worker.conftest import CONFIG, FitHere, StartWorker, wait_until
 from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
 

@@ -19,7 +19,8 @@ from store.records import FitRecord, LiftRecord
 from tests.deployments import on_every_deployment
 from tests.fork_server import run
 from tests.processes import tied
-from tests.worker.conftest import CONFIG, StartWorker, queue, wait_for
+from tests.waiting import wait_for
+from tests.worker.conftest import CONFIG, StartWorker, queue
 from tests.worker.test_plain_data import BOMBS, MOST_MEMORY, circular, deep, shared
 from worker.queue import open_queue
 from worker.settings import WorkerSettings

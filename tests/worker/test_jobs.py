@@ -25,13 +25,13 @@ from store.database import Store
 from store.labels import labels_of
 from store.records import FitRecord, ModelRecord
 from tests.deployments import on_every_deployment
+from tests.waiting import wait_for
 from tests.worker.conftest import (
     CONFIG,
     LONG,
     SEEKING,
     FitHere,
     StartWorker,
-    wait_for,
     wait_for_step,
     wait_until,
 )

@@ -24,6 +24,7 @@ from store.database import Store
 from store.datasets import CaptureDescription
 from store.lift_files import result_file
 from store.records import DatasetRecord, FitRecord, LiftChunk, LiftRecord, ModelRecord
+from tests.waiting import wait_for
 from tests.worker.conftest import (
     CONFIG,
     SHORT_LEASE,
@@ -31,7 +32,6 @@ from tests.worker.conftest import (
     StartWorker,
     is_alive,
     kill,
-    wait_for,
     work_horse,
 )
 from worker.queue import enqueue, open_queue

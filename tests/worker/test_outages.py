@@ -19,7 +19,8 @@ from store.datasets import CaptureDescription
 from store.jobs import TERMINAL
 from store.records import FitRecord, LiftRecord
 from tests.object_stores import folder_away
-from tests.worker.conftest import CONFIG, FitHere, StartWorker, wait_for, wait_for_step, wait_until
+from tests.waiting import wait_for
+from tests.worker.conftest import CONFIG, FitHere, StartWorker, wait_for_step, wait_until
 from worker import patience
 from worker.queue import enqueue, open_queue
 

@@ -19,7 +19,8 @@ from store.datasets import CaptureDescription
 from store.records import FitRecord, LiftRecord
 from tests.fork_server import Popen, run
 from tests.processes import tied
-from tests.worker.conftest import CONFIG, FitHere, wait_for, wait_until
+from tests.waiting import wait_for
+from tests.worker.conftest import CONFIG, FitHere, wait_until
 from worker.needs import queue_for
 from worker.queue import WorkQueue, enqueue, open_queue, open_queues
 from worker.reconciler import Reconciler

@@ -24,6 +24,7 @@ from store.records import FitRecord, ModelRecord
 from tests.deployments import on_every_deployment
 from tests.fork_server import Popen
 from tests.processes import descendants, free_port, processes, tied
+from tests.waiting import wait_for
 from tests.worker.conftest import (
     CONFIG,
     LONG,
@@ -34,7 +35,6 @@ from tests.worker.conftest import (
     is_alive,
     kill,
     queue,
-    wait_for,
     wait_for_step,
     wait_until,
     work_horse,

@@ -20,7 +20,8 @@ from store.records import LiftRecord
 from tests.models.lifting.comparison import without
 from tests.models.walk import film
 from tests.sharing import fitted_once
-from tests.worker.conftest import StartWorker, wait_for
+from tests.waiting import wait_for
+from tests.worker.conftest import StartWorker
 from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
 

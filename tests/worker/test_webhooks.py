@@ -23,7 +23,7 @@ from store.errors import InputError
 from store.records import Delivery, FitRecord
 from tests.deployments import on_every_deployment
 from tests.processes import descendants, processes
-from tests.service.conftest import wait_for
+from tests.waiting import wait_for
 from tests.worker.conftest import CONFIG, StartWorker
 from worker.addresses import is_public
 from worker.queue import enqueue, open_queue

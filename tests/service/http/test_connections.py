@@ -10,8 +10,9 @@ import orjson
 import pytest
 
 from service.settings import Settings
-from tests.service.conftest import JSON, MIB, served, wait_for
+from tests.service.conftest import JSON, MIB, served
 from tests.service.http.test_overload import begin
+from tests.waiting import wait_for
 
 KIB = 1024
 PATIENCE = 1.0  # seconds

@@ -9,9 +9,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from service.settings import Settings
-from tests.service.conftest import make_dataset, problem, serving, wait_for
+from tests.service.conftest import make_dataset, problem, serving
 from tests.service.http.test_overload import begin
 from tests.service.realtime.conftest import opened, started
+from tests.waiting import wait_for
 
 
 def test_what_is_in_hand_is_finished_and_nothing_begun(settings: Settings, model: str) -> None:

@@ -26,8 +26,8 @@ from tests.service.conftest import (
     served,
     to_npz,
     to_safetensors,
-    wait_for,
 )
+from tests.waiting import wait_for
 
 KIB = 1024
 PLACES = 4  # small bodies that there is room for

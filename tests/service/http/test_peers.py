@@ -7,8 +7,9 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import httpx2
@@ -141,6 +142,16 @@ def listen(host: str = "127.0.0.1", *, dual: bool = False) -> socket.socket:
     return listener
 
 
+def reserved_port() -> int:
+    """Return a free port that the system gives to nobody who does not ask for it by number."""
+    least = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+    for port in range(least - 1, 1024, -1):
+        with socket.socket() as tried, suppress(OSError):
+            tried.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError("no port is free")
+
+
 ROADS = [
     ("127.0.0.1", "127.0.0.1", False),
     ("127.0.0.1", "127.0.0.1", True),  # IPv4 that comes to a socket of both
@@ -196,7 +207,11 @@ def test_who_only_stops_writing_is_still_known() -> None:
 
 def test_who_takes_over_the_port_of_a_client_does_not_answer_for_it() -> None:
     """Its request may still be read after the client has broken the connection off."""
-    with listen() as listener, accepted(NOBODY, listener) as (client, lost, theirs, ours):
+    port = reserved_port()
+    with (
+        listen() as listener,
+        accepted(NOBODY, listener, local=port) as (client, lost, theirs, ours),
+    ):
         peer = Peer(lost)
         client.ask("reset")
         with accepted(0, listener, local=theirs[1]) as (_, ours_now, again, _):

@@ -30,10 +30,10 @@ from tests.service.conftest import (
     problem,
     start_service,
     to_npz,
-    wait_for,
 )
 from tests.service.http.test_overload import send
 from tests.service.realtime.conftest import as_bytes, started
+from tests.waiting import wait_for
 
 STREAMS = 3  # of both processes, one each: a bound is divided, and rounded down
 

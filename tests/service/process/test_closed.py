@@ -21,8 +21,8 @@ from tests.service.conftest import (
     make_dataset,
     problem,
     start_service,
-    wait_for,
 )
+from tests.waiting import wait_for
 from worker.process import python
 
 OPEN = 0o077
@@ -93,11 +93,7 @@ def test_a_script_queues_a_fit_on_the_embedded_queue(deep: Live) -> None:
     with Redis.from_url(deep.queue_url) as connection:
         queue = Queue("fits", connection=connection)
         job = queue.enqueue("worker.jobs.fit", dataset_id=dataset["id"], config={"steps": -1})
-
-        def recorded() -> object:
-            return deep.get(f"/fits?job_id={job.id}")["items"]
-
-        (fit,) = wait_for(recorded, "the fit")
+        (fit,) = wait_for(lambda: deep.get(f"/fits?job_id={job.id}")["items"], "the fit")
     ended = deep.finished(fit["id"])
     assert ended["error"]["code"] == "invalid_arguments"
 

@@ -24,7 +24,8 @@ from tests.deployments import PostgreSQL
 from tests.fork_server import Popen, run
 from tests.object_stores import S3
 from tests.processes import free_port, tied
-from tests.service.conftest import BYTES, CONFIG, make_dataset, wait_for
+from tests.service.conftest import BYTES, CONFIG, make_dataset
+from tests.waiting import wait_for
 
 ROOT = Path(__file__).parents[3]
 COMPOSE = (ROOT / "docker-compose.yml").read_text()

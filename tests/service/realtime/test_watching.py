@@ -28,9 +28,9 @@ from tests.service.conftest import (
     problem,
     served,
     start_service,
-    wait_for,
 )
 from tests.service.realtime.conftest import as_bytes, as_json, read_bytes, started
+from tests.waiting import wait_for
 
 ONE_OF_EACH = "--max-event-streams=2"  # may watch at a time, in each of two processes
 Listed = list[dict[str, Any]]

@@ -24,9 +24,9 @@ from tests.service.conftest import (
     problem,
     served,
     to_safetensors,
-    wait_for,
 )
 from tests.service.realtime.conftest import as_bytes, read_bytes, started
+from tests.waiting import wait_for
 
 ALIAS = "walk@production"
 ONE_FRAME = np.random.default_rng(0).uniform(0, 1000, (1, 3, 16, 2))

@@ -24,7 +24,8 @@ from service.wire import reading_apart
 from service.wire.reading_apart import read_apart
 from tests.client.readers import files
 from tests.processes import descendants
-from tests.service.conftest import problem, wait_for, zip_of
+from tests.service.conftest import problem, zip_of
+from tests.waiting import wait_for
 
 NAMES = files.NAMES
 LEFT, RIGHT = files.walk(12), files.walk(12, start=200, seed=2)

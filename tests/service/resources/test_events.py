@@ -19,7 +19,8 @@ from store.capture import Capture
 from store.database import Store
 from store.datasets import CaptureDescription
 from store.records import FitRecord
-from tests.service.conftest import make_dataset, problem, served, wait_for
+from tests.service.conftest import make_dataset, problem, served
+from tests.waiting import wait_for
 
 MANY = 40
 

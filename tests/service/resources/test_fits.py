@@ -15,8 +15,8 @@ from tests.service.conftest import (
     job_events,
     make_dataset,
     problem,
-    wait_for,
 )
+from tests.waiting import wait_for
 
 LONG = {"steps": 1_000_000, "dictionary_sizes": [64, 16]}
 

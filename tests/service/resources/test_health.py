@@ -21,8 +21,9 @@ from service.settings import Settings
 from tests.damage import spoil_records
 from tests.fork_server import Popen, run
 from tests.processes import free_port, tied
-from tests.service.conftest import Live, frames_of, make_dataset, problem, wait_for
+from tests.service.conftest import Live, frames_of, make_dataset, problem
 from tests.service.owner import OwnersClient
+from tests.waiting import wait_for
 from worker.process import python
 
 

@@ -22,8 +22,8 @@ from tests.service.conftest import (
     make_dataset,
     problem,
     to_safetensors,
-    wait_for,
 )
+from tests.waiting import wait_for
 
 
 def post(api: TestClient, model: str, dataset: str, **more: Any) -> dict[str, Any]:

@@ -31,10 +31,10 @@ from tests.service.conftest import (
     make_dataset,
     served,
     start_service,
-    wait_for,
 )
 from tests.service.owner import OwnersClient
 from tests.service.process.test_api_processes import api_processes, by_process, stream_of_each
+from tests.waiting import wait_for
 
 Series = dict[tuple[str, frozenset[tuple[str, str]]], float]
 

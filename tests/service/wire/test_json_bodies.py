@@ -23,9 +23,9 @@ from tests.service.conftest import (
     nested,
     problem,
     to_npz,
-    wait_for,
 )
 from tests.service.test_bad_input import FRAME, KEYPOINTS
+from tests.waiting import wait_for
 
 LARGE = b" " * MIB  # makes any body large
 READER = b"json_bodies"  # in the command of the process that forks them
