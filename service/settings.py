@@ -75,8 +75,8 @@ class Settings(WorkerSettings):
         ge=1024,
         description="Bytes of bodies in hand at a time: received, waiting, or being answered. A "
         "body counts as 64 KiB at least, and a quarter of the bytes is kept for bodies of that "
-        "size. Beyond the limit a request is refused with 503. Default: 512 MiB, or one largest "
-        "body for each API process, if that is more.",
+        "size. Beyond the limit a request is refused with 503. Default: 512 MiB, or 4/3 of the "
+        "largest body for each API process, if that is more.",
     )
     large_at_a_time: int = Field(
         default_factory=lambda: min(4, usable_cores()),
@@ -118,8 +118,8 @@ class Settings(WorkerSettings):
     request_seconds: float = Field(
         20,
         gt=0,
-        description="Silence of a client after which its connection is closed. Within this time "
-        "the head of a request must come, and a KiB of its body for each second of it.",
+        description="Time for the head of a request to arrive. Of its body at least a KiB a second "
+        "must arrive, counted over this time. A slower client loses its connection.",
     )
     drain_seconds: float = Field(
         0,

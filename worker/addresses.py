@@ -1,4 +1,4 @@
-"""Which addresses of the internet anybody may have a message sent to."""
+"""Which addresses are public, so that webhooks may send messages to them."""
 
 from ipaddress import IPv4Address, IPv6Address, IPv6Network, ip_address
 

@@ -51,7 +51,7 @@ class Reconciler:
         self._steady_since = time.monotonic()
 
     def unsettle(self) -> None:
-        """Note that the records are away: for the time of a lease no lease that ran out counts."""
+        """Note that the records cannot be reached: for one lease, expired leases are ignored."""
         self._steady_since = time.monotonic()
 
     def step(self) -> None:

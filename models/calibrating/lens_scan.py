@@ -268,9 +268,9 @@ def _likelihood(
     """Return information (2, 2) and information times mean (2,); `top` is the posterior's.
 
     Errors of frames are correlated. So in each direction the information is divided by the factor
-    by which sums over frames scatter more (the design effect: Kish, *Survey Sampling*, 1965). In no
-    direction is the variance less than that of the trials that would be the best if other frames
-    had been seen, and of what noise biases. The pull away from the prior's mean shrinks likewise.
+    by which sums over frames scatter more (the design effect: Kish, *Survey Sampling*, 1965). In
+    each direction the variance is at least that of the best trials of resampled frames, and that of
+    the bias that noise causes. The pull away from the prior's mean shrinks likewise.
     """
     values, vectors = np.linalg.eigh(sight.worth * around.curvature)
     values = values.clip(LEAST_INFORMATION)

@@ -189,7 +189,7 @@ def _identical(capture: _Capture) -> Iterator[Finding]:
 
 
 def _normalised(capture: _Capture) -> Iterator[Finding]:
-    """Yield that coordinates are shares of the image, or of anything, but no pixels."""
+    """Yield a finding if coordinates are shares of the image, or of anything, and not pixels."""
     small = (np.abs(capture.pixels) <= PIXELS).all(-1) & capture.seen
     views = small.sum((0, 2)) > (1 - ASTRAY) * capture.seen.sum((0, 2))  # (K,)
     if views.any():

@@ -95,7 +95,7 @@ def at_places(pixels: Float32, places: Float32, views: Sequence[int]) -> Bool:
 def _step(shown: Float32) -> float:
     """Return the step of the grid to which coordinates (N, P, 2) were rounded, pixels; 0 if none.
 
-    If none, hardly two of some thousand coordinates are the same.
+    Coordinates are not rounded if among some thousands hardly two are equal.
     """
     values = shown[np.isfinite(shown)]
     if not len(values):

@@ -1,4 +1,4 @@
-"""How far structures are from a ground truth, up to what weak perspective cannot know."""
+"""Errors of structures against a ground truth, without what weak perspective cannot determine."""
 
 from typing import Literal, NamedTuple
 
@@ -55,9 +55,9 @@ def pa_mpjpe(points: ArrayLike, truth: ArrayLike, *, reflection: Reflection = "e
     """Procrustes-aligned mean per-joint position error (paper, "Evaluation metrics").
 
     Weak perspective sees a structure and its mirror image alike. With `reflection="either"`, the
-    default, all frames together are mirrored if that lowers the mean: one bit for a whole fit,
-    which is a convention and not a measurement. A single frame of the wrong handedness is never
-    forgiven. `reflection="never"` takes the structures as they are.
+    default, all frames together are mirrored if that lowers the mean. This decides the handedness
+    once for a whole fit, and is a convention, not a measurement. A single frame of the wrong
+    handedness is never forgiven. `reflection="never"` takes the structures as they are.
 
     Parameters
     ----------

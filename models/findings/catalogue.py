@@ -109,7 +109,7 @@ CATALOGUE: dict[FindingCode, Entry] = {
     "no_motion": Entry(
         "warning",
         "The subject hardly moves or turns: neither cameras nor shapes are determined well.",
-        "Film a subject that moves through the room and shows other poses.",
+        "Film a subject that moves about and shows other poses.",
     ),
     "views_out_of_step": Entry(
         "warning",
@@ -191,9 +191,9 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "lenses_limit_accuracy": Entry(
         "warning",
-        "Two views determine their lenses only roughly. This limits the accuracy of the"
-        " structures, not the noise of the keypoints: their mean errors are about so large, as"
-        " shares of the subject's height (`error_by_lenses_of_height`,"
+        "Two views determine their lenses only roughly. This makes larger errors of the structures"
+        " than the noise of the keypoints does. The evidence gives the mean error that is expected"
+        " from each, as a share of the subject's height (`error_by_lenses_of_height`,"
         " `error_by_noise_of_height`).",
         "Give the focal lengths (`calibration`), give `image_sizes` that are missing, or add a"
         " third view.",

@@ -168,8 +168,8 @@ class FittedPrior:
         refine
             `off`: the network and weak perspective. `full`: perspective refinement with the lenses,
             the rig and the shapes that the fit estimated. `auto`: the same, except for frames whose
-            keypoints it explains worse than the network. Default: as in the fit's configuration.
-            Without estimated cameras nothing is refined.
+            keypoints it explains worse than the network by more than a quarter. Default: as in
+            the fit's configuration. Without estimated cameras nothing is refined.
         views
             Which of the fit's views these are. Default: all of them in their order if K is their
             number, otherwise cameras that the fit does not know.

@@ -131,11 +131,11 @@ def refine_frames(
 ) -> None:
     """Refine the network's weak-perspective answers of frames from `begin` to `end`, in place.
 
-    A frame stays as it is if perspective explains its keypoints worse than the network, or not at
-    all; with `always` only in the latter case. `previous` are the answers of the previous frames,
-    N or none. A frame whose views all have a perspective camera there starts from it if that
-    explains it better, and is marked as continued. A frame that the rig does not fit gets the
-    finding `RIG_NOT_USED`.
+    A frame stays as it is if perspective explains its keypoints worse than the network by more than
+    a quarter (`WORSE`), or not at all; with `always` only in the latter case. `previous` are the
+    answers of the previous frames, N or none. A frame whose views all have a perspective camera
+    there starts from it if that explains it better, and is marked as continued. A frame that the
+    rig does not fit gets the finding `RIG_NOT_USED`.
 
     `detected` (N, K, P, 3) are the keypoints before noise was removed (see `ObservedFrames`).
 

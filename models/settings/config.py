@@ -100,8 +100,9 @@ class FitConfig(BaseModel):
     early_stopping: bool = Field(
         default=False,
         description=(
-            "Hold out a twentieth of the frames, if there are 200 or more, and end the fit when the"
-            " prediction of one of their views from the others no longer improves."
+            "End the fit when the network no longer improves at predicting one view of a held-out"
+            " frame from the others. A fit of fewer than 200 frames holds out none, and does not"
+            " end early."
         ),
     )
     distillation: bool = Field(
@@ -147,9 +148,10 @@ class FitConfig(BaseModel):
     refine: Refine = Field(
         default="auto",
         description=(
-            "Perspective refinement of every frame after the network: `auto` where it lowers the"
-            " residuals, `full` wherever it can be computed, `off` never (weak perspective, as in"
-            " the paper). It is also the default of lifts."
+            "Perspective refinement of every frame after the network: `auto` unless it explains a"
+            " frame's keypoints worse than the network by more than a quarter, `full` wherever it"
+            " can be computed, `off` never (weak perspective, as in the paper). It is also the"
+            " default of lifts."
         ),
     )
     cameras: Arrangement = Field(

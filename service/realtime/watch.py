@@ -52,9 +52,9 @@ async def watch_lift_stream(stream_id: Identifier, request: Request) -> Response
     """Watch a stream, over a WebSocket: `ws://.../lift/streams/{stream_id}/watch`.
 
     A `StreamState` comes at once and every second, and frames as bytes, 30 a second at most: each
-    answer with the keypoints that it is of. Who reads slowly misses frames, and the stream waits
-    for nobody. When it ends a `StreamEnded` comes, and the socket is closed. docs/streaming.md has
-    the layout of the bytes.
+    answer with the keypoints that it was computed from. A client that reads slowly misses frames;
+    the stream does not wait for it. When it ends a `StreamEnded` comes, and the socket is closed.
+    docs/streaming.md has the layout of the bytes.
     """
     streams: OpenStreams = request.app.state.open_streams
     if await streams.get(_project(request), stream_id) is None:

@@ -93,9 +93,9 @@ def set_alias(
 
     An alias may stand wherever an identifier of a model may: in paths, lifts, streams, and in what
     fits and lifts of datasets are asked for, whose records keep the model that it pointed to then.
-    It is moved in one step: every request gets the model of before or of now, that of now within a
-    second in all processes. Streams that are open go on with the model that they began with.
-    `DELETE /models/walk@production` deletes the alias and leaves the model.
+    It is moved in one step: every request gets either the old model or the new one, and within a
+    second all processes use the new one. Streams that are open go on with the model that they
+    began with. `DELETE /models/walk@production` deletes the alias and leaves the model.
     """
     try:
         name = _ALIAS.validate_python(model_id)

@@ -70,7 +70,7 @@ class Version(BaseModel):
 
     model_config = ConfigDict(json_schema_extra={"example": {"service": "0.1.0", "api": 1}})
 
-    service: str = Field(description="Of the package `fewview`.")
+    service: str = Field(description="Of the package `fewview-server`.")
     api: int = Field(
         description="Grows when clients must change; what is only added leaves it as it is."
     )

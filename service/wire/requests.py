@@ -107,8 +107,8 @@ class EvaluationCreate(BaseModel):
     calibration: list[ToldCamera | None] | None = Field(
         None,
         max_length=MAX_VIEWS,
-        description="True cameras of the fit's views, as in a fit's configuration: whole lenses, "
-        "poses where they rest.",
+        description="True cameras of the fit's views, as in a fit's configuration: complete "
+        "lenses, and poses of static cameras.",
     )
     triangulate: TriangulationCameras | None = Field(
         None,

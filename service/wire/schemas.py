@@ -67,8 +67,9 @@ TIMES = Annotated[Any, WithJsonSchema(TIMES_SCHEMA)]
 Name = Annotated[Text, Field(min_length=1, max_length=200)]
 
 REFINE = (
-    "Perspective refinement: `auto` where it lowers the residuals, `full` wherever it can be "
-    "computed, `off` never; the default is that of the fit."
+    "Perspective refinement: `auto` unless it explains a frame's keypoints worse than the network "
+    "by more than a quarter, `full` wherever it can be computed, `off` never; the default is that "
+    "of the fit."
 )
 VIEWS = (
     "Which of the fitted views these are: one index per view, none twice. Without it they are "
