@@ -94,12 +94,15 @@ class Capture:
         """N, the number of frames."""
         return len(self.keypoints)
 
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Which keypoints (N, K, P) were observed: they have coordinates and some confidence."""
+        there = ~np.isnan(self.keypoints[..., 0])
+        return there if self.confidence is None else there & (self.confidence > 0)
+
     def observed(self) -> list[int]:
         """Return how many keypoints each view saw, over all frames."""
-        seen = ~np.isnan(self.keypoints[..., 0])
-        if self.confidence is not None:
-            seen &= self.confidence > 0
-        return [int(count) for count in seen.sum((0, 2))]
+        return [int(count) for count in self.seen.sum((0, 2))]
 
     def to_bytes(self) -> bytes:
         """Return the arrays as safetensors, with the CRC-32 of each in the header."""

@@ -12,6 +12,21 @@ Unit = Literal["m", "mm"]
 UNITS: tuple[Unit, ...] = ("m", "mm")
 USUAL_RATE = 30.0  # frames per second if unknown, in formats that need a rate
 UNEVEN = 0.5  # of a frame: as far as a time may be from the regular one next to it
+WITHOUT_HOLE = 1.6  # median steps; rounded to milliseconds, 2.5 are 2 or 3
+
+
+def rate_of(times: Float64) -> float | None:
+    """Return the frames per second of times, None where they do not rise.
+
+    Steps that are rounded, as to milliseconds, agree with it on average, and none by itself. So it
+    is that of all frames between the first and the last, with those that are missing.
+    """
+    steps = np.diff(times)
+    if len(steps) == 0 or not np.median(steps) > 0:
+        return None
+    steps = steps[steps > 0]
+    step = steps[steps < WITHOUT_HOLE * np.median(steps)].mean()
+    return float(np.rint(steps / step).sum() / steps.sum())
 
 
 @dataclass(frozen=True)
@@ -103,12 +118,10 @@ class Animation:
 
     @property
     def rate(self) -> float:
-        """Frames per second: as given, by the median step of the times, or else 30."""
+        """Frames per second: as given, by the times, or else 30."""
         if self.fps is not None:
             return float(self.fps)
-        if self.times is not None and len(self.times) > 1:
-            return float(1 / np.median(np.diff(self.times)))
-        return USUAL_RATE
+        return USUAL_RATE if self.times is None else rate_of(self.times) or USUAL_RATE
 
     @property
     def frames(self) -> list[int]:

@@ -66,6 +66,7 @@ def upright_axes(up: ArrayLike) -> Float64:
     y = np.asarray(up, dtype=np.float64)
     if y.shape != (3,) or not np.isfinite(y).all() or not y.any():
         raise ValueError(f"up must be 'auto' or a vector (x, y, z) other than zero, not {up!r}")
+    y = y / np.abs(y).max()  # else the squares of small numbers would be zero
     y = y / np.linalg.norm(y)
     side = np.eye(3)[0 if abs(y[0]) < 0.99 else 2]
     x = side - (side @ y) * y

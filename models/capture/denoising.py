@@ -32,6 +32,7 @@ from models.capture.score_mixture import (
 from models.numerics.eigenvalues import falling_eigenvalues, white_eigenvalues
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
+from models.settings.keypoints import MAX_COORDINATE
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -189,7 +190,7 @@ class Denoiser(NamedTuple):
             and bool((np.linalg.eigvalsh(mixture.precisions) > 0).all())
         )
         fits = fits and len(mean) == len(basis) and noise.shape == mean.shape[:2]
-        if not fits or not (noise > 0).all() or not 0 <= tails < 1:
+        if not fits or not ((noise > 0) & (noise <= MAX_COORDINATE)).all() or not 0 <= tails < 1:
             raise WeightsError("the file contradicts itself about the noise")
         curves = no_curves(*noise.shape)
         if "curves_points" in arrays:
@@ -215,7 +216,7 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
     usable = observations.usable
     size = float(np.median(observations.sizes[usable])) if usable.any() else 1.0
     views, count = keypoints.shape[1:3]
-    frames = np.flatnonzero(observed.mean((1, 2)) >= OBSERVED_SHARE)
+    frames = np.flatnonzero(observed.sum((1, 2)) >= OBSERVED_SHARE * observed.any(0).sum())
     # Draws go by places, so frames get places that do not depend on their order.
     frames = frames[np.nansum(keypoints[frames], axis=(1, 2, 3)).argsort(kind="stable")]
     frames = frames[:: max(1, -(-len(frames) // MOST_FRAMES))]
@@ -301,8 +302,9 @@ def _find_components(given: Float64, known: Bool, *, alike: bool) -> _Components
     Levels are all one if they are `alike`.
     """
     frames, width = given.shape
-    white = white_eigenvalues(frames, width)  # (D,)
-    rank = min(frames - 1, width)
+    shown = int(known.any(0).sum())  # coordinates that are never known do not vary
+    white = white_eigenvalues(frames, shown)
+    rank = min(frames - 1, shown)
     half, start, end = slice(rank // 2, rank), int(TAIL_START * rank), int(TAIL_END * rank)
     times = known.sum(0)
     filled, levels = np.where(known, given, given.sum(0) / times.clip(1)), np.ones(width)
@@ -317,7 +319,7 @@ def _find_components(given: Float64, known: Bool, *, alike: bool) -> _Components
         mean = scaled.mean(0)
         values, vectors = falling_eigenvalues(scaled - mean)
         variance = values[half].mean() / white[half].mean()
-        kept = values > variance * (1 + np.sqrt(width / frames)) ** 2
+        kept = values > variance * (1 + np.sqrt(shown / frames)) ** 2
         basis, share = vectors[:, kept], np.clip(1 - variance / values[kept], 0, None)
         scores = (scaled - mean) @ basis
         expected = mean + (scores * share) @ basis.T

@@ -144,7 +144,7 @@ def learn_motion(observations: Observations, times: Float64) -> MotionModel | No
     step = float(np.median(np.diff(times)))
     steps = _steps(pixels, observed, times, step)
     clips, moments = np.cumsum(steps == 0), np.cumsum(steps)
-    chosen = np.flatnonzero(observed.mean((1, 2)) >= OBSERVED_SHARE)
+    chosen = np.flatnonzero(observed.sum((1, 2)) >= OBSERVED_SHARE * observed.any(0).sum())
     chosen = chosen[_blocks(len(chosen), min(MOST_FRAMES, MOST_PRODUCTS // width**2))]
     if len(chosen) < LEAST_FRAMES:
         return None

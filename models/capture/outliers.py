@@ -269,13 +269,15 @@ def _learn(observations: Observations, pairs: Int64) -> OutlierModel | None:
     shape, sides = (views, count, 2), _sides(pixels, observed)
     far = np.empty_like(observed)
     far_into(pixels, observed, far)
+    far &= far.sum(0) <= FIRST_SHARE * observed.sum(0)  # else it belongs there
     used, share = observed & ~far, FIRST_SHARE
     given = np.where(observed[..., None], pixels, 0).reshape(len(frames), width)
     known = np.repeat(used.reshape(len(frames), -1), 2, axis=1)
     means = np.where(known, given, 0).sum(0) / known.sum(0).clip(1)
     filled = np.where(known, given, means)
-    white = white_eigenvalues(len(frames), width)
-    rank = min(len(frames) - 1, width)
+    shown = 2 * int(observed.any(0).sum())  # coordinates; those never observed do not vary
+    white = white_eigenvalues(len(frames), shown)
+    rank = min(len(frames) - 1, shown)
     half = slice(rank // 2, rank)
     squared, outlying = np.empty(observed.shape), np.empty(observed.shape)
     for _ in range(LEARNING_ROUNDS):
@@ -283,7 +285,7 @@ def _learn(observations: Observations, pairs: Int64) -> OutlierModel | None:
             mean = filled.mean(0)
             values, vectors = falling_eigenvalues(filled - mean)
             variance = max(values[half].mean() / white[half].mean(), 1e-12)
-            kept = values > variance * (1 + np.sqrt(width / len(frames))) ** 2
+            kept = values > variance * (1 + np.sqrt(shown / len(frames))) ** 2
             kept[MOST_COMPONENTS:] = False
             basis, gains = vectors[:, kept], 1 - variance / values[kept]
             predicted = mean + ((filled - mean) @ basis * gains) @ basis.T

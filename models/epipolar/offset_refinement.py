@@ -253,7 +253,7 @@ def _linearise(
                 lines_x[:, :2],
             )
         )
-    return across_y, across_x, rows @ matrix.ravel(), rows @ _tangents(matrix)
+        return across_y, across_x, rows @ matrix.ravel(), rows @ _tangents(matrix)
 
 
 def _tangents(matrix: Float64) -> Float64:

@@ -100,9 +100,14 @@ def find_timing(keypoints: Float64, weights: Float64, *, reach: int = REACH) -> 
     Returns
     -------
     Timing or None
-        None where keypoints are not informative: cameras that move, or too few frames.
+        None where keypoints are not informative: cameras that move, or too few frames. A view that
+        shows too little is not late, with an infinite standard deviation.
     """
     views = keypoints.shape[1]
+    shown = np.flatnonzero((weights > 0).sum((0, 2)) >= LEAST_FRAMES)
+    if len(shown) < views:
+        some = find_timing(keypoints[:, shown], weights[:, shown], reach=reach)
+        return None if some is None else _among_all(some, shown, views)
     tracked = _track_frames(keypoints, weights, reach)
     if tracked is None:
         return None
@@ -126,6 +131,20 @@ def find_timing(keypoints: Float64, weights: Float64, *, reach: int = REACH) -> 
     if timing.late.any() and tracked.blocks < MOST_BLOCKS:
         return _unless_halves_differ(tracked, timing, reference, step)
     return timing
+
+
+def _among_all(timing: Timing, shown: Int, views: int) -> Timing:
+    """Return the timing of all views from that of those that show enough."""
+    every = Timing(
+        timing.frames,
+        np.zeros((len(timing.frames), views)),
+        np.full(views, np.inf),
+        np.zeros(views, np.bool_),
+        np.zeros(views, np.bool_),
+    )
+    for of_all, of_shown in zip(every[1:], timing[1:], strict=True):
+        of_all[..., shown] = of_shown
+    return every
 
 
 def _unless_halves_differ(
@@ -167,7 +186,7 @@ def _track_frames(keypoints: Float64, weights: Float64, reach: int) -> TrackedFr
     pixels, weights = keypoints[:, :, chosen], weights[:, :, chosen]
     seen = weights > 0
     reach = min(reach, count // 4)
-    if views < 2 or count < LEAST_FRAMES or (seen.sum((0, 2)) < LEAST_FRAMES).any():
+    if views < 2 or count < LEAST_FRAMES:
         return None
     # One scale for all views keeps residuals of all pairs comparable.
     centres = np.stack([np.median(pixels[:, v][seen[:, v]], 0) for v in range(views)])
@@ -265,7 +284,7 @@ def _best_for_all(costs: dict[tuple[int, int], Float64], views: int) -> Int:
     tried = np.arange(-STEPS, STEPS + 1)
 
     def cost_of(view: int, steps: Int) -> Float64:
-        """Cost of the pairs of a view at each of the steps tried."""
+        """Cost of the pairs of a view at each of the steps tried; without a pair none is best."""
         total = np.zeros(len(tried))
         for (first, second), profile in costs.items():
             if view in (first, second):
@@ -274,7 +293,7 @@ def _best_for_all(costs: dict[tuple[int, int], Float64], views: int) -> Int:
                 total += np.where(
                     outside, profile.max(), profile[np.clip(ahead, -STEPS, STEPS) + STEPS]
                 )
-        return total
+        return total if total.any() else np.abs(tried).astype(np.float64)
 
     for start in range(STARTS):
         steps = rng.integers(-STEPS // 2, STEPS // 2 + 1, views) * (start > 0)

@@ -81,7 +81,7 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "views_identical": Entry(
         "warning",
-        "The views have the very same keypoints, so together they count as one view.",
+        "The views have the very same keypoints, so only the first of them is used.",
         "Upload each camera's own keypoints.",
     ),
     "coordinates_normalised": Entry(

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-MAX_FPS = 1e5  # frames per second, beyond any camera that films a subject
+MIN_FPS = 1e-6  # frames per second: a picture in twelve days
+MAX_FPS = 1e5  # beyond any camera that films a subject
 MAX_TIME = 1e12  # seconds; any clock's, and still exact to a fraction of a millisecond
 MAX_LAG = 50  # frames that an answer may be late to be smoothed by what follows
 RATE_TOLERANCE = 0.05  # by which `fps` and the times of the frames may differ

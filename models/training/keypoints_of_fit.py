@@ -132,11 +132,16 @@ def check_entries_per_view(views: int, config: FitConfig, image_sizes: ImageSize
 def among_known(config: FitConfig, known: Bool) -> FitConfig:
     """Return a configuration with keypoint indices that count the known keypoints alone.
 
-    Raises ValueError if it names one that no view shows.
+    Raises ValueError if it names one twice, one that there is not, or one that no view shows.
     """
     place = np.cumsum(known) - 1  # of a keypoint among the known
     length, corners = config.known_length, config.corners
     for field, named in (("known_length", length and length.ends), ("handedness", corners)):
+        if named and not len(set(named)) == len(named) <= len(known) > max(named):
+            raise ValueError(
+                f"{field} must name different keypoints of the {len(known)}, counted from 0, got"
+                f" {list(named)}"
+            )
         unseen = [keypoint for keypoint in named or () if not known[keypoint]]
         if unseen:
             raise ValueError(
@@ -189,7 +194,8 @@ def _settled(finding: Finding, swapped: Bool) -> bool:
 def _left_out(before: Observations, after: Observations) -> tuple[Finding, ...]:
     """Yield findings about views with outliers that were left out."""
     there, left = before.weights > 0, after.weights > 0
-    shares = 1 - left.sum((0, 2)) / there.sum((0, 2)).clip(1)  # (K,)
+    counts = there.sum((0, 2))  # (K,)
+    shares = (counts - left.sum((0, 2))) / counts.clip(1)
     if not (shares >= WORTH_REPORTING).any():
         return ()
     views = np.flatnonzero(shares >= WORTH_REPORTING).tolist()

@@ -5,6 +5,8 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
+from service.http.negotiation import OCTETS
+
 _REFERENCE = "#/components/schemas/{model}"
 _registered: set[type[BaseModel]] = set()
 _forms: dict[str, Any] = {}
@@ -71,6 +73,14 @@ def binary_responses(description: str, *media_types: str) -> dict[int | str, dic
     """Return the OpenAPI response of an operation that also answers with bytes of these types."""
     file = {"schema": {"type": "string", "format": "binary"}}
     return {200: {"description": description, "content": dict.fromkeys(media_types, file)}}
+
+
+def file_responses(description: str, *media_types: str) -> dict[int | str, dict[str, Any]]:
+    """Return those of a download, whole, in part or unchanged (RFC 9110, 13 and 14)."""
+    # Clients are generated only for types that they know. To all of them a part is bytes.
+    part = binary_responses("The bytes that `Range` names.", *media_types, OCTETS)[200]
+    unchanged = {"description": "It is still what `If-None-Match` names."}
+    return binary_responses(description, *media_types) | {206: part, 304: unchanged}
 
 
 def register(*models: type[BaseModel]) -> None:

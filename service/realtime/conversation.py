@@ -132,14 +132,19 @@ class Conversation:
         return len(self._arrived) + len(self._asked) >= FRAMES_IN_HAND
 
     def _drop_stale(self) -> None:
-        """Let the newest frame take the place of one that waits, unless a flush parts them."""
-        while len(self._arrived) > 1 and not self._arrived[-1].flush | self._arrived[-2].flush:
-            newest, stale = self._arrived.pop(), self._arrived.pop()
-            if stale.sequence is not None:
-                stale.dropped.append(stale.sequence)
-            newest.dropped = stale.dropped
-            self.shown.dropped += 1
-            self._arrived.append(newest)
+        """Let the newest frame take the place of one that waits, unless a flush parts them.
+
+        A frame with an error takes no place and gives none up: each error is sent.
+        """
+        waiting = [frame for frame in self._arrived if frame.error is None]
+        if len(waiting) < 2 or waiting[-1].flush or waiting[-2].flush:
+            return
+        stale, newest = waiting[-2:]
+        self._arrived.remove(stale)
+        if stale.sequence is not None:
+            stale.dropped.append(stale.sequence)
+        newest.dropped = stale.dropped
+        self.shown.dropped += 1
 
     def _ask(self) -> None:
         """Ask for the lifts of frames that have arrived, as many as may be asked for at a time."""

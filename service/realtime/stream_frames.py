@@ -97,12 +97,12 @@ class FilmClock:
                 raise invalid(
                     field, "expected the time of the frame in seconds: this stream has a lag"
                 )
-            if not abs(time) <= MAX_TIME:
-                raise invalid(field, f"expected seconds, {MAX_TIME:g} at most, got {time:g}")
         else:
             if given is not None:
                 raise invalid("/time", "expected none: this stream has `fps`")
             field, time = "/sequence", (sequence or 0) / self._fps
+        if not abs(time) <= MAX_TIME:
+            raise invalid(field, f"expected seconds, {MAX_TIME:g} at most, got {time:g}")
         if time <= self._last:
             raise invalid(
                 field,

@@ -11,7 +11,7 @@ from service.http.dependencies import StoreDep
 from service.http.downloads import bytes_response
 from service.http.errors import invalid, problems
 from service.http.negotiation import OCTETS
-from service.http.operations import binary_responses
+from service.http.operations import file_responses
 from service.http.turns import turn
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.resources.fits import FitDep
@@ -39,7 +39,7 @@ async def take_turn(request: Request) -> AsyncIterator[None]:
     response_class=Response,
     dependencies=[Depends(take_turn, scope="function")],
     responses=problems("not_found", "conflict", "overloaded", "range_not_satisfiable")
-    | binary_responses("The structures as a file of the format.", OCTETS),
+    | file_responses("The structures as a file of the format.", OCTETS),
 )
 def download_animation(
     fit: FitDep,

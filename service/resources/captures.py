@@ -9,7 +9,7 @@ from service.http.dependencies import Identifier, StoreDep
 from service.http.downloads import ranged_response
 from service.http.errors import problems
 from service.http.negotiation import OCTETS
-from service.http.operations import binary_responses
+from service.http.operations import file_responses
 from store import lookup, records
 from store.capture_files import capture_file
 
@@ -20,7 +20,7 @@ router = APIRouter(prefix="/datasets", tags=["datasets"])
     "/{dataset_id}/capture",
     response_class=Response,
     responses=problems("not_found", "range_not_satisfiable")
-    | binary_responses("The capture as an npz file, as `POST /datasets` takes it.", OCTETS),
+    | file_responses("The capture as an npz file, as `POST /datasets` takes it.", OCTETS),
 )
 def download_capture(dataset_id: Identifier, store: StoreDep, request: Request) -> Response:
     """Download a dataset's capture as an npz file, whole or a range of its bytes.

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from models.settings.keypoints import MAX_VIEWS
-from models.settings.times import MAX_FPS, check_rate
+from models.settings.times import MAX_FPS, MIN_FPS, check_rate
 from service.http.errors import invalid
 from service.http.uploads import HOW_TO_SEND_FILES, Upload
 from service.settings import Settings
@@ -50,7 +50,7 @@ class DatasetDescription(Labels):
     )
     fps: float | None = Field(
         None,
-        gt=0,
+        ge=MIN_FPS,
         le=MAX_FPS,
         description="Frames per second, if the frames follow each other in time: views that are "
         "out of step are then found and shifted (`synchronise` of a fit).",

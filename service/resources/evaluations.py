@@ -4,6 +4,7 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
 from typing import Annotated
 
+import numpy as np
 from fastapi import APIRouter, Depends, Request
 
 from service.http.dependencies import SettingsDep, StoreDep
@@ -172,7 +173,7 @@ def _triangulated(
         views = capture.keypoints.shape[1]
         raise invalid("/triangulate", f"expected {views} cameras, got {len(cameras)}")
     with _refused_as("/triangulate"):
-        return triangulated(capture.keypoints, cameras)
+        return triangulated(np.where(capture.seen[..., None], capture.keypoints, np.nan), cameras)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from service.http.dependencies import StoreDep
 from service.http.downloads import bytes_response
 from service.http.errors import invalid, problems
 from service.http.negotiation import OCTETS
-from service.http.operations import binary_responses
+from service.http.operations import file_responses
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.engine import Engine
 from service.realtime.rooms import Rooms
@@ -137,7 +137,7 @@ def get_labels(
     response_class=Response,
     dependencies=[Depends(take_turn, scope="function")],
     responses=problems("not_found", "conflict", "overloaded", "range_not_satisfiable")
-    | binary_responses("The files of the format, in a ZIP.", OCTETS),
+    | file_responses("The files of the format, in a ZIP.", OCTETS),
 )
 def download_labels(
     fit: FitDep,

@@ -22,7 +22,7 @@ from service.http.downloads import ranged_response
 from service.http.errors import BODY_PROBLEMS, problems
 from service.http.idempotency import idempotency
 from service.http.negotiation import BINARY_FORMATS, NPZ, OCTETS, accepted_format
-from service.http.operations import binary_responses, request_body
+from service.http.operations import file_responses, request_body
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.frames import check_views
@@ -217,6 +217,7 @@ add_list_routes(
     prefix="lift",
     delete=lifts.delete,
     columns=_columns,
+    codes=("not_found",),  # an alias of a model that there is not
 )
 
 
@@ -244,7 +245,7 @@ add_job_routes(
     "/{lift_id}/result",
     response_class=Response,
     responses=problems("not_found", "conflict", "not_acceptable", "range_not_satisfiable")
-    | binary_responses(
+    | file_responses(
         "Every frame of the dataset, lifted: JSON lines (`application/x-ndjson`) unless another "
         "form is asked for, safetensors (`application/octet-stream`) or npz (`application/x-npz`).",
         *MEDIA_TYPES.values(),

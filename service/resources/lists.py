@@ -151,6 +151,7 @@ def add_list_routes(
     prefix: str,
     delete: Callable[[Store, str], None],
     columns: Callable[..., Awaitable[Columns]] = no_columns,
+    codes: tuple[str, ...] = (),
 ) -> None:
     """Add the list of what is stored of a kind, and the deletion of what it shows.
 
@@ -164,6 +165,8 @@ def add_list_routes(
         Deletes one; raises ``ConflictError`` if it is in use.
     columns
         A dependency: required values of the record's columns, from the query.
+    codes
+        Of the problems that it may end in.
     """
     nouns = f"{kind.noun}s"
     asked_for = Depends(_asked_of(prefix, columns))
@@ -174,7 +177,7 @@ def add_list_routes(
         name=f"list_{nouns}",
         response_model=page,
         description=f"List {nouns}, newest first. Those that all filters allow are shown.",
-        responses=problems(),
+        responses=problems(*codes),
         openapi_extra=extra,
     )
     def list_resources(store: StoreDep, asked: Annotated[Asked, asked_for]) -> Any:
@@ -189,7 +192,7 @@ def add_list_routes(
         "stay and are listed in `refused`. Send `dry_run=true` first, which deletes nothing and "
         "returns how many are `found`; then send this number as `expected_count`. If it no longer "
         "agrees, nothing is deleted (409).",
-        responses=problems("conflict"),
+        responses=problems("conflict", *codes),
         openapi_extra=extra,
     )
     def delete_resources(

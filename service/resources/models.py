@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import dumped
 from models.lifting.fitted_prior import FittedPrior
+from models.lifting.trial_lift import try_to_lift
 from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
 from service.http.dependencies import (
@@ -21,7 +22,7 @@ from service.http.downloads import bytes_response
 from service.http.errors import BODY_PROBLEMS, ApiError, problems
 from service.http.idempotency import idempotency
 from service.http.negotiation import OCTETS
-from service.http.operations import binary_responses, request_body
+from service.http.operations import file_responses, request_body
 from service.http.turns import turn
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
@@ -185,7 +186,7 @@ def get_model(model_id: Identifier, store: StoreDep) -> Model:
     "/{model_id}/cameras",
     response_model=ModelCameras,
     responses=problems("not_found", "conflict", "range_not_satisfiable")
-    | binary_responses("The cameras, as JSON or as a calibration file.", *MEDIA_TYPES),
+    | file_responses("The cameras, as JSON or as a calibration file.", *MEDIA_TYPES),
 )
 def get_model_cameras(
     model_id: Identifier,
@@ -238,7 +239,7 @@ def _names_and_sizes(
     "/{model_id}/weights",
     response_class=Response,
     responses=problems("not_found", "range_not_satisfiable")
-    | binary_responses("The weights as safetensors, to be imported elsewhere.", OCTETS),
+    | file_responses("The weights as safetensors, to be imported elsewhere.", OCTETS),
 )
 def download_weights(model_id: Identifier, store: StoreDep, request: Request) -> Response:
     """Download a model (safetensors), whole or a range of its bytes.
@@ -266,7 +267,7 @@ async def take_turn(request: Request) -> AsyncIterator[None]:
     dependencies=[Depends(take_turn, scope="function")],
     response_class=Response,
     responses=problems("not_found", "conflict", "range_not_satisfiable")
-    | binary_responses("The network as an ONNX file.", OCTETS),
+    | file_responses("The network as an ONNX file.", OCTETS),
 )
 def download_network(
     model_id: Identifier, store: StoreDep, engine: EngineDep, request: Request
@@ -325,6 +326,7 @@ def import_model(
     try:
         weights, known = taken_apart(upload.data)
         prior = FittedPrior.from_bytes(weights)
+        try_to_lift(prior)
     except WeightsError as error:
         raise ApiError("malformed_body", f"These are no weights of a model: {error}") from error
     views = prior.capture.views or prior.known_views

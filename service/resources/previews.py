@@ -2,7 +2,6 @@
 
 from typing import Self
 
-import numpy as np
 from fastapi import APIRouter
 from pydantic import ConfigDict, Field
 
@@ -40,7 +39,7 @@ class DatasetPreview(DatasetFacts):
     @classmethod
     def of(cls, record: records.DatasetRecord, capture: Capture) -> Self:
         """Return the wire form of what would be stored."""
-        there = np.isfinite(capture.keypoints[..., 0])
+        there = capture.seen
         frame = int(there.sum(axis=(1, 2)).argmax())
         shown = [
             [point.tolist() if known else None for point, known in zip(view, seen, strict=True)]

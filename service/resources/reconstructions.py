@@ -17,7 +17,7 @@ from service.http.dependencies import SettingsDep, StoreDep
 from service.http.downloads import ranged_response, streamed_response
 from service.http.errors import invalid, problems
 from service.http.negotiation import NPZ, OCTETS
-from service.http.operations import binary_responses
+from service.http.operations import file_responses
 from service.http.turns import turn
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.lift import RefineQuery
@@ -102,7 +102,7 @@ async def take_turn(
     response_model=Reconstruction,
     dependencies=[Depends(take_turn, scope="function")],
     responses=problems("not_found", "conflict", "not_acceptable", "range_not_satisfiable")
-    | binary_responses("Every frame of the fitted dataset, lifted.", OCTETS, NPZ),
+    | file_responses("Every frame of the fitted dataset, lifted.", OCTETS, NPZ),
 )
 def get_reconstruction(
     fit: FitDep,

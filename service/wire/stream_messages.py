@@ -20,7 +20,7 @@ from typing_extensions import TypeAliasType
 from models.settings.config import Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
-from models.settings.times import MAX_FPS, MAX_LAG
+from models.settings.times import MAX_FPS, MAX_LAG, MIN_FPS
 from service.http.errors import FieldError
 from service.wire.findings import Findings
 from service.wire.rooms import FRAME_OF_REFERENCE, UP
@@ -101,7 +101,7 @@ class StreamStart(BaseModel):
     )
     fps: float | None = Field(
         None,
-        gt=0,
+        ge=MIN_FPS,
         le=MAX_FPS,
         description="Frames per second, in place of `time` in each frame of a stream with `lag`: "
         "`sequence` then counts the frames that the cameras take, also those that are not sent.",

@@ -141,6 +141,25 @@ def test_it_goes_on_where_it_was_stopped(files: list[str], tmp_path: Path) -> No
     assert "calibration with the views' names" in ended.stdout
 
 
+def test_sizes_of_files_go_before_those_of_a_calibration(tmp_path: Path) -> None:
+    frame = [{"x": x, "y": 0.5, "visibility": 1.0} for x in np.linspace(0.1, 0.9, 33)]
+    for name, size in (("cam1", {"width": 1080, "height": 1920}), ("cam2", {})):
+        (tmp_path / f"{name}.json").write_text(json.dumps({"frames": [frame] * 9, **size}))
+    files = [str(tmp_path / f"cam{view}.json") for view in (1, 2)]
+    lenses = [Camera(f"cam{v}.png", np.diag([500, 500, 1]), size=(1920, 1080)) for v in (2, 1)]
+    rig = write_cameras(tmp_path / "rig.yml", lenses)
+    words = [*files, "-o", str(tmp_path / "out"), "--calibration", str(rig), "--url", "nowhere"]
+
+    def shown(*more: str) -> dict[str, str]:
+        lines = [line.strip() for line in run(*words, *more).stdout.splitlines()]
+        assert any("cam1: " in line and "1920x1080" in line for line in lines)
+        return {line[:4]: line.partition("gaps  ")[2] for line in lines if "gaps  " in line}
+
+    assert shown() == {"cam1": "1080 x 1920", "cam2": "1920 x 1080"}
+    given = shown("--image-size", "cam1=540x960")
+    assert given == {"cam1": "540 x 960", "cam2": "1920 x 1080"}
+
+
 def test_what_is_asked_wrongly_is_said_in_one_line(files: list[str], tmp_path: Path) -> None:
     out = ["-o", str(tmp_path)]
     two = [Camera(f"c{v}", np.eye(3)) for v in range(2)]

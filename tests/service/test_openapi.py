@@ -190,6 +190,14 @@ def test_every_error_is_a_problem(spec: dict[str, Any]) -> None:
         assert {"421", "422", "431", "500", "503"} <= operation["responses"].keys()
 
 
+def test_what_comes_in_parts_is_documented(spec: dict[str, Any]) -> None:
+    answers = [operation["responses"] for operation in operations(spec)]
+    in_parts = [found for found in answers if "416" in found]
+    assert in_parts
+    for found in in_parts:
+        assert {"206", "304"} <= found.keys()
+
+
 def test_every_list_of_words_has_one_name() -> None:
     spec = json.loads(document())
     named = {

@@ -3,7 +3,7 @@
 from fewview.calibration.camera import Camera, from_model, rotation_matrix, rotation_vector
 from fewview.calibration.comparing import CameraError, compare_cameras
 from fewview.calibration.files import FORMATS, read_cameras, write_cameras
-from fewview.calibration.given import as_config, for_views, read_for_views, sizes_in
+from fewview.calibration.given import as_config, for_views, read_for_views, sizes_for
 
 __all__ = [
     "FORMATS",
@@ -17,6 +17,6 @@ __all__ = [
     "read_for_views",
     "rotation_matrix",
     "rotation_vector",
-    "sizes_in",
+    "sizes_for",
     "write_cameras",
 ]

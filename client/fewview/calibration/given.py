@@ -9,6 +9,9 @@ from fewview.calibration.camera import Camera
 from fewview.calibration.files import read_cameras
 from fewview.errors import FormatError
 
+# Endings of images, as COLMAP names cameras, and of videos.
+MEDIA = re.compile(r"\.(png|jpe?g|bmp|tiff?|mp4|avi|mov|mkv|m4v|webm)$", re.IGNORECASE)
+
 
 def read_for_views(
     file: str | PathLike[str], names: Sequence[str] | None, views: int
@@ -33,9 +36,9 @@ def read_for_views(
 def for_views(cameras: Sequence[Camera], names: Sequence[str]) -> tuple[list[Camera], str]:
     """Return the cameras of the views, and how they were found, in a sentence for people.
 
-    They are found by their names, where these are the views' (whatever their case, and blanks,
-    dots, dashes and underscores in them), so a file may have cameras that are not needed; else by
-    their order.
+    They are found by their names, where these are the views' (whatever their case, the ending of an
+    image or a video, and blanks, dots, dashes and underscores in them), so a file may have cameras
+    that are not needed; else by their order.
 
     Raises
     ------
@@ -64,18 +67,15 @@ def for_views(cameras: Sequence[Camera], names: Sequence[str]) -> tuple[list[Cam
     return list(cameras), f"cameras of the calibration are taken in the order of views: {called}"
 
 
-def sizes_in(file: str | PathLike[str]) -> tuple[int, int] | dict[str, tuple[int, int]] | None:
-    """Return the image size that all cameras of a calibration file have, or those by their names.
-
-    None if it has none.
+def sizes_for(file: str | PathLike[str], names: Sequence[str]) -> list[tuple[int, int] | None]:
+    """Return the image sizes that a calibration file has for the views, None where it has none.
 
     Raises
     ------
     FormatError
-        If the file cannot be read.
+        If the file cannot be read, or its cameras do not fit the views.
     """
-    sizes = {camera.name: camera.size for camera in read_cameras(file) if camera.size is not None}
-    return next(iter(sizes.values())) if len(set(sizes.values())) == 1 else sizes or None
+    return [camera.size for camera in for_views(read_cameras(file), names)[0]]
 
 
 def as_config(camera: Camera) -> dict[str, Any]:
@@ -106,4 +106,4 @@ def as_config(camera: Camera) -> dict[str, Any]:
 
 
 def _plain(name: str) -> str:
-    return re.sub(r"[\s._-]", "", name).casefold()
+    return re.sub(r"[\s._-]", "", MEDIA.sub("", name)).casefold()

@@ -38,10 +38,21 @@ NAMES = {
         "dist",
         "d",
     ),
-    "rotation": ("rotation", "rotationmatrix", "r", "rvec"),
+    "rotation": (
+        "rotation",
+        "rotationmatrix",
+        "r",
+        "rvec",
+        "rotationvector",
+        "rodrigues",
+        "rot",
+    ),
     "translation": ("translation", "translationvector", "tvec", "t"),
+    "pose": ("extrinsics", "extrinsic", "extrinsicmatrix", "rt", "w2c"),
     "size": ("resolution", "imagesize", "size"),
 }
+LIKE_POSES = ("extrinsic", "pose", "rot", "transform", "c2w", "rvec")  # in names that are not known
+BOARDS = ("extrinsicparameters", "rvecs")  # which OpenCV found a lens with: not the camera's pose
 PINHOLES = ("", "pinhole", "perspective", "opencv", "plumbbob", "rationalpolynomial", "radtan")
 FISHEYES = ("fisheye", "equidistant")  # OpenCV's and ROS's name of the same
 
@@ -94,7 +105,7 @@ def _get(fields: dict[str, Any], part: str) -> Float64 | None:
     known = {_plain(key): value for key, value in reversed(fields.items())}
     for name in NAMES[part]:
         value = known.get(name)
-        if isinstance(value, dict):
+        if isinstance(value, dict) and "data" in value:
             shape = value["sizes"] if "sizes" in value else (value["rows"], value["cols"])
             return np.array(value["data"], dtype=np.float64).reshape([int(n) for n in shape])
         if isinstance(value, list):
@@ -108,7 +119,6 @@ def _plain(name: object) -> str:
 
 def _camera(name: str, fields: dict[str, Any]) -> Camera:
     matrix, distortion = _get(fields, "matrix"), _get(fields, "distortion")
-    rotation, translation = _get(fields, "rotation"), _get(fields, "translation")
     if matrix is None:
         raise FormatError(f"camera {name!r} has no camera_matrix")
     other = [key for key, value in fields.items() if "dist" in key.lower() and not _is_word(value)]
@@ -117,8 +127,7 @@ def _camera(name: str, fields: dict[str, Any]) -> Camera:
             f"camera {name!r} has {other[0]!r}, which is not understood: OpenCV's coefficients are "
             "called distortion_coefficients"
         )
-    if rotation is not None and rotation.size == 3:
-        rotation = rotation_matrix(rotation)
+    rotation, translation = _pose(name, fields)
     width, height = fields.get("image_width"), fields.get("image_height")
     size = _get(fields, "size")
     if size is not None and not (width and height):
@@ -132,6 +141,26 @@ def _camera(name: str, fields: dict[str, Any]) -> Camera:
         (int(width), int(height)) if width and height else None,
         _is_fisheye(name, fields),
     )
+
+
+def _pose(name: str, fields: dict[str, Any]) -> tuple[Float64 | None, Float64 | None]:
+    """Return the rotation and the translation from room to camera, None where there are none."""
+    rotation, translation = _get(fields, "rotation"), _get(fields, "translation")
+    if rotation is not None:
+        return rotation_matrix(rotation) if rotation.size == 3 else rotation, translation
+    pose = _get(fields, "pose")
+    whole = pose is not None and pose.shape in {(3, 4), (4, 4)}
+    if translation is None and pose is not None and whole and (pose[3:] == np.eye(4)[3]).all():
+        return pose[:3, :3], pose[:3, 3]
+    for key, value in fields.items():
+        plain = _plain(key)
+        like = plain in NAMES["pose"] or any(part in plain for part in LIKE_POSES)
+        if like and plain not in BOARDS and isinstance(value, dict | list):
+            raise FormatError(
+                f"camera {name!r} has {key!r}, which is not understood: call the pose rotation "
+                "(3x3 or Rodrigues) and translation, room to camera"
+            )
+    return None, translation
 
 
 def _is_word(value: Any) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -55,28 +56,21 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Read, upload, fit, and write animation, cameras and model; if run again, it continues."""
-    from fewview.calibration import as_config, read_for_views, sizes_in  # noqa: PLC0415
+    from fewview.calibration import as_config, read_for_views, sizes_for  # noqa: PLC0415
     from fewview.commands.convert import in_words, summary  # noqa: PLC0415 (what it needs)
     from fewview.errors import FewviewError, InvalidRequest  # noqa: PLC0415
     from fewview.readers import read_with  # noqa: PLC0415
 
     try:
-        asked = options()
-        if calibration is not None and asked.image_size is None:
-            asked = replace(asked, image_size=sizes_in(calibration))
-        capture = read_with(files, asked)
+        sizes = None if calibration is None else partial(sizes_for, calibration)
+        capture = read_with(files, options(), sizes)
         fields = config_in(config or [], known_length)
         if known_length is not None:
             _check_keypoints(fields["known_length"]["keypoints"], capture)
         if calibration is not None:
             cameras, note = read_for_views(calibration, capture.view_names, capture.views)
             fields["calibration"] = [as_config(camera) for camera in cameras]
-            sizes = capture.image_sizes or tuple(camera.size for camera in cameras)
-            capture = replace(
-                capture,
-                image_sizes=sizes if any(sizes) else None,
-                notes=(*capture.notes, note),
-            )
+            capture = replace(capture, notes=(*capture.notes, note))
         check_height(height, capture.keypoint_names, fields)
         chosen = formats_in(formats)
         output.mkdir(parents=True, exist_ok=True)

@@ -176,9 +176,9 @@ def bounded_columns(count: int, what: str) -> None:
 
 
 def row_numbers(rows: Sequence[object], what: str) -> Int64:
-    """Return frame numbers from what names the rows: numbers, or paths of images.
+    """Return frame numbers from what names the rows: numbers, or paths of images, in any order.
 
-    Rows of images whose names give no rising numbers are counted from 0.
+    Rows of images are counted from 0 where a name gives no number, or two give the same.
 
     Raises
     ------
@@ -193,9 +193,7 @@ def row_numbers(rows: Sequence[object], what: str) -> Int64:
             raise FormatError(
                 f"{what}: has frame {once[count > 1][0]} twice; give a file for each camera"
             )
-        return numbers if (once == numbers).all() else np.arange(len(rows))
+        return numbers
     split = [frame_number(text if "." in text else f"{text}.") for text in texts]
     found = [each[1] for each in split if each is not None]
-    if len(found) < len(rows) or np.any(np.diff(found) <= 0):
-        return np.arange(len(rows))
-    return np.array(found, np.int64)
+    return np.array(found, np.int64) if len(set(found)) == len(rows) else np.arange(len(rows))

@@ -69,9 +69,11 @@ def built(part: Callable[[slice], Array], *sources: Array | None) -> Array:
 
 def rows_of(array: Some, kept: NDArray[np.bool_]) -> Some:
     """Return the rows that are kept (N,) of an array (N, ...); the array itself if all are."""
-    if kept.all():
-        return array
-    rows = np.flatnonzero(kept)
+    return array if kept.all() else in_order(array, np.flatnonzero(kept))
+
+
+def in_order(array: Some, rows: NDArray[np.intp]) -> Some:
+    """Return a new array of these rows (N,), in their order, of an array (M, ...)."""
     return cast(Some, built(lambda block: array[rows[block]], rows, array))
 
 

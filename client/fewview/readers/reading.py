@@ -1,7 +1,7 @@
 """From paths to a capture."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -22,7 +22,7 @@ from fewview.readers.videos import with_video
 from fewview.readers.views import View, unseen
 from fewview.reading_options import Align, Person, ReadingOptions, Size, Sizes
 
-SHARES = 3.0  # pixels go further than this many images
+SHARES = 3.0  # most pixels lie further out than this many images
 MIDDLE = 0.25  # where shares from the middle of the image have their median, and go beyond
 
 
@@ -112,8 +112,21 @@ def read(
     return read_with(paths, options)
 
 
-def read_with(paths: AnyPath | Iterable[AnyPath], options: ReadingOptions) -> Capture:
-    """Read the 2D keypoints of all cameras, as `read` does."""
+def read_with(
+    paths: AnyPath | Iterable[AnyPath],
+    options: ReadingOptions,
+    calibrated_sizes: Callable[[Sequence[str]], Sequence[Size | None]] | None = None,
+) -> Capture:
+    """Read the 2D keypoints of all cameras, as `read` does.
+
+    Parameters
+    ----------
+    options
+        As `read` takes them.
+    calibrated_sizes
+        Gives the image sizes of a calibration for the names of the views. They are those of views
+        whose size is neither given nor in their file.
+    """
     notes: list[str] = []
     views: list[View] = []
     kinds: Counter[str] = Counter()
@@ -133,7 +146,8 @@ def read_with(paths: AnyPath | Iterable[AnyPath], options: ReadingOptions) -> Ca
     wanted = options.named("cameras", names)
     views = views if wanted is None else [views[index] for index in wanted]
     names = tuple(view.name for view in views)
-    views = _sized(with_rates(views, options.rates(names)), options.sizes(names))
+    usual = calibrated_sizes(names) if calibrated_sizes else [None] * len(names)
+    views = _sized(with_rates(views, options.rates(names)), options.sizes(names), usual, notes)
     clean: list[View] = []
     for view in views:
         one, more = cleaned(view, options.min_confidence)
@@ -146,15 +160,26 @@ def read_with(paths: AnyPath | Iterable[AnyPath], options: ReadingOptions) -> Ca
     return replace(capture, notes=(*notes, *more, *capture.notes, *doubts_of_sides(capture)))
 
 
-def _sized(views: list[View], given: list[Size | None]) -> list[View]:
-    """Return the views with the image sizes that were given, and with coordinates in pixels.
+def _sized(
+    views: list[View], given: list[Size | None], usual: Sequence[Size | None], notes: list[str]
+) -> list[View]:
+    """Return the views with their image sizes, and with coordinates in pixels.
+
+    Sizes are those that were given, else those of the files, else the usual ones, of a calibration.
 
     Raises
     ------
     FormatError
         If coordinates are shares of images whose size is not known.
     """
-    sizes = [size or view.image_size for view, size in zip(views, given, strict=True)]
+    own = [size or view.image_size for view, size in zip(views, given, strict=True)]
+    sizes = [size or other for size, other in zip(own, usual, strict=True)]
+    for view, size, other in zip(views, sizes, usual, strict=True):
+        if size and other and size != other:
+            notes.append(
+                f"{view.name}: its images are {size[0]}x{size[1]}, those of the calibration "
+                f"{other[0]}x{other[1]}: its lens may not fit them"
+            )
     shares = [_are_shares(view) for view in views]
     unknown = [
         view.name
@@ -181,7 +206,9 @@ def _sized(views: list[View], given: list[Size | None]) -> list[View]:
 
 
 def _are_shares(view: View) -> bool:
-    """Whether coordinates are shares of the image's width and height: all lie within few images.
+    """Whether coordinates are shares of the image's width and height: most lie within few images.
+
+    Some shares lie further out, of points that a detector guesses far outside of the image.
 
     Raises
     ------
@@ -190,13 +217,15 @@ def _are_shares(view: View) -> bool:
     """
     if view.pixels_from_zero:
         return False
-    least = np.inf
+    least, count, far = np.inf, 0, 0
     for block in blocks(view.keypoints):
-        here = view.keypoints[block]
-        if ((here > SHARES) & (here < np.inf)).any():
-            return False
-        least = min(least, float(_there(here).min(initial=np.inf)))
-    if least == np.inf or least < -SHARES:
+        there = _there(view.keypoints[block])
+        count += there.size
+        far += int((np.abs(there) > SHARES).sum())
+        if 2 * far > view.keypoints.size:
+            return False  # whatever follows
+        least = min(least, float(there.min(initial=np.inf)))
+    if not count or 2 * far > count:
         return False
     if least < -MIDDLE and np.median(_there(view.keypoints)) < MIDDLE:
         raise FormatError(

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fewview.animation import USUAL_RATE
+from fewview.animation import USUAL_RATE, rate_of
 from fewview.capture import Float64
 from fewview.errors import FormatError
 from fewview.readers.views import Int64, View
@@ -69,10 +69,7 @@ def together(
 
 
 def _rate(view: View) -> float | None:
-    if view.times is not None and len(view.times) > 1:
-        step = float(np.median(np.diff(view.times)))
-        return 1 / step if step > 0 else None
-    return view.fps
+    return rate_of(view.times) if view.times is not None and len(view.times) > 1 else view.fps
 
 
 def _times_differ(views: Sequence[View]) -> bool:
@@ -188,7 +185,9 @@ def _own_times(views: list[View], rows: Int64, notes: list[str]) -> Float64 | No
 def _by_time(views: list[View], rates: list[float | None], notes: list[str]) -> Together:
     """Align to the times of the view with most frames: each takes what is nearest, within half."""
     clocks: list[Float64] = []
-    begin = min(int(view.numbers[0]) for view in views)
+    first = {int(view.numbers[0]) for view in views}
+    # Frames are counted from 0, from 1, or from a number of all; else these are parts of films.
+    begin = min(first) if min(first) == 1 or len(first) == 1 else 0
     for view, rate in zip(views, rates, strict=True):
         if view.times is not None:
             clocks.append(view.times)

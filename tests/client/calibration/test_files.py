@@ -174,6 +174,56 @@ def test_a_lens_that_is_not_understood_is_refused(tmp_path: Path) -> None:
             read_cameras(file)
 
 
+def pose_of(file: Path, **parts: object) -> Camera:
+    """Return the camera of a file that has a lens and these parts."""
+    lens = {"K": [[5, 0, 3], [0, 5, 2], [0, 0, 1]], "dist": [0.1, 0.2]}
+    file.write_text(json.dumps(lens | parts))
+    (camera,) = read_cameras(file)
+    return camera
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("extrinsics",), ("RT",), ("w2c",), ("rotation_vector", "translation_vector"), ("rot", "t")],
+)
+def test_names_of_poses(names: tuple[str, ...], tmp_path: Path, cameras: list[Camera]) -> None:
+    camera = cameras[1]
+    assert camera.rotation is not None
+    assert camera.vector is not None
+    assert camera.translation is not None
+    pose = np.eye(4)
+    pose[:3] = np.c_[camera.rotation, camera.translation]
+    vectors = [[camera.vector.tolist(), camera.translation.tolist()]]
+    for values in vectors if len(names) == 2 else ([pose.tolist()], [pose[:3].tolist()]):
+        found = pose_of(tmp_path / "rig.json", **dict(zip(names, values, strict=True)))
+        assert found.rotation is not None
+        assert found.translation is not None
+        np.testing.assert_allclose(found.rotation, camera.rotation, atol=1e-12)
+        np.testing.assert_allclose(found.translation, camera.translation)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("extrinsics", np.eye(4)[:, :3].tolist()),
+        ("extrinsics", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1]]),  # transposed
+        ("extrinsics", {"rotation": [0, 0, 1], "translation": [1, 2, 3]}),
+        ("c2w", np.eye(4).tolist()),
+        ("camera_pose", np.eye(4).tolist()),
+        ("rvec_world", [0, 0, 1]),
+    ],
+)
+def test_a_pose_that_is_not_understood_is_refused(name: str, value: object, tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=f"'{name}', which is not understood"):
+        pose_of(tmp_path / "rig.json", **{name: value})
+
+
+def test_poses_of_boards_are_not_those_of_a_camera(tmp_path: Path) -> None:
+    """OpenCV's sample writes those of the boards that it found the lens with."""
+    boards = {"extrinsic_parameters": [[0, 0, 1, 1, 2, 3]] * 4, "rvecs": [[0, 0, 1]] * 4}
+    assert pose_of(tmp_path / "lens.json", **boards).rotation is None
+
+
 def test_vectors_as_later_versions_of_opencv_write_them(tmp_path: Path) -> None:
     vector = "!!opencv-nd-matrix\n   sizes: [ 3 ]\n   dt: d\n   data: [ 1., 2., 3. ]\n"
     file = tmp_path / "rig.yml"

@@ -1,8 +1,11 @@
 """Cameras of a file, given to views."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
-from fewview.calibration import Camera, as_config, for_views
+from fewview.calibration import Camera, as_config, for_views, sizes_for, write_cameras
 from fewview.errors import FormatError
 
 from models.settings.calibration import Camera as KnownCamera
@@ -25,6 +28,26 @@ def test_cameras_of_other_names_are_in_order() -> None:
         found, note = for_views(cameras, names)
         assert found == cameras
         assert "order of views: cam_0, cam_1" in note
+
+
+def test_cameras_named_after_images_or_videos_are_those_of_the_views() -> None:
+    cameras = called("cam2.PNG", "cam1.jpeg", "cam_3.mp4")
+    found, note = for_views(cameras, ["cam1", "cam2", "cam3.avi"])
+    assert found == [cameras[1], cameras[0], cameras[2]]
+    assert "names" in note
+    unclear = called("cam2.png", "cam2.jpg")  # which names leave open
+    assert for_views(unclear, ["cam1", "cam2"])[0] == unclear
+
+
+def test_sizes_are_those_of_the_cameras_that_views_have(tmp_path: Path) -> None:
+    sizes = [(1920, 1080), (1080, 1920)]
+    cameras = [
+        replace(camera, size=size)
+        for camera, size in zip(called("Right.mp4", "left.mp4"), sizes, strict=True)
+    ]
+    file = write_cameras(tmp_path / "rig.yml", cameras)
+    assert sizes_for(file, ["left", "right"]) == [(1080, 1920), (1920, 1080)]
+    assert sizes_for(file, ["a", "b"]) == sizes
 
 
 @pytest.mark.parametrize(

@@ -194,9 +194,15 @@ def inferencer(path: Path, n: int) -> None:
     (path / f"{n + 1:06d}.json").write_text(json.dumps([scored(n)]))
 
 
-def label(path: Path, n: int, more: str = "") -> None:
-    numbers = " ".join(f"{x / 640:.8f} {y / 480:.8f} {c:.8f}" for x, y, c in points(n))
-    (path / f"film_{n + 1}.txt").write_text(f"0 0.5 0.5 0.2 0.6 {numbers}{more}\n")
+def label(
+    path: Path, n: int, more: str = "", *, body: files.Array = BODY, dimensions: int = 3
+) -> None:
+    shares = body[n] / (640, 480, 1)
+    seen = shares[shares[:, 2] > 0, :2]
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    numbers = [*(low + high) / 2, *high - low, *shares[:, :dimensions].ravel()]
+    line = " ".join(f"{number:.8f}" for number in numbers)
+    (path / f"film_{n + 1}.txt").write_text(f"0 {line}{more}\n")
 
 
 @pytest.mark.parametrize(
@@ -225,6 +231,34 @@ def test_a_file_for_each_image(
     np.testing.assert_allclose(capture.keypoints[:, 0], BODY[..., :2], rtol=1e-5)
     assert np.isnan(capture.keypoints[5, 1]).all()
     np.testing.assert_allclose(capture.keypoints[6:, 1], BODY[6:, :, :2], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("count", "dimensions", "more"),
+    [
+        (14, 3, ("",)),  # as many numbers as a hand's 21 pairs
+        (18, 3, ("",)),  # as 26 pairs, a confidence and a track
+        (11, 3, (" 0.87",)),  # as 17 pairs
+        (12, 2, ("",)),  # as 8 triples
+        (26, 2, (" 0.87",)),  # as 17 triples, a confidence and a track
+        (14, 3, (" 0.87", " 0.87 1")),  # somebody who is tracked only at times
+    ],
+)
+def test_labels_of_any_skeleton_are_parted_by_their_boxes(
+    tmp_path: Path, count: int, dimensions: int, more: tuple[str, ...]
+) -> None:
+    body = files.walk(12, count)
+    body[4, 2] = 0  # not seen
+    for n in FRAMES:
+        label(tmp_path, n, more[n % len(more)], body=body, dimensions=dimensions)
+    capture = fewview.read(tmp_path, image_size=(640, 480))
+    body[4, 2] = (np.nan, np.nan, 0)
+    np.testing.assert_allclose(capture.keypoints[:, 0], body[..., :2], rtol=1e-5)
+    if dimensions == 2:
+        assert capture.confidence is None
+    else:
+        assert capture.confidence is not None
+        np.testing.assert_allclose(capture.confidence[:, 0], body[..., 2], rtol=1e-5)
 
 
 def test_sizes_in_files_are_those_of_cameras(tmp_path: Path) -> None:

@@ -50,6 +50,19 @@ def test_rates_are_given_for_each_camera(tmp_path: Path) -> None:
         fewview.read([fast, slow], fps="c=60")
 
 
+@pytest.mark.parametrize("first", [(0, 0), (1, 1), (1001, 1001), (200, 100)])
+def test_frame_numbers_of_unlike_rates_are_of_one_clock(
+    tmp_path: Path, first: tuple[int, int]
+) -> None:
+    """Files that count from 0, from 1, from a number of all, and of a part of a film."""
+    table(tmp_path / "a.csv", FAST, frame=np.arange(60.0) + first[0])
+    table(tmp_path / "b.csv", FAST[::2], frame=np.arange(30.0) + first[1])
+    capture = fewview.read(tmp_path, fps="a=60,b=30")
+    np.testing.assert_allclose(capture.keypoints[::2, 1], FAST[::2, :, :2], rtol=1e-5)
+    assert capture.times is not None
+    np.testing.assert_allclose(capture.times, np.arange(60) / 60, atol=1e-9)
+
+
 def test_twice_the_frames_are_noticed(tmp_path: Path) -> None:
     body = files.walk(240)
     pair = [table(tmp_path / "a.csv", body), table(tmp_path / "b.csv", body[::2])]

@@ -77,7 +77,7 @@ def test_versions_are_no_cameras(tmp_path: Path) -> None:
 def test_a_format_chooses_among_the_files_of_a_folder(tmp_path: Path) -> None:
     lay_out(tmp_path, "cam1.csv", "cam2.csv")
     for camera in ("cam1", "cam2"):
-        (tmp_path / f"{camera}_wide.csv").write_text("nose_x,nose_y,ear_x,ear_y\n1,2,3,4\n")
+        (tmp_path / f"{camera}_wide.csv").write_text("nose_x,nose_y,ear_x,ear_y\n10,20,30,40\n")
     with pytest.raises(FormatError, match="several formats"):
         fewview.read(tmp_path)
     assert fewview.read(tmp_path, format="deeplabcut-csv").frames == 6

@@ -116,6 +116,45 @@ def test_a_frame_that_is_there_twice_is_refused(tmp_path: Path) -> None:
         fewview.read(csv(path, [*lines, lines[-1]]))
 
 
+def rows_called(path: Path, values: Any, names: list[str]) -> Path:
+    """Write a table as DeepLabCut does, whose rows have these names."""
+    files.dlc_csv(path, files.columns(files.NAMES), values.reshape(len(values), -1))
+    lines = path.read_text().splitlines()
+    rows = [f"{name},{line.partition(',')[2]}" for name, line in zip(names, lines[3:], strict=True)]
+    return csv(path, [*lines[:3], *rows])
+
+
+@pytest.mark.parametrize("called", ["{}", "labeled-data/walk/img{}.png"])
+def test_rows_in_any_order_keep_their_frame_numbers(tmp_path: Path, called: str) -> None:
+    body = files.walk(12)
+    as_text = sorted(range(12), key=str)
+    appended = [n for n in range(12) if n not in (1, 5)] + [5]
+    for camera, order in (("a", as_text), ("b", appended)):
+        names = [called.format(n) for n in order]
+        rows_called(tmp_path / f"{camera}.csv", body[order], names)
+    capture = fewview.read(tmp_path)
+    absent = body.copy()
+    absent[1] = (np.nan, np.nan, 0)
+    assert_shows(capture, body, absent)
+
+
+def test_rows_of_h5_in_any_order_keep_their_frame_numbers(tmp_path: Path) -> None:
+    order = [4, 0, 5, 2, 1, 3]
+    labels = files.columns(files.NAMES)
+    files.dlc_h5_fixed(tmp_path / "a.h5", labels, XYZ.reshape(6, -1))
+    path = files.dlc_h5_fixed(tmp_path / "b.h5", labels, XYZ[order].reshape(6, -1))
+    with h5py.File(path, "a") as file:
+        file["df_with_missing/axis1"][...] = order
+    assert_shows(fewview.read(tmp_path), XYZ, XYZ)
+
+
+def test_images_of_a_table_are_ordered_by_their_numbers(tmp_path: Path) -> None:
+    order = [3, 0, 4, 1, 2]
+    rows = [f"{'ba'[n % 2]}_{n + 10}.png,{wide(XYZ[n])}" for n in order]
+    capture = fewview.read(csv(tmp_path / "a.csv", [f"frame,{HEADER}", *rows]))
+    assert_shows(capture, XYZ[:5])
+
+
 def test_filtered_files_stand_for_those_beside_them(tmp_path: Path) -> None:
     labels = files.columns(files.NAMES)
     for camera in ("cam1", "cam2"):
@@ -229,6 +268,21 @@ def test_shares_of_the_image_are_never_taken_for_pixels(tmp_path: Path) -> None:
     middle = files.openpose(tmp_path / "b", [[f * (1 / 320, 1 / 240, 1) - (1, 1, 0)] for f in body])
     with pytest.raises(FormatError, match="between -1 and 1"):
         fewview.read(middle)
+
+
+@pytest.mark.parametrize("far", [3.2, -3.2])
+def test_a_landmark_far_outside_leaves_the_others_shares(tmp_path: Path, far: float) -> None:
+    body = files.walk(6, 25)
+    body[2, 3, :2] = far * 640, far * 480
+    folder = files.openpose(tmp_path / "cam", [[f * (1 / 640, 1 / 480, 1)] for f in body])
+    assert_shows(fewview.read(folder, image_size=(640, 480)), body, atol=1e-3)
+
+
+def test_few_coordinates_near_the_edge_leave_the_others_pixels(tmp_path: Path) -> None:
+    body = files.walk(6, 25)
+    body[:, :12, :2] /= 300
+    folder = files.openpose(tmp_path / "cam", [[frame] for frame in body])
+    assert_shows(fewview.read(folder, image_size=(640, 480)), body)
 
 
 def test_a_first_image_that_shows_nobody(tmp_path: Path) -> None:

@@ -82,6 +82,16 @@ def test_gaps_stay_gaps_and_everything_else_is_denoised(clean: Float64, noisy: F
     assert np.sqrt(np.mean(left**2)) < 0.5 * NOISE
 
 
+def test_a_view_that_shows_nothing_changes_nothing(
+    clean: Float64, noisy: Float64, model: Denoiser
+) -> None:
+    more = np.concatenate((noisy, np.full_like(noisy, np.nan)), 1)
+    found = learn_denoiser(as_observations(more))
+    assert found is not None
+    left = root_mean_square(pixels(more, found, [0, 1, 2, 3])[:, :VIEWS] - clean)
+    assert left < 1.05 * root_mean_square(pixels(noisy, model, [0, 1]) - clean)
+
+
 def test_noise_of_each_keypoint_in_each_view_is_found(clean: Float64) -> None:
     rng = np.random.default_rng(9)
     levels = NOISE * np.exp(rng.normal(0, 0.5, clean.shape[1:3]))

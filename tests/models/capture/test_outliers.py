@@ -98,6 +98,33 @@ def test_tails_are_those_of_the_noise(clean: Float64) -> None:
     assert found_in(models[1], clean + heavy).mean() < 0.005
 
 
+def test_a_keypoint_that_lies_apart_is_no_outlier() -> None:
+    """Of a mouse: nose, ears and the base of its tail."""
+    rng = np.random.default_rng(4)
+    turns = rng.uniform(0, 2 * np.pi, FRAMES)
+    body = np.array([[0, 0], [-12, 9], [-12, -9], [-90, 0]], float)
+    ahead = np.stack((np.cos(turns), np.sin(turns)), -1)
+    aside = np.stack((-ahead[:, 1], ahead[:, 0]), -1)
+    view = body[None, :, :1] * ahead[:, None] + body[None, :, 1:] * aside[:, None]
+    keypoints = 500 + np.stack((view, 0.8 * view[..., ::-1]), 1)
+    keypoints += rng.normal(0, 0.5, keypoints.shape)
+    model = learn_outliers(as_observations(keypoints))
+    assert model is not None
+    assert found_in(model, keypoints, (0, 1)).mean() < 0.005
+
+
+def test_a_view_that_shows_nothing_hides_no_outliers(harmed: Harmed) -> None:
+    keypoints, planted = harmed.keypoints[:100], harmed.planted[:100]
+    nothing = np.full_like(keypoints[:, :2], np.nan)
+    found = []
+    for seen in (keypoints, np.concatenate((keypoints, nothing), 1)):
+        model = learn_outliers(as_observations(seen))
+        assert model is not None
+        found.append(found_in(model, seen, tuple(range(seen.shape[1]))))
+    assert (found[1][:, :VIEWS] & planted).sum() > 0.9 * (found[0] & planted).sum()
+    assert found[1].sum() < 1.05 * (found[1][:, :VIEWS] & planted).sum()
+
+
 def test_outliers_are_found_beside_gaps(clean: Float64) -> None:
     keypoints, planted = harm(clean)
     hidden = np.random.default_rng(3).random(planted.shape) < 0.2

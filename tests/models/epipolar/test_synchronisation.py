@@ -74,6 +74,19 @@ def test_views_in_step_are_left_alone() -> None:
         assert (found.offsets == 0).all()
 
 
+@pytest.mark.parametrize("frames", [slice(0, 30), slice(220, 240), slice(0, 0)])
+def test_a_view_that_shows_little_is_not_late_and_hides_no_other(frames: slice) -> None:
+    for late in (0.0, 5.0):
+        keypoints = film([*RING, 250], late_by(0, late, 0, 0), noise=1.0)
+        shown = keypoints[frames, 3].copy()
+        keypoints[:, 3] = np.nan
+        keypoints[frames, 3] = shown
+        found = timing_of(keypoints)
+        assert found is not None
+        assert found.late.tolist() == [False, late > 0, False, False]
+        np.testing.assert_allclose(found.offsets, [[0, late, 0, 0]], atol=0.05)
+
+
 def test_a_drift_is_found() -> None:
     moments = late_by(0, 0, 0)
     moments[:, 1] -= np.linspace(1, 4, FRAMES)

@@ -85,6 +85,44 @@ def test_what_names_a_keypoint_that_no_view_shows_is_refused(capture: RigCapture
             fit(hidden(capture), FitConfig.model_validate(QUICK | more))
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("handedness", [1, 4, 8, 1]),
+        ("handedness", [1, 4, 8, 16]),
+        ("known_length", {"keypoints": [1, 1], "length": 0.7}),
+        ("known_length", {"keypoints": [1, 16], "length": 0.7}),
+    ],
+)
+def test_keypoints_that_cannot_be_meant_are_refused(
+    capture: RigCapture, field: str, value: Any
+) -> None:
+    with pytest.raises(ValueError, match=field):
+        Trainer(capture.keypoints, FitConfig.model_validate(QUICK | {field: value}))
+
+
+def test_a_copy_of_a_view_is_not_used(capture: RigCapture) -> None:
+    """Neither in the fit nor in lifts, unless it comes without the view that it shows."""
+    keypoints = capture.keypoints[:, [0, 1, 1]]
+    prior = fit(keypoints, FitConfig.model_validate(QUICK))
+    lift = prior.lift(keypoints)
+    np.testing.assert_array_equal(np.isfinite(lift.scales), [[True, True, False]] * len(keypoints))
+    pair = prior.lift(keypoints[:, :2], views=[0, 1])
+    np.testing.assert_array_equal(lift.points3d, pair.points3d)
+    assert np.isfinite(prior.lift(keypoints[:, 2:], views=[2]).points3d).all()
+
+
+def test_a_view_that_shows_nothing_has_no_outliers(capture: RigCapture) -> None:
+    rng = np.random.default_rng(7)
+    keypoints = np.tile(capture.keypoints, (3, 1, 1, 1)) + rng.normal(0, 0.5, (60, 3, 16, 2))
+    wrong = rng.random(keypoints.shape[:3]) < 0.06
+    keypoints[wrong] = rng.uniform(0, 1000, (int(wrong.sum()), 2))
+    keypoints[:, 2] = np.nan
+    read = Trainer(keypoints, FitConfig.model_validate(QUICK))
+    (found,) = [f for f in read.result().findings if f.code == "outliers"]
+    assert 2 not in found.views
+
+
 def test_a_fit_may_start_from_one_that_knows_more_keypoints(
     capture: RigCapture, prior: FittedPrior
 ) -> None:

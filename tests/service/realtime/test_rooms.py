@@ -128,6 +128,8 @@ def test_up_turns_the_room(http: httpx2.Client, resting: str, rig: list[Camera])
     """An imported model has no frames: up is given, and there is no floor."""
     plain = lifted(http, resting, "frame=room")["points3d"]
     raised = lifted(http, resting, "frame=room&up=0,-2,0")
+    tiny = lifted(http, resting, "frame=room&up=0,-1e-200,0")
+    np.testing.assert_array_equal(tiny["points3d"], raised["points3d"])
     np.testing.assert_allclose(raised["points3d"], plain * np.array([1, -1, -1]), atol=1e-5)
     canonical = lifted(http, resting)
     np.testing.assert_allclose(seen_from(raised, 4, 1), seen_from(canonical, 4, 1), atol=1e-5)

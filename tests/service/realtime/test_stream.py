@@ -192,6 +192,31 @@ def test_stale_frames_are_dropped_and_reported(
     assert seen == list(range(count))
 
 
+def test_a_frame_with_an_error_takes_no_place_of_a_good_one(
+    http: httpx2.Client, model: str, capture: SyntheticCapture
+) -> None:
+    """Each second frame is refused; all errors come, and the last good frame is answered."""
+    count = 200
+    good: list[int] = []
+    errors: list[int] = []
+    dropped: list[int] = []
+    with started(http, model, refine="full", on_overload="latest") as socket:
+        for number in range(count):
+            seen = capture.keypoints[number % len(capture.keypoints)]
+            socket.send(as_bytes(number, seen if number % 2 == 0 else seen[:, :-1]))
+        while len(good) + len(errors) + len(dropped) < count:
+            message = socket.recv(timeout=300)
+            if not isinstance(message, str):
+                good.append(read_bytes(message)[0])
+            elif (notice := orjson.loads(message))["type"] == "dropped":
+                dropped += notice["sequences"]
+            else:
+                errors.append(notice["sequence"])
+    assert errors == list(range(1, count, 2))
+    assert sorted(good + dropped) == list(range(0, count, 2))
+    assert good[-1] == count - 2
+
+
 KEYPOINTS: list[Any] = [[[1.0, 2.0]] * 16] * 2
 ZEROS = np.zeros((2, 16, 2))
 

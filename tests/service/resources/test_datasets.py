@@ -81,6 +81,11 @@ def test_a_preview_says_what_would_be_stored(
     empty = to_npz(keypoints=np.full((2, 2, 4, 2), np.nan))
     nothing = api.post("/previews", content=empty, headers=BYTES).json()
     assert nothing["frame_keypoints"] == [[None] * 4] * 2
+    unseen = np.ones(keypoints.shape[:3])
+    unseen[7] = 0
+    doubted = body | {"confidence": unseen.tolist()}
+    other = api.post("/previews", content=orjson.dumps(doubted), headers=JSON).json()
+    assert other["frame"] != 7, "its keypoints have no confidence"
     wrong = body | {"fps": -1}
     refused = api.post("/previews", content=orjson.dumps(wrong), headers=JSON)
     problem(refused, 422, "invalid_input", "/fps")
@@ -274,6 +279,7 @@ def test_times_are_kept_whichever_way_they_come(
     ("fields", "pointer"),
     [
         ({"fps": 0}, "/fps"),
+        ({"fps": 1e-300}, "/fps"),
         ({"fps": 2e5}, "/fps"),
         ({"times": [0.0] * 60}, "/times"),
         ({"times": [0.0, None]}, "/times/1"),

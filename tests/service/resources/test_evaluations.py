@@ -94,7 +94,10 @@ def test_known_cameras_triangulate_beside_it(api: TestClient, model: str) -> Non
     radii = np.linalg.norm(directions, axis=-1, keepdims=True)
     bent = np.arctan(radii) / radii if model == "fisheye" else 1  # Kannala and Brandt, equidistant
     pixels = 1000 * bent * directions + (640, 512)
+    confidence = np.ones(pixels.shape[:3])
+    pixels[2, 0, 3], confidence[2, 0, 3] = 0, 0  # as detectors write what they did not see
     body = {"keypoints": frames_of(pixels), "points3d": truth.tolist()}
+    body["confidence"] = confidence.tolist()
     made = api.post("/datasets", json=body).json()["id"]
     cameras: list[dict[str, Any]] = [
         {"intrinsics": lens, "rotation": turn.tolist(), "translation": [0, 0, 5]} for turn in turns

@@ -14,7 +14,7 @@ from fewview.capture import Float32, Float64
 from fewview.errors import FormatError
 from fewview.readers.columns import row_numbers, views_of_columns
 from fewview.readers.headers import LEVELS, Label, axis_of, parted, stacked_columns
-from fewview.readers.large_arrays import rows_of, taken
+from fewview.readers.large_arrays import in_order, rows_of, taken
 from fewview.readers.pandas_h5 import read_table
 from fewview.readers.separated import Table, Words, read_columns, table_of
 from fewview.readers.sources import Source
@@ -118,7 +118,14 @@ def _views(
     numbers: Int64,
     times: Float64 | None = None,
 ) -> list[View]:
-    """Return the views of a table; points that belong to no animal are left out."""
+    """Return the views of a table, in the order of its frame numbers.
+
+    Points that belong to no animal are left out.
+    """
+    if np.any(np.diff(numbers) < 0):
+        order = np.argsort(numbers, kind="stable")
+        values, numbers = in_order(values, order), numbers[order]
+        times = None if times is None else times[order]
     labels = list(columns.values())
     animals = {label.keypoint for label in labels if label.person != UNIQUE}
     others = list(dict.fromkeys(label.keypoint for label in labels if label.person == UNIQUE))

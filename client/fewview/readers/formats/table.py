@@ -181,6 +181,8 @@ def _frames(
         names = [words.words[code] for code in codes]
         order = np.array(sorted(range(len(names)), key=lambda place: natural(names[place])))
         numbers = row_numbers([names[place] for place in order], str(source))
+        rising = np.argsort(numbers, kind="stable")
+        order, numbers = order[rising], numbers[rising]
         frames = np.argsort(order)[frames]
     else:
         known, frames = np.unique(named, return_inverse=True)
