@@ -123,7 +123,7 @@ def deliveries(
 
 
 def announce(session: Session, job: FitRecord | LiftRecord) -> None:
-    """Have the webhooks of its project get to know that a job ends, in that transaction."""
+    """Record a message to each webhook of a job's project, as the job ends in a transaction."""
     event = f"{job.noun}.{job.status}"
     query = select(WebhookRecord).where(WebhookRecord.project == job.project)
     for webhook in session.scalars(query, execution_options=ALL_PROJECTS).all():

@@ -1,4 +1,4 @@
-"""What a worker has done beside its jobs, in a process that is forked for it."""
+"""Work that a worker does beside its jobs, each in a process that is forked for it."""
 
 import logging
 import multiprocessing
@@ -21,8 +21,8 @@ FORK = multiprocessing.get_context("fork")
 class Beside:
     """Work that one process at a time does.
 
-    Not here: the threads that it needs would not live on in a forked work-horse, which would wait
-    for them forever.
+    The worker itself does not do it. The threads that it needs would not live on in a forked
+    work-horse, which would wait for them forever.
     """
 
     def __init__(self, work: Callable[[WorkerSettings], None], settings: WorkerSettings) -> None:

@@ -81,8 +81,9 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "views_identical": Entry(
         "warning",
-        "The views have the very same keypoints, so only the first of them is used.",
-        "Upload each camera's own keypoints.",
+        "The views have the very same keypoints. The fit takes them for cameras that agree, and"
+        " finds wrong lenses and structures.",
+        "Upload each camera's own keypoints, or leave the copies out.",
     ),
     "coordinates_normalised": Entry(
         "warning",

@@ -38,39 +38,25 @@ class FittedCapture(NamedTuple):
     @property
     def whole(self) -> bool:
         """Whether every keypoint of a frame is an observation of one that the prior has."""
-        copies = self._copies(range(self.views))
-        return bool(self.known.all()) and not len(self.places) and not copies
+        return bool(self.known.all()) and not len(self.places)
 
     def observations(
         self, pixels: Float32, confidence: Float32 | None, views: Sequence[int] | None
     ) -> tuple[Float32, Float32 | None]:
         """Return pixels (N, K, Q, 2) and confidence (N, K, Q) of the known keypoints.
 
-        A keypoint at a pixel where it was frozen in the fit is NaN, as is a view that was a copy of
-        an earlier one. `views` are those of the fit; without them all in their order, if the
-        numbers agree.
+        A keypoint at a pixel where it was frozen in the fit is NaN. `views` are those of the fit;
+        without them all in their order, if the numbers agree.
         """
         if views is None and pixels.shape[1] == self.views:
             views = range(self.views)
         if views is not None and len(self.places):
             stuck = at_places(pixels, self.places, views)
             pixels = np.where(stuck[..., None], np.float32(np.nan), pixels)
-        if views is not None and (copies := self._copies(views)):
-            pixels = pixels.copy()
-            pixels[:, copies] = np.nan
         return (
             pixels[:, :, self.known],
             None if confidence is None else confidence[:, :, self.known],
         )
-
-    def _copies(self, views: Sequence[int]) -> list[int]:
-        """Return the places in `views` of those that were copies of an earlier one of them."""
-        groups = [finding.views for finding in self.findings if finding.code == "views_identical"]
-        return [
-            place
-            for group in groups
-            for place in [at for at, view in enumerate(views) if view in group][1:]
-        ]
 
     def clocks_of(self, views: Sequence[int] | None, count: int) -> Clocks | None:
         """Return the clocks of `views` of the fit, or of all if they are as many; None if unknown.

@@ -51,7 +51,7 @@ async def job_columns(
     status: Annotated[JobStatus | None, Query()] = None,
     dataset_id: Annotated[str | None, Query(max_length=200)] = None,
     job_id: Annotated[
-        str | None, Query(max_length=200, description="Finds that of a job you queued yourself.")
+        str | None, Query(max_length=200, description="Shows that of a job you queued yourself.")
     ] = None,
 ) -> Columns:
     """Return what columns of the jobs in a list must hold."""

@@ -77,7 +77,7 @@ class DetectorReading(BaseModel):
     trial: str = Field(
         "",
         max_length=LONGEST_NOTE,
-        description="Whose `files` are meant, where they are of several trials or detectors.",
+        description="The trial or detector to read, where `files` are of several.",
     )
     y: Literal["down", "up"] = Field(
         "down", description="Of `files`: `up` where y counts from the lower edge of the image."

@@ -41,7 +41,7 @@ class LabelReason(BaseModel):
         description="The numbers behind it, the largest of the keypoints: `error_px` from "
         "detection to reprojection, `noises` the same in standard deviations of the keypoint's "
         "noise in this view, `probability` of an outlier, `views` others that see it, "
-        "`distance_ratio` from the nearest other pose, in usual ones."
+        "`distance_ratio` to the nearest other pose, over the usual such distance."
     )
 
 

@@ -16,7 +16,9 @@ LengthUnit = Annotated[
 ]
 Height = Annotated[
     float | None,
-    typer.Option(min=1e-3, help="Of the body, in `--unit` or metres: scales roughly."),
+    typer.Option(
+        min=1e-3, help="Of the body, in `--unit` or metres. The scale is then approximate."
+    ),
 ]
 Formats = Annotated[str, typer.Option(help="Formats of the animation, by commas.")]
 

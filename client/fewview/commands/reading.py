@@ -55,10 +55,10 @@ OPTIONS: dict[str, Any] = {
         typer.Option(help="What columns of a table hold, such as `x={}_x,y={}_y,frame=No`."),
     ],
     "cameras": Annotated[
-        str | None, typer.Option(help="Which views are wanted, in their order: `cam1,cam2`.")
+        str | None, typer.Option(help="Views to use, in this order: `cam1,cam2`.")
     ],
     "trial": Annotated[
-        str | None, typer.Option(help="Whose files are meant, where they are of several trials.")
+        str | None, typer.Option(help="The trial to read, where files are of several.")
     ],
     "y": Annotated[
         Literal["down", "up"], typer.Option(help="`up` where y counts from the lower edge.")

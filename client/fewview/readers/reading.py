@@ -222,10 +222,10 @@ def _are_shares(view: View) -> bool:
         there = _there(view.keypoints[block])
         count += there.size
         far += int((np.abs(there) > SHARES).sum())
-        if 2 * far > view.keypoints.size:
+        if 2 * far >= view.keypoints.size:
             return False  # whatever follows
         least = min(least, float(there.min(initial=np.inf)))
-    if not count or 2 * far > count:
+    if not count or 2 * far >= count:
         return False
     if least < -MIDDLE and np.median(_there(view.keypoints)) < MIDDLE:
         raise FormatError(

@@ -227,5 +227,5 @@ def yolo_numbers(line: str) -> list[float] | None:
         return None
     # A class, a box, and at least two keypoints; a box alone is no pose.
     shares = numbers[1:5]
-    whole = len(numbers) >= FEWEST_NUMBERS and numbers[0] == int(numbers[0])
+    whole = len(numbers) >= FEWEST_NUMBERS and numbers[0].is_integer()
     return numbers if whole and all(0 <= share <= 2 for share in shares) else None

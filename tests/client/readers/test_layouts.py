@@ -205,6 +205,16 @@ def label(
     (path / f"film_{n + 1}.txt").write_text(f"0 {line}{more}\n")
 
 
+@pytest.mark.parametrize("name", ["inf", "nan", "0.5"])
+def test_a_class_that_is_no_whole_number_is_none(tmp_path: Path, name: str) -> None:
+    for n in range(3):
+        label(tmp_path, n)
+    last = tmp_path / "film_3.txt"
+    last.write_text(f"{name} {last.read_text().partition(' ')[2]}")
+    with pytest.raises(FormatError, match="no line of YOLO"):
+        fewview.read(tmp_path, image_size=(640, 480))
+
+
 @pytest.mark.parametrize(
     ("title", "write"),
     [

@@ -101,17 +101,6 @@ def test_keypoints_that_cannot_be_meant_are_refused(
         Trainer(capture.keypoints, FitConfig.model_validate(QUICK | {field: value}))
 
 
-def test_a_copy_of_a_view_is_not_used(capture: RigCapture) -> None:
-    """Neither in the fit nor in lifts, unless it comes without the view that it shows."""
-    keypoints = capture.keypoints[:, [0, 1, 1]]
-    prior = fit(keypoints, FitConfig.model_validate(QUICK))
-    lift = prior.lift(keypoints)
-    np.testing.assert_array_equal(np.isfinite(lift.scales), [[True, True, False]] * len(keypoints))
-    pair = prior.lift(keypoints[:, :2], views=[0, 1])
-    np.testing.assert_array_equal(lift.points3d, pair.points3d)
-    assert np.isfinite(prior.lift(keypoints[:, 2:], views=[2]).points3d).all()
-
-
 def test_a_view_that_shows_nothing_has_no_outliers(capture: RigCapture) -> None:
     rng = np.random.default_rng(7)
     keypoints = np.tile(capture.keypoints, (3, 1, 1, 1)) + rng.normal(0, 0.5, (60, 3, 16, 2))
