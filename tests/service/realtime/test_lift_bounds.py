@@ -46,6 +46,22 @@ def busy(client: TestClient) -> float:
     return taken
 
 
+def assert_loop_is_free(
+    client: TestClient, url: str, body: bytes, headers: dict[str, str] = BYTES
+) -> None:
+    """Post a body, of which the event loop does no more than pass it on.
+
+    Other work of the loop may fall into one attempt. What it does with a body it does each time.
+    """
+    taken: list[float] = []
+    while not taken or (taken[-1] >= 0.02 and len(taken) < 3):
+        before = busy(client)
+        response = client.post(url, content=body, headers=headers)
+        assert response.status_code == 200, response.text
+        taken.append(busy(client) - before)
+    assert taken[-1] < 0.02
+
+
 def packed(**arrays: np.ndarray[Any, Any]) -> bytes:
     """Return arrays as an npz file that is squeezed as far as it can be."""
     with zipfile.ZipFile(io.BytesIO(to_npz(**arrays))) as archive:
@@ -58,10 +74,7 @@ def test_a_small_file_of_many_frames_keeps_nobody_waiting(roomy: TestClient, mod
     assert len(body) <= TINY_BYTES
     url = f"/lift?model={model}&refine=off"
     assert roomy.post(url, content=packed(frames=np.zeros((1, 3, 16, 2))), headers=BYTES).is_success
-    before = busy(roomy)
-    response = roomy.post(url, content=body, headers=BYTES)
-    assert response.status_code == 200, response.text
-    assert busy(roomy) - before < 0.02
+    assert_loop_is_free(roomy, url, body)
 
 
 def test_a_packed_file_may_unpack_to_four_times_itself(roomy: TestClient) -> None:
@@ -84,9 +97,7 @@ def test_a_few_nulls_of_many_views_keep_nobody_waiting(roomy: TestClient, model:
     frames = [[None] * 3, *[None] * 5000]
     body = orjson.dumps({"model": model, "frames": frames, "refine": "off"})
     assert len(body) <= TINY_BYTES
-    before = busy(roomy)
-    assert roomy.post("/lift", content=body, headers=JSON).status_code == 200
-    assert busy(roomy) - before < 0.02
+    assert_loop_is_free(roomy, "/lift", body, JSON)
 
 
 def test_an_answer_is_bounded_as_bodies_are(
