@@ -134,7 +134,7 @@ def find_timing(keypoints: Float64, weights: Float64, *, reach: int = REACH) -> 
 
 
 def _among_all(timing: Timing, shown: Int, views: int) -> Timing:
-    """Return the timing of all views from that of those that show enough."""
+    """Return the timing of all `views` from that of `shown` (S,), the views that show enough."""
     every = Timing(
         timing.frames,
         np.zeros((len(timing.frames), views)),

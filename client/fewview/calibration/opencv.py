@@ -144,7 +144,13 @@ def _camera(name: str, fields: dict[str, Any]) -> Camera:
 
 
 def _pose(name: str, fields: dict[str, Any]) -> tuple[Float64 | None, Float64 | None]:
-    """Return the rotation and the translation from room to camera, None where there are none."""
+    """Return rotation (3, 3) and translation (3,) from room to camera, in the file's unit, or None.
+
+    Raises
+    ------
+    FormatError
+        If a pose has a name or a shape that is not understood.
+    """
     rotation, translation = _get(fields, "rotation"), _get(fields, "translation")
     if rotation is not None:
         return rotation_matrix(rotation) if rotation.size == 3 else rotation, translation
