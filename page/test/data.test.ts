@@ -90,7 +90,9 @@ test("a take whose frames come in parts is that which came whole", { skip }, asy
     new Map(
       [...reconstruction()].map(([name, { shape, data }]) => {
         const size = data.length / shape[0];
-        const kept = [...data].filter((_, at) => Math.floor(at / size) >= first && (Math.floor(at / size) - first) % step === 0);
+        const kept = [...data].filter(
+          (_, at) => Math.floor(at / size) >= first && (Math.floor(at / size) - first) % step === 0,
+        );
         return [name, { shape: [kept.length / size, ...shape.slice(1)], data: Float32Array.from(kept) }];
       }),
     );

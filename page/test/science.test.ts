@@ -120,7 +120,14 @@ test("bits of frames become findings with ranges", () => {
     found.map(({ code, frames }) => [code, frames]),
     [
       ["rig_not_used", [[4, 4]]],
-      ["frame_unlike_fit", [[1, 2], [4, 4], [7, 7]]],
+      [
+        "frame_unlike_fit",
+        [
+          [1, 2],
+          [4, 4],
+          [7, 7],
+        ],
+      ],
       ["not_in_room", [[5, 5]]],
     ],
   );

@@ -7,11 +7,7 @@ const AGAIN_MS = 2000; // after a connection broke
 
 /** Calls `onFit` with every state of a fit until it has ended; goes on after a break. Returns what
  * stops it. */
-export function followFit(
-  id: string,
-  onFit: (fit: Fit) => void,
-  onTrouble: (error: Error | null) => void,
-): () => void {
+export function followFit(id: string, onFit: (fit: Fit) => void, onTrouble: (error: Error | null) => void): () => void {
   const stop = new AbortController();
   void follow(id, onFit, onTrouble, stop.signal);
   return () => stop.abort();

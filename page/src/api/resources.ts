@@ -34,14 +34,12 @@ export const listModels = (cursor?: string) => listed<ModelSummary>("models", cu
 export const getFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}`);
 export const getDataset = (id: string) => askJson<Dataset>(`datasets/${encodeURIComponent(id)}`);
 export const getModel = (id: string) => askJson<Model>(`models/${encodeURIComponent(id)}`);
-export const getCameras = (id: string) =>
-  askJson<ModelCameras>(`models/${encodeURIComponent(id)}/cameras`);
+export const getCameras = (id: string) => askJson<ModelCameras>(`models/${encodeURIComponent(id)}/cameras`);
 export const capturePath = (id: string) => `datasets/${encodeURIComponent(id)}/capture`;
 export const getReconstruction = (fit: string, query: string) =>
   askBytes(`fits/${encodeURIComponent(fit)}/reconstruction?format=safetensors${query}`);
 export const createFit = (body: object) => sendJson<Fit>("fits", body);
-export const cancelFit = (id: string) =>
-  askJson<Fit>(`fits/${encodeURIComponent(id)}/cancel`, { method: "POST" });
+export const cancelFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}/cancel`, { method: "POST" });
 export const listAliases = () => askJson<Page<Alias>>(`aliases?limit=${MOST_ALIASES}`);
 export const setAlias = (alias: string, model: string) =>
   sendJson<Alias>(`models/${encodeURIComponent(alias)}`, { model_id: model }, "PUT");

@@ -94,10 +94,7 @@ export function createLoader(take: Take, file: CaptureFile, fit: string, query: 
 
 /** Fetches all there is of frames from `first` up to `end`. */
 async function loadPart(take: Take, file: CaptureFile, fit: string, query: string, first: number, end: number) {
-  const [found, detected] = await Promise.all([
-    structures(fit, query, `${first}:${end}`),
-    file.detected(first, end),
-  ]);
+  const [found, detected] = await Promise.all([structures(fit, query, `${first}:${end}`), file.detected(first, end)]);
   putStructures(take, found, first, 1);
   putDetected(take, detected, first);
 }

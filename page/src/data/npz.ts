@@ -110,9 +110,7 @@ async function memberAt(read: Read, { name, offset, size }: Entry): Promise<Memb
   const view = new DataView(await read(offset, offset + HEADER));
   const array = 30 + view.getUint16(26, true) + view.getUint16(28, true);
   const long = view.getUint8(array + 6) > 1; // version 2 has a length of four bytes
-  const length = long
-    ? view.getUint32(array + ARRAY_MAGIC, true)
-    : view.getUint16(array + ARRAY_MAGIC, true);
+  const length = long ? view.getUint32(array + ARRAY_MAGIC, true) : view.getUint16(array + ARRAY_MAGIC, true);
   const text = array + ARRAY_MAGIC + (long ? 4 : 2);
   const header = latin(view, text, length);
   const kind = /'descr': '[<|=]?(\w\d+)'/.exec(header);
@@ -121,7 +119,10 @@ async function memberAt(read: Read, { name, offset, size }: Entry): Promise<Memb
   return {
     name,
     kind: kind[1],
-    shape: shape[1].split(",").filter((each) => each.trim()).map(Number),
+    shape: shape[1]
+      .split(",")
+      .filter((each) => each.trim())
+      .map(Number),
     start: offset + text + length,
     end: offset + array + size,
   };

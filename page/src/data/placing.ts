@@ -54,7 +54,5 @@ function turnView(take: Structures, camera: number, turn: Float32Array, shift: n
 }
 
 function multiply(matrix: Float32Array, vector: Float32Array): number[] {
-  return [0, 3, 6].map(
-    (row) => matrix[row] * vector[0] + matrix[row + 1] * vector[1] + matrix[row + 2] * vector[2],
-  );
+  return [0, 3, 6].map((row) => matrix[row] * vector[0] + matrix[row + 1] * vector[1] + matrix[row + 2] * vector[2]);
 }

@@ -20,10 +20,7 @@ type Entry = { dtype: string; shape: number[]; data_offsets: [number, number] };
  * left out. */
 export function readSafetensors(file: ArrayBuffer): Map<string, Tensor> {
   const length = Number(new DataView(file).getBigUint64(0, true));
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(file, 8, length))) as Record<
-    string,
-    Entry
-  >;
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(file, 8, length))) as Record<string, Entry>;
   const found = new Map<string, Tensor>();
   for (const [name, entry] of Object.entries(header)) {
     const Kind = KINDS[entry.dtype];

@@ -46,12 +46,20 @@ export function ConfigForm({
           A length that you know <small class="quiet">gives the structures a unit; may be left out</small>
         </legend>
         from
-        <select aria-label="From keypoint" value={length.from} onChange={(e) => setLength({ ...length, from: e.currentTarget.value })}>
+        <select
+          aria-label="From keypoint"
+          value={length.from}
+          onChange={(e) => setLength({ ...length, from: e.currentTarget.value })}
+        >
           <option value="">–</option>
           {choices}
         </select>
         to
-        <select aria-label="To keypoint" value={length.to} onChange={(e) => setLength({ ...length, to: e.currentTarget.value })}>
+        <select
+          aria-label="To keypoint"
+          value={length.to}
+          onChange={(e) => setLength({ ...length, to: e.currentTarget.value })}
+        >
           <option value="">–</option>
           {choices}
         </select>

@@ -53,9 +53,7 @@ export function DatasetScreen({ id }: { id: string }) {
       </section>
       <section class="panel">
         <h2>Fit it</h2>
-        <p>
-          The defaults suit most captures. A minute or two for a thousand frames; you may close the page meanwhile.
-        </p>
+        <p>The defaults suit most captures. A minute or two for a thousand frames; you may close the page meanwhile.</p>
         <ConfigForm dataset={dataset} onChange={setConfig} />
         <Alert>{trouble}</Alert>
         <div class="buttons">

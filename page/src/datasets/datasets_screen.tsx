@@ -9,7 +9,9 @@ import { linkTo } from "../route.ts";
 
 export function DatasetsScreen() {
   const row = (dataset: Dataset) => <DatasetRow dataset={dataset} />;
-  return <ListScreen title="Datasets" list={useList(listDatasets)} beside={<NewCapture />} teach={<Teach />} row={row} />;
+  return (
+    <ListScreen title="Datasets" list={useList(listDatasets)} beside={<NewCapture />} teach={<Teach />} row={row} />
+  );
 }
 
 function DatasetRow({ dataset }: { dataset: Dataset }) {

@@ -55,7 +55,9 @@ export function NewScreen() {
       </header>
       <form onSubmit={(event) => void store(event)}>
         <DropZone onFiles={take} />
-        {files.length > 0 && <FileList files={files} onRemove={(gone) => setFiles(files.filter((file) => file !== gone))} />}
+        {files.length > 0 && (
+          <FileList files={files} onRemove={(gone) => setFiles(files.filter((file) => file !== gone))} />
+        )}
         <Fields description={description} setDescription={setDescription} disabled={sent !== null} />
         <Looked look={look} />
         <Alert>{trouble}</Alert>

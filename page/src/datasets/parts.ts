@@ -31,7 +31,9 @@ const BYTES: Record<string, number> = { F64: 8, I64: 8, F32: 4, I32: 4, I16: 2, 
 export async function partsOf(file: File, bytes = PART_BYTES): Promise<Parts | null> {
   if (file.size <= 2 * bytes) return null;
   try {
-    const { arrays, description } = file.name.toLowerCase().endsWith(".npz") ? await inNpz(file) : await inSafetensors(file);
+    const { arrays, description } = file.name.toLowerCase().endsWith(".npz")
+      ? await inNpz(file)
+      : await inSafetensors(file);
     const frames = arrays.find(({ name }) => name === "keypoints")?.shape[0];
     const whole = arrays.every(({ dtype, shape }) => dtype in BYTES && shape[0] === frames);
     if (frames === undefined || !whole) return null;

@@ -41,12 +41,7 @@ export async function lookAt(files: File[], description: Description, watching: 
   return { ...seen, frames: parts.frames, notes };
 }
 
-async function uploadInParts(
-  file: File,
-  parts: Parts,
-  description: Description,
-  watching: Watching,
-): Promise<Dataset> {
+async function uploadInParts(file: File, parts: Parts, description: Description, watching: Watching): Promise<Dataset> {
   const share = (frames: number) => watching.onProgress(frames / parts.frames);
   const key = crypto.randomUUID();
   const found = await begunBefore(file, watching);

@@ -30,7 +30,11 @@ export function FitsScreen() {
     Promise.all([listDatasets(), listModels()]).then(
       ([sets, models]) => {
         setDatasets(sets.items);
-        setErrors(new Map(models.items.flatMap((model) => (model.reprojection_error ? [[model.id, model.reprojection_error]] : []))));
+        setErrors(
+          new Map(
+            models.items.flatMap((model) => (model.reprojection_error ? [[model.id, model.reprojection_error]] : [])),
+          ),
+        );
       },
       (error: Error) => setBroken(error.message),
     );
@@ -140,7 +144,11 @@ function FitRow({ fit, dataset, error }: RowProps) {
         <span class="quiet">{progressOf(fit)}</span>
       </span>
       {isGoingOn(fit) && fit.progress && (
-        <progress max={1} value={fit.progress.step / Math.max(1, fit.progress.steps)} aria-label={`Progress of ${fit.name}`} />
+        <progress
+          max={1}
+          value={fit.progress.step / Math.max(1, fit.progress.steps)}
+          aria-label={`Progress of ${fit.name}`}
+        />
       )}
     </a>
   );

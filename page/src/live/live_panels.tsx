@@ -66,11 +66,7 @@ export function LivePanels({ running }: { running: Running }) {
           </section>
           <section class="panel">
             <h2>What was noticed</h2>
-            <FindingList
-              findings={noticed}
-              viewNames={take.viewNames}
-              keypointNames={take.names}
-            />
+            <FindingList findings={noticed} viewNames={take.viewNames} keypointNames={take.names} />
           </section>
         </div>
       </div>

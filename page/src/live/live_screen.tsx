@@ -2,13 +2,7 @@
  * capture as cameras would and shows what comes back. */
 
 import { useEffect, useState } from "preact/hooks";
-import {
-  getCameras,
-  listDatasets,
-  listModels,
-  type Dataset,
-  type ModelSummary,
-} from "../api/resources.ts";
+import { getCameras, listDatasets, listModels, type Dataset, type ModelSummary } from "../api/resources.ts";
 import { rateOf } from "../data/capture.ts";
 import { structures } from "../data/loader.ts";
 import { inFrame } from "../data/loading.ts";
@@ -44,8 +38,13 @@ export default function LiveScreen() {
     );
   }, []);
   const used = models?.find((each) => each.id === model);
-  const fitting = datasets.filter((each) => each.keypoints === used?.keypoints && each.views === (used.views ?? each.views));
-  const dataset = fitting.find((each) => each.id === chosen.dataset) ?? fitting.find((each) => each.id === used?.dataset_id) ?? fitting[0];
+  const fitting = datasets.filter(
+    (each) => each.keypoints === used?.keypoints && each.views === (used.views ?? each.views),
+  );
+  const dataset =
+    fitting.find((each) => each.id === chosen.dataset) ??
+    fitting.find((each) => each.id === used?.dataset_id) ??
+    fitting[0];
 
   const start = async () => {
     setTrouble(null);
@@ -133,7 +132,14 @@ async function prepared(model: ModelSummary, dataset: string, rate: number | und
   const { frame: shown, extent } = await extentOfFit(model, frame, file.capture);
   const perSecond = rate ?? rateOf(file.capture).rate;
   return {
-    ...{ config: model.config, frames: file.capture.frames, numbered: true, posed, rate: perSecond, ...(extent ? { extent } : {}) },
+    ...{
+      config: model.config,
+      frames: file.capture.frames,
+      numbered: true,
+      posed,
+      rate: perSecond,
+      ...(extent ? { extent } : {}),
+    },
     start: (listener) => startReplay(file, model.id, shown, perSecond, listener),
   };
 }

@@ -74,7 +74,10 @@ function viewsOf(message: ArrayBuffer, start: number, views: number) {
   const integers = new Int32Array(message, start, VIEW * views);
   const numbers = new Float32Array(message, start, VIEW * views);
   const column = (from: number, count: number) =>
-    Float32Array.from({ length: views * count }, (_, at) => numbers[VIEW * Math.floor(at / count) + from + (at % count)]);
+    Float32Array.from(
+      { length: views * count },
+      (_, at) => numbers[VIEW * Math.floor(at / count) + from + (at % count)],
+    );
   return {
     cameras: {
       models: Int8Array.from({ length: views }, (_, view) => integers[VIEW * view]),

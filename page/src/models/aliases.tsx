@@ -36,7 +36,11 @@ export function Aliases({ model }: { model: Model }) {
             <li key={alias}>
               <code>{alias}</code>
               <span class="quiet">since {moment(moved)}</span>
-              <button class="icons" aria-label={`Delete the alias ${alias}`} onClick={() => void change(deleteAlias(alias))}>
+              <button
+                class="icons"
+                aria-label={`Delete the alias ${alias}`}
+                onClick={() => void change(deleteAlias(alias))}
+              >
                 <Icon name="close" />
               </button>
             </li>

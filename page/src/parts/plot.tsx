@@ -27,7 +27,12 @@ export function Plot({ data, height, x, y, scales, series, summary, anew }: Prop
     if (element === null) return undefined;
     const build = () => {
       const theme = readTheme();
-      const axis = { stroke: theme.quiet, grid: { stroke: theme.line, width: 1 }, ticks: { show: false }, labelSize: 20 };
+      const axis = {
+        stroke: theme.quiet,
+        grid: { stroke: theme.line, width: 1 },
+        ticks: { show: false },
+        labelSize: 20,
+      };
       const options: uPlot.Options = {
         width: element.clientWidth,
         height,

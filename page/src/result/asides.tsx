@@ -28,7 +28,11 @@ export function CopyLink({ stage, frame }: { stage: Stage | null; frame: () => n
   const [copied, setCopied] = useState(false);
   const copy = async () => {
     const query: Record<string, string> = { frame: `${frame()}` };
-    if (stage !== null) query.angle = stage.angle().map((value) => value.toPrecision(5)).join(",");
+    if (stage !== null)
+      query.angle = stage
+        .angle()
+        .map((value) => value.toPrecision(5))
+        .join(",");
     keepInAddress(query);
     try {
       await navigator.clipboard.writeText(location.href);

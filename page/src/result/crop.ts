@@ -66,7 +66,11 @@ function sampledBoxes(take: Take, view: number): Box[] {
 }
 
 function pathPart(boxes: Box[], size: number): Part {
-  const reach = (side: keyof Box, share: number) => quantile(boxes.map((box) => box[side]), share);
+  const reach = (side: keyof Box, share: number) =>
+    quantile(
+      boxes.map((box) => box[side]),
+      share,
+    );
   const x = reach("left", ASTRAY) - MARGIN * size;
   const y = reach("top", ASTRAY) - MARGIN * size;
   const width = reach("right", 1 - ASTRAY) + MARGIN * size - x;

@@ -49,7 +49,9 @@ export function Figures() {
           <summary>How the error fell</summary>
           <Curve
             steps={model.training_curve.at(-1)?.step ?? 1}
-            rows={model.training_curve.flatMap(({ step, reprojection_error: error }) => (error ? [{ step, error }] : []))}
+            rows={model.training_curve.flatMap(({ step, reprojection_error: error }) =>
+              error ? [{ step, error }] : [],
+            )}
           />
         </details>
       )}

@@ -38,9 +38,7 @@ function openVideo(file: File, onPicture: () => void): Film {
 /** One image is shown under every frame; of several, in the order of their names, each has its own. */
 function openImages(files: File[], onPicture: () => void): Film {
   const byName = new Intl.Collator("en", { numeric: true });
-  const images = files
-    .filter((file) => file.type.startsWith("image/"))
-    .sort((a, b) => byName.compare(a.name, b.name));
+  const images = files.filter((file) => file.type.startsWith("image/")).sort((a, b) => byName.compare(a.name, b.name));
   let shown: ImageBitmap | null = null;
   let index = -1;
   return {

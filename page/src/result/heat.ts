@@ -88,12 +88,7 @@ export function drawHeatMap(
 }
 
 /** Draws the mean error of each frame as a band; frames without an answer are left empty. */
-export function drawBand(
-  canvas: HTMLCanvasElement,
-  means: Float32Array,
-  largest: number,
-  colours: Uint32Array,
-): void {
+export function drawBand(canvas: HTMLCanvasElement, means: Float32Array, largest: number, colours: Uint32Array): void {
   const context = canvas.getContext("2d");
   if (context === null) return;
   const { width, height } = canvas;

@@ -48,16 +48,9 @@ export function HeatMap({ onCell }: { onCell: (cell: Cell | null) => void }) {
         select(cell.keypoint);
       }}
     >
-      <canvas
-        ref={canvas}
-        role="img"
-        aria-label={`Errors of ${take.keypoints} keypoints over ${take.frames} frames`}
-      />
+      <canvas ref={canvas} role="img" aria-label={`Errors of ${take.keypoints} keypoints over ${take.frames} frames`} />
       {selected !== null && (
-        <i
-          class="row"
-          style={{ top: `${(100 * selected) / take.keypoints}%`, height: `${100 / take.keypoints}%` }}
-        />
+        <i class="row" style={{ top: `${(100 * selected) / take.keypoints}%`, height: `${100 / take.keypoints}%` }} />
       )}
     </div>
   );

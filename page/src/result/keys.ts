@@ -25,7 +25,8 @@ interface Ways {
 /** Listens to keys until what it returns is called. Fields keep those that are typed into them. */
 export function listenToKeys(ways: Ways): () => void {
   const listen = (event: KeyboardEvent) => {
-    const typing = event.target instanceof HTMLElement && event.target.closest("input:not([type=range]),select,textarea");
+    const typing =
+      event.target instanceof HTMLElement && event.target.closest("input:not([type=range]),select,textarea");
     if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === " " && event.target instanceof HTMLButtonElement) return; // presses the button
     if (act(event, ways)) event.preventDefault();

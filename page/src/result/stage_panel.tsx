@@ -87,7 +87,11 @@ export function StagePanel({ onStage, extent, overlay = null, title, plain = fal
       <Alert>{trouble}</Alert>
       <div class="overlay top">
         {through === null ? (
-          title === undefined ? <span class="quiet">{FRAMES[take.frame]}</span> : <strong>{title}</strong>
+          title === undefined ? (
+            <span class="quiet">{FRAMES[take.frame]}</span>
+          ) : (
+            <strong>{title}</strong>
+          )
         ) : (
           <button onClick={() => lookThrough(null)}>
             Through {take.viewNames[through]} · leave <kbd>Esc</kbd>

@@ -55,7 +55,22 @@ export function useResult(fit: Fit, result: Result, stage: Stage | null): Show {
   }, [stage]);
 
   return {
-    ...{ fit, model, config: model.config, cameras, take, file, player, loop, theme, means, worst, findings, errors, errorsDone },
+    ...{
+      fit,
+      model,
+      config: model.config,
+      cameras,
+      take,
+      file,
+      player,
+      loop,
+      theme,
+      means,
+      worst,
+      findings,
+      errors,
+      errorsDone,
+    },
     ...{ selected, select, through, lookThrough, posed, overlay, setOverlay, version, done, trouble },
   };
 }

@@ -62,12 +62,7 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
         <label class="button small" title="A video or images of this view. They stay in this browser.">
           <Icon name="picture" />
           <span class="unseen">Video or images of {name}, which stay in this browser</span>
-          <input
-            type="file"
-            accept="video/*,image/*"
-            multiple
-            onChange={(event) => open(event.currentTarget.files)}
-          />
+          <input type="file" accept="video/*,image/*" multiple onChange={(event) => open(event.currentTarget.files)} />
         </label>
       </figcaption>
       <canvas ref={canvas} role="img" aria-label={`${name}: detected keypoints, and the structure projected`} />

@@ -54,14 +54,7 @@ export function project(
 }
 
 /** Writes the pixel of a direction (a, b, 1) of the camera into `into`, at `at`. */
-function bend(
-  cameras: Cameras,
-  camera: number,
-  a: number,
-  b: number,
-  into: Float32Array,
-  at: number,
-): void {
+function bend(cameras: Cameras, camera: number, a: number, b: number, into: Float32Array, at: number): void {
   const k = cameras.distortions;
   const d = camera * 8;
   const r2 = a * a + b * b;
@@ -76,8 +69,7 @@ function bend(
     y = (b * angle * grown) / r;
   } else {
     const radial =
-      (1 + r2 * (k[d] + r2 * (k[d + 1] + r2 * k[d + 4]))) /
-      (1 + r2 * (k[d + 5] + r2 * (k[d + 6] + r2 * k[d + 7])));
+      (1 + r2 * (k[d] + r2 * (k[d + 1] + r2 * k[d + 4]))) / (1 + r2 * (k[d + 5] + r2 * (k[d + 6] + r2 * k[d + 7])));
     const [p1, p2] = [k[d + 2], k[d + 3]];
     x = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a);
     y = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b;

@@ -1,13 +1,6 @@
 /** The cameras, as pyramids whose base is the image. */
 
-import {
-  BufferAttribute,
-  BufferGeometry,
-  Group,
-  LineBasicMaterial,
-  LineSegments,
-  Matrix4,
-} from "three";
+import { BufferAttribute, BufferGeometry, Group, LineBasicMaterial, LineSegments, Matrix4 } from "three";
 import type { Take } from "../../data/take.ts";
 import { NO_CAMERA, WEAK } from "../../science/projection.ts";
 import type { Theme } from "../../parts/theme.ts";

@@ -9,10 +9,7 @@ import type { Box } from "../../science/extent.ts";
 export type Angle = number[];
 
 /** Returns a camera's image as a rectangle of a canvas (as large as fits), in pixels of it. */
-export function imageIn(
-  size: [number, number],
-  canvas: [number, number],
-): { x: number; y: number; scale: number } {
+export function imageIn(size: [number, number], canvas: [number, number]): { x: number; y: number; scale: number } {
   const scale = Math.min(canvas[0] / size[0], canvas[1] / size[1]);
   return { x: (canvas[0] - scale * size[0]) / 2, y: (canvas[1] - scale * size[1]) / 2, scale };
 }
@@ -102,11 +99,7 @@ export function turn(viewer: PerspectiveCamera, controls: OrbitControls, right: 
 }
 
 /** Returns the box around the subject and each camera, as the first frame that has it shows it. */
-export function boxWithCameras(
-  box: Box,
-  take: Take,
-  poseOf: (frame: number, view: number) => Matrix4 | null,
-): Box {
+export function boxWithCameras(box: Box, take: Take, poseOf: (frame: number, view: number) => Matrix4 | null): Box {
   const low = [...box.low] as Box["low"];
   const high = [...box.high] as Box["high"];
   for (let view = 0; view < take.views; view++) {

@@ -54,7 +54,11 @@ function drawOnce(renderer: WebGLRenderer): void {
 
 function smallest(): Take {
   const capture = { frames: 1, views: 1, keypoints: 2, names: ["a", "b"], viewNames: ["a"], fps: null, times: null };
-  const take = emptyTake({ ...capture, sides: [0, 0], edges: [[0, 1]], imageSizes: [null], hasTruth: false }, 1, "level");
+  const take = emptyTake(
+    { ...capture, sides: [0, 0], edges: [[0, 1]], imageSizes: [null], hasTruth: false },
+    1,
+    "level",
+  );
   take.points.fill(0).fill(1, 3);
   return take;
 }

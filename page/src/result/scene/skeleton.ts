@@ -1,13 +1,6 @@
 /** Joints and bones of one frame, drawn with two calls however many there are. */
 
-import {
-  Color,
-  CylinderGeometry,
-  DynamicDrawUsage,
-  Group,
-  IcosahedronGeometry,
-  InstancedMesh,
-} from "three";
+import { Color, CylinderGeometry, DynamicDrawUsage, Group, IcosahedronGeometry, InstancedMesh } from "three";
 import type { Take } from "../../data/take.ts";
 import { colourOf, type Theme } from "../../parts/theme.ts";
 import { litMaterial } from "./lit_material.ts";

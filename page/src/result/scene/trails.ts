@@ -1,13 +1,6 @@
 /** Where keypoints came from: lines through the last frames that fade with age. */
 
-import {
-  BufferAttribute,
-  BufferGeometry,
-  Color,
-  DynamicDrawUsage,
-  LineBasicMaterial,
-  LineSegments,
-} from "three";
+import { BufferAttribute, BufferGeometry, Color, DynamicDrawUsage, LineBasicMaterial, LineSegments } from "three";
 import type { Take } from "../../data/take.ts";
 import { colourOf, type Theme } from "../../parts/theme.ts";
 
