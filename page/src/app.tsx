@@ -15,7 +15,7 @@ import { StorageScreen } from "./storage/storage_screen.tsx";
 
 const LiveScreen = lazy(() => import("./live/live_screen.tsx"));
 const WatchScreen = lazy(() => import("./live/watch_screen.tsx"));
-const SCREENS = [
+const SCREENS: [string, string][] = [
   ["datasets", "Datasets"],
   ["models", "Models"],
   ["live", "Live"],

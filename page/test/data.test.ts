@@ -57,6 +57,7 @@ for (const frame of ["level", "camera", "view"] as const) {
       project(cameras, camera, points, Math.floor(camera / views) * keypoints, keypoints, pixels);
       pixels.forEach((value, at) => {
         const wanted = expected[camera * 2 * keypoints + at];
+        assert.ok(wanted !== undefined);
         if (wanted === null) assert.ok(Number.isNaN(value), `camera ${camera}`);
         else assert.ok(Math.abs(value - wanted) < 0.02 + 1e-4 * Math.abs(wanted), `${camera}: ${value}, ${wanted}`);
       });
@@ -89,7 +90,7 @@ test("a take whose frames come in parts is that which came whole", { skip }, asy
   const some = (first: number, step: number) =>
     new Map(
       [...reconstruction()].map(([name, { shape, data }]) => {
-        const size = data.length / shape[0];
+        const size = data.length / shape[0]!;
         const kept = [...data].filter(
           (_, at) => Math.floor(at / size) >= first && (Math.floor(at / size) - first) % step === 0,
         );
@@ -147,7 +148,7 @@ for (const name of ["capture.npz", "reconstruction.safetensors"]) {
     }
     assert.deepEqual(found, expected.keypoints);
     assert.deepEqual(times, expected.times);
-    const { skeleton, view_names, image_sizes, fps } = parts.description;
+    const { skeleton = "", view_names = "", image_sizes = "", fps } = parts.description;
     const { keypoint_names, edges } = JSON.parse(skeleton);
     assert.deepEqual([keypoint_names, edges], [expected.keypoint_names, expected.edges]);
     assert.deepEqual([JSON.parse(view_names), JSON.parse(image_sizes)], [expected.view_names, expected.image_sizes]);

@@ -40,14 +40,15 @@ test("quantiles leave out what is not known", () => {
 });
 
 test("lengths are rounded to those that people count in", () => {
-  for (const [length, round] of [
+  const cases: [number, number][] = [
     [1.2, 1],
     [1.7, 2],
     [0.43, 0.5],
     [8, 10],
     [270, 200],
     [0.0031, 0.002],
-  ]) {
+  ];
+  for (const [length, round] of cases) {
     assert.ok(Math.abs(roundLength(length) / round - 1) < 1e-9, `${length}`);
   }
 });
@@ -70,11 +71,11 @@ test("points that were turned, scaled and shifted are laid over each other again
   const random = seeded(7);
   for (let round = 0; round < 20; round++) {
     const to = Float32Array.from({ length: 3 * 12 }, () => random() - 0.5);
-    const [w, x, y, z] = unit([random() - 0.5, random() - 0.5, random() - 0.5, random() - 0.5]);
+    const turn = unit([random() - 0.5, random() - 0.5, random() - 0.5, random() - 0.5]);
     const scale = 0.2 + 3 * random();
     const from = new Float32Array(to.length);
     for (let at = 0; at < to.length; at += 3) {
-      const [a, b, c] = rotated([w, x, y, z], [to[at], to[at + 1], to[at + 2]]);
+      const [a, b, c] = rotated(turn, [to[at]!, to[at + 1]!, to[at + 2]!]);
       from.set([scale * a + 5, scale * b - 2, scale * c + 1], at);
     }
     from[4] = NaN;
@@ -94,24 +95,27 @@ test("a mirror image is not turned over", () => {
   const random = seeded(8);
   const to = Float32Array.from({ length: 3 * 10 }, () => random() - 0.5);
   const from = to.map((value, at) => (at % 3 === 2 ? -value : value));
-  assert.ok(distances(aligned(from, to, 10, false), to, 10)[0] > 0.05);
+  assert.ok(distances(aligned(from, to, 10, false), to, 10)[0]! > 0.05);
 });
 
-function unit(q: number[]): number[] {
-  const size = Math.hypot(...q);
-  return q.map((value) => value / size);
+type Vector = [number, number, number];
+type Quaternion = [number, number, number, number];
+
+function unit([w, x, y, z]: Quaternion): Quaternion {
+  const size = Math.hypot(w, x, y, z);
+  return [w / size, x / size, y / size, z / size];
 }
 
 /** q v q*, written with cross products. */
-function rotated([w, x, y, z]: number[], v: number[]): number[] {
-  const cross = (a: number[], b: number[]) => [
+function rotated([w, x, y, z]: Quaternion, v: Vector): Vector {
+  const cross = (a: Vector, b: Vector): Vector => [
     a[1] * b[2] - a[2] * b[1],
     a[2] * b[0] - a[0] * b[2],
     a[0] * b[1] - a[1] * b[0],
   ];
-  const t = cross([x, y, z], v).map((value) => 2 * value);
+  const t = cross([2 * x, 2 * y, 2 * z], v);
   const u = cross([x, y, z], t);
-  return v.map((value, i) => value + w * t[i] + u[i]);
+  return [v[0] + w * t[0] + u[0], v[1] + w * t[1] + u[1], v[2] + w * t[2] + u[2]];
 }
 
 test("bits of frames become findings with ranges", () => {

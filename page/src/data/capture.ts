@@ -1,5 +1,6 @@
 /** What the cameras of a dataset saw, read from its npz file some frames at a time. */
 
+import { pairAt, pairsOf } from "../science/pairs.ts";
 import { sidesOf, type Side } from "../science/sides.ts";
 import { membersOf, readMembers, type Member, type Npz, type Read } from "./npz.ts";
 import { floats, type Tensor } from "./tensor.ts";
@@ -42,7 +43,7 @@ export async function openCapture(read: Read, size: number): Promise<CaptureFile
     async truth() {
       const member = members.get("points3d");
       if (member === undefined) throw new Error("The capture has no ground truth.");
-      return frames(read, member, 0, member.shape[0]);
+      return frames(read, member, 0, capture.frames);
     },
   };
 }
@@ -55,6 +56,9 @@ async function frames(read: Read, { kind, start, shape }: Member, first: number,
 
 function described({ shape }: Member, { arrays, texts }: Npz, hasTruth: boolean): Capture {
   const [count, views, keypoints] = shape;
+  if (count === undefined || views === undefined || keypoints === undefined) {
+    throw new Error("The capture's keypoints are no array (frames, views, keypoints, 2).");
+  }
   const names = texts.get("keypoint_names") ?? numbered("keypoint", keypoints);
   const sizes = floats(arrays, "image_sizes");
   const edges = floats(arrays, "edges") ?? new Float32Array();
@@ -64,10 +68,10 @@ function described({ shape }: Member, { arrays, texts }: Npz, hasTruth: boolean)
     keypoints,
     names,
     sides: sidesOf(names),
-    edges: Array.from({ length: edges.length / 2 }, (_, i) => [edges[2 * i], edges[2 * i + 1]]),
+    edges: pairsOf(edges),
     viewNames: texts.get("view_names") ?? numbered("view", views),
     imageSizes: Array.from({ length: views }, (_, view) =>
-      sizes !== undefined && sizes[2 * view] > 0 ? [sizes[2 * view], sizes[2 * view + 1]] : null,
+      sizes !== undefined && sizes[2 * view]! > 0 ? pairAt(sizes, view) : null,
     ),
     fps: floats(arrays, "fps")?.[0] ?? null,
     times: firstViewsTimes(arrays.get("times"), count),
@@ -79,7 +83,7 @@ function described({ shape }: Member, { arrays, texts }: Npz, hasTruth: boolean)
 export function rateOf({ fps, times }: Capture): { rate: number; known: boolean } {
   if (fps !== null) return { rate: fps, known: true };
   if (times !== null && times.length > 1) {
-    const span = times[times.length - 1] - times[0];
+    const span = times.at(-1)! - times[0]!;
     if (span > 0) return { rate: (times.length - 1) / span, known: true };
   }
   return { rate: 30, known: false };
@@ -92,5 +96,5 @@ export function numbered(word: string, count: number): string[] {
 function firstViewsTimes(times: Tensor | undefined, frames: number): Float64Array | null {
   if (times === undefined) return null;
   const views = times.shape[1] ?? 1;
-  return Float64Array.from({ length: frames }, (_, frame) => times.data[frame * views]);
+  return Float64Array.from({ length: frames }, (_, frame) => times.data[frame * views]!);
 }

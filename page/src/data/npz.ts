@@ -115,7 +115,7 @@ async function memberAt(read: Read, { name, offset, size }: Entry): Promise<Memb
   const header = latin(view, text, length);
   const kind = /'descr': '[<|=]?(\w\d+)'/.exec(header);
   const shape = /'shape': \(([^)]*)\)/.exec(header);
-  if (kind === null || shape === null) throw new Error(`${name} is no array that can be read.`);
+  if (kind?.[1] === undefined || shape?.[1] === undefined) throw new Error(`${name} is no array that can be read.`);
   return {
     name,
     kind: kind[1],

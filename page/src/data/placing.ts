@@ -7,9 +7,9 @@ const FLIP = [1, -1, -1]; // from a camera's axes (y down, z forward) to those w
 
 /** Turns the frame of a camera, all frames alike. */
 export function yPointsUp(take: Structures): void {
-  for (let at = 0; at < take.points.length; at++) take.points[at] *= FLIP[at % 3];
+  for (let at = 0; at < take.points.length; at++) take.points[at]! *= FLIP[at % 3]!;
   const turns = take.cameras.rotations;
-  for (let at = 0; at < turns.length; at++) turns[at] *= FLIP[at % 3]; // columns of R
+  for (let at = 0; at < turns.length; at++) turns[at]! *= FLIP[at % 3]!; // columns of R
 }
 
 /** Puts each frame into the axes of its first view: its own cameras say where it is. */
@@ -28,7 +28,7 @@ export function axesOfFirstView(take: Structures): void {
     for (let at = first; at < first + 3 * keypoints; at += 3) {
       const moved = multiply(turn, points.slice(at, at + 3));
       for (let axis = 0; axis < 3; axis++) {
-        points[at + axis] = FLIP[axis] * (moved[axis] + shift[axis]);
+        points[at + axis] = FLIP[axis]! * (moved[axis]! + shift[axis]!);
       }
     }
     for (let view = 0; view < views; view++) turnView(take, frame * views + view, turn, shift);
@@ -40,19 +40,21 @@ export function axesOfFirstView(take: Structures): void {
 function turnView(take: Structures, camera: number, turn: Float32Array, shift: number[]): void {
   const { rotations, translations, models, scales } = take.cameras;
   const old = rotations.slice(9 * camera, 9 * camera + 9);
-  const size = models[camera] === WEAK ? scales[camera] : 1;
+  const size = models[camera] === WEAK ? scales[camera]! : 1;
   for (let row = 0; row < 3; row++) {
     let moved = 0;
     for (let column = 0; column < 3; column++) {
       let sum = 0;
-      for (let k = 0; k < 3; k++) sum += old[3 * row + k] * turn[3 * column + k];
-      moved += sum * shift[column];
-      rotations[9 * camera + 3 * row + column] = sum * FLIP[column];
+      for (let k = 0; k < 3; k++) sum += old[3 * row + k]! * turn[3 * column + k]!;
+      moved += sum * shift[column]!;
+      rotations[9 * camera + 3 * row + column] = sum * FLIP[column]!;
     }
-    translations[3 * camera + row] -= size * moved;
+    translations[3 * camera + row]! -= size * moved;
   }
 }
 
 function multiply(matrix: Float32Array, vector: Float32Array): number[] {
-  return [0, 3, 6].map((row) => matrix[row] * vector[0] + matrix[row + 1] * vector[1] + matrix[row + 2] * vector[2]);
+  return [0, 3, 6].map(
+    (row) => matrix[row]! * vector[0]! + matrix[row + 1]! * vector[1]! + matrix[row + 2]! * vector[2]!,
+  );
 }

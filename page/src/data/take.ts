@@ -91,7 +91,7 @@ export function putLifted(take: Take, part: Lifted, first: number, step: number)
   put(take.viewErrors, part.errors);
   put(take.frameBits, part.bits);
   for (let frame = first, left = part.frames; left > 0; frame += step, left--) {
-    take.there[frame] = Math.max(take.there[frame], STRUCTURE);
+    take.there[frame] = Math.max(take.there[frame]!, STRUCTURE);
   }
 }
 
@@ -123,7 +123,7 @@ function putFrames(
   if (step === 1) return into.set(from, first * size);
   for (let frame = 0; frame < frames; frame++) {
     const at = (first + frame * step) * size;
-    for (let i = 0; i < size; i++) into[at + i] = from[frame * size + i];
+    for (let i = 0; i < size; i++) into[at + i] = from[frame * size + i]!;
   }
 }
 

@@ -27,7 +27,7 @@ export function NewScreen() {
     return () => stop.current?.abort();
   }, []);
 
-  const unfinished = files.length === 1 && recall(files[0]) !== null;
+  const unfinished = files.length === 1 && files.every((file) => recall(file) !== null);
   const take = (found: File[]) => {
     setTrouble(null);
     setFiles(sorted([...files.filter((file) => !found.some((other) => other.name === file.name)), ...found]));
@@ -206,7 +206,8 @@ function FileList({ files, onRemove }: { files: File[]; onRemove: (file: File) =
 /** Returns a name for a capture: what the names of its files have in common. */
 function nameFor(files: File[]): string {
   const names = files.map((file) => file.name.replace(/\.[^.]*$/, ""));
-  let shared = names[0];
+  const [first = ""] = names;
+  let shared = first;
   for (const name of names) while (!name.startsWith(shared)) shared = shared.slice(0, -1);
-  return shared.replace(/[\s_\-.]*(cam(era)?|view)?[\s_\-.]*$/i, "") || names[0];
+  return shared.replace(/[\s_\-.]*(cam(era)?|view)?[\s_\-.]*$/i, "") || first;
 }

@@ -3,6 +3,7 @@
 
 import { membersOf, readMembers, type Member } from "../data/npz.ts";
 import { floats, type Tensor } from "../data/tensor.ts";
+import { pairsOf } from "../science/pairs.ts";
 
 export interface Parts {
   frames: number;
@@ -63,14 +64,16 @@ async function inSafetensors(file: File): Promise<{ arrays: Placed[]; descriptio
   const place = (name: string): Placed[] => {
     const entry = header[name];
     if (entry === undefined) return [];
-    const [start, end] = entry.data_offsets.map((offset) => 8 + length + offset);
-    return [{ name, dtype: entry.dtype, shape: entry.shape, start, end }];
+    const [start, end] = entry.data_offsets;
+    const from = 8 + length; // offsets count from there
+    return [{ name, dtype: entry.dtype, shape: entry.shape, start: from + start, end: from + end }];
   };
   const tensors = new Map<string, Tensor>();
   for (const { name, dtype, shape, start, end } of OF_ALL.flatMap(place)) {
     const bytes = await file.slice(start, end).arrayBuffer();
-    const data = dtype === "I64" ? Int32Array.from(new BigInt64Array(bytes), Number) : KINDS[dtype](bytes);
-    tensors.set(name, { shape, data });
+    const read = KINDS[dtype];
+    if (read === undefined) throw new Error(`${name} has numbers of another kind: ${dtype}.`);
+    tensors.set(name, { shape, data: read(bytes) });
   }
   return { arrays: OF_FRAMES.flatMap(place), description: described(tensors, new Map()) };
 }
@@ -79,6 +82,7 @@ const KINDS: Record<string, (bytes: ArrayBuffer) => Tensor["data"]> = {
   F32: (bytes) => new Float32Array(bytes),
   F64: (bytes) => new Float64Array(bytes),
   I32: (bytes) => new Int32Array(bytes),
+  I64: (bytes) => Int32Array.from(new BigInt64Array(bytes), Number),
 };
 
 /** Returns what a file says of all of its frames, as fields of a form. */
@@ -88,16 +92,12 @@ function described(arrays: Map<string, Tensor>, texts: Map<string, string[]>): R
   const fps = floats(arrays, "fps");
   const names = texts.get("keypoint_names");
   const fields: Record<string, string> = {};
-  const skeleton = { ...(names && { keypoint_names: names }), ...(edges && { edges: pairs(edges) }) };
+  const skeleton = { ...(names && { keypoint_names: names }), ...(edges && { edges: pairsOf(edges) }) };
   if (names || edges) fields.skeleton = JSON.stringify(skeleton);
-  if (sizes) fields.image_sizes = JSON.stringify(pairs(sizes).map((size) => (size[0] > 0 ? size : null)));
+  if (sizes) fields.image_sizes = JSON.stringify(pairsOf(sizes).map((size) => (size[0] > 0 ? size : null)));
   if (texts.has("view_names")) fields.view_names = JSON.stringify(texts.get("view_names"));
   if (fps) fields.fps = `${fps[0]}`;
   return fields;
-}
-
-function pairs(numbers: Float32Array): [number, number][] {
-  return [...Array(numbers.length / 2).keys()].map((at) => [numbers[2 * at], numbers[2 * at + 1]]);
 }
 
 /** Returns frames as safetensors, whose bytes are read when they are sent. */

@@ -3,6 +3,7 @@
 import type { CaptureFile } from "../data/capture.ts";
 import { pixelRatio } from "../parts/canvas_size.ts";
 import { colourOf, readTheme } from "../parts/theme.ts";
+import { pairAt, pairsOf } from "../science/pairs.ts";
 import type { Side } from "../science/sides.ts";
 
 const MARGIN = 0.12;
@@ -17,7 +18,7 @@ export interface Drawn {
 }
 
 export function drawKeypoints(canvas: HTMLCanvasElement, { views, edges, sides }: Drawn, view: number): void {
-  const pixels = views[view];
+  const pixels = views[view] ?? new Float32Array();
   const xs = evens(pixels, 0);
   const ys = evens(pixels, 1);
   const context = canvas.getContext("2d");
@@ -29,26 +30,27 @@ export function drawKeypoints(canvas: HTMLCanvasElement, { views, edges, sides }
   const [left, top] = [Math.min(...xs), Math.min(...ys)];
   const [width, height] = [Math.max(...xs) - left || 1, Math.max(...ys) - top || 1];
   const scale = (1 - 2 * MARGIN) * Math.min(canvas.width / width, canvas.height / height);
-  const place = (keypoint: number): [number, number] => [
-    canvas.width / 2 + scale * (pixels[2 * keypoint] - left - width / 2),
-    canvas.height / 2 + scale * (pixels[2 * keypoint + 1] - top - height / 2),
+  const place = ([x, y]: [number, number]): [number, number] => [
+    canvas.width / 2 + scale * (x - left - width / 2),
+    canvas.height / 2 + scale * (y - top - height / 2),
   ];
   context.strokeStyle = theme.quiet;
   context.lineWidth = 1.5 * ratio;
   context.beginPath();
   for (const [a, b] of edges) {
-    if (Number.isNaN(pixels[2 * a] + pixels[2 * b])) continue;
-    context.moveTo(...place(a));
-    context.lineTo(...place(b));
+    const [from, to] = [pairAt(pixels, a), pairAt(pixels, b)];
+    if (Number.isNaN(from[0] + to[0])) continue;
+    context.moveTo(...place(from));
+    context.lineTo(...place(to));
   }
   context.stroke();
-  for (let keypoint = 0; keypoint < pixels.length / 2; keypoint++) {
-    if (Number.isNaN(pixels[2 * keypoint])) continue;
+  pairsOf(pixels).forEach((pixel, keypoint) => {
+    if (Number.isNaN(pixel[0])) return;
     context.beginPath();
-    context.arc(...place(keypoint), 3 * ratio, 0, 7);
+    context.arc(...place(pixel), 3 * ratio, 0, 7);
     context.fillStyle = colourOf(theme, sides[keypoint] ?? 0);
     context.fill();
-  }
+  });
 }
 
 /** Returns the frame, of a few from all of a capture, in which most keypoints are observed. */

@@ -26,17 +26,19 @@ const STOPPED = "The upload was stopped.";
 
 /** Returns the dataset that files became; throws `Refusal` with the service's words. */
 export async function upload(files: File[], description: Description, watching: Watching): Promise<Dataset> {
-  const parts = isArrays(files) ? await partsOf(files[0]) : null;
-  if (parts !== null) return uploadInParts(files[0], parts, description, watching);
+  const file = arraysIn(files);
+  const parts = file && (await partsOf(file));
+  if (file !== null && parts !== null) return uploadInParts(file, parts, description, watching);
   const key = crypto.randomUUID();
   return persisting(watching, () => send<Dataset>("datasets", formOf(files, description), watching, key));
 }
 
 /** Returns what is understood of files, of which nothing is stored: of a long file its first part. */
 export async function lookAt(files: File[], description: Description, watching: Watching): Promise<DatasetPreview> {
-  const parts = isArrays(files) ? await partsOf(files[0]) : null;
-  if (parts === null) return send<DatasetPreview>("previews", formOf(files, description), watching);
-  const seen = await send<DatasetPreview>("previews", firstOf(parts, files[0], description), watching);
+  const file = arraysIn(files);
+  const parts = file && (await partsOf(file));
+  if (file === null || parts === null) return send<DatasetPreview>("previews", formOf(files, description), watching);
+  const seen = await send<DatasetPreview>("previews", firstOf(parts, file, description), watching);
   const notes = [...seen.notes, `looked at the first ${parts.size} of ${parts.frames} frames`];
   return { ...seen, frames: parts.frames, notes };
 }
@@ -113,13 +115,15 @@ function send<T>(path: string, body: FormData | Blob, { onProgress, signal }: Wa
   });
 }
 
-function isArrays(files: File[]): boolean {
-  return files.length === 1 && ARRAYS.test(files[0].name);
+/** Returns the file that holds arrays of all views, if there is nothing else. */
+function arraysIn(files: File[]): File | null {
+  const [file, ...more] = files;
+  return file !== undefined && more.length === 0 && ARRAYS.test(file.name) ? file : null;
 }
 
 function formOf(files: File[], { name, fps, width, height }: Description): FormData {
   const form = new FormData();
-  const arrays = isArrays(files);
+  const arrays = arraysIn(files) !== null;
   for (const file of files) form.append(arrays ? "file" : "files", file, file.name);
   if (name !== "") form.append("name", name);
   if (fps !== "") form.append("fps", fps);

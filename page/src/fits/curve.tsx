@@ -9,7 +9,7 @@ interface Row {
 }
 
 export function Curve({ rows, steps }: { rows: Row[]; steps: number }) {
-  const last = rows.at(-1);
+  const [first, last] = [rows.at(0), rows.at(-1)];
   return (
     <Plot
       data={[rows.map((row) => row.step), rows.map((row) => row.error)]}
@@ -19,9 +19,9 @@ export function Curve({ rows, steps }: { rows: Row[]; steps: number }) {
       scales={{ x: { time: false, range: [0, steps] }, y: { distr: 3 } }}
       series={({ accent }) => [{ stroke: accent, width: 2, points: { show: false } }]}
       summary={
-        last === undefined
+        first === undefined || last === undefined
           ? "No errors yet."
-          : `Reprojection error by step: from ${number(rows[0].error)} to ${number(last.error)} pixels.`
+          : `Reprojection error by step: from ${number(first.error)} to ${number(last.error)} pixels.`
       }
       anew={steps}
     />

@@ -76,11 +76,11 @@ function viewsOf(message: ArrayBuffer, start: number, views: number) {
   const column = (from: number, count: number) =>
     Float32Array.from(
       { length: views * count },
-      (_, at) => numbers[VIEW * Math.floor(at / count) + from + (at % count)],
+      (_, at) => numbers[VIEW * Math.floor(at / count) + from + (at % count)]!,
     );
   return {
     cameras: {
-      models: Int8Array.from({ length: views }, (_, view) => integers[VIEW * view]),
+      models: Int8Array.from({ length: views }, (_, view) => integers[VIEW * view]!),
       rotations: column(1, 9),
       scales: column(10, 1),
       translations: column(11, 3),

@@ -3,8 +3,9 @@
 
 /** Calls a function after the canvas got another size; returns what ends that. */
 export function keepSize(canvas: HTMLCanvasElement, onSize: () => void): () => void {
-  const watcher = new ResizeObserver(([entry]) => {
-    if (resize(canvas, entry.contentRect.width, entry.contentRect.height)) onSize();
+  const watcher = new ResizeObserver((entries) => {
+    const size = entries.at(-1)?.contentRect;
+    if (size !== undefined && resize(canvas, size.width, size.height)) onSize();
   });
   watcher.observe(canvas);
   return () => watcher.disconnect();
@@ -12,7 +13,8 @@ export function keepSize(canvas: HTMLCanvasElement, onSize: () => void): () => v
 
 /** Gives a canvas a size in pixels of the page; returns whether it had another. */
 export function resize(canvas: HTMLCanvasElement, width: number, height: number): boolean {
-  const [wide, high] = [width, height].map((side) => Math.max(1, Math.round(side * pixelRatio())));
+  const pixels = (side: number) => Math.max(1, Math.round(side * pixelRatio()));
+  const [wide, high] = [pixels(width), pixels(height)];
   if (canvas.width === wide && canvas.height === high) return false;
   canvas.width = wide;
   canvas.height = high;

@@ -5,8 +5,8 @@ import { number, words } from "./format.ts";
 import { Icon } from "./icons.tsx";
 
 interface Known {
-  viewNames?: string[];
-  keypointNames?: string[];
+  viewNames?: string[] | undefined;
+  keypointNames?: string[] | undefined;
   onFrame?: (frame: number) => void;
   onKeypoint?: (keypoint: number) => void;
 }

@@ -40,5 +40,5 @@ export function bytes(size: number): string {
 /** Returns the words of a name that code uses: `frame_unlike_fit` is "Frame unlike fit". */
 export function words(name: string): string {
   const text = name.replaceAll("_", " ");
-  return text[0].toUpperCase() + text.slice(1);
+  return text.slice(0, 1).toUpperCase() + text.slice(1);
 }

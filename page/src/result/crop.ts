@@ -48,7 +48,7 @@ function boxOf({ views, keypoints, detected }: Take, view: number, frame: number
   const first = (frame * views + view) * keypoints;
   let [left, right, top, bottom] = [Infinity, -Infinity, Infinity, -Infinity];
   for (let seen = 2 * first; seen < 2 * (first + keypoints); seen += 2) {
-    const [x, y] = [detected[seen], detected[seen + 1]];
+    const [x, y] = [detected[seen]!, detected[seen + 1]!];
     if (x < left) left = x; // false for NaN
     if (x > right) right = x;
     if (y < top) top = y;
@@ -92,14 +92,14 @@ function following(take: Take, view: number, size: number): (frame: number) => P
         count++;
       }
     }
-    const middle = count > 0 ? [x / count, y / count] : [0, 0];
-    return { x: middle[0] - side / 2, y: middle[1] - side / 2, width: side, height: side };
+    const found = Math.max(1, count); // with nothing near: about the origin
+    return { x: x / found - side / 2, y: y / found - side / 2, width: side, height: side };
   };
 }
 
 /** Returns the whole image; where its size is not known, as far as keypoints reach. */
 function imagePart(take: Take, view: number, boxes: Box[]): Part {
-  const size = take.imageSizes[view];
+  const size = take.imageSizes[view] ?? null;
   if (size !== null) return { x: 0, y: 0, width: size[0], height: size[1] };
   const [width, height] = [boxes.map((box) => box.right), boxes.map((box) => box.bottom)];
   return { x: 0, y: 0, width: quantile(width, 1) || 1, height: quantile(height, 1) || 1 };

@@ -3,6 +3,7 @@
 import { Curve } from "../fits/curve.tsx";
 import { count, number, percent, pixels } from "../parts/format.ts";
 import { distances } from "../science/aligning.ts";
+import { pairAt } from "../science/pairs.ts";
 import { useShow } from "./show.ts";
 import { unitOf } from "./unit.ts";
 
@@ -92,7 +93,7 @@ function CameraTable() {
                 {view.camera.replaceAll("_", " ")}, {view.static ? "static" : "moving"}
               </td>
               <td>
-                {view.focal ? `${Math.round(view.focal[0])} px` : "–"}
+                {view.focal ? `${Math.round(pairAt(view.focal, 0)[0])} px` : "–"}
                 {view.focal_sd ? <small class="quiet"> ± {number(view.focal_sd, 2)}</small> : null}
               </td>
               <td>{pixels(view.reprojection_error)}</td>

@@ -44,9 +44,10 @@ function openImages(files: File[], onPicture: () => void): Film {
   return {
     at(frame) {
       const wanted = images.length === 1 ? 0 : Math.min(frame, images.length - 1);
-      if (wanted !== index && wanted >= 0) {
+      const image = images[wanted];
+      if (wanted !== index && image !== undefined) {
         index = wanted;
-        void createImageBitmap(images[wanted]).then((bitmap) => {
+        void createImageBitmap(image).then((bitmap) => {
           if (index !== wanted) return bitmap.close();
           shown?.close();
           shown = bitmap;

@@ -34,8 +34,9 @@ export function heatColours(dark: boolean): Uint32Array {
     const place = (index / 255) * (stops.length - 1);
     const low = Math.min(stops.length - 2, Math.floor(place));
     const share = place - low;
-    const [r, g, b] = [0, 1, 2].map((c) => Math.round(stops[low][c] * (1 - share) + stops[low + 1][c] * share));
-    return pixel(r, g, b);
+    const [from, to] = [stops[low]!, stops[low + 1]!];
+    const mixed = (channel: 0 | 1 | 2) => Math.round(from[channel] * (1 - share) + to[channel] * share);
+    return pixel(mixed(0), mixed(1), mixed(2));
   });
 }
 
@@ -44,8 +45,8 @@ function pixel(r: number, g: number, b: number): number {
 }
 
 function pixelOf(colour: string): number {
-  const [r, g, b] = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
-  return pixel(r, g, b);
+  const channel = (at: number) => parseInt(colour.slice(at, at + 2), 16);
+  return pixel(channel(1), channel(3), channel(5));
 }
 
 /** Draws errors, keypoint x frame, on a canvas that is `width` wide and a pixel high a keypoint. A
@@ -75,12 +76,12 @@ export function drawHeatMap(
       let worst = UNSEEN;
       let leftOut = false;
       for (let frame = from; frame < to; frame++) {
-        const error = errors.worst[frame * keypoints + keypoint];
+        const error = errors.worst[frame * keypoints + keypoint]!;
         if (error === LEFT_OUT) leftOut = true;
         else if (error > worst) worst = error;
       }
       const level = Math.min(255, Math.floor((255 * worst) / largest));
-      const known = worst === UNSEEN ? unseen : colours[level];
+      const known = worst === UNSEEN ? unseen : colours[level]!;
       pixels[keypoint * width + column] = leftOut ? outlier : known;
     }
   }
@@ -97,10 +98,10 @@ export function drawBand(canvas: HTMLCanvasElement, means: Float32Array, largest
     const from = Math.floor((column * means.length) / width);
     const to = Math.max(from + 1, Math.floor(((column + 1) * means.length) / width));
     let worst = -1;
-    for (let frame = from; frame < to; frame++) if (means[frame] > worst) worst = means[frame];
+    for (let frame = from; frame < to; frame++) if (means[frame]! > worst) worst = means[frame]!;
     if (worst < 0) continue;
     const share = Math.min(1, worst / largest);
-    const colour = colours[Math.floor(255 * (0.25 + 0.75 * share))];
+    const colour = colours[Math.floor(255 * (0.25 + 0.75 * share))]!;
     context.fillStyle = `rgb(${colour & 255} ${(colour >> 8) & 255} ${(colour >> 16) & 255})`;
     const tall = Math.max(2, share * height);
     context.fillRect(column, height - tall, 1, tall);

@@ -83,7 +83,8 @@ function useKeypointLimit(): number {
     const step = Math.max(1, Math.floor(errors.worst.length / SAMPLES));
     const known: number[] = [];
     for (let at = 0; at < errors.worst.length; at += step) {
-      if (errors.worst[at] >= 0) known.push(errors.worst[at]);
+      const error = errors.worst[at]!;
+      if (error >= 0) known.push(error);
     }
     return Math.max(quantile(known, CLEAR), 1e-6);
   }, [errors, errorsDone]);

@@ -62,9 +62,10 @@ function act(event: KeyboardEvent, { player, worst, views, stage, lookThrough, s
 
 /** Goes through the worst frames in the order of how bad they are. */
 export function nextWorst(player: Player, worst: number[], step: 1 | -1): void {
-  if (worst.length === 0) return;
   const here = worst.indexOf(player.frame);
   const next = here < 0 ? 0 : (here + step + worst.length) % worst.length;
+  const frame = worst[next];
+  if (frame === undefined) return; // there are none
   player.playing = false;
-  player.show(worst[next]);
+  player.show(frame);
 }

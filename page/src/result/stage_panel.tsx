@@ -14,6 +14,12 @@ const FRAMES = {
   camera: "In the axes of the first static camera, turned upright.",
   view: "Each frame in the axes of its first view: no camera is known to be static.",
 } as const;
+const TURNS: Record<string, [number, number]> = {
+  ArrowLeft: [-1, 0],
+  ArrowRight: [1, 0],
+  ArrowUp: [0, 1],
+  ArrowDown: [0, -1],
+};
 
 interface Props {
   onStage: (stage: Stage | null) => void;
@@ -67,7 +73,7 @@ export function StagePanel({ onStage, extent, overlay = null, title, plain = fal
   useEffect(() => stage?.overlay(overlay), [stage, overlay]);
 
   const turnByKey = (event: KeyboardEvent) => {
-    const turn = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+    const turn = TURNS[event.key];
     if (turn === undefined || stage === null) return;
     event.preventDefault();
     event.stopPropagation();

@@ -102,7 +102,7 @@ function useFrames(loader: Result["loader"], player: Player) {
 
 function posedViews({ views, frames, cameras }: Result["take"]): boolean[] {
   return Array.from({ length: views }, (_, view) => {
-    for (let frame = 0; frame < frames; frame++) if (cameras.models[frame * views + view] > WEAK) return true;
+    for (let frame = 0; frame < frames; frame++) if (cameras.models[frame * views + view]! > WEAK) return true;
     return false;
   });
 }

@@ -5,6 +5,7 @@ import { ALL, type Take } from "../data/take.ts";
 import { pixelRatio } from "../parts/canvas_size.ts";
 import { colourOf, type Theme } from "../parts/theme.ts";
 import { OUTLIER } from "../science/errors.ts";
+import { pairAt } from "../science/pairs.ts";
 import { project } from "../science/projection.ts";
 import type { Part } from "./crop.ts";
 
@@ -38,16 +39,16 @@ export function createViewDrawing(take: Take, view: number): ViewDrawing {
       const left = (canvas.width - scale * part.width) / 2 - scale * part.x;
       const top = (canvas.height - scale * part.height) / 2 - scale * part.y;
       context.clearRect(0, 0, canvas.width, canvas.height);
-      drawImage(context, take.imageSizes[view], picture, theme, { left, top, scale, ratio });
+      drawImage(context, take.imageSizes[view] ?? null, picture, theme, { left, top, scale, ratio });
       const camera = frame * views + view;
       const known = take.there[frame] === ALL;
       project(take.cameras, camera, take.points, frame * keypoints, keypoints, projected);
       for (let at = 0; at < 2 * keypoints; at += 2) {
         const seen = 2 * camera * keypoints + at;
-        projected[at] = left + scale * projected[at];
-        projected[at + 1] = top + scale * projected[at + 1];
-        detected[at] = known ? left + scale * take.detected[seen] : NaN;
-        detected[at + 1] = top + scale * take.detected[seen + 1];
+        projected[at] = left + scale * projected[at]!;
+        projected[at + 1] = top + scale * projected[at + 1]!;
+        detected[at] = known ? left + scale * take.detected[seen]! : NaN;
+        detected[at + 1] = top + scale * take.detected[seen + 1]!;
         kinds[at / 2] = kindOf(take, camera, at / 2);
       }
       context.lineCap = "round";
@@ -63,7 +64,7 @@ const CROSSED = 2;
 
 /** Returns the side of an observed keypoint, CROSSED of an outlier. */
 function kindOf({ keypoints, outlierProbability, sides }: Take, camera: number, keypoint: number): number {
-  return outlierProbability[camera * keypoints + keypoint] > OUTLIER ? CROSSED : sides[keypoint];
+  return outlierProbability[camera * keypoints + keypoint]! > OUTLIER ? CROSSED : sides[keypoint]!;
 }
 
 interface Place {
@@ -100,15 +101,15 @@ function drawStructure(
 ): void {
   context.beginPath();
   for (const [a, b] of edges) {
-    if (Number.isNaN(pixels[2 * a] + pixels[2 * b])) continue;
-    context.moveTo(pixels[2 * a], pixels[2 * a + 1]);
-    context.lineTo(pixels[2 * b], pixels[2 * b + 1]);
+    if (Number.isNaN(pixels[2 * a]! + pixels[2 * b]!)) continue;
+    context.moveTo(pixels[2 * a]!, pixels[2 * a + 1]!);
+    context.lineTo(pixels[2 * b]!, pixels[2 * b + 1]!);
   }
   if (edges.length === 0) {
     for (let at = 0; at < pixels.length; at += 2) {
       if (Number.isNaN(pixels[at])) continue;
-      context.moveTo(pixels[at] + 4 * ratio, pixels[at + 1]);
-      context.arc(pixels[at], pixels[at + 1], 4 * ratio, 0, 7);
+      context.moveTo(pixels[at]! + 4 * ratio, pixels[at + 1]!);
+      context.arc(pixels[at]!, pixels[at + 1]!, 4 * ratio, 0, 7);
     }
   }
   context.strokeStyle = theme.projected;
@@ -129,9 +130,9 @@ function drawMisses(
   for (const crossed of [false, true]) {
     context.beginPath();
     for (let at = 0; at < detected.length; at += 2) {
-      if ((kinds[at / 2] === CROSSED) !== crossed || Number.isNaN(detected[at] + projected[at])) continue;
-      context.moveTo(detected[at], detected[at + 1]);
-      context.lineTo(projected[at], projected[at + 1]);
+      if ((kinds[at / 2] === CROSSED) !== crossed || Number.isNaN(detected[at]! + projected[at]!)) continue;
+      context.moveTo(detected[at]!, detected[at + 1]!);
+      context.lineTo(projected[at]!, projected[at + 1]!);
     }
     context.strokeStyle = crossed ? theme.outlier : theme.bad;
     context.stroke();
@@ -149,8 +150,8 @@ function drawDetected(
     context.beginPath();
     for (let at = 0; at < detected.length; at += 2) {
       if (kinds[at / 2] !== side || Number.isNaN(detected[at])) continue;
-      context.moveTo(detected[at] + DOT * ratio, detected[at + 1]);
-      context.arc(detected[at], detected[at + 1], DOT * ratio, 0, 7);
+      context.moveTo(detected[at]! + DOT * ratio, detected[at + 1]!);
+      context.arc(detected[at]!, detected[at + 1]!, DOT * ratio, 0, 7);
     }
     context.fillStyle = colourOf(theme, side);
     context.fill();
@@ -158,7 +159,7 @@ function drawDetected(
   const arm = ARM * ratio;
   context.beginPath();
   for (let at = 0; at < detected.length; at += 2) {
-    const [x, y] = [detected[at], detected[at + 1]];
+    const [x, y] = [detected[at]!, detected[at + 1]!];
     if (kinds[at / 2] !== CROSSED || Number.isNaN(x)) continue;
     context.moveTo(x - arm, y - arm);
     context.lineTo(x + arm, y + arm);
@@ -177,7 +178,7 @@ function drawRing(
   theme: Theme,
   ratio: number,
 ): void {
-  const [x, y] = [detected[2 * keypoint], detected[2 * keypoint + 1]];
+  const [x, y] = pairAt(detected, keypoint);
   if (Number.isNaN(x)) return;
   context.beginPath();
   context.arc(x, y, RING * ratio, 0, 7);

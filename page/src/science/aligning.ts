@@ -1,5 +1,8 @@
 /** Lays one set of points over another: the similarity (rotation, scale, shift) nearest to it. */
 
+/** Row after row. */
+type Matrix3 = [number, number, number, number, number, number, number, number, number];
+
 /** Writes `from` (N, P, 3), moved onto `to`, into the result; NaN where `from` is. With `each` every
  * frame is moved on its own, else all of them as one.
  *
@@ -17,19 +20,19 @@ export function aligned(from: Float32Array, to: Float32Array, keypoints: number,
 function align(from: Float32Array, to: Float32Array, start: number, end: number, moved: Float32Array): void {
   const pairs: number[] = [];
   for (let at = start; at < end; at += 3) {
-    if (Number.isFinite(from[at] + to[at])) pairs.push(at);
+    if (Number.isFinite(from[at]! + to[at]!)) pairs.push(at);
   }
   if (pairs.length < 3) return;
   const a = meanOf(from, pairs);
   const b = meanOf(to, pairs);
-  const S = [0, 0, 0, 0, 0, 0, 0, 0, 0]; // of the first's coordinate i and the second's j
+  const S: Matrix3 = [0, 0, 0, 0, 0, 0, 0, 0, 0]; // of the first's coordinate i and the second's j
   let [spread, reach] = [0, 0];
   for (const at of pairs) {
     for (let i = 0; i < 3; i++) {
-      const p = from[at + i] - a[i];
+      const p = from[at + i]! - a[i]!;
       spread += p * p;
-      reach += (to[at + i] - b[i]) ** 2;
-      for (let j = 0; j < 3; j++) S[3 * i + j] += p * (to[at + j] - b[j]);
+      reach += (to[at + i]! - b[i]!) ** 2;
+      for (let j = 0; j < 3; j++) S[3 * i + j]! += p * (to[at + j]! - b[j]!);
     }
   }
   const R = rotationOf(S);
@@ -37,20 +40,20 @@ function align(from: Float32Array, to: Float32Array, start: number, end: number,
   for (let at = start; at < end; at += 3) {
     for (let row = 0; row < 3; row++) {
       let sum = 0;
-      for (let i = 0; i < 3; i++) sum += R[3 * row + i] * (from[at + i] - a[i]);
-      moved[at + row] = scale * sum + b[row];
+      for (let i = 0; i < 3; i++) sum += R[3 * row + i]! * (from[at + i]! - a[i]!);
+      moved[at + row] = scale * sum + b[row]!;
     }
   }
 }
 
 function meanOf(points: Float32Array, pairs: number[]): number[] {
   const sum = [0, 0, 0];
-  for (const at of pairs) for (let i = 0; i < 3; i++) sum[i] += points[at + i];
+  for (const at of pairs) for (let i = 0; i < 3; i++) sum[i]! += points[at + i]!;
   return sum.map((value) => value / pairs.length);
 }
 
 /** Returns the rotation (3 x 3) that turns the first points of a covariance best onto the second. */
-function rotationOf([xx, xy, xz, yx, yy, yz, zx, zy, zz]: number[]): number[] {
+function rotationOf([xx, xy, xz, yx, yy, yz, zx, zy, zz]: Matrix3): Matrix3 {
   // prettier-ignore
   const N = [
     xx + yy + zz, yz - zy, zx - xz, xy - yx,
@@ -70,7 +73,7 @@ function rotationOf([xx, xy, xz, yx, yy, yz, zx, zy, zz]: number[]): number[] {
 const SWEEPS = 12; // Jacobi's of a 4 x 4 matrix converge in five or six
 
 /** Returns the unit eigenvector of the largest eigenvalue of a symmetric 4 x 4 matrix (Jacobi). */
-function largestEigenvector(matrix: number[]): number[] {
+function largestEigenvector(matrix: number[]): [number, number, number, number] {
   const A = [...matrix];
   const V = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
   for (let sweep = 0; sweep < SWEEPS; sweep++) {
@@ -78,23 +81,23 @@ function largestEigenvector(matrix: number[]): number[] {
       for (let q = p + 1; q < 4; q++) rotate(A, V, p, q);
     }
   }
-  const best = [0, 1, 2, 3].reduce((a, b) => (A[5 * b] > A[5 * a] ? b : a));
-  return [0, 1, 2, 3].map((row) => V[4 * row + best]);
+  const best = [0, 1, 2, 3].reduce((a, b) => (A[5 * b]! > A[5 * a]! ? b : a));
+  return [V[best]!, V[4 + best]!, V[8 + best]!, V[12 + best]!];
 }
 
 /** Makes the elements (p, q) and (q, p) zero. */
 function rotate(A: number[], V: number[], p: number, q: number): void {
   if (A[4 * p + q] === 0) return;
-  const angle = (A[5 * q] - A[5 * p]) / (2 * A[4 * p + q]);
+  const angle = (A[5 * q]! - A[5 * p]!) / (2 * A[4 * p + q]!);
   const t = Math.sign(angle || 1) / (Math.abs(angle) + Math.hypot(angle, 1));
   const c = 1 / Math.hypot(t, 1);
   const s = t * c;
   for (let k = 0; k < 4; k++) {
-    [A[4 * k + p], A[4 * k + q]] = [c * A[4 * k + p] - s * A[4 * k + q], s * A[4 * k + p] + c * A[4 * k + q]];
+    [A[4 * k + p], A[4 * k + q]] = [c * A[4 * k + p]! - s * A[4 * k + q]!, s * A[4 * k + p]! + c * A[4 * k + q]!];
   }
   for (let k = 0; k < 4; k++) {
-    [A[4 * p + k], A[4 * q + k]] = [c * A[4 * p + k] - s * A[4 * q + k], s * A[4 * p + k] + c * A[4 * q + k]];
-    [V[4 * k + p], V[4 * k + q]] = [c * V[4 * k + p] - s * V[4 * k + q], s * V[4 * k + p] + c * V[4 * k + q]];
+    [A[4 * p + k], A[4 * q + k]] = [c * A[4 * p + k]! - s * A[4 * q + k]!, s * A[4 * p + k]! + c * A[4 * q + k]!];
+    [V[4 * k + p], V[4 * k + q]] = [c * V[4 * k + p]! - s * V[4 * k + q]!, s * V[4 * k + p]! + c * V[4 * k + q]!];
   }
 }
 
@@ -104,7 +107,7 @@ export function distances(a: Float32Array, b: Float32Array, keypoints: number): 
   return Float32Array.from({ length: Math.floor(a.length / size) }, (_, frame) => {
     let [sum, count] = [0, 0];
     for (let at = frame * size; at < (frame + 1) * size; at += 3) {
-      const distance = Math.hypot(a[at] - b[at], a[at + 1] - b[at + 1], a[at + 2] - b[at + 2]);
+      const distance = Math.hypot(a[at]! - b[at]!, a[at + 1]! - b[at + 1]!, a[at + 2]! - b[at + 2]!);
       if (distance === distance) {
         sum += distance;
         count++;

@@ -52,18 +52,18 @@ function ofFrame(take: Take, frame: number, errors: KeypointErrors, pixels: Floa
     project(take.cameras, camera, take.points, frame * keypoints, keypoints, pixels);
     for (let keypoint = 0; keypoint < keypoints; keypoint++) {
       const seen = camera * keypoints + keypoint;
-      const x = detected[2 * seen];
+      const x = detected[2 * seen]!;
       if (Number.isNaN(x)) continue;
       const at = frame * keypoints + keypoint;
-      if (outlierProbability[seen] > OUTLIER) {
-        errors.outliers[at]++;
+      if (outlierProbability[seen]! > OUTLIER) {
+        errors.outliers[at]!++;
         if (errors.worst[at] === UNSEEN) errors.worst[at] = LEFT_OUT;
         continue;
       }
-      const dx = x - pixels[2 * keypoint];
-      const dy = detected[2 * seen + 1] - pixels[2 * keypoint + 1];
+      const dx = x - pixels[2 * keypoint]!;
+      const dy = detected[2 * seen + 1]! - pixels[2 * keypoint + 1]!;
       const distance = Math.sqrt(dx * dx + dy * dy);
-      if (distance > errors.worst[at]) errors.worst[at] = distance;
+      if (distance > errors.worst[at]!) errors.worst[at] = distance;
     }
   }
 }
@@ -76,7 +76,7 @@ export function frameErrors(take: Take): Float32Array {
     let sum = 0;
     let count = 0;
     for (let view = 0; view < views; view++) {
-      const error = viewErrors[frame * views + view];
+      const error = viewErrors[frame * views + view]!;
       if (Number.isFinite(error)) {
         sum += error;
         count++;

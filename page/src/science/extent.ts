@@ -19,7 +19,7 @@ export function boxOf(points: Float32Array, keypoints: number, there?: Uint8Arra
   for (const frame of sampled(points.length / (3 * keypoints), keypoints, there)) {
     for (let at = 3 * keypoints * frame; at < 3 * keypoints * (frame + 1); at += 3) {
       if (Number.isNaN(points[at])) continue;
-      for (let axis = 0; axis < 3; axis++) axes[axis].push(points[at + axis]);
+      for (let axis = 0; axis < 3; axis++) axes[axis]!.push(points[at + axis]!);
     }
   }
   const low = axes.map((values) => quantile(values, ASTRAY));
@@ -36,11 +36,11 @@ export function subjectSize(points: Float32Array, keypoints: number, there?: Uin
     for (let at = 3 * keypoints * frame; at < 3 * keypoints * (frame + 1); at += 3) {
       if (Number.isNaN(points[at])) continue;
       for (let axis = 0; axis < 3; axis++) {
-        low[axis] = Math.min(low[axis], points[at + axis]);
-        high[axis] = Math.max(high[axis], points[at + axis]);
+        low[axis] = Math.min(low[axis]!, points[at + axis]!);
+        high[axis] = Math.max(high[axis]!, points[at + axis]!);
       }
     }
-    const diagonal = Math.hypot(high[0] - low[0], high[1] - low[1], high[2] - low[2]);
+    const diagonal = Math.hypot(high[0]! - low[0]!, high[1]! - low[1]!, high[2]! - low[2]!);
     if (Number.isFinite(diagonal)) diagonals.push(diagonal);
   }
   return quantile(diagonals, 0.5) || 1;
@@ -54,9 +54,9 @@ export function usualStep(points: Float32Array, keypoints: number, there?: Uint8
     let [sum, count] = [0, 0];
     for (let at = frame * size; at < (frame + 1) * size; at += 3) {
       const step = Math.hypot(
-        points[at + size] - points[at],
-        points[at + size + 1] - points[at + 1],
-        points[at + size + 2] - points[at + 2],
+        points[at + size]! - points[at]!,
+        points[at + size + 1]! - points[at + 1]!,
+        points[at + size + 2]! - points[at + 2]!,
       );
       if (step === step) {
         sum += step;
@@ -77,7 +77,7 @@ export function roundLength(length: number): number {
 
 function sampled(frames: number, keypoints: number, there?: Uint8Array): number[] {
   const known: number[] = [];
-  for (let frame = 0; frame < frames; frame++) if (there === undefined || there[frame] > 0) known.push(frame);
+  for (let frame = 0; frame < frames; frame++) if (there === undefined || there[frame]! > 0) known.push(frame);
   const step = Math.max(1, Math.floor(known.length / Math.min(SAMPLES, SAMPLED_POINTS / keypoints)));
   return known.filter((_, index) => index % step === 0);
 }

@@ -13,7 +13,7 @@ const MOST_RANGES = 100;
 
 export function frameFindings(bits: ArrayLike<number>): Finding[] {
   return BITS.flatMap(([bit, code, effect]) => {
-    const frames = rangesOf(bits.length, (frame) => (bits[frame] & bit) !== 0).slice(0, MOST_RANGES);
+    const frames = rangesOf(bits.length, (frame) => (bits[frame]! & bit) !== 0).slice(0, MOST_RANGES);
     if (frames.length === 0) return [];
     return [{ code, severity: "warning", views: [], frames, keypoints: [], evidence: {}, effect, remedy: "" }];
   });

@@ -34,22 +34,22 @@ export function project(
   const shift = cameras.translations;
   for (let point = 0; point < count; point++) {
     const at = 3 * (first + point);
-    const X = points[at];
-    const Y = points[at + 1];
-    const Z = points[at + 2];
-    const x = R[r] * X + R[r + 1] * Y + R[r + 2] * Z;
-    const y = R[r + 3] * X + R[r + 4] * Y + R[r + 5] * Z;
+    const X = points[at]!;
+    const Y = points[at + 1]!;
+    const Z = points[at + 2]!;
+    const x = R[r]! * X + R[r + 1]! * Y + R[r + 2]! * Z;
+    const y = R[r + 3]! * X + R[r + 4]! * Y + R[r + 5]! * Z;
     if (model === WEAK) {
-      into[2 * point] = cameras.scales[camera] * x + shift[t];
-      into[2 * point + 1] = cameras.scales[camera] * y + shift[t + 1];
+      into[2 * point] = cameras.scales[camera]! * x + shift[t]!;
+      into[2 * point + 1] = cameras.scales[camera]! * y + shift[t + 1]!;
       continue;
     }
-    const z = R[r + 6] * X + R[r + 7] * Y + R[r + 8] * Z + shift[t + 2];
+    const z = R[r + 6]! * X + R[r + 7]! * Y + R[r + 8]! * Z + shift[t + 2]!;
     if (model === NO_CAMERA || !(z > 0)) {
       into[2 * point] = into[2 * point + 1] = NaN;
       continue;
     }
-    bend(cameras, camera, (x + shift[t]) / z, (y + shift[t + 1]) / z, into, 2 * point);
+    bend(cameras, camera, (x + shift[t]!) / z, (y + shift[t + 1]!) / z, into, 2 * point);
   }
 }
 
@@ -64,16 +64,17 @@ function bend(cameras: Cameras, camera: number, a: number, b: number, into: Floa
     const r = Math.max(Math.sqrt(r2), 1e-12);
     const angle = Math.atan(r);
     const t2 = angle * angle;
-    const grown = 1 + t2 * (k[d] + t2 * (k[d + 1] + t2 * (k[d + 2] + t2 * k[d + 3])));
+    const grown = 1 + t2 * (k[d]! + t2 * (k[d + 1]! + t2 * (k[d + 2]! + t2 * k[d + 3]!)));
     x = (a * angle * grown) / r;
     y = (b * angle * grown) / r;
   } else {
     const radial =
-      (1 + r2 * (k[d] + r2 * (k[d + 1] + r2 * k[d + 4]))) / (1 + r2 * (k[d + 5] + r2 * (k[d + 6] + r2 * k[d + 7])));
-    const [p1, p2] = [k[d + 2], k[d + 3]];
+      (1 + r2 * (k[d]! + r2 * (k[d + 1]! + r2 * k[d + 4]!))) /
+      (1 + r2 * (k[d + 5]! + r2 * (k[d + 6]! + r2 * k[d + 7]!)));
+    const [p1, p2] = [k[d + 2]!, k[d + 3]!];
     x = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a);
     y = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b;
   }
-  into[at] = cameras.focals[2 * camera] * x + cameras.principalPoints[2 * camera];
-  into[at + 1] = cameras.focals[2 * camera + 1] * y + cameras.principalPoints[2 * camera + 1];
+  into[at] = cameras.focals[2 * camera]! * x + cameras.principalPoints[2 * camera]!;
+  into[at + 1] = cameras.focals[2 * camera + 1]! * y + cameras.principalPoints[2 * camera + 1]!;
 }

@@ -28,7 +28,7 @@ export function sidesOf(names: readonly string[]): Side[] {
 function swapWord(found: string): string {
   const other = found.toLowerCase() === "left" ? "right" : "left";
   if (found === found.toUpperCase()) return other.toUpperCase();
-  return found[0] === found[0].toUpperCase() ? other[0].toUpperCase() + other.slice(1) : other;
+  return found[0] === found[0]!.toUpperCase() ? other[0]!.toUpperCase() + other.slice(1) : other;
 }
 
 function swapLetter(found: string): string {

@@ -7,7 +7,7 @@ export function worstFrames(values: ArrayLike<number>, most: number, apart: numb
   for (let frame = 0; frame < values.length; frame++) {
     if (Number.isFinite(values[frame])) order.push(frame);
   }
-  order.sort((a, b) => values[b] - values[a]);
+  order.sort((a, b) => values[b]! - values[a]!);
   const chosen: number[] = [];
   for (const frame of order) {
     if (chosen.length === most) break;
@@ -20,5 +20,5 @@ export function worstFrames(values: ArrayLike<number>, most: number, apart: numb
 export function quantile(values: ArrayLike<number>, share: number): number {
   const known = Float64Array.from(values).filter(Number.isFinite).sort();
   if (known.length === 0) return 0;
-  return known[Math.min(known.length - 1, Math.round(share * (known.length - 1)))];
+  return known[Math.min(known.length - 1, Math.round(share * (known.length - 1)))]!;
 }

@@ -14,15 +14,13 @@ export interface Floor {
 export function createFloor(box: Box, size: number, level: number): Floor {
   const square = roundLength(size / 4);
   const reach = size * 0.9;
-  const from = [0, 2].map((axis) => Math.floor((box.low[axis] - reach) / square));
-  const to = [0, 2].map((axis) => Math.ceil((box.high[axis] + reach) / square));
+  const before = (low: number) => Math.floor((low - reach) / square);
+  const beyond = (high: number) => Math.ceil((high + reach) / square);
+  const [left, right] = [before(box.low[0]), beyond(box.high[0])];
+  const [back, front] = [before(box.low[2]), beyond(box.high[2])];
   const ends: number[] = [];
-  for (let x = from[0]; x <= to[0]; x++) {
-    ends.push(x * square, level, from[1] * square, x * square, level, to[1] * square);
-  }
-  for (let z = from[1]; z <= to[1]; z++) {
-    ends.push(from[0] * square, level, z * square, to[0] * square, level, z * square);
-  }
+  for (let x = left; x <= right; x++) ends.push(x * square, level, back * square, x * square, level, front * square);
+  for (let z = back; z <= front; z++) ends.push(left * square, level, z * square, right * square, level, z * square);
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(Float32Array.from(ends), 3));
   const material = new LineBasicMaterial({ transparent: true, opacity: 0.8 });

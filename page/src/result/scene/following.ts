@@ -14,11 +14,11 @@ export function middleOf({ points, keypoints, frames }: Take, frame: number): Ve
   const first = Math.max(0, frame - NEAR);
   const last = Math.min(frames - 1, frame + NEAR);
   for (let at = 3 * keypoints * first; at < 3 * keypoints * (last + 1); at += 3) {
-    const x = points[at];
+    const x = points[at]!;
     if (!(x === x)) continue; // NaN
     sum.x += x;
-    sum.y += points[at + 1];
-    sum.z += points[at + 2];
+    sum.y += points[at + 1]!;
+    sum.z += points[at + 2]!;
     count++;
   }
   return count > 0 ? sum.divideScalar(count) : null;

@@ -4,6 +4,7 @@ import { type Matrix4, type PerspectiveCamera, Vector3 } from "three";
 import type { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { Take } from "../../data/take.ts";
 import type { Box } from "../../science/extent.ts";
+import { pairAt } from "../../science/pairs.ts";
 
 /** Position and target, six numbers: what a link keeps. */
 export type Angle = number[];
@@ -25,14 +26,14 @@ export function lookThrough(
   canvas: [number, number],
 ): void {
   const camera = frame * take.views + view;
-  const [fx, fy] = take.cameras.focals.subarray(2 * camera, 2 * camera + 2);
-  const [cx, cy] = take.cameras.principalPoints.subarray(2 * camera, 2 * camera + 2);
+  const [fx, fy] = pairAt(take.cameras.focals, camera);
+  const [cx, cy] = pairAt(take.cameras.principalPoints, camera);
   const { x, y, scale } = imageIn(take.imageSizes[view] ?? [2 * cx, 2 * cy], canvas);
   eye.matrixAutoUpdate = false; // nobody turns it
   eye.matrix.copy(pose);
   // The scene's camera looks along -z with y up, OpenCV's along z with y down.
   for (const column of [1, 2]) {
-    for (let row = 0; row < 3; row++) eye.matrix.elements[4 * column + row] *= -1;
+    for (let row = 0; row < 3; row++) eye.matrix.elements[4 * column + row]! *= -1;
   }
   eye.matrixWorldNeedsUpdate = true;
   eye.updateMatrixWorld(true);
@@ -107,8 +108,8 @@ export function boxWithCameras(box: Box, take: Take, poseOf: (frame: number, vie
       const place = poseOf(frame, view)?.elements;
       if (place === undefined) continue;
       for (let axis = 0; axis < 3; axis++) {
-        low[axis] = Math.min(low[axis], place[12 + axis]);
-        high[axis] = Math.max(high[axis], place[12 + axis]);
+        low[axis] = Math.min(low[axis]!, place[12 + axis]!);
+        high[axis] = Math.max(high[axis]!, place[12 + axis]!);
       }
       break;
     }

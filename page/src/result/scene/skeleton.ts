@@ -48,12 +48,12 @@ export function createSkeleton(take: Take, size: number, ghost = false): Skeleto
       chosen = selected;
       const colour = new Color();
       for (let keypoint = 0; keypoint < keypoints; keypoint++) {
-        const plain = ghost ? theme.accent : colourOf(theme, sides[keypoint]);
+        const plain = ghost ? theme.accent : colourOf(theme, sides[keypoint]!);
         const name = keypoint === selected ? theme.accent : plain;
         joints.setColorAt(keypoint, colour.set(name));
       }
       edges.forEach(([a, b], edge) => {
-        const side = sides[a] || sides[b]; // a bone from the trunk belongs to its limb
+        const side = sides[a]! || sides[b]!; // a bone from the trunk belongs to its limb
         bones.setColorAt(edge, colour.set(ghost ? theme.accent : colourOf(theme, side)));
       });
       for (const mesh of [joints, bones]) {
@@ -72,14 +72,14 @@ function writeSphere(
   radius: number,
 ): void {
   const matrix = into as Float32Array;
-  const x = points[point];
+  const x = points[point]!;
   const known = x === x; // not NaN
   const size = known ? radius : 0;
   matrix.fill(0, at, at + 16);
   matrix[at] = matrix[at + 5] = matrix[at + 10] = size;
   matrix[at + 12] = known ? x : 0;
-  matrix[at + 13] = known ? points[point + 1] : 0;
-  matrix[at + 14] = known ? points[point + 2] : 0;
+  matrix[at + 13] = known ? points[point + 1]! : 0;
+  matrix[at + 14] = known ? points[point + 2]! : 0;
   matrix[at + 15] = 1;
 }
 
@@ -93,9 +93,9 @@ function writeCylinder(
   radius: number,
 ): void {
   const matrix = into as Float32Array;
-  const dx = points[b] - points[a];
-  const dy = points[b + 1] - points[a + 1];
-  const dz = points[b + 2] - points[a + 2];
+  const dx = points[b]! - points[a]!;
+  const dy = points[b + 1]! - points[a + 1]!;
+  const dz = points[b + 2]! - points[a + 2]!;
   const length = Math.sqrt(dx * dx + dy * dy + dz * dz);
   matrix.fill(0, at, at + 16);
   matrix[at + 15] = 1;
@@ -115,7 +115,7 @@ function writeCylinder(
   matrix[at + 8] = (radius * (uy * dz - uz * dy)) / length;
   matrix[at + 9] = (radius * (uz * dx - ux * dz)) / length;
   matrix[at + 10] = (radius * (ux * dy - uy * dx)) / length;
-  matrix[at + 12] = points[a] + dx / 2;
-  matrix[at + 13] = points[a + 1] + dy / 2;
-  matrix[at + 14] = points[a + 2] + dz / 2;
+  matrix[at + 12] = points[a]! + dx / 2;
+  matrix[at + 13] = points[a + 1]! + dy / 2;
+  matrix[at + 14] = points[a + 2]! + dz / 2;
 }

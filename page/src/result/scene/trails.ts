@@ -39,8 +39,8 @@ export function createTrails(take: Take, jump: number): Trails {
             into.fill(0, at, at + 6); // a line without a length is not drawn
           } else {
             for (let axis = 0; axis < 3; axis++) {
-              into[at + axis] = points[later + axis];
-              into[at + 3 + axis] = points[earlier + axis];
+              into[at + axis] = points[later + axis]!;
+              into[at + 3 + axis] = points[earlier + axis]!;
             }
           }
           at += 6;
@@ -55,7 +55,7 @@ export function createTrails(take: Take, jump: number): Trails {
       const into = colours.array as Float32Array;
       let at = 0;
       for (const keypoint of followed) {
-        colour.set(colourOf(theme, sides[keypoint]));
+        colour.set(colourOf(theme, sides[keypoint]!));
         for (let age = 0; age < LENGTH; age++) {
           for (const end of [age, age + 1]) {
             into.set([colour.r, colour.g, colour.b, 0.75 * (1 - end / LENGTH)], at);
@@ -69,9 +69,9 @@ export function createTrails(take: Take, jump: number): Trails {
 }
 
 function isStep(points: Float32Array, a: number, b: number, jump: number): boolean {
-  const dx = points[b] - points[a];
-  const dy = points[b + 1] - points[a + 1];
-  const dz = points[b + 2] - points[a + 2];
+  const dx = points[b]! - points[a]!;
+  const dy = points[b + 1]! - points[a + 1]!;
+  const dz = points[b + 2]! - points[a + 2]!;
   return dx * dx + dy * dy + dz * dz < jump * jump; // false for NaN
 }
 
@@ -79,8 +79,8 @@ function isStep(points: Float32Array, a: number, b: number, jump: number): boole
 export function endsOf(take: Take): number[] {
   const degree = new Array<number>(take.keypoints).fill(0);
   for (const [a, b] of take.edges) {
-    degree[a]++;
-    degree[b]++;
+    degree[a]!++;
+    degree[b]!++;
   }
   const ends = degree.flatMap((count, keypoint) => (count === 1 ? [keypoint] : []));
   return ends.length > 0 ? ends : degree.map((_, keypoint) => keypoint);
