@@ -144,7 +144,7 @@ class _Lifting(nn.Module):
         if not self.settling.every_frame:
             which = _misfits(points, seen, guesses) > self.settling.misfit_limit
             settled = torch.where(which[:, None, None], settled, points)
-            mirrored = torch.where(which, mirrored, k < 0)
+            mirrored = mirrored | ~which if k < 0 else mirrored & which
         mirror = torch.tensor(MIRROR, dtype=points.dtype)
         through = mirror[:, None] * guesses * mirror
         return (

@@ -1,26 +1,26 @@
 """What is stored in the service that the page shows: fits that were made before, and kept."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import save
 
-from models.findings.finding import dumped
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import FitConfig
 from models.training.trainer import fit
-from store import attempts, fits
 from store.database import Store
 from store.settings import StoreSettings
 from tests.models.walk import film, walk
 from tests.service.conftest import BYTES, CONFIG, Live, to_npz
+from tests.service.stored_fits import put_fit
 from tests.sharing import fitted_once
 
 JOINTS = [f"{side}_{joint}" for joint in ("shoulder", "hip", "knee", "ankle") for side in "lr"]
 NAMES = [*JOINTS, *(f"k{index}" for index in range(len(JOINTS), 16))]
 EDGES = [[0, 1], [0, 2], [1, 3], [2, 3], [2, 4], [4, 6], [3, 5], [5, 7]]
+SKELETON = {"keypoint_names": NAMES, "edges": EDGES}
 MOMENTS = np.arange(0, 80, 2, dtype=np.float64)  # of the frames
 KEYPOINTS = film([10, 130, 250], MOMENTS, noise=1)
 KNOWN = {"keypoints": [0, 2], "length": 0.5}
@@ -62,9 +62,10 @@ def store(live: Live) -> Stored:
     second = fitted_once("page-again", lambda: fitted(4))
     records = Store(StoreSettings(data_dir=live.data_dir))
     try:
-        walked = put(records, ids["walk"], "walk", first)
-        again = put(records, ids["walk"], "walk again", second)
-        long = put(records, ids["long"], "long walk", first, LONG)
+        put = partial(put_fit, records, keypoints=KEYPOINTS, skeleton=SKELETON)
+        walked = put(ids["walk"], first, name="walk")
+        again = put(ids["walk"], second, name="walk again")
+        long = put(ids["long"], first, name="long walk", times=LONG)
     finally:
         records.close()
     model = live.get(f"/fits/{walked}")["model_id"]
@@ -84,34 +85,3 @@ def configuration(seed: int) -> FitConfig:
 
 def fitted(seed: int) -> FittedPrior:
     return fit(KEYPOINTS, configuration(seed))
-
-
-def put(records: Store, dataset: str, name: str, prior: FittedPrior, times: int = 1) -> str:
-    """Store a fit as a worker does, its frames so many times; return its identifier."""
-    lift = prior.lift(KEYPOINTS)
-    config = configuration(prior.config.seed).model_dump(mode="json")
-    made = fits.create(records, dataset_id=dataset, name=name, config=config)
-    attempt = attempts.claim(records, made.id, lease_seconds=60)
-    assert attempt is not None
-    error = float(np.nanmean(lift.arrays["reprojection_errors"]))
-    attempts.succeed(
-        records,
-        attempt,
-        weights=prior.to_bytes(),
-        reconstruction=save(
-            {key: np.concatenate([array] * times) for key, array in lift.arrays.items()}
-        ),
-        progress=None,
-        describe={
-            "dataset_id": dataset,
-            "views": KEYPOINTS.shape[1],
-            "frames": times * len(KEYPOINTS),
-            "keypoints": len(NAMES),
-            "findings": dumped(prior.findings),
-            "config": config,
-            "skeleton": {"keypoint_names": NAMES, "edges": EDGES},
-            "training_curve": [point._asdict() for point in prior.curve],
-            "metrics": {"reprojection_error": error, "frames_lifted": times * len(KEYPOINTS)},
-        },
-    )
-    return made.id

@@ -10,8 +10,9 @@ from playwright.sync_api import expect
 from store.database import Store
 from store.settings import StoreSettings
 from tests.page.conftest import Watched
-from tests.page.stored import EDGES, KEYPOINTS, NAMES, put, walking
+from tests.page.stored import EDGES, KEYPOINTS, NAMES, SKELETON, walking
 from tests.service.conftest import BYTES, Live, to_npz
+from tests.service.stored_fits import put_fit
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,7 @@ def planted(live: Live) -> str:
     dataset = live.http.post("/datasets?name=planted", content=body, headers=BYTES).json()["id"]
     records = Store(StoreSettings(data_dir=live.data_dir))
     try:
-        return put(records, dataset, "planted", walking())
+        return put_fit(records, dataset, walking(), KEYPOINTS, name="planted", skeleton=SKELETON)
     finally:
         records.close()
 

@@ -1,5 +1,7 @@
 """The network as ONNX, run by onnxruntime, answers as lifts without refinement do."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from models.lifting.fitted_capture import whole_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.onnx_file import INPUTS, OUTPUTS, onnx_file
 from models.network.priors.registry import make_prior
+from models.network.settling import SETTLE_NONE, SettlingPolicy, settle_beyond
 from models.settings.config import FitConfig
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
@@ -33,8 +36,25 @@ def untrained(config: FitConfig, foreshortening: float, known: int) -> FittedPri
     return FittedPrior(config, weights, (), foreshortening, capture=capture)
 
 
-PRIORS = {
-    "fitted": lambda: FittedPrior.from_bytes((FIXTURES / "resting.safetensors").read_bytes()),
+def fitted(foreshortening: float, settling: SettlingPolicy) -> FittedPrior:
+    """Return a fitted prior with another foreshortening and policy of settling."""
+    prior = FittedPrior.from_bytes((FIXTURES / "resting.safetensors").read_bytes())
+    found = prior._self_calibration
+    assert found is not None
+    return FittedPrior(
+        prior.config,
+        prior.weights,
+        prior.curve,
+        foreshortening,
+        replace(found, settling=settling),
+        capture=prior.capture,
+    )
+
+
+PRIORS: dict[str, Callable[[], FittedPrior]] = {
+    # Fits choose which frames are settled, with either sign.
+    "none settled": lambda: fitted(0.056, SETTLE_NONE),
+    "unusual frames settled": lambda: fitted(-0.056, settle_beyond(0.05)),
     "mirrored": lambda: untrained(CONFIGS["hierarchical"], -0.06, 16),
     "not settled": lambda: untrained(CONFIGS["hierarchical"], 0.0, 16),
     "mlp": lambda: untrained(CONFIGS["mlp"], 0.05, 14),

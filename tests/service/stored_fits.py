@@ -1,0 +1,53 @@
+"""Fits that tests store as a worker does, without one: priors that were made before."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import save
+
+from models.findings.finding import dumped
+from models.lifting.fitted_prior import FittedPrior
+from store import attempts, fits
+from store.database import Store
+
+
+def put_fit(
+    records: Store,
+    dataset: str,
+    prior: FittedPrior,
+    keypoints: NDArray[Any],
+    *,
+    name: str = "stored",
+    skeleton: dict[str, Any] | None = None,
+    times: int = 1,
+) -> str:
+    """Store a fit to keypoints (N, K, P, 2), its frames so many times; return its identifier."""
+    lift = prior.lift(keypoints)
+    frames, views, count = keypoints.shape[:3]
+    config = prior.config.model_dump(mode="json")
+    made = fits.create(records, dataset_id=dataset, name=name, config=config)
+    attempt = attempts.claim(records, made.id, lease_seconds=60)
+    assert attempt is not None
+    error = float(np.nanmean(lift.arrays["reprojection_errors"]))
+    attempts.succeed(
+        records,
+        attempt,
+        weights=prior.to_bytes(),
+        reconstruction=save(
+            {key: np.concatenate([array] * times) for key, array in lift.arrays.items()}
+        ),
+        progress=None,
+        describe={
+            "dataset_id": dataset,
+            "views": views,
+            "frames": times * frames,
+            "keypoints": count,
+            "findings": dumped(prior.findings),
+            "config": config,
+            "skeleton": skeleton,
+            "training_curve": [point._asdict() for point in prior.curve],
+            "metrics": {"reprojection_error": error, "frames_lifted": times * frames},
+        },
+    )
+    return made.id
