@@ -1,7 +1,7 @@
 """What is noticed of a capture's keypoints as it is stored, at a cost that is bounded."""
 
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -30,6 +30,24 @@ def of_new(capture: Capture, image_sizes: list[Any] | None) -> list[Any]:
     if len(numbers) == capture.frames:
         return dumped(found)
     return dumped(_with(_absences(capture, capture.frames), found))
+
+
+def of_sizes(
+    read: Callable[[int, int], Capture], dataset: DatasetRecord, image_sizes: list[Any] | None
+) -> list[Any]:
+    """Return the findings that a stored dataset has with other image sizes, as plain data.
+
+    They are those of `of_new`: the same sample of frames is looked at, of which ``read`` returns
+    those from one up to another. What no frame shows does not depend on the sizes.
+    """
+    numbers = sample(dataset.frames, dataset.views, dataset.keypoints)
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    part = concatenate([read(int(run[0]), int(run[-1]) + 1) for run in runs])
+    found = _of_sample(part, image_sizes, numbers, dataset.frames)
+    if len(numbers) == dataset.frames:
+        return dumped(found)
+    known = [Finding.model_validate(finding) for finding in dataset.findings or []]
+    return dumped(_with([each for each in known if each.code in ABSENCES], found))
 
 
 def of_longer(store: Store, dataset: DatasetRecord, added: Capture) -> list[Any]:

@@ -1,6 +1,6 @@
 """What has an identifier, datasets, models, fits and lifts alike: reading and renaming it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 from sqlalchemy import Select, func, select
@@ -130,18 +130,32 @@ def lock(
 
 
 def change(
-    store: Store, kind: type[Resource], identifier: str, columns: Mapping[str, Any]
+    store: Store,
+    kind: type[Resource],
+    identifier: str,
+    columns: Mapping[str, Any],
+    *,
+    agree: Callable[[Resource], None] = lambda _: None,
 ) -> Resource:
-    """Have columns of a record hold something else, and return it; ``NotFoundError`` as above."""
+    """Have columns of a record hold something else, and return it; ``NotFoundError`` as above.
+
+    ``agree`` is called with the locked record before it changes; what it raises prevents that.
+    """
     with store.writing() as session:
         record = lock(session, kind, identifier)
-        for name, value in columns.items():
-            setattr(record, name, value)
-        if isinstance(record, Job) and columns:
-            record.revision += 1
-        if columns:
-            audit.note(session, f"{kind.noun}.change", record.id)
+        agree(record)
+        put(session, record, columns)
     return record
+
+
+def put(session: Session, record: Resource, columns: Mapping[str, Any]) -> None:
+    """Have columns of a locked record hold something else, and note it in the audit."""
+    for name, value in columns.items():
+        setattr(record, name, value)
+    if isinstance(record, Job) and columns:
+        record.revision += 1
+    if columns:
+        audit.note(session, f"{record.noun}.change", record.id)
 
 
 def page(

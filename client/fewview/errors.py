@@ -8,7 +8,7 @@
     │   ├── Unauthorized     401: there is no key, or it is not in force
     │   ├── Forbidden        403: the key does not allow this
     │   ├── NotFound         404: there is no such dataset, fit, model or lift
-    │   ├── Conflict         409: not in the state that it is in
+    │   ├── Conflict         409, 412: not in the state that it is in, or that it was read in
     │   ├── TooManyRequests  429: too many jobs wait
     │   └── Unavailable      502, 503, 504: the service or a part of it is away for the moment
     ├── ConnectionFailed     the service cannot be reached, or does not answer as one
@@ -159,6 +159,7 @@ _BY_STATUS: dict[int, type[ApiError]] = {
     404: NotFound,
     406: InvalidRequest,
     409: Conflict,
+    412: Conflict,
     413: InvalidRequest,
     415: InvalidRequest,
     416: InvalidRequest,

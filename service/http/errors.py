@@ -50,6 +50,7 @@ PROBLEMS = {
     "method_not_allowed": (405, "The method is not allowed here"),
     "not_acceptable": (406, "No such representation"),
     "conflict": (409, "The state of the resource does not allow this"),
+    "precondition_failed": (412, "The resource has changed since it was read"),
     "body_too_large": (413, "The body is too large"),
     "unsupported_media_type": (415, "The body's media type is not supported"),
     "idle": (408, "Nothing came for too long"),

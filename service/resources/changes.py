@@ -1,13 +1,16 @@
-"""Changing names, tags and metadata of stored resources."""
+"""Changing names, tags and metadata of stored resources, and what else a kind of them allows."""
 
+import hashlib
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
-from fastapi import APIRouter, Path
+import orjson
+from fastapi import APIRouter, Header, Path, Response
 from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy import inspect
 
 from service.http.dependencies import StoreDep
-from service.http.errors import BODY_PROBLEMS, problems
+from service.http.errors import BODY_PROBLEMS, ApiError, problems
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
 from service.wire.json_bodies import read_json
@@ -15,6 +18,17 @@ from service.wire.schemas import Name
 from store import lookup
 from store.labels import METADATA, TAGS, Metadata, Tags
 from store.lookup import Resource
+from store.records import Job
+
+LABELS = ("name", "tags", "metadata")
+IfMatch = Annotated[
+    str | None,
+    Header(
+        max_length=1000,
+        description="The `ETag` of the resource as you read it: if it has changed since, nothing "
+        "is changed (412).",
+    ),
+]
 
 
 class Change(BaseModel):
@@ -36,12 +50,33 @@ class Change(BaseModel):
         given = {"name": self.name, "tags": self.tags, "user_metadata": self.metadata}
         return {column: value for column, value in given.items() if value is not None}
 
+    def check(self, record: Any) -> None:
+        """Raise ``ApiError`` for what this record cannot be changed to; labels suit every one."""
+
+
+class Write(Protocol):
+    """What changes columns of a record, as `store.lookup.change` does."""
+
+    def __call__(
+        self,
+        store: Any,
+        kind: Any,
+        identifier: str,
+        columns: dict[str, Any],
+        *,
+        agree: Callable[[Any], None],
+    ) -> Any:
+        """Change them, and return the record."""
+
 
 def add_change_route(
     router: APIRouter,
     kind: type[Resource],
     form: type[BaseModel],
     to_wire: Callable[[Resource], BaseModel],
+    *,
+    change: type[Change] = Change,
+    write: Write = lookup.change,
 ) -> None:
     """Add ``PATCH`` of one resource.
 
@@ -49,22 +84,55 @@ def add_change_route(
     ----------
     form, to_wire
         The JSON form of a resource, and what makes it of a record.
+    change, write
+        The JSON form of what can be changed, and what does so.
     """
     noun = kind.noun
+    others = [name for name in change.model_fields if name not in LABELS]
+    more = f" And {', '.join(f'`{name}`' for name in others)}, which null removes." * bool(others)
 
     @router.patch(
         f"/{{{noun}_id}}",
         name=f"change_{noun}",
         response_model=form,
         description=f"Change the labels of a {noun}: `name`, `tags`, `metadata`. Fields that are "
-        "left out stay as they are.",
-        responses=problems(*BODY_PROBLEMS, "not_found"),
-        openapi_extra=request_body(Change),
+        f"left out stay as they are.{more}",
+        responses=problems(*BODY_PROBLEMS, "not_found", "precondition_failed"),
+        openapi_extra=request_body(change),
     )
     def change_resource(
         identifier: Annotated[str, Path(alias=f"{noun}_id", max_length=200)],
         upload: UploadBody,
         store: StoreDep,
+        response: Response,
+        if_match: IfMatch = None,
     ) -> Any:
-        columns = read_json(upload, Change).columns()
-        return to_wire(lookup.change(store, kind, identifier, columns))
+        asked = read_json(upload, change)
+        asked.check(lookup.get(store, kind, identifier))
+        agree = _unchanged_since(if_match)
+        changed = write(store, kind, identifier, asked.columns(), agree=agree)
+        response.headers["ETag"] = etag_of(changed)
+        return to_wire(changed)
+
+
+def etag_of(record: Any) -> str:
+    """Return the strong entity tag (RFC 9110, 8.8.3) of what is stored of a record."""
+    if isinstance(record, Job):
+        return f'"{record.revision}"'
+    columns = {column.key: getattr(record, column.key) for column in inspect(type(record)).columns}
+    return f'"{hashlib.sha256(orjson.dumps(columns)).hexdigest()[:32]}"'
+
+
+def _unchanged_since(if_match: str | None) -> Callable[[Any], None]:
+    """Return what raises ``ApiError`` (412) for a record with none of these tags (13.1.1)."""
+
+    def check(record: Any) -> None:
+        tags = [tag.strip() for tag in (if_match or "*").split(",")]
+        if "*" not in tags and etag_of(record) not in tags:
+            raise ApiError(
+                "precondition_failed",
+                f"This {record.noun} has changed since you read it: expected If-Match "
+                f"{etag_of(record)}; read it again, and change that.",
+            )
+
+    return check

@@ -10,6 +10,7 @@ from models.settings.keypoints import MAX_VIEWS
 from models.settings.times import MAX_FPS, MIN_FPS, check_rate
 from service.http.errors import invalid
 from service.http.uploads import HOW_TO_SEND_FILES, Upload
+from service.resources.changes import Change
 from service.settings import Settings
 from service.wire.arrays import Arrays
 from service.wire.captures import read_arrays, to_capture
@@ -21,6 +22,7 @@ from store.capture import Capture
 from store.capture_files import UNKNOWN_SIZE
 from store.datasets import CaptureDescription
 from store.labels import Labels, Text
+from store.records import DatasetRecord
 
 CAPTURE_ARRAYS = frozenset({"keypoints", "confidence", "points3d", "times"})
 DESCRIPTION_ARRAYS = frozenset({"keypoint_names", "edges", "image_sizes", "fps", "view_names"})
@@ -33,10 +35,9 @@ ImageSize = Annotated[
 ]
 
 
-class DatasetDescription(Labels):
-    """The description of a capture besides its arrays."""
+class CaptureFacts(BaseModel):
+    """What may be known of a capture besides its arrays, at once or later."""
 
-    name: Name = "capture"
     skeleton: Skeleton | None = None
     view_names: list[ViewName] | None = Field(
         None,
@@ -56,15 +57,51 @@ class DatasetDescription(Labels):
         "out of step are then found and shifted (`synchronise` of a fit).",
     )
 
-    def describe(self, capture: Capture) -> CaptureDescription:
-        """Return the description, checked against the capture it describes."""
-        views, keypoints = capture.keypoints.shape[1:3]
+    def suit(self, views: int, keypoints: int) -> None:
+        """Raise ``ApiError`` unless a capture of so many views and keypoints may have them."""
         if self.skeleton is not None:
             self.skeleton.check(keypoints)
         for field in ("image_sizes", "view_names"):
             given = getattr(self, field)
             if given is not None and len(given) != views:
                 raise invalid(f"/{field}", f"expected one per view ({views}), got {len(given)}")
+
+
+class DatasetChange(CaptureFacts, Change):
+    """What to change of a dataset; what is left out stays as it is.
+
+    So do labels that are null. Of all else null removes what is there.
+    """
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "skeleton": {"keypoint_names": ["nose", "neck"], "edges": [[0, 1]]},
+                "image_sizes": [[1280, 1024], [1280, 1024]],
+                "fps": 50.0,
+            }
+        },
+    )
+
+    def columns(self) -> dict[str, Any]:
+        """Return the record's columns that change, with their new values."""
+        facts = self.model_dump(include=self.model_fields_set & set(CaptureFacts.model_fields))
+        return super().columns() | facts
+
+    def check(self, record: DatasetRecord) -> None:
+        """Raise ``ApiError`` for what this dataset cannot be changed to."""
+        self.suit(record.views, record.keypoints)
+
+
+class DatasetDescription(CaptureFacts, Labels):
+    """The description of a capture besides its arrays."""
+
+    name: Name = "capture"
+
+    def describe(self, capture: Capture) -> CaptureDescription:
+        """Return the description, checked against the capture it describes."""
+        views, keypoints = capture.keypoints.shape[1:3]
+        self.suit(views, keypoints)
         if self.fps is not None and capture.times is not None:
             try:
                 check_rate(self.fps, capture.times)

@@ -18,8 +18,9 @@ from service.http.errors import BODY_PROBLEMS, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
 from service.http.uploads import FilesBody, UploadBody
-from service.resources.changes import add_change_route
+from service.resources.changes import add_change_route, etag_of
 from service.resources.dataset_bodies import (
+    DatasetChange,
     DatasetCreate,
     DatasetForm,
     Frames,
@@ -31,7 +32,7 @@ from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
-from store import datasets, lookup, records
+from store import dataset_changes, datasets, lookup, records
 from store.labels import labels_of
 
 logger = logging.getLogger(__name__)
@@ -225,12 +226,21 @@ add_list_routes(
 
 
 @router.get("/{dataset_id}", responses=problems("not_found"))
-def get_dataset(dataset_id: Identifier, store: StoreDep) -> Dataset:
+def get_dataset(dataset_id: Identifier, store: StoreDep, response: Response) -> Dataset:
     """Describe a dataset."""
-    return Dataset.of(lookup.get(store, records.DatasetRecord, dataset_id))
+    record = lookup.get(store, records.DatasetRecord, dataset_id)
+    response.headers["ETag"] = etag_of(record)
+    return Dataset.of(record)
 
 
-add_change_route(router, records.DatasetRecord, Dataset, Dataset.of)
+add_change_route(
+    router,
+    records.DatasetRecord,
+    Dataset,
+    Dataset.of,
+    change=DatasetChange,
+    write=dataset_changes.change,
+)
 
 
 @router.delete(

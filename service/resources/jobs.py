@@ -12,7 +12,7 @@ from typing_extensions import TypeAliasType
 from service.http.dependencies import RedisDep, StoreDep
 from service.http.errors import problems
 from service.http.keyring import still_let_in
-from service.resources.changes import add_change_route
+from service.resources.changes import add_change_route, etag_of
 from service.resources.events import EventsDep
 from service.resources.lists import Columns
 from store import jobs, lookup
@@ -95,7 +95,8 @@ def add_job_routes(
         description=f"Describe a {noun} and its progress.",
         responses=problems("not_found"),
     )
-    def get_job(job: Annotated[Job, found]) -> Any:
+    def get_job(job: Annotated[Job, found], response: Response) -> Any:
+        response.headers["ETag"] = etag_of(job)
         return to_wire(job)
 
     add_change_route(router, kind, form, to_wire)

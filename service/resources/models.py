@@ -26,7 +26,7 @@ from service.http.operations import file_responses, request_body
 from service.http.turns import turn
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
-from service.resources.changes import add_change_route
+from service.resources.changes import add_change_route, etag_of
 from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.calibrations import MEDIA_TYPES, CalibrationFormat, calibration_file
 from service.wire.cameras import ModelCameras
@@ -177,9 +177,11 @@ add_list_routes(
 
 
 @router.get("/{model_id}", responses=problems("not_found"))
-def get_model(model_id: Identifier, store: StoreDep) -> Model:
+def get_model(model_id: Identifier, store: StoreDep, response: Response) -> Model:
     """Describe a model: configuration, training curve, errors."""
-    return Model.of(lookup.get(store, records.ModelRecord, model_id))
+    record = lookup.get(store, records.ModelRecord, model_id)
+    response.headers["ETag"] = etag_of(record)
+    return Model.of(record)
 
 
 @router.get(

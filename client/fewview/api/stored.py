@@ -52,6 +52,9 @@ class Stored(Resource[Driver], Generic[Driver, S]):
     def update(self, stored: S | str, /, **changes: Any) -> Steps[S]:
         """Change the labels of one: its ``name``, ``tags`` or ``metadata``.
 
+        Of a dataset also its ``skeleton``, ``view_names``, ``image_sizes`` and ``fps``; None
+        removes these.
+
         Raises
         ------
         InvalidRequest

@@ -1,8 +1,10 @@
-"""PATCH: names, tags, metadata."""
+"""PATCH: names, tags, metadata, and what is known of a dataset."""
 
+import io
 import json
 from typing import Any
 
+import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
@@ -94,3 +96,58 @@ def test_followers_of_a_job_see_its_new_name(api: TestClient, urls: list[str]) -
         after = api.get(f"{url}/events").text
         assert f"id: {seen + 1}" in after
         assert '"renamed"' in after
+
+
+def test_a_stale_tag_changes_nothing(api: TestClient, urls: list[str]) -> None:
+    for url in urls:
+        tag = api.get(url).headers["etag"]
+        changed = api.patch(url, json={"name": "first"}, headers={"If-Match": tag})
+        assert changed.headers["etag"] == api.get(url).headers["etag"] != tag
+        stale = api.patch(url, json={"name": "second"}, headers={"If-Match": f'"x", {tag}'})
+        problem(stale, 412, "precondition_failed")
+        assert api.get(url).json()["name"] == "first"
+        for fresh in (changed.headers["etag"], "*"):
+            kept = api.patch(url, json={"name": "third"}, headers={"If-Match": fresh})
+            assert kept.status_code == 200, kept.text
+
+
+def test_what_is_known_of_a_dataset_can_be_given_later(api: TestClient) -> None:
+    facts: dict[str, Any] = {
+        "skeleton": {"keypoint_names": [f"k{k}" for k in range(16)], "edges": [[0, 1], [1, 15]]},
+        "view_names": ["left", "right"],
+        "image_sizes": [[2000, 2000], None],
+        "fps": 50.0,
+    }
+    at_once = make_dataset(api, frames=40, **facts)
+    later = make_dataset(api, frames=40)
+    url = f"/datasets/{later['id']}"
+    changed = api.patch(url, json=facts | {"name": "n"}).json()
+    own = {"id", "created_at", "name"}
+    assert {k: v for k, v in changed.items() if k not in own} == {
+        k: v for k, v in at_once.items() if k not in own
+    }
+    assert changed == api.get(url).json()
+    with np.load(io.BytesIO(api.get(f"{url}/capture").content)) as file:
+        assert file["edges"].tolist() == facts["skeleton"]["edges"]
+        assert file["fps"] == 50
+    removed = api.patch(url, json=dict.fromkeys(facts)).json()
+    assert removed == later | {"name": "n"}
+
+
+def test_what_a_dataset_cannot_be_is_refused(api: TestClient) -> None:
+    times = [k / 50 for k in range(6)]
+    url = f"/datasets/{make_dataset(api, times=times)['id']}"
+    before = api.get(url).json()
+    for body, pointer in (
+        ({"fps": 0}, "/fps"),
+        ({"fps": 30}, "/fps"),
+        ({"image_sizes": [[640, 480]]}, "/image_sizes"),
+        ({"image_sizes": [[0, 480], None]}, "/image_sizes/0/0"),
+        ({"view_names": ["one"]}, "/view_names"),
+        ({"skeleton": {"keypoint_names": ["a"]}}, "/skeleton/keypoint_names"),
+        ({"skeleton": {"keypoint_names": ["a"] * 16}}, "/skeleton/keypoint_names"),
+        ({"skeleton": {"edges": [[0, 1], [3, 16]]}}, "/skeleton/edges/1"),
+        ({"skeleton": {"edge": []}}, "/skeleton/edge"),
+    ):
+        problem(api.patch(url, json=body), 422, "invalid_input", pointer)
+    assert api.get(url).json() == before
