@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import orjson
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
-from sqlalchemy import ColumnElement, cast, func, literal, or_, select
+from sqlalchemy import ColumnElement, case, cast, func, literal, or_, select
 from sqlalchemy.dialects.postgresql import JSONB
 
 from store.records import Labelled
@@ -100,6 +100,26 @@ def tagged(dialect: str, kind: type[Labelled], tag: str) -> ColumnElement[bool]:
         return cast(kind.tags, JSONB).contains([tag])  # which an index knows
     elements = func.json_each(kind.tags).table_valued("value")
     return select(literal(1)).select_from(elements).where(elements.c.value == tag).exists()
+
+
+def mentions(dialect: str, kind: type[Labelled], word: str) -> ColumnElement[bool]:
+    """Return the condition that a record's name, or one of its tags, has a word in it.
+
+    Capitals count as small letters, in SQLite those of ASCII alone.
+
+    Parameters
+    ----------
+    dialect
+        The database's, as SQLAlchemy calls it.
+    """
+    if dialect == "postgresql":
+        # An older record may have no tags: null, in JSON.
+        array = case((func.jsonb_typeof(cast(kind.tags, JSONB)) == "array", cast(kind.tags, JSONB)))
+        tags = func.jsonb_array_elements_text(array).table_valued("value")
+    else:
+        tags = func.json_each(kind.tags).table_valued("value")
+    tag = select(literal(1)).select_from(tags).where(tags.c.value.icontains(word, autoescape=True))
+    return or_(kind.name.icontains(word, autoescape=True), tag.exists())
 
 
 def says(dialect: str, kind: type[Labelled], key: str, text: str) -> ColumnElement[bool]:

@@ -11,7 +11,7 @@ from store.array_files import GetRange
 from store.authors import author_of
 from store.database import Store
 from store.errors import DamagedError, NotFoundError, StoreError
-from store.labels import says, tagged
+from store.labels import mentions, says, tagged
 from store.records import (
     DEFAULT_PROJECT,
     DatasetRecord,
@@ -42,6 +42,8 @@ class Filters(NamedTuple):
         These texts under these keys, as :func:`store.labels.says` compares them.
     equal
         Required values of columns.
+    words
+        Each in the name or in a tag, as :func:`store.labels.mentions` looks for it.
     """
 
     ids: Sequence[str] = ()
@@ -50,11 +52,12 @@ class Filters(NamedTuple):
     tags: Sequence[str] = ()
     metadata: Mapping[str, str] = {}
     equal: Mapping[str, str | None] = {}
+    words: Sequence[str] = ()
 
     def __bool__(self) -> bool:
         """Return whether there is any condition."""
         moments = (self.created_before, self.created_after)
-        return any((self.ids, self.tags, self.metadata)) or any(
+        return any((self.ids, self.tags, self.metadata, self.words)) or any(
             value is not None for value in (*moments, *self.equal.values())
         )
 
@@ -206,6 +209,7 @@ def _allowed(
     dialect = store.engine.dialect.name
     query = query.filter_by(**{n: value for n, value in filters.equal.items() if value is not None})
     query = query.where(*(tagged(dialect, kind, tag) for tag in filters.tags))
+    query = query.where(*(mentions(dialect, kind, word) for word in filters.words))
     return query.where(*(says(dialect, kind, *item) for item in filters.metadata.items()))
 
 

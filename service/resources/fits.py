@@ -4,7 +4,7 @@ from contextlib import suppress
 from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
-from fastapi import APIRouter, Depends, Request, Response, status
+from fastapi import APIRouter, Depends, Query, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 from redis import Redis
 from redis.exceptions import RedisError
@@ -29,7 +29,7 @@ from service.resources.jobs import (
     finder,
     job_columns,
 )
-from service.resources.lists import Page, add_list_routes, page_of
+from service.resources.lists import Columns, Page, add_list_routes, page_of
 from service.wire.findings import Findings
 from service.wire.json_bodies import read_json
 from service.wire.schemas import Name
@@ -239,6 +239,17 @@ def create_fit(
     return Fit.of(record)
 
 
+async def fit_columns(
+    columns: Annotated[Columns, Depends(job_columns)],
+    from_model: Annotated[
+        Text | None,
+        Query(max_length=200, description="Those that start with this model's weights."),
+    ] = None,
+) -> Columns:
+    """Return what columns of the fits in a list must hold."""
+    return {**columns, "from_model": from_model}
+
+
 add_list_routes(
     router,
     records.FitRecord,
@@ -246,7 +257,7 @@ add_list_routes(
     Fit.of,
     prefix="fit",
     delete=fits.delete,
-    columns=job_columns,
+    columns=fit_columns,
 )
 
 

@@ -13,7 +13,7 @@ from service.wire.schemas import Name
 from store import lookup
 from store.database import Store
 from store.errors import ConflictError, NotFoundError
-from store.labels import Tag
+from store.labels import Tag, Text
 from store.lookup import Filters, Resource
 
 
@@ -28,6 +28,7 @@ Columns = dict[str, str | None]
 
 MOST_LISTED = 200
 MOST_LABELS = 8  # tags, and keys of metadata, to filter by
+MOST_WORDS = 8  # to search for
 LONGEST_VALUE = 1000
 
 LimitQuery = Annotated[int, Query(ge=1, le=MOST_LISTED, description="Items on a page.")]
@@ -248,6 +249,15 @@ def _asked_of(
                 description="Those with this tag; may be repeated, for those with all of them.",
             ),
         ] = [],  # noqa: B006
+        search: Annotated[
+            Text | None,
+            Query(
+                min_length=1,
+                max_length=200,
+                description=f"Those with each of these words in their name or in a tag, as a part "
+                f"of it, capital or small; {MOST_WORDS} words at most.",
+            ),
+        ] = None,
         created_before: Annotated[
             Moment | None, Query(description=f"Those made before this moment: {_MOMENT}")
         ] = None,
@@ -262,10 +272,18 @@ def _asked_of(
             tags=tags,
             metadata=_metadata_in(request),
             equal={"name": name, **equal},
+            words=_words_in(search),
         )
         return Asked(MOST_LISTED if identifiers else limit, cursor, filters)
 
     return read_query
+
+
+def _words_in(search: str | None) -> list[str]:
+    words = (search or "").split()
+    if len(words) > MOST_WORDS:
+        raise invalid("/search", f"expected {MOST_WORDS} words at most, got {len(words)}")
+    return words
 
 
 def _metadata_in(request: Request) -> dict[str, str]:

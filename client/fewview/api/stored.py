@@ -42,8 +42,8 @@ class Stored(Resource[Driver], Generic[Driver, S]):
         metadata
             Values of their metadata under keys of its first level: strings, numbers or booleans.
         filters
-            Those of the API's query: ``id``, ``tag`` (one or several), ``name``,
-            ``created_after`` (a datetime), of jobs ``status`` and more.
+            Those of the API's query: ``id``, ``tag`` (one or several), ``name``, ``search``
+            (words of names and tags), ``created_after`` (a datetime), of jobs ``status`` and more.
         """
         query = filters | _metadata(metadata)
         return Request("GET", path(self._plural), page_of(self._form), params=query)

@@ -45,6 +45,9 @@ MOMENT = "this date or moment, such as 2026-01-31T09:30:00Z; UTC unless it names
 Output = Annotated[Path, typer.Option("--output", "-o", help="The file to write.")]
 Identifier = Annotated[str, typer.Argument(metavar="ID")]
 Name = Annotated[str | None, typer.Option(help="Those of this very name.")]
+Search = Annotated[
+    str | None, typer.Option(help="Those with each of these words in their name or in a tag.")
+]
 WithTags = Annotated[
     list[str] | None, typer.Option("--tag", help="Those with this tag; may repeat.")
 ]
@@ -94,6 +97,7 @@ def _add_list(app: typer.Typer, kind: str) -> None:
     def list_stored(
         *,
         name: Name = None,
+        search: Search = None,
         tag: WithTags = None,
         metadata: WithMetadata = None,
         status: _status_of(kind) = None,  # type: ignore[valid-type]
@@ -104,7 +108,7 @@ def _add_list(app: typer.Typer, kind: str) -> None:
         as_json: AsJson = False,
     ) -> None:
         with talking(url) as client:
-            filters = _filters(name, tag, metadata, status, before, after)
+            filters = _filters(name, search, tag, metadata, status, before, after)
             items = islice(_part(client, kind).list(**filters, limit=min(most, 200)), most)
             listed = [item.raw for item in items]
             typer.echo(json.dumps(listed) if as_json else _lines(kind, listed))
@@ -160,6 +164,7 @@ def _add_delete(app: typer.Typer, kind: str) -> None:
         identifiers: Annotated[list[str] | None, typer.Argument(metavar="[ID]...")] = None,
         *,
         name: Name = None,
+        search: Search = None,
         tag: WithTags = None,
         metadata: WithMetadata = None,
         status: _status_of(kind) = None,  # type: ignore[valid-type]
@@ -170,7 +175,7 @@ def _add_delete(app: typer.Typer, kind: str) -> None:
         as_json: AsJson = False,
     ) -> None:
         with talking(url) as client:
-            filters = _filters(name, tag, metadata, status, before, after)
+            filters = _filters(name, search, tag, metadata, status, before, after)
             if any(filters.values()):
                 chosen = _chosen(client, kind, {"id": identifiers, **filters}, ask=not yes)
             elif identifiers:
@@ -182,6 +187,7 @@ def _add_delete(app: typer.Typer, kind: str) -> None:
 
 def _filters(
     name: str | None,
+    search: str | None,
     tags: list[str] | None,
     metadata: list[str] | None,
     status: str | None,
@@ -190,6 +196,7 @@ def _filters(
 ) -> dict[str, Any]:
     return {
         "name": name,
+        "search": search,
         "tag": tags or None,
         "metadata": fields_in(metadata, "--metadata") or None,
         "status": status,

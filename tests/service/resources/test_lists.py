@@ -70,6 +70,46 @@ def test_filters_and_the_cursor_work_together(
         assert identifiers(api, kind, name="a & b", status="running") == []
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_words_are_searched_in_names_and_tags(
+    api: TestClient, make: Callable[[str, str], dict[str, Any]], kind: str
+) -> None:
+    walk, run, odd = (make(kind, name)["id"] for name in ("Gait: Walk 3", "gait run", "100%_\\"))
+    assert api.patch(f"/{kind}/{run}", json={"tags": ["Pilot day", "M7"]}).status_code == 200
+    for search, expected in (
+        ("gait", [run, walk]),
+        ("GAIT 3", [walk]),
+        ("3 walk", [walk]),
+        ("ilot", [run]),
+        ("m7 RUN", [run]),
+        ("walk m7", []),
+        ("%_\\", [odd]),
+        ("gait%", []),
+        ("g_it", []),
+        ("'; drop table fits --", []),
+    ):
+        assert identifiers(api, kind, search=search) == expected, search
+    assert identifiers(api, kind, search="gait", tag="M7") == [run]
+    found = api.delete(f"/{kind}", params={"search": "gait", "dry_run": True}).json()
+    assert found["found"] == 2
+    for search in ("", "a" * 201, "a\0b", " ".join("abcdefghi")):
+        for method in ("GET", "DELETE"):
+            answer = api.request(method, f"/{kind}", params={"search": search})
+            problem(answer, 422, "invalid_input", "/search")
+
+
+def test_fits_are_listed_by_the_model_that_they_begin_with(api: TestClient, model: str) -> None:
+    dataset = make_dataset(api, frames=1)["id"]
+    begun, others = (
+        api.post("/fits", json={"dataset_id": dataset, **body}).json()["id"]
+        for body in ({"from_model": model}, {})
+    )
+    for each in (begun, others):
+        assert api.post(f"/fits/{each}/cancel").is_success
+    assert identifiers(api, "fits", from_model=model) == [begun]
+    assert identifiers(api, "fits", from_model="mdl_none") == []
+
+
 def test_moments_have_a_zone_or_are_utc(api: TestClient) -> None:
     made = make_dataset(api, frames=1, name="zones")
     moment = datetime.fromisoformat(made["created_at"]) + timedelta(minutes=1)
