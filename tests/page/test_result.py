@@ -29,9 +29,13 @@ def test_static_cameras_are_shown_in_their_room_and_looked_through(
     labels.nth(1).click()
     expect(page.get_by_role("button", name="Through view 1")).to_be_visible()
     expect(labels.first).to_be_hidden()
-    page.locator(".stage canvas").drag_to(page.locator(".stage canvas"), force=True)
+    drawn = page.locator(".stage canvas")
+    drawn.click(force=True)
+    expect(page.get_by_role("button", name="Through view 1")).to_be_visible()
+    drawn.drag_to(drawn, target_position={"x": 80, "y": 90}, force=True)
     expect(page.get_by_role("button", name="Through view 1")).to_have_count(0)
-    page.get_by_label("mark").select_option("l_knee")
+    page.get_by_label("Select a keypoint").fill("l_knee")
+    page.keyboard.press("Enter")
     expect(page.get_by_text("l_knee is marked in all views")).to_be_visible()
 
 

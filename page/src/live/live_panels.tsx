@@ -10,6 +10,7 @@ import { onThemeChange, readTheme } from "../parts/theme.ts";
 import { createLoop } from "../result/loop.ts";
 import { createPlayer } from "../result/player.ts";
 import type { Extent } from "../result/scene/parts.ts";
+import { useSelection } from "../result/selection.ts";
 import { ShownContext, type Shown } from "../result/show.ts";
 import { StagePanel } from "../result/stage_panel.tsx";
 import { ViewPanel } from "../result/view_panel.tsx";
@@ -94,7 +95,7 @@ function useFeed(running: Running, setTrouble: (trouble: Trouble | null) => void
   const { config, frames, posed } = running;
   const [theme, setTheme] = useState(readTheme);
   const [through, setThrough] = useState<number | null>(null);
-  const [selected, select] = useState<number | null>(null);
+  const selection = useSelection();
   const come = useRef(0); // frames
   const player = useMemo(() => createPlayer(frames, running.rate ?? 30, 0), [running]);
   const loop = useMemo(() => createLoop(player), [player]);
@@ -121,7 +122,8 @@ function useFeed(running: Running, setTrouble: (trouble: Trouble | null) => void
   const lookThrough = (view: number | null) => setThrough(view === null || posed[view] ? view : null);
   const shown: Shown = {
     ...{ config, take: feed.take, player, loop, theme, posed, version: 0, done: false },
-    ...{ selected, select, through, lookThrough },
+    ...selection,
+    ...{ through, lookThrough },
   };
   return { feed, shown, come };
 }

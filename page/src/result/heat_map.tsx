@@ -17,7 +17,7 @@ export interface Cell {
 }
 
 export function HeatMap({ onCell }: { onCell: (cell: Cell | null) => void }) {
-  const { take, player, errors, errorsDone, theme, select, selected } = useShow();
+  const { take, player, errors, errorsDone, theme, select, selected, setSelected } = useShow();
   const canvas = useRef<HTMLCanvasElement>(null);
   const largest = useKeypointLimit();
   useEffect(() => {
@@ -45,13 +45,18 @@ export function HeatMap({ onCell }: { onCell: (cell: Cell | null) => void }) {
         const cell = cellAt(event);
         player.playing = false;
         player.show(cell.frame);
-        select(cell.keypoint);
+        if (event.shiftKey) select(cell.keypoint, true);
+        else setSelected([cell.keypoint]);
       }}
     >
       <canvas ref={canvas} role="img" aria-label={`Errors of ${take.keypoints} keypoints over ${take.frames} frames`} />
-      {selected !== null && (
-        <i class="row" style={{ top: `${(100 * selected) / take.keypoints}%`, height: `${100 / take.keypoints}%` }} />
-      )}
+      {selected.map((keypoint) => (
+        <i
+          key={keypoint}
+          class="row"
+          style={{ top: `${(100 * keypoint) / take.keypoints}%`, height: `${100 / take.keypoints}%` }}
+        />
+      ))}
     </div>
   );
 }

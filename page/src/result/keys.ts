@@ -9,6 +9,7 @@ export const SHORTCUTS: [string, string][] = [
   ["Home End", "the first or the last frame"],
   ["W", "the next of the worst frames; with Shift the one before"],
   ["1 – 9", "look through a view; Esc leaves it"],
+  ["Esc", "no keypoint is selected any more"],
   ["F", "show the subject"],
   ["C", "show the cameras"],
 ];
@@ -19,7 +20,6 @@ interface Ways {
   views: number;
   stage: () => Stage | null;
   lookThrough(view: number | null): void;
-  select(keypoint: number | null): void;
 }
 
 /** Listens to keys until what it returns is called. Fields keep those that are typed into them. */
@@ -35,7 +35,7 @@ export function listenToKeys(ways: Ways): () => void {
   return () => window.removeEventListener("keydown", listen);
 }
 
-function act(event: KeyboardEvent, { player, worst, views, stage, lookThrough, select }: Ways): boolean {
+function act(event: KeyboardEvent, { player, worst, views, stage, lookThrough }: Ways): boolean {
   const far = event.shiftKey ? 10 : 1;
   const actions: Record<string, () => void> = {
     " ": () => player.toggle(),
@@ -46,10 +46,7 @@ function act(event: KeyboardEvent, { player, worst, views, stage, lookThrough, s
     w: () => nextWorst(player, worst, event.shiftKey ? -1 : 1),
     f: () => stage()?.frameSubject(),
     c: () => stage()?.frameCameras(),
-    Escape: () => {
-      lookThrough(null);
-      select(null);
-    },
+    Escape: () => lookThrough(null),
   };
   const view = Number(event.key) - 1;
   const action =

@@ -1,10 +1,8 @@
 /** What colours and strokes mean, and what the views show. */
 
 import type { Crop } from "./crop.ts";
-import { useShow } from "./show.ts";
 
 export function Legend({ crop, setCrop }: { crop: Crop; setCrop: (crop: Crop) => void }) {
-  const show = useShow();
   return (
     <div class="legend quiet">
       <span>
@@ -26,20 +24,6 @@ export function Legend({ crop, setCrop }: { crop: Crop; setCrop: (crop: Crop) =>
         <i class="cross">×</i> outlier
       </span>
       <label class="check last">
-        mark
-        <select
-          value={show.selected ?? ""}
-          onChange={({ currentTarget: { value } }) => show.select(value === "" ? null : Number(value))}
-        >
-          <option value="">no keypoint</option>
-          {show.take.names.map((name, keypoint) => (
-            <option key={keypoint} value={keypoint}>
-              {name}
-            </option>
-          ))}
-        </select>
-      </label>
-      <label class="check">
         views show
         <select value={crop} onChange={(event) => setCrop(event.currentTarget.value as Crop)}>
           <option value="subject">the subject</option>

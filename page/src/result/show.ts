@@ -10,9 +10,10 @@ import type { KeypointErrors } from "../science/errors.ts";
 import type { Loop } from "./loop.ts";
 import type { Overlay } from "./overlay_choice.tsx";
 import type { Player } from "./player.ts";
+import type { Selection } from "./selection.ts";
 
 /** Structures, whether they are stored or come just now. */
-export interface Shown {
+export interface Shown extends Selection {
   config: Model["config"];
   take: Take;
   player: Player;
@@ -21,8 +22,6 @@ export interface Shown {
   posed: boolean[]; // views that have a perspective pose in some frame
   version: number; // of the take: it rises as frames come
   done: boolean; // whether all frames are there
-  selected: number | null; // keypoint
-  select(keypoint: number | null): void;
   through: number | null; // view
   lookThrough(view: number | null): void;
 }

@@ -5,6 +5,7 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import { Alert } from "../parts/alert.tsx";
 import type { Extent } from "./scene/parts.ts";
 import { nearest } from "../data/take.ts";
+import { pickOn } from "./scene/picking.ts";
 import { createStage, type Stage } from "./scene/scene.ts";
 import { useShown } from "./show.ts";
 import { StageControls } from "./stage_controls.tsx";
@@ -36,7 +37,7 @@ export function StagePanel({ onStage, extent, overlay = null, title, plain = fal
   const labels = useRef<HTMLDivElement>(null);
   const [stage, setStage] = useState<Stage | null>(null);
   const [trouble, setTrouble] = useState<string | null>(null);
-  const { take, player, loop, theme, selected, through, lookThrough } = show;
+  const { take, player, loop, theme, selected, select, through, lookThrough } = show;
 
   useEffect(() => {
     if (holder.current === null) return undefined;
@@ -68,6 +69,11 @@ export function StagePanel({ onStage, extent, overlay = null, title, plain = fal
     stage?.lookThrough(through);
     stage?.paint(theme, selected);
   }, [stage, theme, selected, through]);
+
+  useEffect(() => {
+    if (stage === null) return undefined;
+    return pickOn(stage.canvas, { names: take.names, places: stage.keypointPlaces, onPick: select });
+  }, [stage, take, select]);
 
   useEffect(() => stage?.spoil(), [stage, show.version]);
   useEffect(() => stage?.overlay(overlay), [stage, overlay]);

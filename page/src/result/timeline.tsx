@@ -40,7 +40,8 @@ export function Timeline() {
   );
 }
 
-function caption(names: string[], selected: number | null): string {
-  if (selected === null) return "Each row is a keypoint, each column a frame. Click to go there.";
-  return `${names[selected]} is marked in all views. Esc ends that.`;
+function caption(names: string[], selected: readonly number[]): string {
+  if (selected.length === 0) return "Each row is a keypoint, each column a frame. Click to go there.";
+  const marked = selected.map((keypoint) => names[keypoint]).join(", ");
+  return `${marked} ${selected.length === 1 ? "is" : "are"} marked in all views. Esc ends that.`;
 }

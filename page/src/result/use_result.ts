@@ -16,6 +16,7 @@ import { createLoop } from "./loop.ts";
 import type { Overlay } from "./overlay_choice.tsx";
 import { createPlayer, type Player } from "./player.ts";
 import type { Stage } from "./scene/scene.ts";
+import { useSelection } from "./selection.ts";
 import type { Show } from "./show.ts";
 
 const WORST = 10; // frames that are marked
@@ -24,7 +25,7 @@ const PAUSE_MS = 250; // between two drawings of what has come
 export function useResult(fit: Fit, result: Result, stage: Stage | null): Show {
   const { take, model, cameras, file, loader } = result;
   const [theme, setTheme] = useState(readTheme);
-  const [selected, select] = useState<number | null>(null);
+  const selection = useSelection();
   const [through, setThrough] = useState<number | null>(null);
   const player = useMemo(() => createPlayer(take.frames, rateOf(take).rate, frameInAddress()), [take]);
   const loop = useMemo(() => createLoop(player), [player]);
@@ -46,7 +47,7 @@ export function useResult(fit: Fit, result: Result, stage: Stage | null): Show {
   useEffect(() => loop.wake(), [loop, version]);
   useEffect(() => onThemeChange(() => setTheme(readTheme())), []);
   useEffect(
-    () => listenToKeys({ player, worst, views: take.views, stage: () => stageNow.current, lookThrough, select }),
+    () => listenToKeys({ player, worst, views: take.views, stage: () => stageNow.current, lookThrough }),
     [player, worst],
   );
   useEffect(() => {
@@ -71,7 +72,8 @@ export function useResult(fit: Fit, result: Result, stage: Stage | null): Show {
       errors,
       errorsDone,
     },
-    ...{ selected, select, through, lookThrough, posed, overlay, setOverlay, version, done, trouble },
+    ...selection,
+    ...{ through, lookThrough, posed, overlay, setOverlay, version, done, trouble },
   };
 }
 

@@ -15,9 +15,12 @@ export interface ViewDrawing {
     frame: number,
     theme: Theme,
     part: Part,
-    selected: number | null,
+    selected: readonly number[],
     picture: CanvasImageSource | null,
   ): void;
+  /** Returns where keypoints were drawn last, as they were detected or else as they project: (P, 2) pixels of
+   * the page, NaN where they are not. */
+  places(): Float32Array;
 }
 
 const DOT = 2.4; // radius, in pixels of the page, as the others
@@ -55,9 +58,15 @@ export function createViewDrawing(take: Take, view: number): ViewDrawing {
       drawStructure(context, projected, edges, theme, ratio);
       drawMisses(context, detected, projected, kinds, theme, ratio);
       drawDetected(context, detected, kinds, theme, ratio);
-      if (selected !== null) drawRing(context, detected, selected, theme, ratio);
+      for (const keypoint of selected) drawRing(context, placesIn(detected, projected), keypoint, theme, ratio);
     },
+    places: () => placesIn(detected, projected).map((pixels) => pixels / pixelRatio()),
   };
+}
+
+/** Returns what was detected, and the projection of what was not. */
+function placesIn(detected: Float32Array, projected: Float32Array): Float32Array {
+  return detected.map((pixels, at) => (Number.isNaN(pixels) ? projected[at]! : pixels));
 }
 
 const CROSSED = 2;
@@ -173,12 +182,12 @@ function drawDetected(
 
 function drawRing(
   context: CanvasRenderingContext2D,
-  detected: Float32Array,
+  places: Float32Array,
   keypoint: number,
   theme: Theme,
   ratio: number,
 ): void {
-  const [x, y] = pairAt(detected, keypoint);
+  const [x, y] = pairAt(places, keypoint);
   if (Number.isNaN(x)) return;
   context.beginPath();
   context.arc(x, y, RING * ratio, 0, 7);

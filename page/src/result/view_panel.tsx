@@ -7,13 +7,15 @@ import { number } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { partsOf, type Crop } from "./crop.ts";
 import { openFilm, type Film } from "./film.ts";
+import { pickOn } from "./scene/picking.ts";
 import { useShown } from "./show.ts";
 import { createViewDrawing } from "./view_drawing.ts";
 
 export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
-  const { take, player, loop, theme, selected, through, lookThrough, posed, done } = useShown();
+  const { take, player, loop, theme, selected, select, through, lookThrough, posed, done } = useShown();
   const canvas = useRef<HTMLCanvasElement>(null);
   const error = useRef<HTMLSpanElement>(null);
+  const places = useRef((): ArrayLike<number> => []); // of the keypoints on the canvas
   const [film, setFilm] = useState<Film | null>(null);
 
   useEffect(() => {
@@ -21,6 +23,7 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
     if (context === null) return undefined;
     const drawing = createViewDrawing(take, view);
     const partOf = partsOf(take, view, crop);
+    places.current = drawing.places;
     return loop.add(() => {
       const picture = film?.at(player.frame, player.rate) ?? null;
       const frame = nearest(take, player.frame);
@@ -34,6 +37,11 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
     if (canvas.current === null) return undefined;
     return keepSize(canvas.current, () => loop.wake());
   }, [loop]);
+
+  useEffect(() => {
+    if (canvas.current === null) return undefined;
+    return pickOn(canvas.current, { names: take.names, places: () => places.current(), onPick: select });
+  }, [take, select]);
 
   useEffect(() => () => film?.close(), [film]);
 

@@ -5,6 +5,7 @@ import { useState } from "preact/hooks";
 import type { Fit } from "../api/resources.ts";
 import type { Result } from "../data/loading.ts";
 import { FindingList } from "../parts/finding_list.tsx";
+import { Closer } from "./closer/closer.tsx";
 import { CopyLink, Shortcuts, WorstFrames } from "./asides.tsx";
 import type { Crop } from "./crop.ts";
 import { Exports } from "./exports.tsx";
@@ -40,6 +41,7 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
           <Timeline />
           <Legend crop={crop} setCrop={setCrop} />
         </section>
+        <Closer />
         <div class="facts-grid">
           <section class="panel">
             <h2>What was noticed</h2>
@@ -49,7 +51,7 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
               viewNames={take.viewNames}
               keypointNames={take.names}
               onFrame={(frame) => player.show(frame)}
-              onKeypoint={show.select}
+              onKeypoint={(keypoint) => show.setSelected([keypoint])}
             />
           </section>
           <section class="panel">

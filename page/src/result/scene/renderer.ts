@@ -46,7 +46,7 @@ function makeRenderer(): WebGLRenderer {
 function drawOnce(renderer: WebGLRenderer): void {
   const parts = createParts(smallest(), { box: { low: [0, 0, 0], high: [1, 1, 1] }, size: 1 });
   const theme = readTheme();
-  parts.skeleton.paint(theme, null);
+  parts.skeleton.paint(theme, []);
   parts.trails.paint(theme, [0]);
   renderer.setViewport(0, 0, 2, 2);
   renderer.render(parts.scene, new PerspectiveCamera());

@@ -2,10 +2,11 @@
 
 import type { WebGLRenderer } from "three";
 import type { Take } from "../../data/take.ts";
-import { keepSize, resize } from "../../parts/canvas_size.ts";
+import { keepSize, pixelRatio, resize } from "../../parts/canvas_size.ts";
 import type { Theme } from "../../parts/theme.ts";
 import { boxOf, subjectSize, usualStep } from "../../science/extent.ts";
 import { createParts, type Extent } from "./parts.ts";
+import { placesOf } from "./picking.ts";
 import { takeRenderer } from "./renderer.ts";
 import { endsOf } from "./trails.ts";
 import { createEyes, type Viewpoint } from "./viewpoint.ts";
@@ -21,7 +22,10 @@ export interface Stage extends Viewpoint {
   draw(frame: number): boolean;
   /** Has the next frame drawn again: its points have changed. */
   spoil(): void;
-  paint(theme: Theme, selected: number | null): void;
+  paint(theme: Theme, selected: readonly number[]): void;
+  /** Returns where keypoints of the frame that is drawn are: (P, 2) pixels of the page, NaN where they are
+   * not. */
+  keypointPlaces(): Float32Array;
   showTrails(shown: boolean): void;
   /** Lays other points (N, P, 3) over the structure, or takes them away. */
   overlay(points: Float32Array | null): void;
@@ -73,10 +77,15 @@ export function createStage(holder: HTMLElement, take: Take, firstFrame: number,
     paint(theme, selected) {
       skeleton.paint(theme, selected);
       ghost.paint(theme, selected);
-      trails.paint(theme, selected === null ? endsOf(take) : [selected]);
+      trails.paint(theme, selected.length === 0 ? endsOf(take) : selected);
       floor.paint(theme);
       frusta.paint(theme);
       spoil();
+    },
+    keypointPlaces() {
+      const size: [number, number] = [canvas.width / pixelRatio(), canvas.height / pixelRatio()];
+      const frame = Math.max(0, drawn);
+      return placesOf(take.points, 3 * take.keypoints * frame, take.keypoints, eyes.seeing(frame), size);
     },
     showTrails(shown) {
       trails.lines.visible = shown;

@@ -11,7 +11,7 @@ const BONE = 0.45; // radius of a bone, as a share of a joint's
 export interface Skeleton {
   group: Group;
   show(frame: number, points: Float32Array): void;
-  paint(theme: Theme, selected: number | null): void;
+  paint(theme: Theme, selected: readonly number[]): void;
 }
 
 /** @param size radius of a joint, in the unit of the points
@@ -27,7 +27,7 @@ export function createSkeleton(take: Take, size: number, ghost = false): Skeleto
   }
   const group = new Group().add(joints);
   if (edges.length > 0) group.add(bones);
-  let chosen: number | null = null;
+  let chosen: readonly number[] = [];
 
   return {
     group,
@@ -35,7 +35,7 @@ export function createSkeleton(take: Take, size: number, ghost = false): Skeleto
       const first = 3 * keypoints * frame;
       const spheres = joints.instanceMatrix.array;
       for (let keypoint = 0; keypoint < keypoints; keypoint++) {
-        const radius = keypoint === chosen ? 1.9 * size : size;
+        const radius = chosen.includes(keypoint) ? 1.9 * size : size;
         writeSphere(spheres, 16 * keypoint, points, first + 3 * keypoint, radius);
       }
       const cylinders = bones.instanceMatrix.array;
@@ -49,7 +49,7 @@ export function createSkeleton(take: Take, size: number, ghost = false): Skeleto
       const colour = new Color();
       for (let keypoint = 0; keypoint < keypoints; keypoint++) {
         const plain = ghost ? theme.accent : colourOf(theme, sides[keypoint]!);
-        const name = keypoint === selected ? theme.accent : plain;
+        const name = selected.includes(keypoint) ? theme.accent : plain;
         joints.setColorAt(keypoint, colour.set(name));
       }
       edges.forEach(([a, b], edge) => {

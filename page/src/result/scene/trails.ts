@@ -9,7 +9,7 @@ const LENGTH = 24; // frames
 export interface Trails {
   lines: LineSegments;
   show(frame: number): void;
-  paint(theme: Theme, followed: number[]): void;
+  paint(theme: Theme, followed: readonly number[]): void;
 }
 
 /** @param jump longest step between two frames that is drawn: beyond it a new scene begins */
@@ -24,7 +24,7 @@ export function createTrails(take: Take, jump: number): Trails {
   const material = new LineBasicMaterial({ vertexColors: true, transparent: true, depthWrite: false });
   const lines = new LineSegments(geometry, material);
   lines.frustumCulled = false;
-  let keypointsShown: number[] = [];
+  let keypointsShown: readonly number[] = [];
 
   return {
     lines,

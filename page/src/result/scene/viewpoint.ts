@@ -54,9 +54,16 @@ export function createEyes(
   let middle: Vector3 | null = null; // of the subject, when it was last looked at
   let seen = firstFrame;
   let leave = () => {};
-  controls.addEventListener("change", onChange);
+  let held = false; // by a pointer, that may turn it
   controls.addEventListener("start", () => {
-    if (through === null) return;
+    held = true;
+  });
+  controls.addEventListener("end", () => {
+    held = false;
+  });
+  controls.addEventListener("change", () => {
+    onChange();
+    if (through === null || !held) return;
     viewpoint.lookThrough(null);
     leave();
   });
