@@ -34,6 +34,7 @@ class CaptureDescription:
     view_names: list[str] | None = None
     image_sizes: list[Any] | None = None
     fps: float | None = None
+    calibration: dict[str, Any] | None = None
     notes: list[str] = field(default_factory=list)
     labels: Labels = field(default_factory=Labels)
 
@@ -84,6 +85,7 @@ def described(store: Store, capture: Capture, description: CaptureDescription) -
         view_names=description.view_names,
         image_sizes=description.image_sizes,
         fps=description.fps,
+        calibration=description.calibration,
         last_times=_last_times(capture),
         notes=description.notes,
         findings=dataset_findings.of_new(capture, description.image_sizes),

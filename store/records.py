@@ -68,6 +68,7 @@ class DatasetRecord(Labelled, Owned, Record):
     fps: Mapped[float | None]
     last_times: Mapped[list[Any] | None]  # seconds, of the last frame, one or one a view
     view_names: Mapped[list[Any] | None]
+    calibration: Mapped[dict[str, Any] | None]  # file, names, cameras: what came with the capture
     notes: Mapped[list[Any] | None]  # of the reader of the files that it came in
     findings: Mapped[list[Any] | None]  # as JSON, see models.findings; None: never looked for
 

@@ -11,6 +11,58 @@ Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class CameraCalibration:
+    """Cameras of a calibration that came with the keypoints, one for each view.
+
+    Attributes
+    ----------
+    file
+        Name of the file or the folder that they are from.
+    names
+        What it calls them, in the order of the views.
+    cameras
+        Each as an entry of ``calibration`` in the configuration of a fit.
+    """
+
+    file: str
+    names: tuple[str, ...]
+    cameras: tuple[dict[str, Any], ...]
+
+
+@dataclass(frozen=True)
+class SeenPerson:
+    """Somebody whom one camera shows.
+
+    Attributes
+    ----------
+    index
+        The number that the option ``person`` has for them in this view.
+    name
+        That of their track; "" without.
+    frames
+        In how many frames they are seen.
+    keypoints
+        (P, 2) of one of these, in which they are seen as completely as in any; y goes down.
+    picked
+        Whether the capture has them, of this view.
+    """
+
+    index: int
+    name: str
+    frames: int
+    keypoints: Float32
+    picked: bool
+
+
+@dataclass(frozen=True)
+class ViewPeople:
+    """Those whom one camera shows, who is seen most first, and the edges that join keypoints."""
+
+    people: tuple[SeenPerson, ...]
+    edges: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True)
 class Capture:
     """N frames of K views of P keypoints, as `POST /datasets` takes them.
 
@@ -34,6 +86,10 @@ class Capture:
         (width, height) in pixels of each view, None where unknown.
     numbers
         (N,) numbers of the frames in the files, where they do not simply count from 0.
+    calibration
+        The cameras of a calibration file that lies among the keypoints' files.
+    people
+        Whom each view shows, where a view shows several; if it was asked for.
     notes
         What a reader understood and changed, in sentences for people.
     """
@@ -49,6 +105,8 @@ class Capture:
     fps: float | None = None
     notes: tuple[str, ...] = field(default=(), compare=False)
     numbers: NDArray[np.int64] | None = None
+    calibration: CameraCalibration | None = field(default=None, compare=False)
+    people: tuple[ViewPeople, ...] | None = field(default=None, compare=False)
 
     @property
     def frames(self) -> int:

@@ -30,7 +30,10 @@ def _digest(request: Request, upload: Upload) -> str:
         upload.is_json,
         hashlib.sha256(upload.data).hexdigest(),
         sorted(upload.fields.items()),
-        [(file.name, hashlib.sha256(file.data).hexdigest()) for file in upload.files],
+        [
+            (file.name, hashlib.sha256(file.data).hexdigest(), *(["folders"] * file.holds_folders))
+            for file in upload.files
+        ],
     ]
     return hashlib.sha256(json.dumps(whole).encode()).hexdigest()
 

@@ -18,6 +18,7 @@ def request_body(
     form: type[BaseModel] | None = None,
     binary: str | None = None,
     files: str | None = None,
+    folders: str | None = None,
 ) -> dict[str, Any]:
     """Return the ``openapi_extra`` of an operation that reads its body itself.
 
@@ -31,6 +32,8 @@ def request_body(
         What the file holds, if it takes one.
     files
         What other files may come in its place in a form, if they may.
+    folders
+        What a zip in place of these may hold, if there may be one.
     """
     content: dict[str, Any] = {}
     if json is not None:
@@ -50,6 +53,8 @@ def request_body(
         else:
             several = {"type": "array", "items": {"type": "string", "format": "binary"}}
             _forms[name]["properties"]["files"] = several | {"description": files}
+        if folders is not None:
+            _forms[name]["properties"]["folders"] = file | {"description": folders}
         content["multipart/form-data"] = {"schema": {"$ref": _REFERENCE.format(model=name)}}
     return {"requestBody": {"required": True, "content": content}}
 

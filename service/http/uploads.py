@@ -35,7 +35,8 @@ BINARY_TYPES = (
 )
 HOW_TO_SEND_FILES = (
     "Detectors' files (CSV, H5, JSON, zip) become a dataset in a form, one for each camera: "
-    "curl -F files=@cam1.csv -F files=@cam2.csv ADDRESS/datasets"
+    "curl -F files=@cam1.csv -F files=@cam2.csv ADDRESS/datasets. Folders are sent as one zip: "
+    "curl -F folders=@capture.zip ADDRESS/datasets"
 )
 CHARSETS = ("utf-8", "ascii", "iso8859-1")  # of forms
 LARGE_BYTES = 1024 * 1024
@@ -66,10 +67,17 @@ AS_ARRAYS, SMALL_ARRAYS = 4, 16 * 1024 * 1024
 
 @dataclass(frozen=True)
 class File:
-    """A file of a form, under the name that it has where it comes from."""
+    """A file of a form, under the name that it has where it comes from.
+
+    Attributes
+    ----------
+    holds_folders
+        Whether it is a zip of files and folders, which stand for it.
+    """
 
     name: str
     data: bytes
+    holds_folders: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,7 +93,7 @@ class Upload:
     fields
         Text fields that came beside the file in a form.
     files
-        Those that a form calls `files`, if any; `data` are those of the first.
+        Those that a form calls `files`, and `folders`, if any; `data` are those of the first.
     max_decoded_bytes
         What its JSON may take as lists, about.
     max_array_bytes
@@ -253,19 +261,28 @@ async def _of_form(form: FormData, *, several: bool) -> Upload:
         return [part for part in form.getlist(name) if isinstance(part, UploadFile)]
 
     one, many = named("file"), named("files") if several else []
-    if len(one) + bool(many) > 1:
+    folders = named("folders") if several else []
+    if len(one) + bool(many) + len(folders) > 1:
         raise ApiError(
-            "malformed_body", "expected one `file` of arrays, or `files`, one for each camera"
+            "malformed_body",
+            "expected one `file` of arrays, or `files`, one for each camera, or one zip of "
+            "`folders`",
         )
-    if not one and not many:
+    if not one and not many and not folders:
         raise invalid(
             "/file",
             "expected an .npz or safetensors file in this form field"
-            + (", or detectors' files as `files`, one for each camera" if several else ""),
+            + (
+                ", or detectors' files as `files`, one for each camera, or a zip of folders as "
+                "`folders`"
+                if several
+                else ""
+            ),
         )
     fields = {name: text for name, text in form.items() if isinstance(text, str)}
-    files = tuple([File(part.filename or "", await _whole(part)) for part in one or many])
-    return Upload(files[0].data, is_json=False, fields=fields, files=files if many else ())
+    listed = [(part, part in folders) for part in (*one, *many, *folders)]
+    files = tuple([File(part.filename or "", await _whole(part), of) for part, of in listed])
+    return Upload(files[0].data, is_json=False, fields=fields, files=() if one else files)
 
 
 async def _whole(part: UploadFile) -> bytes:

@@ -1,7 +1,7 @@
 """The bodies that datasets are made of: JSON, arrays, and files of detectors."""
 
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -13,9 +13,11 @@ from service.http.uploads import HOW_TO_SEND_FILES, Upload
 from service.resources.changes import Change
 from service.settings import Settings
 from service.wire.arrays import Arrays
+from service.wire.calibrations import CaptureCalibration
 from service.wire.captures import read_arrays, to_capture
 from service.wire.detector_files import DetectorReading, asked_of, holds_arrays, read_files
 from service.wire.json_bodies import read_json
+from service.wire.people import ViewPeoplePreview
 from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, TIMES, Name
 from service.wire.skeletons import Skeleton
 from store.capture import Capture
@@ -56,6 +58,11 @@ class CaptureFacts(BaseModel):
         description="Frames per second, if the frames follow each other in time: views that are "
         "out of step are then found and shifted (`synchronise` of a fit).",
     )
+    calibration: CaptureCalibration | None = Field(
+        None,
+        description="Cameras that are known, kept for fits that name them (`calibration` of a fit "
+        "is `dataset`). Of `files`: those of a calibration file among them, if not given.",
+    )
 
     def suit(self, views: int, keypoints: int) -> None:
         """Raise ``ApiError`` unless a capture of so many views and keypoints may have them."""
@@ -65,6 +72,9 @@ class CaptureFacts(BaseModel):
             given = getattr(self, field)
             if given is not None and len(given) != views:
                 raise invalid(f"/{field}", f"expected one per view ({views}), got {len(given)}")
+        known = self.calibration
+        if known is not None and {len(known.cameras), len(known.names or known.cameras)} != {views}:
+            raise invalid("/calibration/cameras", f"expected one per view ({views})")
 
 
 class DatasetChange(CaptureFacts, Change):
@@ -113,6 +123,7 @@ class DatasetDescription(CaptureFacts, Labels):
             view_names=self.view_names,
             image_sizes=self.image_sizes,
             fps=self.fps,
+            calibration=None if known is None else known.model_dump(mode="json"),
             labels=self,
         )
 
@@ -175,10 +186,18 @@ class DatasetForm(DetectorReading, DatasetDescription):
     """The fields of a form besides its files."""
 
 
+class NewCapture(NamedTuple):
+    """A capture in a body, its description, and whom each view shows, if it was asked for."""
+
+    capture: Capture
+    description: CaptureDescription
+    people: list[ViewPeoplePreview] | None = None
+
+
 def read_new(
-    upload: Upload, settings: Settings, name: str | None
-) -> tuple[Capture, CaptureDescription]:
-    """Return the capture in a body, and its description.
+    upload: Upload, settings: Settings, name: str | None, *, with_people: bool = False
+) -> NewCapture:
+    """Return the capture in a body.
 
     Raises
     ------
@@ -189,13 +208,19 @@ def read_new(
         body = read_json(upload, DatasetCreate)
         notes: list[str] = []
         capture = _capture_of(body, upload, settings, notes)
-        return capture, replace(body.describe(capture), notes=notes)
+        return NewCapture(capture, replace(body.describe(capture), notes=notes))
+    people = None
     fields: dict[str, Any] = {"name": name} if name is not None else {}
     reading, upload = asked_of(upload)
     if upload.files and (reading or not holds_arrays(upload)):
         known = upload.form(DatasetDescription, fields, DatasetForm)
-        found, described, notes = read_files(
-            upload, reading, settings, fps=known.fps, image_sizes=known.image_sizes
+        found, described, notes, people = read_files(
+            upload,
+            reading,
+            settings,
+            fps=known.fps,
+            image_sizes=known.image_sizes,
+            with_people=with_people,
         )
         fields |= described
     elif reading:
@@ -206,7 +231,7 @@ def read_new(
         notes = []
     capture = _capture_in(found, settings, notes)
     description = upload.form(DatasetDescription, fields, DatasetForm).describe(capture)
-    return capture, replace(description, notes=notes)
+    return NewCapture(capture, replace(description, notes=notes), people)
 
 
 def _described_in(found: Arrays) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from service.resources.dataset_bodies import (
     read_new,
 )
 from service.resources.lists import Page, add_list_routes, page_of
+from service.wire.calibrations import CaptureCalibration
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
@@ -53,6 +54,7 @@ DESCRIBED: dict[str, Any] = {
     "image_sizes": None,
     "fps": 50.0,
     "has_times": False,
+    "calibration": None,
     "tags": ["pilot"],
     "metadata": {"subject": "M7"},
     "notes": ["read as DeepLabCut CSV"],
@@ -87,6 +89,9 @@ class DatasetFacts(BaseModel):
     image_sizes: list[ImageSize | None] | None
     fps: float | None = Field(description="Frames per second, null if unknown.")
     has_times: bool = Field(description="Whether every frame came with its time.")
+    calibration: CaptureCalibration | None = Field(
+        description="Cameras that came with the capture, for fits whose `calibration` is `dataset`."
+    )
     tags: list[str]
     metadata: dict[str, Any]
     notes: list[str] = Field(
@@ -113,6 +118,8 @@ class DatasetFacts(BaseModel):
             "image_sizes": record.image_sizes,
             "fps": record.fps,
             "has_times": record.last_times is not None,
+            "calibration": record.calibration
+            and CaptureCalibration.model_validate(record.calibration),
             **labels_of(record),
             "notes": record.notes or [],
             "findings": [Finding.model_validate(finding) for finding in record.findings or []],
@@ -149,7 +156,9 @@ NEW_DATASET = request_body(
     DatasetCreate,
     form=DatasetForm,
     files="What a detector wrote, one file for each camera: CSV, H5, JSON of the formats of "
-    "docs/files.md; a zip file for a folder of JSON files.",
+    "docs/files.md; a zip file for a folder of JSON files; a calibration file.",
+    folders="In place of `files` a zip of files and folders, one for each camera or with those of "
+    "all in it, which are read as if they were listed one by one.",
     binary="An .npz or safetensors file with `keypoints` and optionally `confidence`, "
     "`points3d`, `times`, `fps`, `keypoint_names` (npz only), `edges`, `image_sizes`; others "
     "are ignored.",
@@ -174,9 +183,10 @@ def create_dataset(
     """Store a capture.
 
     `name` in the query names a capture that is sent as raw bytes. Files of detectors are sent in a
-    form, as `files`, one for each camera; `notes` of the answer report how they were read.
+    form, as `files`, one for each camera, and folders in a zip, as `folders`; `notes` of the answer
+    report how they were read.
     """
-    capture, description = read_new(upload, settings, name)
+    capture, description, _ = read_new(upload, settings, name)
     record = datasets.create(
         store,
         capture,

@@ -17,7 +17,7 @@ from service.http.dependencies import (
     SettingsDep,
     StoreDep,
 )
-from service.http.errors import BODY_PROBLEMS, problems
+from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
@@ -33,7 +33,7 @@ from service.resources.lists import Columns, Page, add_list_routes, page_of
 from service.wire.findings import Findings
 from service.wire.json_bodies import read_json
 from service.wire.schemas import Name
-from store import fits, records
+from store import fits, lookup, records
 from store.database import Store
 from store.labels import Labels, Text, labels_of
 from worker.queue import open_queues
@@ -70,6 +70,10 @@ class FitCreate(Labels):
         description="A model of the same keypoints whose weights the fit starts from, for example "
         "of the same subject or species. The fit has its `dictionary_sizes`, and 1100 `steps` "
         "unless these are given.",
+    )
+    calibration: Literal["dataset"] | None = Field(
+        None,
+        description="`dataset`: `calibration` of `config` is that which came with the dataset.",
     )
     config: FitConfig = FitConfig()
 
@@ -225,11 +229,14 @@ def create_fit(
     and the queue are back.
     """
     body = read_json(upload, FitCreate)
+    config = body.config.model_dump(mode="json", exclude_unset=True)
+    if body.calibration is not None:
+        config["calibration"] = _calibration_of(store, body)
     record = fits.create(
         store,
         dataset_id=body.dataset_id,
         name=body.name,
-        config=body.config.model_dump(mode="json", exclude_unset=True),
+        config=config,
         from_model=body.from_model,
         labels=body,
         max_queued=settings.max_queued_fits,
@@ -248,6 +255,20 @@ async def fit_columns(
 ) -> Columns:
     """Return what columns of the fits in a list must hold."""
     return {**columns, "from_model": from_model}
+
+
+def _calibration_of(store: Store, body: FitCreate) -> list[Any]:
+    """Return the cameras that came with a fit's dataset."""
+    if body.config.calibration is not None:
+        raise invalid("/calibration", "expected this or config.calibration, got both: leave one")
+    known = lookup.get(store, records.DatasetRecord, body.dataset_id).calibration
+    if known is None:
+        raise invalid(
+            "/calibration",
+            "the dataset came without a calibration: give the cameras as config.calibration",
+        )
+    cameras: list[Any] = known["cameras"]
+    return cameras
 
 
 add_list_routes(

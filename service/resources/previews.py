@@ -10,6 +10,7 @@ from service.http.errors import BODY_PROBLEMS, problems
 from service.http.uploads import FilesBody
 from service.resources.dataset_bodies import read_new
 from service.resources.datasets import DESCRIBED, NEW_DATASET, DatasetFacts
+from service.wire.people import ViewPeoplePreview
 from service.wire.schemas import Name, Vector2
 from store import datasets, records
 from store.capture import Capture
@@ -25,6 +26,7 @@ class DatasetPreview(DatasetFacts):
             "example": {
                 **DESCRIBED,
                 "frame": 12,
+                "people": None,
                 "frame_keypoints": [[[512.0, 200.5], None], [[301.0, 190.0], [322.5, 251.0]]],
             }
         }
@@ -35,9 +37,18 @@ class DatasetPreview(DatasetFacts):
         description="Keypoints of this frame: views x keypoints x (x, y), pixels, null where not "
         "observed."
     )
+    people: list[ViewPeoplePreview] | None = Field(
+        description="Of `files` in which a view shows several people: those of each view, so that "
+        "`person` can name one of each."
+    )
 
     @classmethod
-    def of(cls, record: records.DatasetRecord, capture: Capture) -> Self:
+    def of(
+        cls,
+        record: records.DatasetRecord,
+        capture: Capture,
+        people: list[ViewPeoplePreview] | None = None,
+    ) -> Self:
         """Return the wire form of what would be stored."""
         there = capture.seen
         frame = int(there.sum(axis=(1, 2)).argmax())
@@ -45,7 +56,7 @@ class DatasetPreview(DatasetFacts):
             [point.tolist() if known else None for point, known in zip(view, seen, strict=True)]
             for view, seen in zip(capture.keypoints[frame], there[frame], strict=True)
         ]
-        return cls(frame=frame, frame_keypoints=shown, **cls.known(record))
+        return cls(frame=frame, frame_keypoints=shown, people=people, **cls.known(record))
 
 
 @router.post("", responses=problems(*BODY_PROBLEMS), openapi_extra=NEW_DATASET)
@@ -59,5 +70,5 @@ def preview_dataset(
 
     It takes what `POST /datasets` takes, and refuses what that refuses.
     """
-    capture, description = read_new(upload, settings, name)
-    return DatasetPreview.of(datasets.described(store, capture, description), capture)
+    capture, description, people = read_new(upload, settings, name, with_people=True)
+    return DatasetPreview.of(datasets.described(store, capture, description), capture, people)

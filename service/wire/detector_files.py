@@ -20,6 +20,8 @@ from service.http.errors import ApiError, from_validation, invalid
 from service.http.uploads import ZIP_FAULTS, Upload
 from service.settings import Settings
 from service.wire.arrays import Arrays
+from service.wire.calibrations import checked_calibration
+from service.wire.people import ViewPeoplePreview
 from service.wire.reading_apart import OUT, read_apart
 
 LONGEST_NAME = 100  # bytes of a file's name, characters of a camera's that is named after it
@@ -93,11 +95,15 @@ class DetectorReading(BaseModel):
 
 
 class ReadFiles(NamedTuple):
-    """The result of reading files: arrays, fields that describe them, and notes for the user."""
+    """The result of reading files: arrays, fields that describe them, and notes for the user.
+
+    `people` are those whom each view shows, if it was asked for and any shows several.
+    """
 
     arrays: Arrays
     fields: dict[str, Any]
     notes: list[str]
+    people: list[ViewPeoplePreview] | None = None
 
 
 def asked_of(upload: Upload) -> tuple[dict[str, str], Upload]:
@@ -111,7 +117,7 @@ def asked_of(upload: Upload) -> tuple[dict[str, str], Upload]:
 
 def holds_arrays(upload: Upload) -> bool:
     """Whether a form's one file is of arrays, or should be: safetensors, or a zip of arrays."""
-    if len(upload.files) > 1:
+    if len(upload.files) > 1 or any(file.holds_folders for file in upload.files):
         return False
     data = upload.data
     if not data.startswith(b"PK\x03\x04"):
@@ -130,8 +136,9 @@ def read_files(
     *,
     fps: float | None,
     image_sizes: Sequence[Sequence[int] | None] | None,
+    with_people: bool = False,
 ) -> ReadFiles:
-    """ReadFiles an upload's files, in a separate process.
+    """Read an upload's files, in a separate process.
 
     Parameters
     ----------
@@ -141,6 +148,8 @@ def read_files(
         Frames per second, if the files have no times.
     image_sizes
         (width, height) in pixels of each view, None where unknown.
+    with_people
+        Whether to look whom each view shows.
 
     Raises
     ------
@@ -171,7 +180,14 @@ def read_files(
             for file in upload.files:
                 names.append(_name(file.name, names))
                 Path(folder, names[-1]).write_bytes(file.data)
-            found = read_apart(Path(folder), names, options, max_bytes=settings.max_body_bytes)
+            found = read_apart(
+                Path(folder),
+                names,
+                options,
+                max_bytes=settings.max_body_bytes,
+                holds_folders=upload.files[0].holds_folders,
+                with_people=with_people,
+            )
     except FormatError as error:
         raise _at_field(error) from error
     arrays = {
@@ -187,7 +203,12 @@ def read_files(
         fields["skeleton"] = {"keypoint_names": found.keypoint_names, "edges": found.edges or ()}
     if found.image_sizes is not None:
         fields["image_sizes"] = found.image_sizes
-    return ReadFiles(arrays, fields, [_sentence(note) for note in found.notes[:MOST_NOTES]])
+    notes = list(found.notes)
+    if found.calibration is not None:
+        fields["calibration"] = checked_calibration(found.calibration, notes)
+    shown = [_sentence(note) for note in notes[:MOST_NOTES]]
+    people = [ViewPeoplePreview.of(view) for view in found.people or ()]
+    return ReadFiles(arrays, fields, shown, people or None)
 
 
 def _at_field(error: FormatError) -> ApiError:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fewview.capture import Capture
+from fewview.capture import CameraCalibration, Capture, SeenPerson, ViewPeople
 from fewview.errors import FormatError
 from fewview.reading_options import ReadingOptions
 
@@ -35,11 +35,18 @@ MEMORY = 3 * 2**30  # bytes of addresses, what Python and its libraries take amo
 SECONDS = 120
 QUICK_SECONDS, SLOW_NICENESS = 5, 10  # a child that takes longer gets this niceness
 OUT, CAPTURE, OTHERS = "out", "capture.npz", "others.json"
+FOLDERS = "folders"
 LONGEST_LOG = 2000  # characters
 
 
 def read_apart(
-    folder: Path, names: Sequence[str], options: ReadingOptions, *, max_bytes: int
+    folder: Path,
+    names: Sequence[str],
+    options: ReadingOptions,
+    *,
+    max_bytes: int,
+    holds_folders: bool = False,
+    with_people: bool = False,
 ) -> Capture:
     """Read untrusted files as `fewview.read` does, in a separate process.
 
@@ -51,6 +58,10 @@ def read_apart(
         Of the files in it, one for each camera.
     max_bytes
         Largest capture that is taken, as float32 and float64.
+    holds_folders
+        Whether the one file is a zip whose files and folders are read as if they were named.
+    with_people
+        Whether to look whom each view shows.
 
     Raises
     ------
@@ -63,6 +74,8 @@ def read_apart(
         "names": list(names),
         "options": asdict(options),
         "max_bytes": max_bytes,
+        "holds_folders": holds_folders,
+        "with_people": with_people,
         "parent": os.getpid(),
     }
     code = child_code(f"from {__name__} import main", "main()")
@@ -119,7 +132,22 @@ def _capture(out: Path) -> Capture:
             if name in arrays
         }
     others = json.loads((out / OTHERS).read_bytes())
+    calibration, people = others.pop("calibration"), others.pop("people")
+    if calibration is not None:
+        found["calibration"] = CameraCalibration(
+            calibration["file"], tuple(calibration["names"]), tuple(calibration["cameras"])
+        )
+    if people is not None:
+        found["people"] = tuple(map(_people, people))
     return Capture(**found, **{name: _tuples(value) for name, value in others.items()})
+
+
+def _people(view: dict[str, Any]) -> ViewPeople:
+    people = [
+        SeenPerson(**{**one, "keypoints": np.array(one["keypoints"], np.float32)})
+        for one in view["people"]
+    ]
+    return ViewPeople(tuple(people), _tuples(view["edges"]))
 
 
 def _tuples(value: Any) -> Any:
@@ -133,10 +161,10 @@ def main() -> None:
     error is below.
     """
     asked = json.loads(sys.stdin.buffer.read())
-    die_with_parent(asked["parent"])
+    die_with_parent(asked.pop("parent"))
     limit(MEMORY, SECONDS)
     try:
-        _read(asked["names"], ReadingOptions(**asked["options"]), asked["max_bytes"])
+        _read(ReadingOptions(**asked.pop("options")), **asked)
     except FormatError as error:
         sys.stdout.write(f"{error.option or ''}\n{error}")
         sys.exit(1)
@@ -147,13 +175,31 @@ def main() -> None:
         sys.exit(1)
 
 
-def _read(names: list[str], options: ReadingOptions, max_bytes: int) -> None:
+def _read(
+    options: ReadingOptions,
+    names: list[str],
+    max_bytes: int,
+    *,
+    holds_folders: bool,
+    with_people: bool,
+) -> None:
     # Within the limits, and before no module of ours can be opened any more.
+    import fewview.calibration.anipose  # noqa: PLC0415
+    import fewview.calibration.colmap  # noqa: PLC0415
+    import fewview.calibration.opencv  # noqa: F401, PLC0415
     import h5py  # noqa: F401, PLC0415
+    import yaml  # noqa: F401, PLC0415
+    from fewview.readers.archives import laid_out  # noqa: PLC0415
     from fewview.readers.reading import read_with  # noqa: PLC0415
 
+    out = Path(OUT).absolute()
     confine(Path())
-    capture = read_with(names, replace(options, untrusted=True))
+    if holds_folders:
+        (zipped,), inside = names, out / FOLDERS
+        inside.mkdir()
+        os.chdir(inside)  # so that messages have the names that files have for who sent them
+        names = laid_out(out.parent / zipped, Path())
+    capture = read_with(names, replace(options, untrusted=True), with_people=with_people)
     arrays = capture.arrays()
     size = sum(array.nbytes for array in arrays.values())
     if size > max_bytes:
@@ -162,7 +208,7 @@ def _read(names: list[str], options: ReadingOptions, max_bytes: int) -> None:
             f"{size:,} bytes, more than the {max_bytes:,} that are taken at a time; send them in "
             "parts"
         )
-    np.savez(Path(OUT, CAPTURE), allow_pickle=False, **arrays)
+    np.savez(out / CAPTURE, allow_pickle=False, **arrays)
     others = {
         "keypoint_names": capture.keypoint_names,
         "edges": capture.edges,
@@ -170,5 +216,7 @@ def _read(names: list[str], options: ReadingOptions, max_bytes: int) -> None:
         "image_sizes": capture.image_sizes,
         "fps": capture.fps,
         "notes": capture.notes,
+        "calibration": capture.calibration and asdict(capture.calibration),
+        "people": capture.people and [asdict(view) for view in capture.people],
     }
-    Path(OUT, OTHERS).write_text(json.dumps(others))
+    (out / OTHERS).write_text(json.dumps(others, default=np.ndarray.tolist))

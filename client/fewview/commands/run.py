@@ -47,6 +47,9 @@ def run(
     formats: Formats = USUAL,
     known_length: KnownLength = None,
     calibration: CalibrationFile = None,
+    no_calibration: Annotated[
+        bool, typer.Option("--no-calibration", help="Leave a calibration among the files alone.")
+    ] = False,
     unit: LengthUnit = None,
     height: Height = None,
     config: Annotated[
@@ -67,9 +70,14 @@ def run(
         fields = config_in(config or [], known_length)
         if known_length is not None:
             _check_keypoints(fields["known_length"]["keypoints"], capture)
+        beside = None if no_calibration else capture.calibration
         if calibration is not None:
             cameras, note = read_for_views(calibration, capture.view_names, capture.views)
             fields["calibration"] = [as_config(camera) for camera in cameras]
+            capture = replace(capture, notes=(*capture.notes, note))
+        elif beside is not None and "calibration" not in fields:
+            fields["calibration"] = list(beside.cameras)
+            note = f"the fit is given the cameras of {beside.file}: {', '.join(beside.names)}"
             capture = replace(capture, notes=(*capture.notes, note))
         check_height(height, capture.keypoint_names, fields)
         chosen = formats_in(formats)

@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
 from fewview.errors import FormatError
+from fewview.readers.names import natural
 from fewview.readers.sources import ZIP, Source
 
 MAX_UNPACKED = 2**30  # bytes
@@ -68,6 +69,27 @@ def unpacked(path: Path, folder: Path) -> Path:
     """
     named = folder / NAMED / (path.name.partition(".")[0] or "zip")
     named.mkdir(parents=True)
+    _unpack(path, named, without_common=True)
+    return named
+
+
+def laid_out(path: Path, folder: Path) -> list[str]:
+    """Unpack a zip file into an empty folder, as it is; return the names of what lies there.
+
+    Raises
+    ------
+    FormatError
+        As for `unpacked`, and if there is nothing.
+    """
+    _unpack(path, folder, without_common=False)
+    names = sorted((inside.name for inside in folder.iterdir()), key=natural)
+    if not names:
+        raise FormatError("the folders hold no files")
+    return names
+
+
+def _unpack(path: Path, folder: Path, *, without_common: bool) -> None:
+    """Unpack a zip file into a folder, which gets no file that a computer hides."""
     try:
         with zipfile.ZipFile(path) as archive:
             members = [each for each in archive.infolist() if _is_file(each)]
@@ -78,9 +100,12 @@ def unpacked(path: Path, folder: Path) -> Path:
                     f"than the {MAX_MEMBERS:,} files and {MAX_UNPACKED / 2**20:,.0f} MiB that are "
                     "read of a zip file; part it"
                 )
-            _without_common_folders(members, path)
+            if max((member.filename.count("/") for member in members), default=0) > MAX_DEPTH:
+                raise FormatError(f"{path}: has more than {MAX_DEPTH} folders within each other")
+            if without_common:
+                _without_common_folders(members)
             for member in members:
-                archive.extract(member, named)
+                archive.extract(member, folder)
     except (
         zipfile.BadZipFile,
         zlib.error,
@@ -95,14 +120,11 @@ def unpacked(path: Path, folder: Path) -> Path:
         if isinstance(error, FormatError):
             raise
         raise FormatError(f"{path}: a zip file that cannot be read ({_cause(error)})") from error
-    return named
 
 
-def _without_common_folders(members: list[zipfile.ZipInfo], path: Path) -> None:
+def _without_common_folders(members: list[zipfile.ZipInfo]) -> None:
     """Take the folders that all files are in away from their names."""
     places = [PurePosixPath(member.filename).parts for member in members]
-    if max(map(len, places), default=0) > MAX_DEPTH:
-        raise FormatError(f"{path}: has more than {MAX_DEPTH} folders within each other")
     levels = zip(*{place[:-1] for place in places}, strict=False)  # as deep as the least deep
     common = sum(1 for _ in takewhile(lambda level: len(set(level)) == 1, levels))
     for member, place in zip(members, places, strict=True):

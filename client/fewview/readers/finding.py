@@ -1,7 +1,7 @@
 """What there is to read at some paths: files, folders of frames, folders of cameras, zip files."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 
@@ -9,20 +9,39 @@ from fewview.errors import FormatError
 from fewview.readers.archives import is_archive, unpacked
 from fewview.readers.names import natural
 from fewview.readers.registry import FORMATS, Format, detect, find
-from fewview.readers.sources import Source, frames_in
+from fewview.readers.sources import Source, frames_among, frames_in
 from fewview.readers.trials import names_of_paths, of_one_trial
 
 Found = tuple[Source, Format]
 AnyPath = str | PathLike[str]
 DEPTH = 4  # of folders in folders
+MOST_CAMERAS = 64  # files beyond so many are no cameras
 FILTERED = re.compile(r"[_-]filtered(?=[./\\]|$)")
 
 
+def paths_at(paths: AnyPath | Iterable[AnyPath], folder: Path) -> list[Path]:
+    """Return the files and folders that are given; zip files are unpacked into an empty folder.
+
+    Raises
+    ------
+    FormatError
+        If there is none, or a zip file cannot be read.
+    """
+    listed = [paths] if isinstance(paths, str | PathLike) else list(paths)
+    if not listed:
+        raise FormatError("no files were given")
+    return [
+        unpacked(path, folder / str(number)) if is_archive(path) else path
+        for number, path in enumerate(map(Path, listed))
+    ]
+
+
 def sources_at(
-    paths: AnyPath | Iterable[AnyPath],
+    paths: Sequence[Path],
     name: str | None,
     notes: list[str],
-    folder: Path,
+    *,
+    others: Container[Path] = (),
     trial: str | None = None,
 ) -> list[Found]:
     """Return what there is to read at the paths, a format each.
@@ -33,8 +52,8 @@ def sources_at(
         Of the format; None to find it out.
     notes
         Gets what was left out.
-    folder
-        An empty one, where zip files are unpacked.
+    others
+        Files and folders that hold no keypoints.
     trial
         Whose files are meant, where they are of several.
 
@@ -43,14 +62,13 @@ def sources_at(
     FormatError
         If there is nothing of a known format, or the files are of several trials.
     """
-    listed = [paths] if isinstance(paths, str | PathLike) else list(paths)
-    if not listed:
-        raise FormatError("no files were given")
-    found: list[Found] = []
-    for number, given in enumerate(map(Path, listed)):
-        path = unpacked(given, folder / str(number)) if is_archive(given) else given
+    given = [path for path in paths if path not in others]
+    if not given:
+        raise FormatError("there are cameras of a calibration, and no keypoints: give those, too")
+    found = _frames_one_by_one(given, name)
+    for path in [] if found else given:
         if path.is_dir():
-            inside = _in_folder(path, name, notes, DEPTH)
+            inside = _in_folder(path, name, notes, DEPTH, others)
             if not inside:
                 raise FormatError(
                     f"{path}: a folder with no file of a known format{_first_looks_like(path)}"
@@ -69,13 +87,22 @@ def sources_at(
     return [found[index] for index in mine]
 
 
-def _in_folder(folder: Path, name: str | None, notes: list[str], depth: int) -> list[Found]:
+def _frames_one_by_one(paths: Sequence[Path], name: str | None) -> list[Found]:
+    """Return the cameras whose frames are listed file by file; none unless these are so many."""
+    if len(paths) <= MOST_CAMERAS or not all(path.is_file() for path in paths):
+        return []
+    return [(source, find(source, name)) for source in frames_among(paths, paths[0].parent)]
+
+
+def _in_folder(
+    folder: Path, name: str | None, notes: list[str], depth: int, others: Container[Path]
+) -> list[Found]:
     """Return what a folder holds: frames, files of cameras, or folders of these."""
-    cameras = frames_in(folder)
+    cameras = frames_in(folder, others)
     if cameras:
         return [(source, find(source, name)) for source in cameras]
     inside = sorted(
-        (path for path in folder.iterdir() if not path.name.startswith(".")),
+        (path for path in folder.iterdir() if not path.name.startswith(".") and path not in others),
         key=lambda path: natural(path.name),
     )
     found: list[Found] = []
@@ -94,7 +121,7 @@ def _in_folder(folder: Path, name: str | None, notes: list[str], depth: int) -> 
     if not found and depth > 1:
         for path in inside:
             if path.is_dir():
-                found += _in_folder(path, name, notes, depth - 1)
+                found += _in_folder(path, name, notes, depth - 1, others)
         return found
     if found and unknown:
         shown = ", ".join(source.path.name for source in unknown[:5]) + (

@@ -159,7 +159,7 @@ def _matched(views: Sequence[View], person: Person) -> tuple[list[View], list[st
                 f"{view.name}: {view.keypoints.shape[1]:,} people in one frame are more than the "
                 f"{MAX_PEOPLE} that are followed; have the detector give the surest alone"
             )
-    tracks = _tracks(views)
+    tracks = tracks_of(views)
     if len({view.keypoints.shape[2] for view in views}) == 1:
         people, sureness = same_people(tracks, len(views))
     else:
@@ -190,7 +190,7 @@ def _matched(views: Sequence[View], person: Person) -> tuple[list[View], list[st
     return chosen, [*notes, *_certainty(views, tracks, who, sureness)]
 
 
-def _tracks(views: Sequence[View]) -> list[Track]:
+def tracks_of(views: Sequence[View]) -> list[Track]:
     """Return everybody who is seen in each camera, under numbers that mean the same in all."""
     tracks = []
     for v, (view, numbers) in enumerate(zip(views, common_numbers(list(views), []), strict=True)):

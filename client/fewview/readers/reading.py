@@ -1,8 +1,9 @@
 """From paths to a capture."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -10,13 +11,15 @@ import numpy as np
 from fewview.capture import Capture, Float32, located
 from fewview.errors import FormatError
 from fewview.readers.archives import workplace
+from fewview.readers.calibrations import calibrations_at, of_views
 from fewview.readers.combining import cleaned, combined, named
-from fewview.readers.finding import AnyPath, sources_at
+from fewview.readers.finding import AnyPath, paths_at, sources_at
 from fewview.readers.large_arrays import blocks
 from fewview.readers.names import distinct_parts
 from fewview.readers.people import pick
 from fewview.readers.registry import views_of
 from fewview.readers.sides import doubts_of_sides, put_right
+from fewview.readers.thumbnails import people_of
 from fewview.readers.timing import with_rates
 from fewview.readers.videos import with_video
 from fewview.readers.views import View, unseen
@@ -116,6 +119,8 @@ def read_with(
     paths: AnyPath | Iterable[AnyPath],
     options: ReadingOptions,
     calibrated_sizes: Callable[[Sequence[str]], Sequence[Size | None]] | None = None,
+    *,
+    with_people: bool = False,
 ) -> Capture:
     """Read the 2D keypoints of all cameras, as `read` does.
 
@@ -125,28 +130,24 @@ def read_with(
         As `read` takes them.
     calibrated_sizes
         Gives the image sizes of a calibration for the names of the views. They are those of views
-        whose size is neither given nor in their file.
+        whose size is neither given nor in their file, instead of those of a calibration that lies
+        among the files.
+    with_people
+        Whether to look whom each view shows (`Capture.people`).
     """
     notes: list[str] = []
-    views: list[View] = []
-    kinds: Counter[str] = Counter()
     with workplace() as folder:
-        format = options.format or ("csv" if options.columns else None)
-        sources = sources_at(paths, format, notes, folder, options.trial)
-        for source, kind in sources:
-            found = views_of(source, kind, untrusted=options.untrusted, columns=options.columns)
-            if len(found) == 1 and not options.untrusted:
-                found = [with_video(found[0], source)]
-            views += found
-            kinds[kind.title] += len(found)
-    titles = ", ".join(f"{title} ({count} cameras)" for title, count in kinds.items())
-    notes.insert(0, f"read as {titles}" if len(kinds) > 1 else f"read as {next(iter(kinds))}")
+        given = paths_at(paths, folder)
+        beside = calibrations_at(given, notes)
+        views, one_file = _views_at(given, beside.paths, options, notes)
     names = distinct_parts([view.name for view in views])
     views = [replace(view, name=name) for view, name in zip(views, names, strict=True)]
     wanted = options.named("cameras", names)
+    known, calibration = of_views(beside, names, wanted, notes)
     views = views if wanted is None else [views[index] for index in wanted]
     names = tuple(view.name for view in views)
-    usual = calibrated_sizes(names) if calibrated_sizes else [None] * len(names)
+    usual: Sequence[Size | None] = [camera.size for camera in known or ()] or [None] * len(names)
+    usual = calibrated_sizes(names) if calibrated_sizes else usual
     views = _sized(with_rates(views, options.rates(names)), options.sizes(names), usual, notes)
     clean: list[View] = []
     for view in views:
@@ -154,10 +155,35 @@ def read_with(
         clean.append(one)
         notes += more
     picked, more = pick(clean, options.person)
-    picked = named(picked, options.skeleton, more)
-    picked = put_right(picked, options.y, options.named("mirror", names) or [], more)
-    capture = combined(picked, align=options.align, one_file=len(sources) == 1)
-    return replace(capture, notes=(*notes, *more, *capture.notes, *doubts_of_sides(capture)))
+    called = named(picked, options.skeleton, more)
+    people = people_of(clean, picked, called, options.y) if with_people else None
+    picked = put_right(called, options.y, options.named("mirror", names) or [], more)
+    capture = combined(picked, align=options.align, one_file=one_file)
+    return replace(
+        capture,
+        notes=(*notes, *more, *capture.notes, *doubts_of_sides(capture)),
+        calibration=calibration,
+        people=people,
+    )
+
+
+def _views_at(
+    paths: Sequence[Path], others: Container[Path], options: ReadingOptions, notes: list[str]
+) -> tuple[list[View], bool]:
+    """Return the views of all files, and whether they are of one file; note what it was read as."""
+    views: list[View] = []
+    kinds: Counter[str] = Counter()
+    format = options.format or ("csv" if options.columns else None)
+    sources = sources_at(paths, format, notes, others=others, trial=options.trial)
+    for source, kind in sources:
+        found = views_of(source, kind, untrusted=options.untrusted, columns=options.columns)
+        if len(found) == 1 and not options.untrusted:
+            found = [with_video(found[0], source)]
+        views += found
+        kinds[kind.title] += len(found)
+    titles = ", ".join(f"{title} ({count} cameras)" for title, count in kinds.items())
+    notes.insert(0, f"read as {titles}" if len(kinds) > 1 else f"read as {next(iter(kinds))}")
+    return views, len(sources) == 1
 
 
 def _sized(

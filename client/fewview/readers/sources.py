@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -172,13 +172,23 @@ def check_size(path: Path, limit: int) -> None:
         )
 
 
-def frames_in(folder: Path) -> list[Source]:
+def frames_in(folder: Path, others: Container[Path] = ()) -> list[Source]:
     """Return the cameras whose frames are files of this folder, one file each.
 
     They are JSON, or lines of YOLO's labels.
+
+    Parameters
+    ----------
+    others
+        Files that hold no keypoints.
     """
+    return frames_among([path for path in folder.iterdir() if path not in others], folder)
+
+
+def frames_among(paths: Sequence[Path], folder: Path) -> list[Source]:
+    """Return the cameras whose frames are among these files of a folder, as `frames_in` does."""
     for suffix, is_one in ((".json", _is_json_frame), (".txt", _is_yolo_frame)):
-        files = [path for path in folder.iterdir() if path.suffix.lower() == suffix]
+        files = [path for path in paths if path.suffix.lower() == suffix]
         if len(files) > MAX_FRAMES:
             raise FormatError(f"{folder}: {len(files):,} files are too many")
         files.sort(key=lambda path: natural(path.name))
