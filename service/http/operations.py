@@ -39,22 +39,23 @@ def request_body(
     if json is not None:
         _registered.add(json)
         content["application/json"] = {"schema": {"$ref": _REFERENCE.format(model=json.__name__)}}
+    bytes_of_file = {"type": "string", "format": "binary"}
+    properties: dict[str, Any] = {}
     if binary is not None:
-        file = {"type": "string", "format": "binary", "description": binary}
-        content["application/octet-stream"] = {"schema": file}
-        name = f"{(json or form or BaseModel).__name__}Form"
-        _forms[name] = {
-            "type": "object",
-            "title": name,
-            "properties": {"file": file} | _form_fields(form),
-        }
-        if files is None:
-            _forms[name]["required"] = ["file"]
-        else:
-            several = {"type": "array", "items": {"type": "string", "format": "binary"}}
-            _forms[name]["properties"]["files"] = several | {"description": files}
-        if folders is not None:
-            _forms[name]["properties"]["folders"] = file | {"description": folders}
+        properties["file"] = bytes_of_file | {"description": binary}
+        content["application/octet-stream"] = {"schema": properties["file"]}
+    if files is not None:
+        properties["files"] = {"type": "array", "items": bytes_of_file, "description": files}
+    if folders is not None:
+        properties["folders"] = bytes_of_file | {"description": folders}
+    if properties:
+        name = f"{(json or form or BaseModel).__name__}Form".replace("FormForm", "Form")
+        required = list(properties) if len(properties) == 1 else []
+        properties = {**properties, **_form_fields(form)}
+        # The order in which a document that is committed lists them.
+        _forms[name] = {"type": "object", "title": name, "properties": properties}
+        if required:
+            _forms[name]["required"] = required
         content["multipart/form-data"] = {"schema": {"$ref": _REFERENCE.format(model=name)}}
     return {"requestBody": {"required": True, "content": content}}
 

@@ -1,18 +1,21 @@
 """Previews: what captures would be as datasets, of which nothing is stored."""
 
-from typing import Self
+from typing import Annotated, Self
 
-from fastapi import APIRouter
-from pydantic import ConfigDict, Field
+from fastapi import APIRouter, Query
+from pydantic import BaseModel, ConfigDict, Field
 
 from service.http.dependencies import SettingsDep, StoreDep
-from service.http.errors import BODY_PROBLEMS, problems
+from service.http.errors import BODY_PROBLEMS, invalid, problems
+from service.http.operations import request_body
 from service.http.uploads import FilesBody
 from service.resources.dataset_bodies import read_new
 from service.resources.datasets import DESCRIBED, NEW_DATASET, DatasetFacts
+from service.wire.calibrations import CaptureCalibration
+from service.wire.detector_files import read_calibration
 from service.wire.people import ViewPeoplePreview
 from service.wire.schemas import Name, Vector2
-from store import datasets, records
+from store import datasets, lookup, records
 from store.capture import Capture
 
 router = APIRouter(prefix="/previews", tags=["datasets"])
@@ -72,3 +75,46 @@ def preview_dataset(
     """
     capture, description, people = read_new(upload, settings, name, with_people=True)
     return DatasetPreview.of(datasets.described(store, capture, description), capture, people)
+
+
+class CalibrationForm(BaseModel):
+    """The fields of a form besides its files: there are none."""
+
+
+class CalibrationPreview(CaptureCalibration):
+    """What is understood of a calibration file for a dataset."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                **CaptureCalibration.model_config["json_schema_extra"]["example"],  # type: ignore[index,dict-item]
+                "notes": ["calibration.toml is a calibration: ..."],
+            }
+        }
+    )
+
+    notes: list[str] = Field(description="Which cameras were taken for which views.")
+
+
+@router.post(
+    "/calibrations",
+    responses=problems(*BODY_PROBLEMS, "not_found"),
+    openapi_extra=request_body(
+        form=CalibrationForm,
+        files="A calibration of Anipose, Pose2Sim, FreeMoCap or caliscope (TOML) or of OpenCV "
+        "(YAML, JSON), of all cameras, or a file for each.",
+    ),
+)
+def preview_calibration(
+    upload: FilesBody, store: StoreDep, dataset_id: Annotated[str, Query(max_length=200)]
+) -> CalibrationPreview:
+    """Answer the cameras of a calibration file for the views of a dataset; nothing is stored.
+
+    `cameras` is what a fit of the dataset takes as `calibration` of its `config`.
+    """
+    dataset = lookup.get(store, records.DatasetRecord, dataset_id)
+    if not upload.files or any(file.holds_folders for file in upload.files):
+        raise invalid("/files", "expected a calibration file, or one for each camera, as `files`")
+    views = dataset.view_names or [f"view {view + 1}" for view in range(dataset.views)]
+    known, notes = read_calibration(upload, views)
+    return CalibrationPreview(**known.model_dump(), notes=notes)

@@ -20,9 +20,9 @@ from service.http.errors import ApiError, from_validation, invalid
 from service.http.uploads import ZIP_FAULTS, Upload
 from service.settings import Settings
 from service.wire.arrays import Arrays
-from service.wire.calibrations import checked_calibration
+from service.wire.calibrations import CaptureCalibration, checked_calibration
 from service.wire.people import ViewPeoplePreview
-from service.wire.reading_apart import OUT, read_apart
+from service.wire.reading_apart import OUT, cameras_apart, read_apart
 
 LONGEST_NAME = 100  # bytes of a file's name, characters of a camera's that is named after it
 LONGEST_NOTE, MOST_NOTES = 1000, 100
@@ -176,13 +176,9 @@ def read_files(
             mirror=form.mirror or None,
         )
         with TemporaryDirectory(prefix="fewview-") as folder:
-            names: list[str] = []
-            for file in upload.files:
-                names.append(_name(file.name, names))
-                Path(folder, names[-1]).write_bytes(file.data)
             found = read_apart(
                 Path(folder),
-                names,
+                _written(upload, Path(folder)),
                 options,
                 max_bytes=settings.max_body_bytes,
                 holds_folders=upload.files[0].holds_folders,
@@ -209,6 +205,44 @@ def read_files(
     shown = [_sentence(note) for note in notes[:MOST_NOTES]]
     people = [ViewPeoplePreview.of(view) for view in found.people or ()]
     return ReadFiles(arrays, fields, shown, people or None)
+
+
+def read_calibration(upload: Upload, views: Sequence[str]) -> tuple[CaptureCalibration, list[str]]:
+    """Read a calibration, of one file or of one for each camera, in a separate process.
+
+    Parameters
+    ----------
+    views
+        Names of the views whose cameras are sought.
+
+    Returns
+    -------
+    tuple
+        The cameras of the views, and how they were found, in sentences.
+
+    Raises
+    ------
+    ApiError
+        422 if it cannot be read, or does not fit the views.
+    """
+    try:
+        with TemporaryDirectory(prefix="fewview-") as folder:
+            found, notes = cameras_apart(Path(folder), _written(upload, Path(folder)), views)
+    except FormatError as error:
+        raise _at_field(error) from error
+    known = checked_calibration(found, notes)
+    if known is None:
+        raise invalid("/files", _sentence(notes[-1]))
+    return CaptureCalibration.model_validate(known), [_sentence(note) for note in notes]
+
+
+def _written(upload: Upload, folder: Path) -> list[str]:
+    """Write an upload's files into a folder; return their names there."""
+    names: list[str] = []
+    for file in upload.files:
+        names.append(_name(file.name, names))
+        (folder / names[-1]).write_bytes(file.data)
+    return names
 
 
 def _at_field(error: FormatError) -> ApiError:

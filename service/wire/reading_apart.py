@@ -68,16 +68,51 @@ def read_apart(
     FormatError
         As `fewview.read`, and if reading takes too much memory or time, or ends the process.
     """
-    out = folder / OUT
-    out.mkdir()
     asked = {
-        "names": list(names),
         "options": asdict(options),
         "max_bytes": max_bytes,
         "holds_folders": holds_folders,
         "with_people": with_people,
-        "parent": os.getpid(),
     }
+    return _capture(_apart(folder, names, asked))
+
+
+def cameras_apart(
+    folder: Path, names: Sequence[str], views: Sequence[str]
+) -> tuple[CameraCalibration, list[str]]:
+    """Read an untrusted calibration in a separate process, as `fewview.read` does beside keypoints.
+
+    Parameters
+    ----------
+    views
+        Names of the views whose cameras are sought.
+
+    Returns
+    -------
+    tuple
+        The cameras of the views, and how they were found, in sentences.
+
+    Raises
+    ------
+    FormatError
+        If there is no calibration, or it does not fit the views, and as for `read_apart`.
+    """
+    out = _apart(folder, names, {"views": list(views)})
+    others = json.loads((out / OTHERS).read_bytes())
+    return _calibration(others["calibration"]), others["notes"]
+
+
+def _apart(folder: Path, names: Sequence[str], asked: dict[str, Any]) -> Path:
+    """Have a child read files of a folder; return the folder of what it wrote.
+
+    Raises
+    ------
+    FormatError
+        If the child found a fault, takes too much memory or time, or ended.
+    """
+    out = folder / OUT
+    out.mkdir()
+    asked = {"names": list(names), "parent": os.getpid(), **asked}
     code = child_code(f"from {__name__} import main", "main()")
     try:
         # What the child unpacks goes with the folder, even if it is killed.
@@ -86,7 +121,7 @@ def read_apart(
     except subprocess.TimeoutExpired:
         raise FormatError(f"{', '.join(names)}: took more than {SECONDS} s to read") from None
     if done.returncode == 0:
-        return _capture(out)
+        return out
     if done.returncode == 1 and done.stdout:
         option, _, message = done.stdout.decode(errors="replace").partition("\n")
         known = {field.name for field in fields(ReadingOptions)}
@@ -134,12 +169,14 @@ def _capture(out: Path) -> Capture:
     others = json.loads((out / OTHERS).read_bytes())
     calibration, people = others.pop("calibration"), others.pop("people")
     if calibration is not None:
-        found["calibration"] = CameraCalibration(
-            calibration["file"], tuple(calibration["names"]), tuple(calibration["cameras"])
-        )
+        found["calibration"] = _calibration(calibration)
     if people is not None:
         found["people"] = tuple(map(_people, people))
     return Capture(**found, **{name: _tuples(value) for name, value in others.items()})
+
+
+def _calibration(found: dict[str, Any]) -> CameraCalibration:
+    return CameraCalibration(found["file"], tuple(found["names"]), tuple(found["cameras"]))
 
 
 def _people(view: dict[str, Any]) -> ViewPeople:
@@ -164,7 +201,10 @@ def main() -> None:
     die_with_parent(asked.pop("parent"))
     limit(MEMORY, SECONDS)
     try:
-        _read(ReadingOptions(**asked.pop("options")), **asked)
+        if "views" in asked:
+            _read_cameras(**asked)
+        else:
+            _read(ReadingOptions(**asked.pop("options")), **asked)
     except FormatError as error:
         sys.stdout.write(f"{error.option or ''}\n{error}")
         sys.exit(1)
@@ -175,6 +215,25 @@ def main() -> None:
         sys.exit(1)
 
 
+def _read_cameras(names: list[str], views: list[str]) -> None:
+    _load_readers()
+    from fewview.readers.calibrations import calibrations_at, of_views  # noqa: PLC0415
+
+    confine(Path())
+    notes: list[str] = []
+    _, found = of_views(calibrations_at(map(Path, names), notes), views, None, notes)
+    if found is None:
+        known = "TOML of Anipose, Pose2Sim, FreeMoCap or caliscope, YAML or JSON of OpenCV"
+        reason = "; ".join(notes) or f"no calibration that is known: {known}"
+        raise FormatError(f"{', '.join(names)}: {reason}")
+    Path(OUT, OTHERS).write_text(json.dumps({"calibration": asdict(found), "notes": notes}))
+
+
+def _load_readers() -> None:
+    """Load what is needed, within the limits, and before no module can be opened any more."""
+    import yaml  # noqa: F401, PLC0415
+
+
 def _read(
     options: ReadingOptions,
     names: list[str],
@@ -183,12 +242,7 @@ def _read(
     holds_folders: bool,
     with_people: bool,
 ) -> None:
-    # Within the limits, and before no module of ours can be opened any more.
-    import fewview.calibration.anipose  # noqa: PLC0415
-    import fewview.calibration.colmap  # noqa: PLC0415
-    import fewview.calibration.opencv  # noqa: F401, PLC0415
-    import h5py  # noqa: F401, PLC0415
-    import yaml  # noqa: F401, PLC0415
+    _load_readers()
     from fewview.readers.archives import laid_out  # noqa: PLC0415
     from fewview.readers.reading import read_with  # noqa: PLC0415
 
