@@ -17,10 +17,12 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, fields, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fewview.calibration import FORMATS as CALIBRATIONS
 from fewview.capture import CameraCalibration, Capture, SeenPerson, ViewPeople
 from fewview.errors import FormatError
 from fewview.reading_options import ReadingOptions
@@ -36,6 +38,12 @@ SECONDS = 120
 QUICK_SECONDS, SLOW_NICENESS = 5, 10  # a child that takes longer gets this niceness
 OUT, CAPTURE, OTHERS = "out", "capture.npz", "others.json"
 FOLDERS = "folders"
+READERS = (
+    "h5py",
+    "yaml",
+    "fewview.readers.reading",
+    *(f"fewview.calibration.{known.module}" for known in CALIBRATIONS),
+)
 LONGEST_LOG = 2000  # characters
 
 
@@ -231,7 +239,8 @@ def _read_cameras(names: list[str], views: list[str]) -> None:
 
 def _load_readers() -> None:
     """Load what is needed, within the limits, and before no module can be opened any more."""
-    import yaml  # noqa: F401, PLC0415
+    for name in READERS:
+        import_module(name)
 
 
 def _read(
