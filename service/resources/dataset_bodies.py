@@ -112,6 +112,7 @@ class DatasetDescription(CaptureFacts, Labels):
         """Return the description, checked against the capture it describes."""
         views, keypoints = capture.keypoints.shape[1:3]
         self.suit(views, keypoints)
+        known = self.calibration
         if self.fps is not None and capture.times is not None:
             try:
                 check_rate(self.fps, capture.times)

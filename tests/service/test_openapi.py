@@ -166,6 +166,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "list_queues",
         "list_webhook_deliveries",
         "list_webhooks",
+        "preview_calibration",
         "preview_dataset",
         "revoke_key",
         "set_alias",

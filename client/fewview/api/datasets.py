@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -65,6 +66,7 @@ class Datasets(Stored[Driver, Dataset]):
         fields = labels(tags, metadata) | {
             "fps": fps or capture.fps,
             "image_sizes": capture.image_sizes,
+            "calibration": capture.calibration and asdict(capture.calibration),
         }
         form = {key: json.dumps(value) for key, value in fields.items() if value is not None}
         if name is not None:

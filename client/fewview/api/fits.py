@@ -49,7 +49,7 @@ class Fits(Jobs[Driver, Fit]):
             Given cameras: a calibration file, whose cameras have the names of the dataset's views
             (:func:`fewview.calibration.for_views`) or else are in their order; or a list in the
             order of the views, of :class:`~fewview.calibration.Camera` or of objects as the API
-            takes them, None where nothing is known.
+            takes them, None where nothing is known. "dataset": those that came with the dataset.
         tags, metadata
             Words, and any JSON object, for finding the fit and its model.
         config
@@ -64,13 +64,14 @@ class Fits(Jobs[Driver, Fit]):
         TooManyRequests
             Too many fits wait.
         """
-        if calibration is not None:
+        if calibration is not None and calibration != "dataset":
             known = yield from in_request_form(self._call, calibration, identifier(dataset))
             config["calibration"] = known
         fields = labels(tags, metadata) | {
             "dataset_id": identifier(dataset),
             "name": name,
             "from_model": None if from_model is None else identifier(from_model),
+            "calibration": "dataset" if calibration == "dataset" else None,
             "config": config or None,
         }
         body = {key: value for key, value in fields.items() if value is not None}

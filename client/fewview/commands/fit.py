@@ -19,7 +19,10 @@ from fewview.commands.talking import (
 
 CalibrationFile = Annotated[
     Path | None,
-    typer.Option(help="Of Anipose, OpenCV or COLMAP; by the views' names, else in order."),
+    typer.Option(
+        help="Of Anipose, OpenCV or COLMAP; by the views' names, else in order. Of `fewview fit` "
+        "also `dataset`: what came with it."
+    ),
 ]
 KnownLength = Annotated[
     str | None,
@@ -53,7 +56,9 @@ def fit(
 
     with talking(url) as client:
         fields = config_in(config or [], known_length)
-        if calibration is not None:
+        if calibration == Path("dataset"):
+            fields["calibration"] = "dataset"
+        elif calibration is not None:
             stored = client.datasets.get(dataset)
             known, note = read_for_views(calibration, stored.view_names, stored.views)
             fields["calibration"] = known

@@ -133,7 +133,7 @@ LAYOUTS: dict[Layout, tuple[int, int]] = {  # views and frames
     files_and_folders: (2, 10),
     frames_one_by_one: (1, 70),
 }
-CALIBRATED = {
+CALIBRATED: dict[Layout, str] = {
     pose2sim: "Calib.toml",
     anipose: "calibration.toml",
     calibration_beside: "calibration.toml",
@@ -190,11 +190,14 @@ def test_a_fit_may_use_the_calibration_that_came_with_the_dataset(
     answer = api.post("/fits", json={"dataset_id": dataset, **both})
     problem(answer, 422, "invalid_input", "/calibration")
     # The same in JSON, of which a dataset has one for each view or none.
-    body = {"keypoints": [[[[1, 2]], [[3, 4]], [[5, 6]]]], "calibration": known}
-    assert api.post("/datasets", json=body).json()["calibration"] == known
-    answer = api.post("/datasets", json=body | {"keypoints": [[[[1, 2]], [[3, 4]]]]})
+    views = [[[1, 2]] * 4] * 3
+    body = {"keypoints": [views], "calibration": known}
+    made = api.post("/datasets", json=body)
+    assert made.status_code == 201, made.text
+    assert made.json()["calibration"] == known
+    answer = api.post("/datasets", json=body | {"keypoints": [views[:2]]})
     problem(answer, 422, "invalid_input", "/calibration/cameras")
-    bare = api.post("/datasets", json={"keypoints": [[[[1, 2]], [[3, 4]]]]}).json()["id"]
+    bare = api.post("/datasets", json={"keypoints": [views[:2]]}).json()["id"]
     answer = api.post("/fits", json={"dataset_id": bare, "calibration": "dataset"})
     assert "came without" in problem(answer, 422, "invalid_input", "/calibration")
 
