@@ -11,6 +11,7 @@ import { openCapture } from "../src/data/capture.ts";
 import { readSafetensors } from "../src/data/safetensors.ts";
 import { ALL, emptyTake, nearest, putDetected, putStructures, STRUCTURE, type Frame } from "../src/data/take.ts";
 import { frameErrors, keypointErrors, LEFT_OUT, UNSEEN } from "../src/science/errors.ts";
+import { angles, coordinates, lengths, speeds } from "../src/science/measures.ts";
 import { project } from "../src/science/projection.ts";
 
 const folder = process.env.FEWVIEW_CASES;
@@ -159,3 +160,27 @@ for (const name of ["capture.npz", "reconstruction.safetensors"]) {
 function nulls(values: Float32Array): (number | null)[] {
   return Array.from(values, (value) => (Number.isNaN(value) ? null : value));
 }
+
+test("lengths, angles and speeds are those of NumPy", { skip }, async () => {
+  const { points, keypoints, times } = await take("level");
+  const expected = json("measures.json");
+  const near = (found: ArrayLike<number>, truth: (number | null)[], what: string) => {
+    assert.deepEqual(
+      Array.from(found, (value) => Number.isNaN(value)),
+      truth.map((value) => value === null),
+      what,
+    );
+    truth.forEach((value, frame) => assert.ok(value === null || Math.abs(found[frame]! - value) < 1e-4 * value, what));
+  };
+  for (const [a, b, c] of [
+    [0, 1, 2],
+    [3, 5, 6],
+  ] as const) {
+    near(lengths(points, keypoints, a, b), expected[`length ${a} ${b}`], "length");
+    near(angles(points, keypoints, a, b, c), expected[`angle ${a} ${b} ${c}`], "angle");
+    near(speeds(points, keypoints, a, null), expected[`speed ${a} of frames`], "speed of frames");
+    near(speeds(points, keypoints, a, times), expected[`speed ${a}`], "speed");
+    const axes = [0, 1, 2].map((axis) => coordinates(points, keypoints, a, axis)[0]);
+    assert.deepEqual(axes, [...points.subarray(3 * a, 3 * a + 3)]);
+  }
+});

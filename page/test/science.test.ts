@@ -3,6 +3,9 @@ import { test } from "node:test";
 import { aligned, distances } from "../src/science/aligning.ts";
 import { boxOf, roundLength, subjectSize, usualStep } from "../src/science/extent.ts";
 import { frameFindings } from "../src/science/frame_findings.ts";
+import { csvOf, cellOf } from "../src/parts/csv.ts";
+import { afterClick } from "../src/result/selection.ts";
+import { namedAngles } from "../src/science/named_angles.ts";
 import { sidesOf } from "../src/science/sides.ts";
 import { quantile, worstFrames } from "../src/science/worst.ts";
 import { seeded } from "./helpers.ts";
@@ -136,4 +139,54 @@ test("bits of frames become findings with ranges", () => {
     ],
   );
   assert.deepEqual(frameFindings([0, 0]), []);
+});
+
+test("joints have angles by the usual names of their keypoints", () => {
+  const parts = ["shoulder", "elbow", "wrist", "hip", "knee", "ankle"];
+  const both = (name: (side: string, part: string) => string) =>
+    ["l", "r"].flatMap((side) => parts.map((part) => name(side, part)));
+  const word = (side: string) => (side === "l" ? "left" : "right");
+  const capital = (text: string) => text.slice(0, 1).toUpperCase() + text.slice(1);
+  const namings: [string, string[]][] = [
+    ["COCO", both((side, part) => `${word(side)}_${part}`)],
+    ["BODY-25", both((side, part) => `${side.toUpperCase()}${capital(part)}`)],
+    ["Human3.6M", both((side, part) => `${capital(word(side))}${capital(part === "ankle" ? "foot" : part)}`)],
+    ["of a side last", both((side, part) => `${part}_${side}`)],
+    ["of small letters", both((side, part) => side + part)],
+  ];
+  const expected = [
+    ["knee", [3, 4, 5]],
+    ["hip", [0, 3, 4]],
+    ["elbow", [0, 1, 2]],
+    ["shoulder", [3, 0, 1]],
+  ];
+  for (const [naming, names] of namings) {
+    const found = namedAngles(names, sidesOf(names));
+    const mirrored = (triple: unknown) => (triple as number[]).map((keypoint) => keypoint + parts.length);
+    assert.deepEqual(
+      found,
+      expected.map(([joint, left]) => ({ joint, left, right: mirrored(left) })),
+      naming,
+    );
+  }
+  const toes = ["LKnee", "LAnkle", "LBigToe", "RKnee", "RAnkle", "RBigToe"];
+  assert.deepEqual(namedAngles(toes, sidesOf(toes)), [{ joint: "ankle", left: [0, 1, 2], right: [3, 4, 5] }]);
+  assert.deepEqual(namedAngles(["knee", "hip", "ankle"], [0, 0, 0]), []);
+});
+
+test("a click selects one, with Shift up to three", () => {
+  assert.deepEqual(afterClick([], 4, false), [4]);
+  assert.deepEqual(afterClick([4], 4, false), []);
+  assert.deepEqual(afterClick([4, 5], 4, false), [4]);
+  assert.deepEqual(afterClick([4, 5], 4, true), [5]);
+  assert.deepEqual(afterClick([4, 5, 6], 7, true), [5, 6, 7]);
+});
+
+test("a table runs nothing in a spreadsheet, and has no cell where there is no number", () => {
+  const columns = [
+    { name: "=HYPERLINK(1)", values: [1, NaN] },
+    { name: 'knee, "left"', values: [0.1 + 0.2, -2] },
+  ];
+  assert.equal(csvOf(columns), `'=HYPERLINK(1),"knee, ""left"""\r\n1,0.3\r\n,-2\r\n`);
+  for (const start of "=+-@\t\r") assert.match(cellOf(`${start}1`), /^"?'/);
 });

@@ -1,10 +1,17 @@
 """Looking closer at a result: keypoints under the pointer, what is measured of them."""
 
+import io
+import re
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 from playwright.sync_api import Locator, Page, expect
 
 from tests.page.conftest import Watched
 from tests.page.stored import NAMES, Stored
+from tests.service.conftest import Live
 
 
 def opened(watched: Watched, stored: Stored) -> Page:
@@ -89,3 +96,49 @@ def test_keypoints_are_selected_by_typing_and_given_up_by_key(
     chips.first.press("Space")
     expect(chips).to_have_text(["r_knee : no longer select it"])
     expect(page.get_by_role("button", name="Play")).to_be_visible()
+
+
+def knee_angles(points: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the angle at the left knee, by the law of cosines, in degrees."""
+    hip, knee, ankle = (points[:, NAMES.index(f"l_{part}")] for part in ("hip", "knee", "ankle"))
+    a, b, c = (np.linalg.norm(x - y, axis=1) for x, y in ((hip, knee), (ankle, knee), (hip, ankle)))
+    angles: NDArray[np.float64] = np.degrees(np.arccos((a**2 + b**2 - c**2) / (2 * a * b)))
+    return angles
+
+
+def test_the_angle_of_a_knee_is_a_curve_that_is_sought_on_and_saved(
+    watched: Watched, live: Live, stored: Stored
+) -> None:
+    page = opened(watched, stored)
+    page.get_by_label("Curve over time").select_option("Knee")
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="CSV of the curve").click()
+    table = Path(saved.value.path()).read_text().splitlines()
+    assert table[0] == "frame,seconds,left knee angle (degrees),right knee angle (degrees)"
+    rows = np.array([[float(cell or "nan") for cell in line.split(",")] for line in table[1:]])
+    url = f"/fits/{stored.fit}/reconstruction?frame=room&up=auto&format=npz"
+    with np.load(io.BytesIO(live.http.get(url).content)) as arrays:
+        angles = knee_angles(arrays["points3d"].astype(np.float64))
+    np.testing.assert_allclose(rows[:, 1], rows[:, 0] / 50, atol=1e-6)
+    np.testing.assert_allclose(rows[:, 2], angles, atol=1e-3)
+
+    plot = page.locator(".curves .u-over")
+    box = plot.bounding_box()
+    assert box is not None
+    plot.click(position={"x": box["width"] * 0.5, "y": 20})
+    expect(page.get_by_role("slider", name="Frame")).to_have_value(re.compile("19|20"))
+    frame = int(page.get_by_role("slider", name="Frame").input_value())
+    shown = page.locator(".curve-legend output").first
+    expect(shown).to_have_text(f"{angles[frame]:.3g}")
+
+    for name in ("l_hip", "l_knee", "l_ankle"):
+        page.get_by_label("Select a keypoint").fill(name)
+        page.get_by_label("Select a keypoint").press("Enter")
+    expect(page.locator(".measured")).to_contain_text(
+        f"Angle at l_knee, between l_hip and l_ankle: {angles[frame]:.3g}°"
+    )
+    page.get_by_label("Curve over time").select_option("Speed of l_hip, l_knee, l_ankle")
+    expect(page.locator(".curve-legend output")).to_have_count(3)
+    expect(page.locator(".curves .curve")).to_have_accessible_name(re.compile("per second"))
+    page.keyboard.press("Escape")
+    expect(page.locator(".curves")).to_have_count(0)

@@ -23,6 +23,7 @@ sys.path.insert(0, str(ROOT / "examples"))
 from projection import project  # noqa: E402
 
 FRAMES, VIEWS, POINTS = 6, 3, 7
+TIMES = np.array([0.0, 1, 2.2, 3, 4, 5]) / 59.94  # seconds: one frame is late
 CAMERAS = ("weak_perspective", "perspective", "fisheye")
 Floats = NDArray[np.float64]
 
@@ -74,6 +75,7 @@ def write_cases(folder: Path) -> None:
     }
     save_file(arrays, folder / "reconstruction.safetensors", {"findings": "[]"})
     write_capture(folder, detected)
+    dump(folder / "measures.json", measured(points.astype(np.float64)))
     dump(folder / "pixels.json", listed(pixels))
     truth = {
         "worst": [
@@ -82,6 +84,22 @@ def write_cases(folder: Path) -> None:
         "means": [None if np.isnan(row).all() else float(np.nanmean(row)) for row in view_errors],
     }
     dump(folder / "errors.json", truth)
+
+
+def measured(points: Floats) -> dict[str, list[float | None]]:
+    """Return lengths, angles and speeds of points (N, P, 3)."""
+    found = {}
+    for a, b, c in ((0, 1, 2), (3, 5, 6)):
+        arms = points[:, a] - points[:, b], points[:, c] - points[:, b]
+        sine = np.linalg.norm(np.cross(*arms), axis=1)
+        found[f"length {a} {b}"] = np.linalg.norm(arms[0], axis=1)
+        found[f"angle {a} {b} {c}"] = np.degrees(np.arctan2(sine, (arms[0] * arms[1]).sum(1)))
+        # NumPy has no use for the frame itself where times are even: without it there is no answer.
+        gone = np.where(np.isnan(points[:, a, 0]), np.nan, 0.0)
+        for name, moments in (("", TIMES), (" of frames", np.arange(FRAMES))):
+            velocity = np.gradient(points[:, a], moments, axis=0)
+            found[f"speed {a}{name}"] = np.linalg.norm(velocity, axis=1) + gone
+    return {name: listed(values) for name, values in found.items()}
 
 
 def write_stream(folder: Path) -> None:
@@ -162,7 +180,7 @@ def write_capture(folder: Path, detected: NDArray[np.float32]) -> None:
         "edges": [[0, 1], [1, 2]],
         "image_sizes": [[1280, 1024], [0, 0], [640, 480]],
         "fps": 59.94,
-        "times": [n / 59.94 for n in range(FRAMES)],
+        "times": TIMES.tolist(),
     }
     arrays: dict[str, Any] = {name: np.array(value) for name, value in fields.items()}
     np.savez(folder / "capture.npz", keypoints=detected, **arrays)

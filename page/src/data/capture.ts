@@ -89,6 +89,12 @@ export function rateOf({ fps, times }: Capture): { rate: number; known: boolean 
   return { rate: 30, known: false };
 }
 
+/** Returns when frames were captured: (N,) seconds; null if neither times nor fps are known. */
+export function secondsOf({ frames, fps, times }: Capture): Float64Array | null {
+  if (times !== null) return times.subarray(0, frames);
+  return fps === null ? null : Float64Array.from({ length: frames }, (_, frame) => frame / fps);
+}
+
 export function numbered(word: string, count: number): string[] {
   return Array.from({ length: count }, (_, index) => `${word} ${index}`);
 }

@@ -14,9 +14,10 @@ interface Props {
   series: (theme: Theme) => uPlot.Series[];
   summary: string;
   anew?: unknown; // where it changes, so do scales
+  onPlot?: (plot: uPlot) => void; // called with each that is made: also when light turns dark
 }
 
-export function Plot({ data, height, x, y, scales, series, summary, anew }: Props) {
+export function Plot({ data, height, x, y, scales, series, summary, anew, onPlot }: Props) {
   const holder = useRef<HTMLDivElement>(null);
   const plot = useRef<uPlot | null>(null);
   const latest = useRef(data);
@@ -47,6 +48,7 @@ export function Plot({ data, height, x, y, scales, series, summary, anew }: Prop
       };
       plot.current?.destroy();
       plot.current = new uPlot(options, latest.current, element);
+      onPlot?.(plot.current);
     };
     build();
     const watcher = new ResizeObserver(() => plot.current?.setSize({ width: element.clientWidth, height }));
@@ -59,6 +61,6 @@ export function Plot({ data, height, x, y, scales, series, summary, anew }: Prop
       plot.current = null;
     };
   }, [anew]);
-  useEffect(() => plot.current?.setData(data), [data[0].at(-1), data[0].length]);
+  useEffect(() => plot.current?.setData(data), [data]);
   return <div ref={holder} class="curve" style={{ minHeight: height }} role="img" aria-label={summary} />;
 }

@@ -30,7 +30,7 @@ export function KeypointChoice() {
             list={LIST}
             value={typed}
             autocomplete="off"
-            placeholder="type its name, or click it"
+            placeholder="type its name"
             aria-invalid={unknown}
             onInput={(event) => {
               const { value } = event.currentTarget;
